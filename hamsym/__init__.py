@@ -1,0 +1,1 @@
+from hamsym.hamiltonian import Hamiltonian

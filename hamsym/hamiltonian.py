@@ -1,0 +1,615 @@
+"""The Hamiltonian as a symbolic object: what is derived from H(q, p) before any number appears.
+
+Input:  a formula or a sympy expression, pairs of coordinates and momenta, parameter values.
+Output: Hamilton's equations, the Hessian and what follows from them, as sympy objects; and,
+        through :mod:`hamsym.codegen`, source text and callables for each backend.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, NoReturn
+
+import numpy as np
+import sympy
+from sympy.core.function import AppliedUndef
+
+from hamsym import codegen, derivatives
+from hamsym.errors import InputError, ParameterError, VariableError
+from hamsym.pairing import find_pairs, natural_order
+from hamsym.parsing import canonical_name, check_name, parse_expression
+from hamsym.printing import FormulaPrinter
+from hamsym.system import System
+
+__all__ = ["Hamiltonian"]
+
+_TIME = "t"
+
+
+class Hamiltonian:
+    """A Hamiltonian H(q, p) with everything that follows from it symbolically.
+
+    The phase-space state is z = (q_1..q_d, p_1..p_d), of dimension 2 d. A symbol ``t`` that is
+    neither a coordinate nor a momentum nor a parameter with a value is the time. All other
+    symbols are parameters.
+
+    Parameters
+    ----------
+    expression : str or sympy.Expr
+        The Hamiltonian. Text is parsed by :func:`hamsym.parsing.parse_expression`, never
+        evaluated.
+    q, p : sequence of str or sympy.Symbol, optional
+        Coordinates and momenta, in the order wanted. Without them pairs are found from the
+        names (:func:`hamsym.pairing.find_pairs`) and ordered as people count.
+    parameters : mapping of name to number, optional
+        Values of parameters, in the units of H. The others need a value when numbers are
+        asked for.
+
+    Raises
+    ------
+    ParseError
+        If the text is not a formula.
+    VariableError
+        If the pairs are ambiguous, missing, or do not fit the expression.
+    ParameterError
+        If a value is not a finite real number or belongs to no symbol of H.
+
+    Examples
+    --------
+    >>> H = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+    >>> H.q, H.p
+    ((x,), (p,))
+    >>> list(H.vector_field)
+    [p, -x**3 - x]
+    >>> H.is_separable, H.sigma_min
+    (True, 1)
+    """
+
+    def __init__(
+        self,
+        expression: str | sympy.Expr,
+        *,
+        q: Sequence[str | sympy.Symbol] | None = None,
+        p: Sequence[str | sympy.Symbol] | None = None,
+        parameters: Mapping[Any, float] | None = None,
+    ) -> None:
+        if isinstance(expression, str):
+            expr = parse_expression(expression)
+        else:
+            expr = _checked_expression(expression)
+        symbols = _by_name(expr.free_symbols)
+        values = _checked_values(parameters or {}, symbols)
+        if q is None and p is None:
+            candidates = symbols.keys() - values.keys() - {_TIME}
+            pairs = find_pairs(candidates)
+            coordinates: Iterable[str | sympy.Symbol] = [pair[0] for pair in pairs]
+            momenta: Iterable[str | sympy.Symbol] = [pair[1] for pair in pairs]
+        elif q is None or p is None:
+            raise VariableError("q and p are given together or not at all; add the other one")
+        else:
+            coordinates, momenta = _as_list(q), _as_list(p)
+        real = isinstance(expression, str)
+        state = [_symbol(item, symbols, real) for item in (*coordinates, *momenta)]
+        half = len(list(coordinates))
+        _check_state(state, half, values)
+        set_attribute = functools.partial(object.__setattr__, self)
+        set_attribute("expr", expr)
+        set_attribute("q", tuple(state[:half]))
+        set_attribute("p", tuple(state[half:]))
+        set_attribute("z", tuple(state))
+        set_attribute("parameters", MappingProxyType(values))
+        names = {symbol.name for symbol in state}
+        set_attribute("time", symbols[_TIME] if _TIME in symbols.keys() - names - values.keys() else None)
+
+    expr: sympy.Expr
+    q: tuple[sympy.Symbol, ...]
+    p: tuple[sympy.Symbol, ...]
+    z: tuple[sympy.Symbol, ...]
+    #: Values of the parameters that have one, by name.
+    parameters: Mapping[str, float]
+    #: The symbol t if H depends on time explicitly, else None.
+    time: sympy.Symbol | None
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(
+            f"a Hamiltonian is immutable; build another one instead of setting {name!r}"
+        )
+
+    def __delattr__(self, name: str) -> NoReturn:
+        raise AttributeError(f"a Hamiltonian is immutable; {name!r} cannot be deleted")
+
+    # -- identity --------------------------------------------------------------------------
+
+    @cached_property
+    def _identity(self) -> tuple[Any, ...]:
+        real = self._real
+        return (real.expr, *(symbol.name for symbol in self.z), *sorted(self.parameters.items()))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Hamiltonian):
+            return NotImplemented
+        return self._identity == other._identity
+
+    def __hash__(self) -> int:
+        return hash(self._identity)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        arguments = (self.expr, self.q, self.p, dict(self.parameters))
+        return (_rebuild, arguments)
+
+    def __str__(self) -> str:
+        return self.formula
+
+    def __repr__(self) -> str:
+        pairs = ", ".join(f"({q}, {p})" for q, p in zip(self.q, self.p, strict=True))
+        values = "".join(f", {name}={value:g}" for name, value in self.parameters.items())
+        return f"Hamiltonian({self.formula!r}, pairs {pairs}{values})"
+
+    def _repr_latex_(self) -> str:
+        arguments = ", ".join(sympy.latex(symbol) for symbol in self.z)
+        return rf"$\displaystyle H({arguments}) = {sympy.latex(self.expr)}$"
+
+    @cached_property
+    def formula(self) -> str:
+        """H as text, in the order in which people write terms; it parses back to H."""
+        return FormulaPrinter()(self.expr)
+
+    # -- dimensions and parameters -----------------------------------------------------------
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom d, the number of pairs."""
+        return len(self.q)
+
+    @property
+    def dim(self) -> int:
+        """Dimension 2 d of phase space."""
+        return len(self.z)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the components of z."""
+        return tuple(symbol.name for symbol in self.z)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of all parameters, with a value or without, in natural order."""
+        known = {*self.z, self.time}
+        names = {symbol.name for symbol in self.expr.free_symbols if symbol not in known}
+        return tuple(sorted(names, key=natural_order))
+
+    @cached_property
+    def unbound_parameters(self) -> tuple[str, ...]:
+        """Names of the parameters without a value."""
+        return tuple(name for name in self.parameter_names if name not in self.parameters)
+
+    def with_parameters(self, **values: float) -> Hamiltonian:
+        """The same Hamiltonian with other parameter values.
+
+        Examples
+        --------
+        >>> H = Hamiltonian("p**2/(2*m) + k*x**2/2", parameters={"m": 1.0})
+        >>> dict(H.with_parameters(m=2.0, k=4.0).parameters)
+        {'k': 4.0, 'm': 2.0}
+        """
+        merged = {**self.parameters, **values}
+        return Hamiltonian(self.expr, q=self.q, p=self.p, parameters=merged)
+
+    def require_parameters(self) -> None:
+        """Refuse to go on while a parameter has no value.
+
+        Raises
+        ------
+        ParameterError
+            Naming the parameters and the remedy.
+        """
+        if self.unbound_parameters:
+            names = ", ".join(self.unbound_parameters)
+            example = ", ".join(f"{name}=1.0" for name in self.unbound_parameters)
+            raise ParameterError(
+                f"{names} {'has' if len(self.unbound_parameters) == 1 else 'have'} no value; "
+                f"use H.with_parameters({example}), or --param NAME=VALUE at the command line"
+            )
+
+    def state_from(self, z0: Sequence[float] | Mapping[Any, float] | np.ndarray) -> np.ndarray:
+        """A state as an array in the order of z.
+
+        Parameters
+        ----------
+        z0 : sequence, mapping or array
+            Numbers in the order of z, or values by name.
+
+        Returns
+        -------
+        numpy.ndarray
+            Shape (dim,), float64.
+
+        Raises
+        ------
+        VariableError
+            If a component is missing, unknown, not finite or not real.
+
+        Examples
+        --------
+        >>> Hamiltonian("p**2/2 + x**2/2").state_from({"p": 1, "x": 1.3})
+        array([1.3, 1. ])
+        """
+        order = ", ".join(self.names)
+        if isinstance(z0, Mapping):
+            given = {canonical_name(_name_of(key)): value for key, value in z0.items()}
+            wanted = [canonical_name(name) for name in self.names]
+            unknown = [name for name in given if name not in wanted]
+            missing = [name for name, key in zip(self.names, wanted, strict=True) if key not in given]
+            if unknown:
+                raise VariableError(f"'{unknown[0]}' is not a component of z; z0 has {order}")
+            if missing:
+                raise VariableError(f"'{missing[0]}' is missing in z0; give all of {order}")
+            z0 = [given[key] for key in wanted]
+        try:
+            state = np.asarray(z0, dtype=float)
+        except (TypeError, ValueError):
+            raise VariableError(f"z0 holds something that is not a number; give {order}") from None
+        if state.shape != (self.dim,):
+            raise VariableError(f"z0 has shape {state.shape}; give the {self.dim} numbers {order}")
+        if not np.all(np.isfinite(state)):
+            name = self.names[int(np.flatnonzero(~np.isfinite(state))[0])]
+            raise VariableError(f"'{name}' is not finite in z0; give finite numbers")
+        return state
+
+    # -- what follows from H -----------------------------------------------------------------
+
+    @cached_property
+    def _real(self) -> _RealForm:
+        return _RealForm(self)
+
+    def _own(self, expr: sympy.Expr) -> sympy.Expr:
+        """An expression in real symbols, in the symbols of H.expr."""
+        back = self._real.back
+        return expr.xreplace(back) if back else expr
+
+    @cached_property
+    def gradient(self) -> sympy.ImmutableDenseMatrix:
+        """grad H, a column of length dim."""
+        return sympy.ImmutableDenseMatrix([self._own(entry) for entry in self._real.gradient])
+
+    @cached_property
+    def hessian(self) -> sympy.ImmutableDenseMatrix:
+        """The matrix of second derivatives, dim x dim."""
+        entries = {index: self._own(entry) for index, entry in self._real.hessian.items()}
+        return sympy.ImmutableDenseMatrix(sympy.SparseMatrix(self.dim, self.dim, entries))
+
+    @cached_property
+    def poisson_matrix(self) -> sympy.ImmutableDenseMatrix:
+        """J = [[0, 1], [-1, 0]], dim x dim (the paper's symplectic notation)."""
+        d = self.dof
+        entries = {(i, d + i): 1 for i in range(d)} | {(d + i, i): -1 for i in range(d)}
+        return sympy.ImmutableDenseMatrix(sympy.SparseMatrix(self.dim, self.dim, entries))
+
+    @cached_property
+    def vector_field(self) -> sympy.ImmutableDenseMatrix:
+        """J grad H, the right-hand side of Hamilton's equations, a column of length dim."""
+        return sympy.ImmutableDenseMatrix([self._own(e) for e in self._real.vector_field])
+
+    @cached_property
+    def equations(self) -> list[sympy.Eq]:
+        """Hamilton's equations, one per component of z (the paper's eq. hamEqs).
+
+        Examples
+        --------
+        >>> Hamiltonian("p**2/2 + x**2/2").equations
+        [Eq(Derivative(x, t), p), Eq(Derivative(p, t), -x)]
+        """
+        used = set(self.names) | set(self.parameter_names)
+        time = self.time or sympy.Symbol(_TIME if _TIME not in used else "time", real=True)
+        return [
+            sympy.Eq(sympy.Derivative(component, time, evaluate=False), rate, evaluate=False)
+            for component, rate in zip(self.z, self.vector_field, strict=True)
+        ]
+
+    @cached_property
+    def is_separable(self) -> bool:
+        """Whether H = T(p) + V(q), that is all mixed second derivatives vanish identically."""
+        mixed = [
+            entry for (i, j), entry in self._real.hessian.items() if i < self.dof <= j
+        ]
+        return all(derivatives.vanishes(entry) for entry in mixed)
+
+    @cached_property
+    def _split(self) -> tuple[sympy.Expr, sympy.Expr] | None:
+        if not self.is_separable:
+            return None
+        q, p = set(self._real.z[: self.dof]), set(self._real.z[self.dof :])
+        expr = self._real.expr
+        for expand in (lambda e: e, sympy.expand):
+            terms = sympy.Add.make_args(expand(expr))
+            with_p = [term for term in terms if term.free_symbols & p]
+            if not any(term.free_symbols & q for term in with_p):
+                kinetic = sympy.Add(*with_p)
+                return kinetic, sympy.Add(*(term for term in terms if term not in with_p))
+        potential = expr.xreplace(dict.fromkeys(p, sympy.Integer(1)))
+        return sympy.simplify(expr - potential), potential
+
+    @property
+    def kinetic(self) -> sympy.Expr | None:
+        """T(p) of a separable H = T(p) + V(q), else None."""
+        return None if self._split is None else self._own(self._split[0])
+
+    @property
+    def potential(self) -> sympy.Expr | None:
+        """V(q) of a separable H = T(p) + V(q), with all terms free of p, else None."""
+        return None if self._split is None else self._own(self._split[1])
+
+    @cached_property
+    def cyclic_coordinates(self) -> tuple[sympy.Symbol, ...]:
+        """Coordinates on which H does not depend; their momenta are conserved.
+
+        Examples
+        --------
+        >>> Hamiltonian("p_r**2/2 + p_phi**2/(2*r**2) - 1/r").cyclic_coordinates
+        (phi,)
+        """
+        gradient = self._real.gradient[: self.dof]
+        return tuple(
+            q for q, slope in zip(self.q, gradient, strict=True) if derivatives.vanishes(slope)
+        )
+
+    def poisson_bracket(self, f: str | sympy.Expr, g: str | sympy.Expr) -> sympy.Expr:
+        """{f, g} = sum_i df/dq_i dg/dp_i - df/dp_i dg/dq_i.
+
+        Parameters
+        ----------
+        f, g : str or sympy.Expr
+            Functions of the state (and of the parameters and the time).
+
+        Examples
+        --------
+        >>> H = Hamiltonian("p**2/2 + x**2/2")
+        >>> H.poisson_bracket("x", "p"), H.poisson_bracket("x", H.expr)
+        (1, p)
+        """
+        return self._own(self._real_bracket(self._observable(f), self._observable(g)))
+
+    def is_conserved(self, f: str | sympy.Expr) -> bool:
+        """Whether f is constant along every trajectory: {f, H} + df/dt = 0.
+
+        Examples
+        --------
+        >>> H = Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
+        >>> H.is_conserved("x*p_y - y*p_x"), H.is_conserved("p_x")
+        (True, False)
+        """
+        observable = self._observable(f)
+        rate = self._real_bracket(observable, self._real.expr)
+        if self.time is not None:
+            rate += observable.diff(self._real.time)
+        return derivatives.vanishes(rate)
+
+    def _observable(self, f: str | sympy.Expr) -> sympy.Expr:
+        expr = parse_expression(f) if isinstance(f, str) else _checked_expression(f)
+        known = {*self.names, *self.parameter_names, _TIME}
+        unknown = sorted(s.name for s in expr.free_symbols if s.name not in known)
+        if unknown:
+            raise VariableError(
+                f"'{unknown[0]}' does not occur in H; known are {', '.join(sorted(known))}"
+            )
+        return expr.xreplace(_real_symbols(expr.free_symbols))
+
+    def _real_bracket(self, f: sympy.Expr, g: sympy.Expr) -> sympy.Expr:
+        z, d = self._real.z, self.dof
+        of_f, of_g = derivatives.gradient(f, z), derivatives.gradient(g, z)
+        return sympy.Add(
+            *(of_f[i] * of_g[d + i] - of_f[d + i] * of_g[i] for i in range(d))
+        )
+
+    @cached_property
+    def sigma_min(self) -> sympy.Expr | None:
+        """Smallest singular value of the Hessian, in real symbols, where it has a short form.
+
+        The Hessian is symmetric, so its singular values are the magnitudes of its eigenvalues;
+        blocks of at most 2 x 2 (after a permutation) have them in closed form. Otherwise None.
+
+        Examples
+        --------
+        >>> H = Hamiltonian("(px**2 + py**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3")
+        >>> H.sigma_min
+        Min(1, Abs(2*sqrt(x**2 + y**2) - 1))
+        """
+        entries = self._real.hessian
+        blocks = derivatives.connected_blocks(list(entries), self.dim)
+        if max(len(block) for block in blocks) > 2:
+            return None
+        zero = sympy.Integer(0)
+        magnitudes = set()
+        for block in blocks:
+            if len(block) == 1:
+                magnitudes.add(sympy.Abs(entries.get((block[0], block[0]), zero)))
+                continue
+            i, j = block
+            a, b, c = (entries.get(index, zero) for index in ((i, i), (i, j), (j, j)))
+            radius = sympy.sqrt(sympy.factor_terms(((a - c) / 2) ** 2 + b**2))
+            magnitudes.add(sympy.Abs(sympy.Abs((a + c) / 2) - radius))
+        return sympy.Min(*magnitudes)
+
+    # -- generated code ----------------------------------------------------------------------
+
+    def source(self, backend: str = "torch", part: str | None = None) -> str:
+        """The generated module, or one function of it, as text.
+
+        The text is what :meth:`compile` runs; written to a file it needs only its backend.
+
+        Parameters
+        ----------
+        backend : {"torch", "numpy", "numba"}
+        part : str, optional
+            The name of one function, such as ``"loss"``.
+
+        Raises
+        ------
+        InputError
+            If the backend or the part is unknown.
+        CodeGenerationError
+            If H contains a function that the backend lacks.
+
+        Examples
+        --------
+        >>> H = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+        >>> print(H.source("numpy", part="energy").splitlines()[0])
+        def energy(z):
+        """
+        source = codegen.generate(self._real, backend)
+        return source if part is None else codegen.extract(source, part)
+
+    def compile(self, backend: str = "torch") -> System:
+        """The generated functions of one backend, ready to call; cached.
+
+        Examples
+        --------
+        >>> H = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+        >>> H.compile("numpy").vector_field([1.0, 2.0])
+        array([ 2., -2.])
+        """
+        return codegen.load(self.source(backend), backend, self.names)
+
+
+class _RealForm:
+    """H and its derivatives in symbols that are real, whatever the caller's symbols assume.
+
+    Without that, sympy differentiates abs(x) into derivatives of re(x) and im(x).
+    """
+
+    def __init__(self, H: Hamiltonian) -> None:
+        forward = _real_symbols({*H.expr.free_symbols, *H.z})
+        self.expr: sympy.Expr = H.expr.xreplace(forward) if forward else H.expr
+        self.z = tuple(forward.get(symbol, symbol) for symbol in H.z)
+        self.time = None if H.time is None else forward.get(H.time, H.time)
+        self.dof = H.dof
+        self.parameters = {
+            name: (sympy.Symbol(name, real=True), H.parameters.get(name))
+            for name in H.parameter_names
+        }
+        self.back = {real: own for own, real in forward.items()}
+
+    @cached_property
+    def gradient(self) -> list[sympy.Expr]:
+        return derivatives.gradient(self.expr, self.z)
+
+    @cached_property
+    def hessian(self) -> dict[tuple[int, int], sympy.Expr]:
+        return derivatives.hessian(self.gradient, self.z)
+
+    @cached_property
+    def vector_field(self) -> list[sympy.Expr]:
+        return [*self.gradient[self.dof :], *(-slope for slope in self.gradient[: self.dof])]
+
+
+def _rebuild(
+    expr: sympy.Expr,
+    q: tuple[sympy.Symbol, ...],
+    p: tuple[sympy.Symbol, ...],
+    parameters: dict[str, float],
+) -> Hamiltonian:
+    return Hamiltonian(expr, q=q, p=p, parameters=parameters)
+
+
+def _as_list(symbols: Sequence[str | sympy.Symbol]) -> list[str | sympy.Symbol]:
+    if isinstance(symbols, (str, sympy.Symbol)):
+        return [symbols]
+    return list(symbols)
+
+
+def _name_of(key: object) -> str:
+    return key.name if isinstance(key, sympy.Symbol) else str(key)
+
+
+def _real_symbols(symbols: Iterable[sympy.Symbol]) -> dict[sympy.Symbol, sympy.Symbol]:
+    pairs = ((symbol, sympy.Symbol(symbol.name, real=True)) for symbol in symbols)
+    return {own: real for own, real in pairs if own != real}
+
+
+def _by_name(symbols: Iterable[sympy.Symbol]) -> dict[str, sympy.Symbol]:
+    """Symbols by name, each name checked and unique in every spelling."""
+    found: dict[str, sympy.Symbol] = {}
+    spelled: dict[str, str] = {}
+    for symbol in sorted(symbols, key=str):
+        check_name(symbol.name)
+        if symbol.name in found:
+            raise VariableError(
+                f"'{symbol.name}' occurs twice with different assumptions; use one symbol"
+            )
+        other = spelled.setdefault(canonical_name(symbol.name), symbol.name)
+        if other != symbol.name:
+            raise VariableError(f"'{symbol.name}' is '{other}' in another spelling; use one")
+        if symbol.is_extended_real is False or symbol.is_finite is False:
+            raise VariableError(f"'{symbol.name}' is declared not to be real; use a real symbol")
+        found[symbol.name] = symbol
+    return found
+
+
+def _checked_expression(expression: object) -> sympy.Expr:
+    if isinstance(expression, (int, float)) and not isinstance(expression, bool):
+        expression = sympy.sympify(expression, strict=True)
+    if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
+        raise InputError(
+            f"a Hamiltonian is a str or a sympy expression, not {type(expression).__name__}"
+        )
+    undefined = expression.atoms(AppliedUndef, sympy.Derivative, sympy.Integral, sympy.Indexed)
+    if undefined:
+        shown = min(str(node) for node in undefined)
+        raise VariableError(f"'{shown}' is not a plain symbol; use Symbol('x') for a variable")
+    if expression.has(sympy.I, sympy.zoo, sympy.nan, sympy.oo, -sympy.oo):
+        raise InputError(f"'{str(expression)[:40]}' is not real and finite; a Hamiltonian is real")
+    return expression
+
+
+def _checked_values(
+    parameters: Mapping[Any, float], symbols: Mapping[str, sympy.Symbol]
+) -> dict[str, float]:
+    spelled = {canonical_name(name): name for name in symbols}
+    values = {}
+    for key, value in parameters.items():
+        name = spelled.get(canonical_name(_name_of(key)))
+        if name is None:
+            listed = ", ".join(sorted(symbols)) or "no symbols"
+            raise ParameterError(f"'{_name_of(key)}' does not occur in H; it has {listed}")
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = math.nan
+        if not math.isfinite(number):
+            raise ParameterError(f"'{name}' has the value {value!r}; give a finite real number")
+        values[name] = number
+    return dict(sorted(values.items(), key=lambda item: natural_order(item[0])))
+
+
+def _symbol(
+    item: str | sympy.Symbol, symbols: Mapping[str, sympy.Symbol], real: bool
+) -> sympy.Symbol:
+    """The symbol of H that is meant, or a new one for a coordinate that H does not contain."""
+    if not isinstance(item, (str, sympy.Symbol)):
+        raise VariableError(f"'{item}' is not a name or a symbol; give q and p as names")
+    name = _name_of(item)
+    check_name(name)
+    if name in symbols:
+        return symbols[name]
+    if isinstance(item, sympy.Symbol) and not real:
+        return item
+    return sympy.Symbol(name, real=True)
+
+
+def _check_state(state: list[sympy.Symbol], half: int, values: Mapping[str, float]) -> None:
+    if 2 * half != len(state) or not half:
+        raise VariableError(
+            f"{half} coordinates and {len(state) - half} momenta do not pair; give one p for each q"
+        )
+    names = [canonical_name(symbol.name) for symbol in state]
+    for i, symbol in enumerate(state):
+        if names[i] in names[:i]:
+            raise VariableError(f"'{symbol.name}' occurs twice in q and p; name each once")
+        if symbol.name in values:
+            raise VariableError(
+                f"'{symbol.name}' is a variable and a parameter; leave it out of one of them"
+            )

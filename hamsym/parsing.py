@@ -1,0 +1,503 @@
+"""From text to a sympy expression, for text that may come from anywhere.
+
+Input:  a formula such as ``"p**2/2 + x**2/2 + x**4/4"``.
+Output: a sympy expression in real symbols, built node by node.
+
+Python's own parser makes a syntax tree, which is never compiled or run; a visitor with one
+method per accepted node type rebuilds it from sympy's constructors. Everything that is not
+on a whitelist is refused with a :class:`~hamsym.errors.ParseError`. Decimal numbers are
+exact: ``0.1`` is 1/10.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+import unicodedata
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import sympy
+
+from hamsym.errors import InputError, ParseError, VariableError
+
+__all__ = ["FUNCTIONS", "canonical_name", "check_name", "parse_expression", "parse_number"]
+
+MAX_LENGTH = 50_000  # characters
+MAX_NODES = 10_000  # nodes of the syntax tree
+MAX_DEPTH = 60  # nesting, sums and products counting once however long they are
+MAX_EXPONENT = 1_000  # of an integer power
+MAX_BITS = 5_000  # of an exact number
+
+
+@dataclass(frozen=True)
+class _Function:
+    build: Callable[..., sympy.Expr]
+    fewest: int = 1
+    most: int = 1
+
+
+_UNARY: dict[str, Callable[..., sympy.Expr]] = {
+    name: getattr(sympy, name)
+    for name in (
+        *("sin", "cos", "tan", "cot", "sec", "csc"),
+        *("asin", "acos", "atan", "acot", "asec", "acsc"),
+        *("sinh", "cosh", "tanh", "coth", "sech", "csch"),
+        *("asinh", "acosh", "atanh", "acoth", "asech", "acsch"),
+        *("exp", "log", "sqrt", "sign", "erf"),
+    )
+}
+_SPELLINGS = {"ln": "log"} | {
+    "arc" + name[1:]: name for name in _UNARY if name.startswith("a") and name != "abs"
+}
+
+#: Every function name that a formula may call.
+FUNCTIONS: dict[str, _Function] = {
+    **{name: _Function(build) for name, build in _UNARY.items()},
+    **{name: _Function(_UNARY[target]) for name, target in _SPELLINGS.items()},
+    "abs": _Function(sympy.Abs),
+    "atan2": _Function(sympy.atan2, 2, 2),
+    "min": _Function(sympy.Min, 2, 16),
+    "max": _Function(sympy.Max, 2, 16),
+}
+
+_CONSTANTS = {"pi": sympy.pi, "π": sympy.pi}
+
+# Greek capitals and omicron that cannot be told from Latin letters are not accepted as names.
+_GREEK = "".join(sorted(set("ΓΔΘΛΞΠΣΦΨΩαβγδεζηθικλμνξπρςστυφχψω")))
+# Variants that Python itself would fold into the letter beside them.
+_GREEK_VARIANTS = str.maketrans("ϕϑϵϱϖϰµΩ∆", "φθερπκμΩΔ")
+_NAME = re.compile(rf"[A-Za-z{_GREEK}][A-Za-z{_GREEK}0-9_]*")
+_MAX_NAME = 50
+
+_CHARACTER_REMEDIES = {
+    "−": "write - for minus",
+    "–": "write - for minus",
+    "—": "write - for minus",
+    "·": "write * for products",
+    "×": "write * for products",
+    "⋅": "write * for products",
+    "∗": "write * for products",
+    "÷": "write / for quotients",
+    "∕": "write / for quotients",
+    "√": "write sqrt(...)",
+    "²": "write **2",
+    "³": "write **3",
+    "⁴": "write **4",
+    "½": "write 1/2",
+    "#": "leave comments out",
+}
+
+# `lambda` is a wavelength to a physicist and a keyword to Python's parser: it is parsed under a
+# name of the same length that no accepted text can contain.
+_LAMBDA, _LAMBDA_STAND_IN = "lambda", "łambda"
+
+
+def check_name(name: str) -> None:
+    """Refuse a symbol name that is not a plain identifier in Latin and Greek letters.
+
+    Raises
+    ------
+    VariableError
+        If the name cannot stand in generated source.
+
+    Examples
+    --------
+    >>> check_name("p_theta")
+    >>> check_name("x; import os")
+    Traceback (most recent call last):
+    ...
+    hamsym.errors.VariableError: 'x; import os' is not a usable name; ...
+    """
+    shown = name if len(name) <= 40 else name[:37] + "..."
+    if not _NAME.fullmatch(name) or "__" in name or len(name) > _MAX_NAME:
+        raise VariableError(
+            f"'{shown}' is not a usable name; names are up to {_MAX_NAME} Latin or Greek letters, "
+            "digits and single underscores, beginning with a letter"
+        )
+    if name in FUNCTIONS or name in _CONSTANTS:
+        raise VariableError(f"'{name}' is a function or constant of formulas; rename the symbol")
+
+
+def canonical_name(name: str) -> str:
+    """The name with Greek letters spelled out: ``θ`` and ``theta`` are one variable.
+
+    Examples
+    --------
+    >>> canonical_name("p_θ1")
+    'p_theta1'
+    """
+    return "".join(_spell_out(letter) for letter in name)
+
+
+def _spell_out(letter: str) -> str:
+    if letter not in _GREEK:
+        return letter
+    word = unicodedata.name(letter).rsplit(" ", 1)[1].lower()
+    word = "lambda" if word == "lamda" else word
+    return word.capitalize() if letter.isupper() else word
+
+
+def parse_expression(text: str) -> sympy.Expr:
+    """The sympy expression that a formula means.
+
+    Parameters
+    ----------
+    text : str
+        Numbers, ``pi``, names, ``+ - * / **``, parentheses and the functions in
+        :data:`FUNCTIONS`.
+
+    Returns
+    -------
+    sympy.Expr
+        In symbols with ``real=True``; nothing is simplified beyond what sympy does on its own.
+
+    Raises
+    ------
+    ParseError
+        Naming the token, its column and the remedy.
+
+    Examples
+    --------
+    >>> parse_expression("p**2/2 + 0.1*x**4")
+    p**2/2 + x**4/10
+    >>> parse_expression("x^2")
+    Traceback (most recent call last):
+    ...
+    hamsym.errors.ParseError: '^' at column 2 is not a power; write ** for powers
+    """
+    if not isinstance(text, str):
+        raise InputError(f"a formula is a str, not {type(text).__name__}")
+    if len(text) > MAX_LENGTH:
+        raise ParseError(
+            text[:12] + "...",
+            1,
+            f"begins a formula of {len(text)} characters, more than {MAX_LENGTH}",
+            "build a sympy expression for something this large",
+        )
+    return _Visitor(text).result()
+
+
+def parse_number(text: str) -> float:
+    """The value of a formula without variables, such as ``"4*pi"``.
+
+    Raises
+    ------
+    ParseError
+        If the text is not a formula or contains a variable.
+
+    Examples
+    --------
+    >>> parse_number("4*pi")
+    12.566370614359172
+    """
+    visitor = _Visitor(text)
+    value = visitor.result()
+    if value.free_symbols:
+        name = min(symbol.name for symbol in value.free_symbols)
+        raise ParseError(
+            name, text.find(name) + 1, "is a variable", "a number is wanted here, such as 4*pi"
+        )
+    return float(value)
+
+
+_REFUSED_NODES: dict[type[ast.AST], tuple[str, str]] = {
+    ast.Attribute: ("is attribute access", "use plain names such as p_x"),
+    ast.Subscript: ("is a subscript", "write q1 instead of q[1]"),
+    ast.Compare: ("is a comparison", "a Hamiltonian is one expression without relations"),
+    ast.BoolOp: ("is a logical operation", "a Hamiltonian is one arithmetic expression"),
+    ast.IfExp: ("is a conditional", "use min, max, abs or sign"),
+    ast.Lambda: ("is a lambda", "write the expression alone"),
+    ast.Tuple: ("is a list of expressions", "write one expression, with . for decimals"),
+    ast.List: ("is a list", "group with parentheses ( )"),
+    ast.Set: ("is a set", "group with parentheses ( )"),
+    ast.Dict: ("is a dictionary", "group with parentheses ( )"),
+    ast.JoinedStr: ("is a string", "write the formula without quotation marks"),
+    ast.Starred: ("is unpacking", "write ** for powers and * between factors"),
+    ast.NamedExpr: ("is an assignment", "give only the right-hand side"),
+}
+_REFUSED_OPERATORS: dict[type[ast.AST], tuple[str, str, str]] = {
+    ast.BitXor: ("^", "is not a power", "write ** for powers"),
+    ast.FloorDiv: ("//", "is integer division", "write / for quotients"),
+    ast.Mod: ("%", "is a remainder", "only + - * / ** are known"),
+    ast.MatMult: ("@", "is a matrix product", "write * for products"),
+    ast.LShift: ("<<", "is a bit shift", "only + - * / ** are known"),
+    ast.RShift: (">>", "is a bit shift", "only + - * / ** are known"),
+    ast.BitOr: ("|", "is a bit operation", "write abs(x) for |x|"),
+    ast.BitAnd: ("&", "is a bit operation", "only + - * / ** are known"),
+    ast.Invert: ("~", "is a bit operation", "write - for minus"),
+    ast.Not: ("not", "is a logical operation", "write - for minus"),
+}
+
+
+class _Visitor:
+    """Rebuilds a syntax tree from sympy's constructors; one ``visit_`` method per node type."""
+
+    def __init__(self, text: str) -> None:
+        self._text = _readable(text)
+        self._symbols: dict[str, str] = {}  # canonical name -> name as typed
+        self._depth = 0
+
+    def result(self) -> sympy.Expr:
+        tree = _syntax_tree(self._text)
+        count = sum(1 for _ in ast.walk(tree))
+        if count > MAX_NODES:
+            raise ParseError(
+                self._text[:12] + "...",
+                1,
+                f"begins a formula of {count} parts, more than {MAX_NODES}",
+                "build a sympy expression for something this large",
+            )
+        return self.visit(tree.body)
+
+    def visit(self, node: ast.AST) -> sympy.Expr:
+        method = getattr(self, f"visit_{type(node).__name__}", None)
+        if method is None:
+            problem, remedy = _REFUSED_NODES.get(
+                type(node), ("is not part of a formula", "use numbers, names and + - * / **")
+            )
+            raise self._error(node, problem, remedy)
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise self._error(node, f"is nested more than {MAX_DEPTH} deep", "split the formula")
+        expr: sympy.Expr = self._checked(method(node), node)
+        self._depth -= 1
+        return expr
+
+    def visit_Constant(self, node: ast.Constant) -> sympy.Expr:
+        value = node.value
+        if type(value) is int:
+            return self._number(sympy.Integer(value), node)
+        if type(value) is float:
+            if not math.isfinite(value):
+                raise self._error(node, "is too large a number", "stay below 1e308")
+            return sympy.Rational(repr(value))
+        if isinstance(value, complex):
+            raise self._error(node, "is a complex number", "a Hamiltonian is real")
+        if isinstance(value, (str, bytes)):
+            raise self._error(node, "is a string", "write the formula without quotation marks")
+        raise self._error(node, "is a constant of Python", "use numbers and pi")
+
+    def visit_Name(self, node: ast.Name) -> sympy.Expr:
+        name = _LAMBDA if node.id == _LAMBDA_STAND_IN else node.id
+        if name in _CONSTANTS:
+            return _CONSTANTS[name]
+        if name in FUNCTIONS:
+            raise self._error(node, "is a function", f"write {name}(...)")
+        try:
+            check_name(name)
+        except VariableError as error:
+            remedy = str(error).split("; ", 1)[1]
+            raise self._error(node, "is not a usable name", remedy) from None
+        known = self._symbols.setdefault(canonical_name(name), name)
+        if known != name:
+            raise self._error(node, f"is '{known}' in another spelling", "use one of the two")
+        return sympy.Symbol(name, real=True)
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> sympy.Expr:
+        if isinstance(node.op, ast.USub):
+            return -self.visit(node.operand)
+        if isinstance(node.op, ast.UAdd):
+            return self.visit(node.operand)
+        raise self._operator_error(node.op, node, self._column(node))
+
+    def visit_BinOp(self, node: ast.BinOp) -> sympy.Expr:
+        if isinstance(node.op, ast.Pow):
+            return self._power(node)
+        if isinstance(node.op, (ast.Add, ast.Sub)):
+            return sympy.Add(*self._chain(node, (ast.Add, ast.Sub)))
+        if isinstance(node.op, (ast.Mult, ast.Div)):
+            return sympy.Mul(*self._chain(node, (ast.Mult, ast.Div)))
+        before = self._text_of(node.left)
+        column = self._column(node.left) + len(before)
+        symbol = _REFUSED_OPERATORS[type(node.op)][0]
+        raise self._operator_error(node.op, node, self._text.find(symbol, column - 1) + 1)
+
+    def visit_Call(self, node: ast.Call) -> sympy.Expr:
+        if not isinstance(node.func, ast.Name):
+            raise self._error(node.func, "is not a function name", "write * between factors")
+        name = node.func.id
+        if name not in FUNCTIONS:
+            raise self._error(
+                node.func,
+                "is not a known function",
+                f"write * for a product such as x*(1 + y); known are {_function_list()}",
+            )
+        if node.keywords:
+            token = node.keywords[0].arg or "**"
+            raise ParseError(
+                token, self._column(node.keywords[0]), "is a keyword", f"write {name}(x)"
+            )
+        function = FUNCTIONS[name]
+        if not function.fewest <= len(node.args) <= function.most:
+            wanted = (
+                f"{function.fewest}"
+                if function.fewest == function.most
+                else f"{function.fewest} to {function.most}"
+            )
+            raise self._error(
+                node.func,
+                f"has {len(node.args)} arguments",
+                f"give {name} {wanted}, separated by commas",
+            )
+        return function.build(*(self.visit(argument) for argument in node.args))
+
+    def _chain(self, node: ast.BinOp, operators: tuple[type, ...]) -> list[sympy.Expr]:
+        """The terms of a sum or the factors of a product, however many, without recursion."""
+        operands: list[sympy.Expr] = []
+        left: ast.expr = node
+        while isinstance(left, ast.BinOp) and isinstance(left.op, operators):
+            operand = self.visit(left.right)
+            if isinstance(left.op, ast.Sub):
+                operand = -operand
+            elif isinstance(left.op, ast.Div):
+                if operand.is_zero:
+                    raise self._error(left.right, "is zero", "nothing can be divided by it")
+                operand = 1 / operand
+            operands.append(operand)
+            left = left.left
+        operands.append(self.visit(left))
+        return operands[::-1]
+
+    def _power(self, node: ast.BinOp) -> sympy.Expr:
+        base, exponent = self.visit(node.left), self.visit(node.right)
+        if exponent.is_Integer and abs(int(exponent)) > MAX_EXPONENT:
+            raise self._error(node.right, "is too large an exponent", f"stay below {MAX_EXPONENT}")
+        if base.is_Rational and exponent.is_Rational:
+            if base == 0 and exponent < 0:
+                raise self._error(node.left, "is zero", "nothing can be divided by it")
+            bits = max(abs(base.p).bit_length(), base.q.bit_length())
+            if bits * abs(exponent) > MAX_BITS:
+                raise self._error(node, "is too large a number", "stay below 1e308")
+        if base.is_number and not exponent.is_number and not base.is_positive:
+            raise self._error(node.left, "is not positive", "its powers are not real")
+        power = base**exponent
+        _, total = power.as_base_exp()
+        if total.is_Integer and abs(int(total)) > MAX_EXPONENT:
+            raise self._error(node, "is too high a power", f"stay below {MAX_EXPONENT}")
+        return power
+
+    def _checked(self, expr: sympy.Expr, node: ast.AST) -> sympy.Expr:
+        """Refuse what is not a finite real number or expression.
+
+        Checking every constant as it arises also keeps sympy from evaluating towers such as
+        ``exp(exp(exp(9)))``, which no memory would hold.
+        """
+        if expr.is_Rational:
+            return self._number(expr, node)
+        if expr.has(sympy.I, sympy.zoo, sympy.nan, sympy.oo):
+            raise self._error(node, "is not a finite real number", "a Hamiltonian is real")
+        if not expr.free_symbols:
+            value = expr.evalf(17)
+            if not value.is_Float or abs(value) > 1e308:
+                raise self._error(
+                    node, "is not a finite real number", "a Hamiltonian is real and below 1e308"
+                )
+        return expr
+
+    def _number(self, number: sympy.Rational, node: ast.AST) -> sympy.Rational:
+        # The rational itself is compared: converting a giant one to decimal would take for ever.
+        if abs(number) > 10**308 or number.q.bit_length() > MAX_BITS:
+            raise self._error(node, "is too large a number", "stay below 1e308")
+        return number
+
+    def _column(self, node: ast.AST) -> int:
+        offset = getattr(node, "col_offset", 0)
+        return len(self._text.encode()[:offset].decode()) + 1
+
+    def _text_of(self, node: ast.AST) -> str:
+        return ast.get_source_segment(self._text, node) or self._text
+
+    def _error(self, node: ast.AST, problem: str, remedy: str) -> ParseError:
+        token = self._text_of(node).replace(_LAMBDA_STAND_IN, _LAMBDA)
+        return ParseError(token, self._column(node), problem, remedy)
+
+    def _operator_error(self, operator: ast.AST, node: ast.AST, column: int) -> ParseError:
+        symbol, problem, remedy = _REFUSED_OPERATORS[type(operator)]
+        return ParseError(symbol, column, problem, remedy)
+
+
+def _function_list() -> str:
+    return ", ".join(sorted(set(FUNCTIONS) - set(_SPELLINGS)))
+
+
+def _readable(text: str) -> str:
+    """The text in the alphabet of formulas, character for character, or a refusal."""
+    text = re.sub(r"[\t\r\n]", " ", text).translate(_GREEK_VARIANTS)
+    for column, character in enumerate(text, 1):
+        plain = " " <= character <= "~" and character != "#"
+        if not plain and character not in _GREEK:
+            name = unicodedata.name(character, f"U+{ord(character):04X}").lower()
+            raise ParseError(
+                character if character.isprintable() else f"U+{ord(character):04X}",
+                column,
+                f"({name}) is not a character of formulas",
+                _CHARACTER_REMEDIES.get(character, "use Latin or Greek letters and + - * / **"),
+            )
+    if not text.strip():
+        raise ParseError("", 1, "is empty", "write a formula such as p**2/2 + x**2/2")
+    return re.sub(rf"\b{_LAMBDA}\b", _LAMBDA_STAND_IN, text)
+
+
+def _syntax_tree(text: str) -> ast.Expression:
+    start = len(text) - len(text.lstrip())
+    # Blanks before the first token would be an indentation error; a tuple display would not.
+    padded = text.strip()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # such as "x is 1", refused below anyway
+            tree = ast.parse(padded, mode="eval")
+    except SyntaxError as error:
+        raise _syntax_error(text, error, start) from None
+    except (RecursionError, MemoryError, ValueError):
+        raise ParseError(
+            text[start : start + 12] + "...",
+            start + 1,
+            "begins a formula that is nested too deeply or too long",
+            "split it, or build a sympy expression",
+        ) from None
+    for node in ast.walk(tree):
+        if hasattr(node, "col_offset"):
+            node.col_offset += start
+            node.end_col_offset = (node.end_col_offset or 0) + start
+    return tree
+
+
+def _syntax_error(text: str, error: SyntaxError, start: int) -> ParseError:
+    """Python's complaint, in the words of a person who writes formulas."""
+    shown = text.replace(_LAMBDA_STAND_IN, _LAMBDA)
+    end = len(shown.rstrip())
+    column = start + (error.offset or 0)
+    if error.msg.startswith("Exceeds the limit"):
+        match = re.search(r"\d{4300,}", shown)
+        column = match.start() + 1 if match else 1
+        return ParseError(shown[column - 1 :], column, "is too large a number", "stay below 1e308")
+    if "never closed" in error.msg:
+        return ParseError("(", column, "is never closed", "add the missing )")
+    if "too many nested" in error.msg:
+        return ParseError("(", column, "is nested too deeply", "split the formula")
+    if "unmatched" in error.msg or "does not match" in error.msg:
+        return ParseError(shown[column - 1], column, "was never opened", "remove it or add a (")
+    if column <= start or column > end:
+        last = re.search(r"\S$", shown[:end])
+        token = last.group() if last else shown.strip()
+        stray = re.search(r"(?<![=<>!])=(?!=)", shown)
+        if stray:
+            return _equation_error(stray.start() + 1)
+        return ParseError(token, end, "ends the formula too early", "complete or remove it")
+    if "=" in shown[column - 1 : column + 1] or ("=" in shown and "assign" in error.msg):
+        return _equation_error(shown.find("=") + 1)
+    match = re.compile(r"[^\W\d]\w*|\d[\w.]*|\S").match(shown, column - 1)
+    token = match.group() if match else shown[column - 1 : column]
+    before = shown[: column - 1].rstrip()
+    if re.fullmatch(r"\d[\w.]*", token) and not token.replace(".", "").isdigit():
+        return ParseError(token, column, "is not a number", "write * between number and name")
+    if before and re.search(r"[\w)]$", before) and re.match(r"[\w(]", token):
+        return ParseError(token, column, "follows without an operator", "write * for products")
+    return ParseError(token, column, "does not fit there", "use numbers, names and + - * / **")
+
+
+def _equation_error(column: int) -> ParseError:
+    return ParseError("=", column, "is an equation sign", "give only the right-hand side of H = ...")

@@ -1,0 +1,332 @@
+"""From a sympy expression to text: a formula for people, or code for one backend.
+
+One printer walks the expression; a backend is a table of function names and a few rules. Code
+printers fold symbol-free parts into float literals, because ``sqrt(2)*x`` must neither call a
+tensor function on a Python number nor be evaluated again at every call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import sympy
+
+from hamsym.errors import CodeGenerationError
+
+__all__ = ["PRINTERS", "FormulaPrinter", "NumbaPrinter", "NumpyPrinter", "Printer", "TorchPrinter"]
+
+_ADD, _MUL, _POW, _ATOM = range(4)  # precedences
+_READABLE = 1_000  # fractions up to here stay fractions in code
+
+
+def _half_step(argument: sympy.Expr, *_: sympy.Expr) -> sympy.Expr:
+    return (1 + sympy.sign(argument)) / 2
+
+
+# What no backend has, in terms of what all have. The derivative of sign is zero almost everywhere.
+_REWRITES: dict[type, Callable[..., sympy.Expr]] = {
+    sympy.cot: lambda u: 1 / sympy.tan(u),
+    sympy.sec: lambda u: 1 / sympy.cos(u),
+    sympy.csc: lambda u: 1 / sympy.sin(u),
+    sympy.coth: lambda u: 1 / sympy.tanh(u),
+    sympy.sech: lambda u: 1 / sympy.cosh(u),
+    sympy.csch: lambda u: 1 / sympy.sinh(u),
+    sympy.acot: lambda u: sympy.atan(1 / u),
+    sympy.asec: lambda u: sympy.acos(1 / u),
+    sympy.acsc: lambda u: sympy.asin(1 / u),
+    sympy.acoth: lambda u: sympy.atanh(1 / u),
+    sympy.asech: lambda u: sympy.acosh(1 / u),
+    sympy.acsch: lambda u: sympy.asinh(1 / u),
+    sympy.Heaviside: _half_step,
+    sympy.DiracDelta: lambda *_: sympy.Integer(0),
+}
+
+_COMMON = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh")
+_COMMON += ("atanh", "exp", "log", "sign", "erf", "atan2")
+
+
+def _table(form: str, **special: str) -> dict[type, str]:
+    names = {name: form.format(name) for name in _COMMON} | special
+    by_name = {"abs": sympy.Abs, "min": sympy.Min, "max": sympy.Max}
+    return {by_name.get(name) or getattr(sympy, name): text for name, text in names.items()}
+
+
+class Printer:
+    """Text of an expression; subclasses say how functions, numbers and powers are written.
+
+    Parameters
+    ----------
+    names : mapping of sympy.Symbol to str
+        The identifier of each symbol.
+    """
+
+    backend = ""
+    functions: Mapping[type, str] = {}
+    sqrt = "sqrt"
+
+    def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
+        self.names = names
+
+    def __call__(self, expr: sympy.Expr) -> str:
+        """The text of one expression."""
+        return self._render(self.lower(expr))[0]
+
+    def lower(self, expr: sympy.Expr) -> sympy.Expr:
+        """Rewrite functions that the backend lacks.
+
+        Raises
+        ------
+        CodeGenerationError
+            Naming a function that cannot be rewritten.
+        """
+        present = {type(node) for node in expr.atoms(sympy.Function, sympy.Heaviside)}
+        for function in present & _REWRITES.keys():
+            expr = expr.replace(function, _REWRITES[function])
+        return expr
+
+    # -- numbers ---------------------------------------------------------------------------
+
+    def number(self, value: sympy.Expr) -> tuple[str, int]:
+        """A symbol-free expression as a short fraction or a float literal."""
+        if value.is_Rational and max(abs(value.p), value.q) <= _READABLE:
+            text = str(value.p) if value.q == 1 else f"{value.p}/{value.q}"
+            return text, _ADD if value.p < 0 else (_ATOM if value.q == 1 else _MUL)
+        number = float(value) if value.is_Rational else float(value.evalf(30))
+        return repr(number), _ADD if number < 0 else _ATOM
+
+    # -- nodes -----------------------------------------------------------------------------
+
+    def _render(self, expr: sympy.Expr) -> tuple[str, int]:
+        if expr.is_Symbol:
+            return self.names[expr], _ATOM
+        if self.is_constant(expr):
+            return self.number(expr)
+        if expr.is_Add:
+            return self._sum(expr), _ADD
+        if expr.is_Mul:
+            return self._product(expr)
+        if expr.is_Pow:
+            return self._product(expr) if self._is_reciprocal(expr) else self._power(expr)
+        return self._call(expr), _ATOM
+
+    def is_constant(self, expr: sympy.Expr) -> bool:
+        return not expr.free_symbols
+
+    def _wrapped(self, expr: sympy.Expr, precedence: int) -> str:
+        text, own = self._render(expr)
+        return text if own >= precedence else f"({text})"
+
+    def _sum(self, expr: sympy.Expr) -> str:
+        terms = [self._render(term)[0] for term in _ordered_terms(expr)]
+        text = terms[0]
+        for term in terms[1:]:
+            text += f" - {term[1:]}" if term.startswith("-") else f" + {term}"
+        return text
+
+    def _product(self, expr: sympy.Expr) -> tuple[str, int]:
+        constants, others = [], []
+        for factor in expr.as_ordered_factors():
+            (constants if self.is_constant(factor) else others).append(factor)
+        constant = sympy.Mul(*constants)
+        above = [factor for factor in others if not self._is_reciprocal(factor)]
+        below = [1 / factor for factor in others if self._is_reciprocal(factor)]
+        sign = ""
+        if constant.could_extract_minus_sign():
+            sign, constant = "-", -constant
+        numerator, denominator = self._fraction(constant)
+        tops = ([numerator] if numerator else []) + [self._wrapped(f, _MUL) for f in above]
+        bottoms = ([denominator] if denominator else []) + [self._wrapped(f, _POW) for f in below]
+        text = sign + ("*".join(tops) or "1")
+        if bottoms:
+            text += "/" + (bottoms[0] if len(bottoms) == 1 else f"({'*'.join(bottoms)})")
+        return text, _ADD if sign else _MUL
+
+    def _fraction(self, constant: sympy.Expr) -> tuple[str, str]:
+        """Numerator and denominator of a positive coefficient, "" where it is one."""
+        if constant.is_Rational and max(constant.p, constant.q) <= _READABLE:
+            return ("" if constant.p == 1 else str(constant.p)), (
+                "" if constant.q == 1 else str(constant.q)
+            )
+        text, precedence = self.number(constant)
+        return (text if precedence >= _MUL else f"({text})"), ""
+
+    @staticmethod
+    def _is_reciprocal(expr: sympy.Expr) -> bool:
+        return bool(expr.is_Pow and expr.base is not sympy.E and expr.exp.is_Rational) and bool(
+            expr.exp < 0
+        )
+
+    def _power(self, expr: sympy.Expr) -> tuple[str, int]:
+        base, exponent = expr.as_base_exp()
+        if base is sympy.E:
+            return self._call(sympy.exp(exponent, evaluate=False)), _ATOM
+        if exponent == sympy.Rational(1, 2):
+            return f"{self.sqrt}({self.argument(base)})", _ATOM
+        return self.power(base, exponent)
+
+    def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
+        """``base**exponent`` for an exponent other than 1/2 and not a negative number."""
+        if exponent.is_Rational and not exponent.is_Integer:
+            return f"{self._wrapped(base, _ATOM)}**{float(exponent)!r}", _POW
+        return f"{self._wrapped(base, _ATOM)}**{self._wrapped(exponent, _ATOM)}", _POW
+
+    def _call(self, expr: sympy.Expr) -> str:
+        if isinstance(expr, (sympy.Min, sympy.Max)):
+            return self.extremum(expr, self.functions[type(expr)])
+        form = self.functions.get(type(expr))
+        if form is None:
+            raise CodeGenerationError(
+                f"'{type(expr).__name__}' cannot be generated for {self.backend}; "
+                "rewrite the Hamiltonian with elementary functions"
+            )
+        return f"{form}({', '.join(self.argument(argument) for argument in expr.args)})"
+
+    def argument(self, expr: sympy.Expr) -> str:
+        """The text of an argument of a function."""
+        return self._render(expr)[0]
+
+    def extremum(self, expr: sympy.Expr, form: str) -> str:
+        """Minimum or maximum of two or more arguments, from a function of two."""
+        arguments = sorted(expr.args, key=sympy.default_sort_key)
+        text = self.argument(arguments[0])
+        for other in arguments[1:]:
+            text = f"{form}({text}, {self.argument(other)})"
+        return text
+
+
+def _ordered_terms(expr: sympy.Expr) -> list[sympy.Expr]:
+    """Terms as people write them: a positive one first, by degree, the polynomial before the rest."""
+
+    def degree(term: sympy.Expr) -> float:
+        total = 0
+        for factor in sympy.Mul.make_args(term):
+            base, exponent = factor.as_base_exp()
+            if base.is_Number or base.is_NumberSymbol:
+                continue
+            if not (base.is_Symbol and exponent.is_Integer):
+                return float("inf")
+            total += max(int(exponent), 0)
+        return total
+
+    long = len(expr.args) > 64  # sympy's own ordering is slow on long sums
+    terms = sorted(expr.args if long else expr.as_ordered_terms(order="lex"), key=degree)
+    first = next((i for i, t in enumerate(terms) if not t.could_extract_minus_sign()), 0)
+    return [terms[first], *terms[:first], *terms[first + 1 :]]
+
+
+class FormulaPrinter(Printer):
+    """The formula as :func:`hamsym.parsing.parse_expression` reads it back.
+
+    Examples
+    --------
+    >>> x, p = sympy.symbols("x p", real=True)
+    >>> FormulaPrinter()(x**4/4 + x**2/2 + p**2/2)
+    'p**2/2 + x**2/2 + x**4/4'
+    """
+
+    backend = "text"
+    functions = _table("{}", abs="abs", min="min", max="max")
+
+    def __init__(self) -> None:
+        super().__init__({})
+
+    def lower(self, expr: sympy.Expr) -> sympy.Expr:
+        return expr
+
+    def is_constant(self, expr: sympy.Expr) -> bool:
+        return bool(expr.is_Rational or expr.is_Float)
+
+    def number(self, value: sympy.Expr) -> tuple[str, int]:
+        if value.is_Float:
+            return str(value), _ADD if value < 0 else _ATOM
+        if value.q != 1 and max(abs(value.p), value.q) > _READABLE:
+            decimal = repr(float(value))
+            if sympy.Rational(decimal) == value:
+                return decimal, _ADD if value < 0 else _ATOM
+        text = str(value.p) if value.q == 1 else f"{value.p}/{value.q}"
+        return text, _ADD if value.p < 0 else (_ATOM if value.q == 1 else _MUL)
+
+    def _render(self, expr: sympy.Expr) -> tuple[str, int]:
+        if expr.is_Symbol:
+            return expr.name, _ATOM
+        if expr.is_NumberSymbol:
+            return ("exp(1)" if expr is sympy.E else str(expr)), _ATOM
+        return super()._render(expr)
+
+    def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
+        return f"{self._wrapped(base, _ATOM)}**{self._wrapped(exponent, _ATOM)}", _POW
+
+    def _call(self, expr: sympy.Expr) -> str:
+        if type(expr) in self.functions:
+            return super()._call(expr)
+        arguments = ", ".join(self.argument(argument) for argument in expr.args)
+        return f"{expr.func.__name__}({arguments})"
+
+
+class TorchPrinter(Printer):
+    """Torch code on tensors ``z`` of shape (..., dim).
+
+    Torch functions refuse Python numbers, and some refuse to mix them with tensors; an argument
+    that does not depend on the state is therefore spread over the batch.
+    """
+
+    backend = "torch"
+    functions = _table("torch.{}", abs="torch.abs", min="torch.minimum", max="torch.maximum")
+    sqrt = "torch.sqrt"
+
+    def __init__(
+        self, names: Mapping[sympy.Symbol, str], state: frozenset[sympy.Symbol], like: str
+    ) -> None:
+        super().__init__(names)
+        self.state, self.like = state, like
+
+    def argument(self, expr: sympy.Expr) -> str:
+        return self.spread(expr)
+
+    def spread(self, expr: sympy.Expr) -> str:
+        """The text of an expression that has the batch's shape, dtype and device."""
+        expr = self.lower(expr)
+        if expr == 0:
+            return f"torch.zeros_like({self.like})"
+        if expr == 1:
+            return f"torch.ones_like({self.like})"
+        if not expr.free_symbols & self.state:
+            return f"{self._wrapped(expr, _MUL)}*torch.ones_like({self.like})"
+        return self._render(expr)[0]
+
+
+class NumpyPrinter(Printer):
+    """Numpy code on arrays, broadcasting."""
+
+    backend = "numpy"
+    functions = _table(
+        "np.{}",
+        **{name: f"np.arc{name[1:]}" for name in _COMMON if name[0] == "a"},
+        **{"abs": "np.abs", "min": "np.minimum", "max": "np.maximum", "erf": "_erf"},
+    )
+    sqrt = "np.sqrt"
+
+    def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
+        # numpy is fast at squares and slow at every other integer power.
+        if base.is_Symbol and exponent in (3, 4):
+            name = self.names[base]
+            return (f"{name}*{name}**2", _MUL) if exponent == 3 else (f"({name}**2)**2", _POW)
+        return super().power(base, exponent)
+
+
+class NumbaPrinter(Printer):
+    """Scalar code for numba's compiled loops."""
+
+    backend = "numba"
+    functions = _table(
+        "math.{}", sign="np.sign", abs="abs", min="np.minimum", max="np.maximum"
+    )
+    sqrt = "math.sqrt"
+
+
+#: The printer of each backend.
+PRINTERS: dict[str, type[Printer]] = {
+    "torch": TorchPrinter,
+    "numpy": NumpyPrinter,
+    "numba": NumbaPrinter,
+}
