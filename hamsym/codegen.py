@@ -20,6 +20,7 @@ import builtins
 import functools
 import hashlib
 import importlib.resources
+import inspect
 import keyword
 import linecache
 import textwrap
@@ -47,13 +48,14 @@ _CSE_OPERATIONS = 30
 _CSE_SAVING = 0.67
 
 _FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss")
+# Every name that a template assigns, imports or takes as an argument.
 _TEMPLATE_NAMES = frozenset(
-    (
-        "torch np math njit z dz t out value matrix entries energy_0 energy_weight "
-        "energy_error squares point points parameters rate change scale previous attempt jacobian "
-        "correction step_size step rows zero times save save_every saves step start time z0 converged row column "
-        "pivot factor size right_hand_side symplectic_euler symplectic_euler_p self"
-    ).split()
+    """
+    torch np math njit z dz t z0 out value matrix entries positions rows zero point points times
+    energy_0 energy_weight energy_error save saves save_every step step_size start start_time
+    correction jacobian attempt change previous scale converged
+    symplectic_euler symplectic_euler_p
+    """.split()
 ) | frozenset(_FUNCTIONS)
 
 
@@ -167,7 +169,14 @@ def load(source: str, backend: str, names: tuple[str, ...]) -> System:
         for name in ("symplectic_euler", "symplectic_euler_p")
         if hasattr(module, name)
     }
-    return System(backend=backend, names=names, source=source, step_loops=loops, **functions)
+    return System(
+        backend=backend,
+        names=names,
+        source=source,
+        step_loops=loops,
+        time_dependent="t" in inspect.signature(functions["energy"]).parameters,
+        **functions,
+    )
 
 
 # -- names -----------------------------------------------------------------------------------
@@ -221,12 +230,13 @@ class _Bodies:
         self.vector_field = self._body(form.vector_field)
         self.hessian = self._body(list(form.hessian.values()))
         self.residual = self._residual_rows(form.vector_field)
-        self.velocity = self._body(gradient[d:], spread=False)
-        self.force = self._body(gradient[:d], spread=False)
         mixed = {(i - d, j): entry for (i, j), entry in form.hessian.items() if j < d <= i}
         self.mixed_indices = list(mixed)
-        self.velocity_jacobian = self._body([*gradient[d:], *mixed.values()], spread=False)
-        self.force_jacobian = self._body([*gradient[:d], *mixed.values()], spread=False)
+        if backend == "numba":  # the step loops
+            self.velocity = self._body(gradient[d:])
+            self.force = self._body(gradient[:d])
+            self.velocity_jacobian = self._body([*gradient[d:], *mixed.values()])
+            self.force_jacobian = self._body([*gradient[:d], *mixed.values()])
 
     def by_name(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if not name.startswith("_")}
@@ -236,7 +246,7 @@ class _Bodies:
             return TorchPrinter(names, frozenset(state), self._names.state[0])
         return PRINTERS[self._backend](names)
 
-    def _body(self, exprs: Sequence[sympy.Expr], spread: bool = True) -> Body:
+    def _body(self, exprs: Sequence[sympy.Expr]) -> Body:
         names, state = dict(self._names.of), set(self._state)
         printer = self._printer(state, names)
         exprs = [printer.lower(expr) for expr in exprs]
@@ -248,7 +258,7 @@ class _Bodies:
             if expr.free_symbols & state:
                 state.add(symbol)
             printer = self._printer(state, names)
-        text = printer.spread if spread and isinstance(printer, TorchPrinter) else printer
+        text = printer.spread if isinstance(printer, TorchPrinter) else printer
         return Body(temporaries, [text(expr) for expr in exprs])
 
     def _residual_rows(self, vector_field: Sequence[sympy.Expr]) -> list[str]:

@@ -13,6 +13,7 @@ __all__ = [
     "ParameterError",
     "ParseError",
     "SeparabilityError",
+    "VacuousBoundWarning",
     "VariableError",
 ]
 
@@ -58,3 +59,7 @@ class SeparabilityError(InputError):
 
 class CodeGenerationError(InputError):
     """The Hamiltonian contains a function that a backend cannot evaluate."""
+
+
+class VacuousBoundWarning(UserWarning):
+    """An error bound says nothing, because the Hessian is singular along the trajectory."""

@@ -8,7 +8,6 @@ Output: Hamilton's equations, the Hessian and what follows from them, as sympy o
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
@@ -16,13 +15,22 @@ from typing import Any, NoReturn
 
 import numpy as np
 import sympy
-from sympy.core.function import AppliedUndef
 
 from hamsym import codegen, derivatives
-from hamsym.errors import InputError, ParameterError, VariableError
+from hamsym.errors import ParameterError, VariableError
 from hamsym.pairing import find_pairs, natural_order
-from hamsym.parsing import canonical_name, check_name, parse_expression
+from hamsym.parsing import canonical_name, parse_expression
 from hamsym.printing import FormulaPrinter
+from hamsym.symbols import (
+    as_list,
+    by_name,
+    check_state,
+    checked_expression,
+    checked_values,
+    name_of,
+    real_symbols,
+    state_symbol,
+)
 from hamsym.system import System
 
 __all__ = ["Hamiltonian"]
@@ -80,9 +88,9 @@ class Hamiltonian:
         if isinstance(expression, str):
             expr = parse_expression(expression)
         else:
-            expr = _checked_expression(expression)
-        symbols = _by_name(expr.free_symbols)
-        values = _checked_values(parameters or {}, symbols)
+            expr = checked_expression(expression)
+        symbols = by_name(expr.free_symbols)
+        values = checked_values(parameters or {}, symbols)
         if q is None and p is None:
             candidates = symbols.keys() - values.keys() - {_TIME}
             pairs = find_pairs(candidates)
@@ -91,11 +99,11 @@ class Hamiltonian:
         elif q is None or p is None:
             raise VariableError("q and p are given together or not at all; add the other one")
         else:
-            coordinates, momenta = _as_list(q), _as_list(p)
+            coordinates, momenta = as_list(q), as_list(p)
         real = isinstance(expression, str)
-        state = [_symbol(item, symbols, real) for item in (*coordinates, *momenta)]
+        state = [state_symbol(item, symbols, real) for item in (*coordinates, *momenta)]
         half = len(list(coordinates))
-        _check_state(state, half, values)
+        check_state(state, half, values)
         set_attribute = functools.partial(object.__setattr__, self)
         set_attribute("expr", expr)
         set_attribute("q", tuple(state[:half]))
@@ -103,7 +111,9 @@ class Hamiltonian:
         set_attribute("z", tuple(state))
         set_attribute("parameters", MappingProxyType(values))
         names = {symbol.name for symbol in state}
-        set_attribute("time", symbols[_TIME] if _TIME in symbols.keys() - names - values.keys() else None)
+        set_attribute(
+            "time", symbols[_TIME] if _TIME in symbols.keys() - names - values.keys() else None
+        )
 
     expr: sympy.Expr
     q: tuple[sympy.Symbol, ...]
@@ -240,10 +250,12 @@ class Hamiltonian:
         """
         order = ", ".join(self.names)
         if isinstance(z0, Mapping):
-            given = {canonical_name(_name_of(key)): value for key, value in z0.items()}
+            given = {canonical_name(name_of(key)): value for key, value in z0.items()}
             wanted = [canonical_name(name) for name in self.names]
             unknown = [name for name in given if name not in wanted]
-            missing = [name for name, key in zip(self.names, wanted, strict=True) if key not in given]
+            missing = [
+                name for name, key in zip(self.names, wanted, strict=True) if key not in given
+            ]
             if unknown:
                 raise VariableError(f"'{unknown[0]}' is not a component of z; z0 has {order}")
             if missing:
@@ -313,9 +325,7 @@ class Hamiltonian:
     @cached_property
     def is_separable(self) -> bool:
         """Whether H = T(p) + V(q), that is all mixed second derivatives vanish identically."""
-        mixed = [
-            entry for (i, j), entry in self._real.hessian.items() if i < self.dof <= j
-        ]
+        mixed = [entry for (i, j), entry in self._real.hessian.items() if i < self.dof <= j]
         return all(derivatives.vanishes(entry) for entry in mixed)
 
     @cached_property
@@ -389,21 +399,19 @@ class Hamiltonian:
         return derivatives.vanishes(rate)
 
     def _observable(self, f: str | sympy.Expr) -> sympy.Expr:
-        expr = parse_expression(f) if isinstance(f, str) else _checked_expression(f)
+        expr = parse_expression(f) if isinstance(f, str) else checked_expression(f)
         known = {*self.names, *self.parameter_names, _TIME}
         unknown = sorted(s.name for s in expr.free_symbols if s.name not in known)
         if unknown:
             raise VariableError(
                 f"'{unknown[0]}' does not occur in H; known are {', '.join(sorted(known))}"
             )
-        return expr.xreplace(_real_symbols(expr.free_symbols))
+        return expr.xreplace(real_symbols(expr.free_symbols))
 
     def _real_bracket(self, f: sympy.Expr, g: sympy.Expr) -> sympy.Expr:
         z, d = self._real.z, self.dof
         of_f, of_g = derivatives.gradient(f, z), derivatives.gradient(g, z)
-        return sympy.Add(
-            *(of_f[i] * of_g[d + i] - of_f[d + i] * of_g[i] for i in range(d))
-        )
+        return sympy.Add(*(of_f[i] * of_g[d + i] - of_f[d + i] * of_g[i] for i in range(d)))
 
     @cached_property
     def sigma_min(self) -> sympy.Expr | None:
@@ -434,6 +442,10 @@ class Hamiltonian:
             magnitudes.add(sympy.Abs(sympy.Abs((a + c) / 2) - radius))
         return sympy.Min(*magnitudes)
 
+    @cached_property
+    def _sources(self) -> dict[str, str]:
+        return {}
+
     # -- generated code ----------------------------------------------------------------------
 
     def source(self, backend: str = "torch", part: str | None = None) -> str:
@@ -460,7 +472,9 @@ class Hamiltonian:
         >>> print(H.source("numpy", part="energy").splitlines()[0])
         def energy(z):
         """
-        source = codegen.generate(self._real, backend)
+        source = self._sources.get(backend)
+        if source is None:
+            source = self._sources[backend] = codegen.generate(self._real, backend)
         return source if part is None else codegen.extract(source, part)
 
     def compile(self, backend: str = "torch") -> System:
@@ -482,7 +496,7 @@ class _RealForm:
     """
 
     def __init__(self, H: Hamiltonian) -> None:
-        forward = _real_symbols({*H.expr.free_symbols, *H.z})
+        forward = real_symbols({*H.expr.free_symbols, *H.z})
         self.expr: sympy.Expr = H.expr.xreplace(forward) if forward else H.expr
         self.z = tuple(forward.get(symbol, symbol) for symbol in H.z)
         self.time = None if H.time is None else forward.get(H.time, H.time)
@@ -513,103 +527,3 @@ def _rebuild(
     parameters: dict[str, float],
 ) -> Hamiltonian:
     return Hamiltonian(expr, q=q, p=p, parameters=parameters)
-
-
-def _as_list(symbols: Sequence[str | sympy.Symbol]) -> list[str | sympy.Symbol]:
-    if isinstance(symbols, (str, sympy.Symbol)):
-        return [symbols]
-    return list(symbols)
-
-
-def _name_of(key: object) -> str:
-    return key.name if isinstance(key, sympy.Symbol) else str(key)
-
-
-def _real_symbols(symbols: Iterable[sympy.Symbol]) -> dict[sympy.Symbol, sympy.Symbol]:
-    pairs = ((symbol, sympy.Symbol(symbol.name, real=True)) for symbol in symbols)
-    return {own: real for own, real in pairs if own != real}
-
-
-def _by_name(symbols: Iterable[sympy.Symbol]) -> dict[str, sympy.Symbol]:
-    """Symbols by name, each name checked and unique in every spelling."""
-    found: dict[str, sympy.Symbol] = {}
-    spelled: dict[str, str] = {}
-    for symbol in sorted(symbols, key=str):
-        check_name(symbol.name)
-        if symbol.name in found:
-            raise VariableError(
-                f"'{symbol.name}' occurs twice with different assumptions; use one symbol"
-            )
-        other = spelled.setdefault(canonical_name(symbol.name), symbol.name)
-        if other != symbol.name:
-            raise VariableError(f"'{symbol.name}' is '{other}' in another spelling; use one")
-        if symbol.is_extended_real is False or symbol.is_finite is False:
-            raise VariableError(f"'{symbol.name}' is declared not to be real; use a real symbol")
-        found[symbol.name] = symbol
-    return found
-
-
-def _checked_expression(expression: object) -> sympy.Expr:
-    if isinstance(expression, (int, float)) and not isinstance(expression, bool):
-        expression = sympy.sympify(expression, strict=True)
-    if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
-        raise InputError(
-            f"a Hamiltonian is a str or a sympy expression, not {type(expression).__name__}"
-        )
-    undefined = expression.atoms(AppliedUndef, sympy.Derivative, sympy.Integral, sympy.Indexed)
-    if undefined:
-        shown = min(str(node) for node in undefined)
-        raise VariableError(f"'{shown}' is not a plain symbol; use Symbol('x') for a variable")
-    if expression.has(sympy.I, sympy.zoo, sympy.nan, sympy.oo, -sympy.oo):
-        raise InputError(f"'{str(expression)[:40]}' is not real and finite; a Hamiltonian is real")
-    return expression
-
-
-def _checked_values(
-    parameters: Mapping[Any, float], symbols: Mapping[str, sympy.Symbol]
-) -> dict[str, float]:
-    spelled = {canonical_name(name): name for name in symbols}
-    values = {}
-    for key, value in parameters.items():
-        name = spelled.get(canonical_name(_name_of(key)))
-        if name is None:
-            listed = ", ".join(sorted(symbols)) or "no symbols"
-            raise ParameterError(f"'{_name_of(key)}' does not occur in H; it has {listed}")
-        try:
-            number = float(value)
-        except (TypeError, ValueError):
-            number = math.nan
-        if not math.isfinite(number):
-            raise ParameterError(f"'{name}' has the value {value!r}; give a finite real number")
-        values[name] = number
-    return dict(sorted(values.items(), key=lambda item: natural_order(item[0])))
-
-
-def _symbol(
-    item: str | sympy.Symbol, symbols: Mapping[str, sympy.Symbol], real: bool
-) -> sympy.Symbol:
-    """The symbol of H that is meant, or a new one for a coordinate that H does not contain."""
-    if not isinstance(item, (str, sympy.Symbol)):
-        raise VariableError(f"'{item}' is not a name or a symbol; give q and p as names")
-    name = _name_of(item)
-    check_name(name)
-    if name in symbols:
-        return symbols[name]
-    if isinstance(item, sympy.Symbol) and not real:
-        return item
-    return sympy.Symbol(name, real=True)
-
-
-def _check_state(state: list[sympy.Symbol], half: int, values: Mapping[str, float]) -> None:
-    if 2 * half != len(state) or not half:
-        raise VariableError(
-            f"{half} coordinates and {len(state) - half} momenta do not pair; give one p for each q"
-        )
-    names = [canonical_name(symbol.name) for symbol in state]
-    for i, symbol in enumerate(state):
-        if names[i] in names[:i]:
-            raise VariableError(f"'{symbol.name}' occurs twice in q and p; name each once")
-        if symbol.name in values:
-            raise VariableError(
-                f"'{symbol.name}' is a variable and a parameter; leave it out of one of them"
-            )

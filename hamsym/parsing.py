@@ -15,18 +15,18 @@ import ast
 import math
 import re
 import unicodedata
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import sympy
 
 from hamsym.errors import InputError, ParseError, VariableError
+from hamsym.syntax import GREEK, LAMBDA, LAMBDA_STAND_IN, readable, syntax_tree
 
 __all__ = ["FUNCTIONS", "canonical_name", "check_name", "parse_expression", "parse_number"]
 
 MAX_LENGTH = 50_000  # characters
-MAX_NODES = 10_000  # nodes of the syntax tree
+MAX_NODES = 10_000  # operands and operations
 MAX_DEPTH = 60  # nesting, sums and products counting once however long they are
 MAX_EXPONENT = 1_000  # of an integer power
 MAX_BITS = 5_000  # of an exact number
@@ -65,34 +65,8 @@ FUNCTIONS: dict[str, _Function] = {
 
 _CONSTANTS = {"pi": sympy.pi, "π": sympy.pi}
 
-# Greek capitals and omicron that cannot be told from Latin letters are not accepted as names.
-_GREEK = "".join(sorted(set("ΓΔΘΛΞΠΣΦΨΩαβγδεζηθικλμνξπρςστυφχψω")))
-# Variants that Python itself would fold into the letter beside them.
-_GREEK_VARIANTS = str.maketrans("ϕϑϵϱϖϰµΩ∆", "φθερπκμΩΔ")
-_NAME = re.compile(rf"[A-Za-z{_GREEK}][A-Za-z{_GREEK}0-9_]*")
 _MAX_NAME = 50
-
-_CHARACTER_REMEDIES = {
-    "−": "write - for minus",
-    "–": "write - for minus",
-    "—": "write - for minus",
-    "·": "write * for products",
-    "×": "write * for products",
-    "⋅": "write * for products",
-    "∗": "write * for products",
-    "÷": "write / for quotients",
-    "∕": "write / for quotients",
-    "√": "write sqrt(...)",
-    "²": "write **2",
-    "³": "write **3",
-    "⁴": "write **4",
-    "½": "write 1/2",
-    "#": "leave comments out",
-}
-
-# `lambda` is a wavelength to a physicist and a keyword to Python's parser: it is parsed under a
-# name of the same length that no accepted text can contain.
-_LAMBDA, _LAMBDA_STAND_IN = "lambda", "łambda"
+_NAME = re.compile(rf"[A-Za-z{GREEK}][A-Za-z{GREEK}0-9_]*")
 
 
 def check_name(name: str) -> None:
@@ -133,7 +107,7 @@ def canonical_name(name: str) -> str:
 
 
 def _spell_out(letter: str) -> str:
-    if letter not in _GREEK:
+    if letter not in GREEK:
         return letter
     word = unicodedata.name(letter).rsplit(" ", 1)[1].lower()
     word = "lambda" if word == "lamda" else word
@@ -236,13 +210,13 @@ class _Visitor:
     """Rebuilds a syntax tree from sympy's constructors; one ``visit_`` method per node type."""
 
     def __init__(self, text: str) -> None:
-        self._text = _readable(text)
+        self._text = readable(text)
         self._symbols: dict[str, str] = {}  # canonical name -> name as typed
         self._depth = 0
 
     def result(self) -> sympy.Expr:
-        tree = _syntax_tree(self._text)
-        count = sum(1 for _ in ast.walk(tree))
+        tree = syntax_tree(self._text)
+        count = sum(isinstance(node, ast.expr) for node in ast.walk(tree))
         if count > MAX_NODES:
             raise ParseError(
                 self._text[:12] + "...",
@@ -281,7 +255,7 @@ class _Visitor:
         raise self._error(node, "is a constant of Python", "use numbers and pi")
 
     def visit_Name(self, node: ast.Name) -> sympy.Expr:
-        name = _LAMBDA if node.id == _LAMBDA_STAND_IN else node.id
+        name = LAMBDA if node.id == LAMBDA_STAND_IN else node.id
         if name in _CONSTANTS:
             return _CONSTANTS[name]
         if name in FUNCTIONS:
@@ -316,6 +290,8 @@ class _Visitor:
         raise self._operator_error(node.op, node, self._text.find(symbol, column - 1) + 1)
 
     def visit_Call(self, node: ast.Call) -> sympy.Expr:
+        if isinstance(node.func, ast.Attribute):
+            raise self._error(node.func, *_REFUSED_NODES[ast.Attribute])
         if not isinstance(node.func, ast.Name):
             raise self._error(node.func, "is not a function name", "write * between factors")
         name = node.func.id
@@ -346,20 +322,22 @@ class _Visitor:
 
     def _chain(self, node: ast.BinOp, operators: tuple[type, ...]) -> list[sympy.Expr]:
         """The terms of a sum or the factors of a product, however many, without recursion."""
-        operands: list[sympy.Expr] = []
+        links = []
         left: ast.expr = node
         while isinstance(left, ast.BinOp) and isinstance(left.op, operators):
-            operand = self.visit(left.right)
-            if isinstance(left.op, ast.Sub):
+            links.append(left)
+            left = left.left
+        operands = [self.visit(left)]
+        for link in reversed(links):
+            operand = self.visit(link.right)
+            if isinstance(link.op, ast.Sub):
                 operand = -operand
-            elif isinstance(left.op, ast.Div):
+            elif isinstance(link.op, ast.Div):
                 if operand.is_zero:
-                    raise self._error(left.right, "is zero", "nothing can be divided by it")
+                    raise self._error(link.right, "is zero", "nothing can be divided by it")
                 operand = 1 / operand
             operands.append(operand)
-            left = left.left
-        operands.append(self.visit(left))
-        return operands[::-1]
+        return operands
 
     def _power(self, node: ast.BinOp) -> sympy.Expr:
         base, exponent = self.visit(node.left), self.visit(node.right)
@@ -411,7 +389,7 @@ class _Visitor:
         return ast.get_source_segment(self._text, node) or self._text
 
     def _error(self, node: ast.AST, problem: str, remedy: str) -> ParseError:
-        token = self._text_of(node).replace(_LAMBDA_STAND_IN, _LAMBDA)
+        token = self._text_of(node).replace(LAMBDA_STAND_IN, LAMBDA)
         return ParseError(token, self._column(node), problem, remedy)
 
     def _operator_error(self, operator: ast.AST, node: ast.AST, column: int) -> ParseError:
@@ -421,83 +399,3 @@ class _Visitor:
 
 def _function_list() -> str:
     return ", ".join(sorted(set(FUNCTIONS) - set(_SPELLINGS)))
-
-
-def _readable(text: str) -> str:
-    """The text in the alphabet of formulas, character for character, or a refusal."""
-    text = re.sub(r"[\t\r\n]", " ", text).translate(_GREEK_VARIANTS)
-    for column, character in enumerate(text, 1):
-        plain = " " <= character <= "~" and character != "#"
-        if not plain and character not in _GREEK:
-            name = unicodedata.name(character, f"U+{ord(character):04X}").lower()
-            raise ParseError(
-                character if character.isprintable() else f"U+{ord(character):04X}",
-                column,
-                f"({name}) is not a character of formulas",
-                _CHARACTER_REMEDIES.get(character, "use Latin or Greek letters and + - * / **"),
-            )
-    if not text.strip():
-        raise ParseError("", 1, "is empty", "write a formula such as p**2/2 + x**2/2")
-    return re.sub(rf"\b{_LAMBDA}\b", _LAMBDA_STAND_IN, text)
-
-
-def _syntax_tree(text: str) -> ast.Expression:
-    start = len(text) - len(text.lstrip())
-    # Blanks before the first token would be an indentation error; a tuple display would not.
-    padded = text.strip()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # such as "x is 1", refused below anyway
-            tree = ast.parse(padded, mode="eval")
-    except SyntaxError as error:
-        raise _syntax_error(text, error, start) from None
-    except (RecursionError, MemoryError, ValueError):
-        raise ParseError(
-            text[start : start + 12] + "...",
-            start + 1,
-            "begins a formula that is nested too deeply or too long",
-            "split it, or build a sympy expression",
-        ) from None
-    for node in ast.walk(tree):
-        if hasattr(node, "col_offset"):
-            node.col_offset += start
-            node.end_col_offset = (node.end_col_offset or 0) + start
-    return tree
-
-
-def _syntax_error(text: str, error: SyntaxError, start: int) -> ParseError:
-    """Python's complaint, in the words of a person who writes formulas."""
-    shown = text.replace(_LAMBDA_STAND_IN, _LAMBDA)
-    end = len(shown.rstrip())
-    column = start + (error.offset or 0)
-    if error.msg.startswith("Exceeds the limit"):
-        match = re.search(r"\d{4300,}", shown)
-        column = match.start() + 1 if match else 1
-        return ParseError(shown[column - 1 :], column, "is too large a number", "stay below 1e308")
-    if "never closed" in error.msg:
-        return ParseError("(", column, "is never closed", "add the missing )")
-    if "too many nested" in error.msg:
-        return ParseError("(", column, "is nested too deeply", "split the formula")
-    if "unmatched" in error.msg or "does not match" in error.msg:
-        return ParseError(shown[column - 1], column, "was never opened", "remove it or add a (")
-    if column <= start or column > end:
-        last = re.search(r"\S$", shown[:end])
-        token = last.group() if last else shown.strip()
-        stray = re.search(r"(?<![=<>!])=(?!=)", shown)
-        if stray:
-            return _equation_error(stray.start() + 1)
-        return ParseError(token, end, "ends the formula too early", "complete or remove it")
-    if "=" in shown[column - 1 : column + 1] or ("=" in shown and "assign" in error.msg):
-        return _equation_error(shown.find("=") + 1)
-    match = re.compile(r"[^\W\d]\w*|\d[\w.]*|\S").match(shown, column - 1)
-    token = match.group() if match else shown[column - 1 : column]
-    before = shown[: column - 1].rstrip()
-    if re.fullmatch(r"\d[\w.]*", token) and not token.replace(".", "").isdigit():
-        return ParseError(token, column, "is not a number", "write * between number and name")
-    if before and re.search(r"[\w)]$", before) and re.match(r"[\w(]", token):
-        return ParseError(token, column, "follows without an operator", "write * for products")
-    return ParseError(token, column, "does not fit there", "use numbers, names and + - * / **")
-
-
-def _equation_error(column: int) -> ParseError:
-    return ParseError("=", column, "is an equation sign", "give only the right-hand side of H = ...")

@@ -41,8 +41,9 @@ _REWRITES: dict[type, Callable[..., sympy.Expr]] = {
     sympy.DiracDelta: lambda *_: sympy.Integer(0),
 }
 
-_COMMON = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh")
-_COMMON += ("atanh", "exp", "log", "sign", "erf", "atan2")
+_COMMON = tuple(
+    "sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh exp log sign erf atan2".split()
+)
 
 
 def _table(form: str, **special: str) -> dict[type, str]:
@@ -124,7 +125,8 @@ class Printer:
         return text
 
     def _product(self, expr: sympy.Expr) -> tuple[str, int]:
-        constants, others = [], []
+        constants: list[sympy.Expr] = []
+        others: list[sympy.Expr] = []
         for factor in expr.as_ordered_factors():
             (constants if self.is_constant(factor) else others).append(factor)
         constant = sympy.Mul(*constants)
@@ -195,7 +197,7 @@ class Printer:
 
 
 def _ordered_terms(expr: sympy.Expr) -> list[sympy.Expr]:
-    """Terms as people write them: a positive one first, by degree, the polynomial before the rest."""
+    """Terms as people write them: by degree, what is not polynomial last; x - 1, not -1 + x."""
 
     def degree(term: sympy.Expr) -> float:
         total = 0
@@ -210,8 +212,9 @@ def _ordered_terms(expr: sympy.Expr) -> list[sympy.Expr]:
 
     long = len(expr.args) > 64  # sympy's own ordering is slow on long sums
     terms = sorted(expr.args if long else expr.as_ordered_terms(order="lex"), key=degree)
-    first = next((i for i, t in enumerate(terms) if not t.could_extract_minus_sign()), 0)
-    return [terms[first], *terms[:first], *terms[first + 1 :]]
+    if len(terms) == 2 and terms[0].could_extract_minus_sign():
+        return terms[::-1] if not terms[1].could_extract_minus_sign() else terms
+    return terms
 
 
 class FormulaPrinter(Printer):
@@ -302,7 +305,10 @@ class NumpyPrinter(Printer):
     functions = _table(
         "np.{}",
         **{name: f"np.arc{name[1:]}" for name in _COMMON if name[0] == "a"},
-        **{"abs": "np.abs", "min": "np.minimum", "max": "np.maximum", "erf": "_erf"},
+        abs="np.abs",
+        min="np.minimum",
+        max="np.maximum",
+        erf="_erf",
     )
     sqrt = "np.sqrt"
 
@@ -318,9 +324,7 @@ class NumbaPrinter(Printer):
     """Scalar code for numba's compiled loops."""
 
     backend = "numba"
-    functions = _table(
-        "math.{}", sign="np.sign", abs="abs", min="np.minimum", max="np.maximum"
-    )
+    functions = _table("math.{}", sign="np.sign", abs="abs", min="np.minimum", max="np.maximum")
     sqrt = "math.sqrt"
 
 

@@ -38,6 +38,8 @@ class System:
         two arguments if H depends on time.
     step_loops : mapping
         Compiled integrators by name (numba only).
+    time_dependent : bool
+        Whether the functions take ``t``.
     """
 
     backend: str
@@ -50,3 +52,8 @@ class System:
     residual: Callable[..., Any] = field(repr=False)
     loss: Callable[..., Any] = field(repr=False)
     step_loops: Mapping[str, Callable[..., Any]] = field(repr=False, default_factory=dict)
+    time_dependent: bool = False
+
+    def arguments(self, z: Any, t: Any) -> tuple[Any, ...]:
+        """The positional arguments of the functions: z, and t where H depends on time."""
+        return (z, t) if self.time_dependent else (z,)

@@ -1,0 +1,7 @@
+"""``python -m hamsym`` is the ``hamsym`` command."""
+
+import sys
+
+from hamsym.cli import main
+
+sys.exit(main())

@@ -1,0 +1,414 @@
+"""The command line: derive, source, solve, integrate, compare.
+
+Results go to standard output, progress and complaints to standard error. The exit status is 0 if
+all went well, 1 if a solution was found wanting, 2 on bad input, with one line that says why.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import tempfile
+import textwrap
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from hamsym.errors import HamsymError, InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.parsing import parse_number
+from hamsym.printing import FormulaPrinter
+
+__all__ = ["main"]
+
+_WIDTH = 80
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; the entry point of the ``hamsym`` script.
+
+    Returns
+    -------
+    int
+        The exit status.
+    """
+    # A pipe such as `| head` closes early, and a terminal may lack Greek letters.
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    try:
+        status = cli.main(args=arguments, prog_name="hamsym", standalone_mode=False)
+        sys.stdout.flush()
+        return int(status or 0)
+    except click.ClickException as error:
+        return _complain(error.format_message(), 2)
+    except HamsymError as error:
+        return _complain(str(error), 2)
+    except (click.Abort, KeyboardInterrupt):
+        return _complain("interrupted", 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except OSError as error:
+        return _complain(f"{error.filename or 'file'}: {error.strerror or error}", 2)
+
+
+def _complain(message: str, status: int) -> int:
+    print("hamsym: " + " ".join(message.split()), file=sys.stderr)
+    return status
+
+
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": _WIDTH},
+    invoke_without_command=True,
+)
+@click.version_option(package_name="hamsym")
+@click.pass_context
+def cli(context: click.Context) -> None:
+    """From a Hamiltonian to its equations, its code, and its trajectories.
+
+    H is a formula such as "p**2/2 + x**2/2 + x**4/4": numbers, pi, names, + - * / **, and
+    functions such as sin, exp, sqrt, abs. Numbers may be formulas too: --t-end "4*pi".
+    """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
+
+
+# -- options shared by the commands ------------------------------------------------------------
+
+
+def _hamiltonian_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    @click.argument("formula", metavar="H")
+    @click.option("--q", "coordinates", metavar="NAMES", help="Coordinates, such as x,y.")
+    @click.option("--p", "momenta", metavar="NAMES", help="Their momenta, in the same order.")
+    @click.option(
+        "--param", "-P", "parameters", multiple=True, metavar="NAME=VALUE", help="A parameter."
+    )
+    @functools.wraps(command)
+    def wrapped(
+        formula: str,
+        coordinates: str | None,
+        momenta: str | None,
+        parameters: tuple[str, ...],
+        **options: Any,
+    ) -> Any:
+        H = Hamiltonian(
+            formula,
+            q=None if coordinates is None else _names(coordinates),
+            p=None if momenta is None else _names(momenta),
+            parameters=_assignments(",".join(parameters), "--param") if parameters else None,
+        )
+        return command(H, **options)
+
+    return wrapped
+
+
+def _span_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    @click.option(
+        "--z0", "start", required=True, metavar="STATE", help="Such as x=1.3,p=1, or 1.3,1."
+    )
+    @click.option("--t-start", default="0", metavar="TIME", show_default=True)
+    @click.option("--t-end", required=True, metavar="TIME", help='Such as 20 or "4*pi".')
+    @functools.wraps(command)
+    def wrapped(H: Hamiltonian, start: str, t_start: str, t_end: str, **options: Any) -> Any:
+        span = (parse_number(t_start), parse_number(t_end))
+        return command(H, _state(start), span, **options)
+
+    return wrapped
+
+
+def _training_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    options = (
+        click.option("--method", type=click.Choice(["adam"]), help="Method of solution."),
+        click.option("--epochs", default=50_000, show_default=True),
+        click.option("--learning-rate", default=8e-3, show_default=True),
+        click.option("--betas", nargs=2, type=float, default=(0.9, 0.999), show_default=True),
+        click.option("--schedule", type=click.Choice(["constant", "cosine"]), default="constant"),
+        click.option("--hidden", default="50,50", show_default=True, metavar="WIDTHS"),
+        click.option("--activation", type=click.Choice(["sin", "sigmoid", "tanh"]), default="sin"),
+        click.option(
+            "--envelope", type=click.Choice(["exponential", "linear"]), default="exponential"
+        ),
+        click.option("--points", default=200, show_default=True, help="Collocation points K."),
+        click.option("--noise", metavar="TIME", help="Of the points; default 3 spacings."),
+        click.option("--energy-weight", default=0.0, show_default=True),
+        click.option("--target-loss", type=float, help="Stop when the loss is at most this."),
+        click.option("--seed", default=0, show_default=True),
+        click.option("--dtype", type=click.Choice(["float64", "float32"]), default="float64"),
+        click.option("--plot", "figure", type=click.Path(), metavar="FILE", help="Draw a figure."),
+    )
+
+    @functools.wraps(command)
+    def wrapped(*arguments: Any, hidden: str, noise: str | None, **rest: Any) -> Any:
+        widths = tuple(_whole(width, "--hidden") for width in _names(hidden))
+        spread = None if noise is None else parse_number(noise)
+        return command(*arguments, hidden=widths, noise=spread, **rest)
+
+    for option in reversed(options):
+        wrapped = option(wrapped)
+    return wrapped
+
+
+# -- commands ------------------------------------------------------------------------------------
+
+
+@cli.command()
+@_hamiltonian_options
+def derive(H: Hamiltonian) -> None:
+    """Show H, its equations of motion, its Hessian and what follows from them."""
+    write = FormulaPrinter()
+    _echo_wrapped("H = ", H.formula)
+    _echo_wrapped("z = ", f"({', '.join(H.names)})")
+    if H.parameter_names:
+        values = (
+            f"{name} = {H.parameters[name]:g}" if name in H.parameters else name
+            for name in H.parameter_names
+        )
+        _echo_wrapped("parameters: ", ", ".join(values))
+    click.echo("\nHamilton's equations")
+    left = [f"d{name}/dt" for name in H.names]
+    width = max(map(len, left))
+    for name, rate in zip(left, H.vector_field, strict=True):
+        _echo_wrapped(f"  {name:<{width}} = ", write(rate))
+    click.echo("\nHessian")
+    _echo_hessian(H, write)
+    click.echo("")
+    if H.is_separable:
+        click.echo("separable: yes")
+        _echo_wrapped("  T = ", write(H.kinetic))
+        _echo_wrapped("  V = ", write(H.potential))
+    else:
+        click.echo("separable: no, H has mixed second derivatives in q and p")
+    cyclic = ", ".join(symbol.name for symbol in H.cyclic_coordinates)
+    _echo_wrapped("cyclic coordinates: ", cyclic or "none")
+    smallest = H.sigma_min
+    closed = "no short closed form (computed along solutions)"
+    _echo_wrapped("sigma_min: ", closed if smallest is None else write(smallest))
+
+
+def _echo_wrapped(start: str, text: str) -> None:
+    """Print what belongs to a label, broken at blanks where 80 columns do not hold it."""
+    click.echo(
+        textwrap.fill(
+            text,
+            _WIDTH,
+            initial_indent=start,
+            subsequent_indent=" " * len(start),
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    )
+
+
+def _echo_hessian(H: Hamiltonian, write: FormulaPrinter) -> None:
+    matrix = H.hessian
+    cells = [[write(matrix[i, j]) for j in range(H.dim)] for i in range(H.dim)]
+    widths = [max(len(row[j]) for row in cells) for j in range(H.dim)]
+    if sum(widths) + 2 * H.dim + 4 <= _WIDTH:
+        for row in cells:
+            padded = (cell.rjust(size) for cell, size in zip(row, widths, strict=True))
+            click.echo(f"  [{'  '.join(padded)}]")
+        return
+    for i in range(H.dim):
+        for j in range(i, H.dim):
+            if matrix[i, j] != 0:
+                _echo_wrapped(f"  d2H/d{H.names[i]} d{H.names[j]} = ", cells[i][j])
+
+
+@cli.command()
+@_hamiltonian_options
+@click.option("--backend", type=click.Choice(["torch", "numpy", "numba"]), default="torch")
+@click.option("--part", metavar="NAME", help="One function, such as loss or vector_field.")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write to a file.")
+def source(H: Hamiltonian, backend: str, part: str | None, output: str | None) -> None:
+    """Print the generated code, or write it to a file that runs without hamsym."""
+    text = H.source(backend, part).rstrip("\n") + "\n"
+    if output is None:
+        click.echo(text, nl=False)
+    else:
+        _write_whole(output, text.encode())
+        click.echo(f"wrote {output}")
+
+
+@cli.command()
+@_hamiltonian_options
+@_span_options
+@_training_options
+def solve(
+    H: Hamiltonian,
+    z0: Any,
+    span: tuple[float, float],
+    figure: str | None,
+    **options: Any,
+) -> int:
+    """Train a network that satisfies Hamilton's equations; exit 1 if it did not converge."""
+    from hamsym.solving import solve as run  # torch is slow to import
+
+    _check_figure(figure)
+    solution = run(H, z0, span, **options)
+    _report(solution)
+    if figure is not None:
+        _save_figure(solution.plot(), figure)
+    return 0 if solution.success else 1
+
+
+@cli.command()
+@_hamiltonian_options
+@_span_options
+@click.option("--method", default="symplectic_euler", show_default=True, metavar="NAME")
+@click.option("--steps", default=20_000, show_default=True)
+@click.option("--save-every", default=1, show_default=True, help="Keep every so many steps.")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="States as .csv or .npz.")
+def integrate(
+    H: Hamiltonian, z0: Any, span: tuple[float, float], output: str | None, **options: Any
+) -> int:
+    """Integrate with a time-stepping method; exit 1 if it had to stop early."""
+    from hamsym.integrators import integrate as run
+
+    if output is not None and Path(output).suffix not in (".csv", ".npz"):
+        raise InputError(f"'{output}' is neither .csv nor .npz; choose one of these endings")
+    trajectory = run(H, z0, span, **options)
+    drift = float(np.abs(trajectory.energy - trajectory.energy[0]).max())
+    click.echo(trajectory.message)
+    click.echo(f"{'':<12}{'start':>24}{'end':>24}")
+    rows = [("t", trajectory.t), *zip(H.names, trajectory.z.T, strict=True)]
+    for name, values in [*rows, ("H", trajectory.energy)]:
+        click.echo(f"{name:<12}{values[0]:>24.15g}{values[-1]:>24.15g}")
+    click.echo(f"largest change of H: {drift:.3e}")
+    if output is not None:
+        _write_states(output, trajectory)
+        click.echo(f"wrote {output}")
+    return 0 if trajectory.success else 1
+
+
+@cli.command()
+@_hamiltonian_options
+@_span_options
+@_training_options
+def compare(
+    H: Hamiltonian,
+    z0: Any,
+    span: tuple[float, float],
+    figure: str | None,
+    **options: Any,
+) -> int:
+    """Train a network and compare it with symplectic Euler at K, 10 K and 100 K steps."""
+    from hamsym.comparison import compare as run_comparison
+    from hamsym.solving import solve as run
+
+    _check_figure(figure)
+    solution = run(H, z0, span, **options)
+    _report(solution)
+    comparison = run_comparison(solution)
+    click.echo(f"\n{comparison}")
+    if figure is not None:
+        _save_figure(comparison.plot(), figure)
+    return 0 if solution.success else 1
+
+
+# -- reading and writing -------------------------------------------------------------------------
+
+
+def _names(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _assignments(text: str, option: str) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for part in _names(text):
+        name, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals or not name or not value:
+            raise InputError(f"'{part}' in {option} is not NAME=VALUE; write such as m=1.0")
+        if name in values:
+            raise InputError(f"'{name}' occurs twice in {option}; give it once")
+        values[name] = parse_number(value)
+    return values
+
+
+def _state(text: str) -> dict[str, float] | list[float]:
+    if "=" in text:
+        return _assignments(text, "--z0")
+    return [parse_number(part) for part in _names(text)]
+
+
+def _whole(text: str, option: str) -> int:
+    if not text.isdigit():
+        raise InputError(f"'{text}' in {option} is not a whole number; write such as 50,50")
+    return int(text)
+
+
+def _report(solution: Any) -> None:
+    click.echo(("converged" if solution.success else "NOT converged") + f": {solution.message}")
+    sigma = solution.sigma_min
+    bound = (
+        f"{solution.error_bound:.2e} (heuristic)"
+        if sigma > 0
+        else "infinite: the Hessian is singular on the trajectory"
+    )
+    click.echo(f"ell_max {solution.ell_max:.2e}, sigma_min {sigma:.3g}")
+    click.echo(f"bound ell_max/sigma_min: {bound}")
+    training = solution.training
+    click.echo(
+        f"time {training.seconds:.1f} s, "
+        f"{1e3 * training.cpu_seconds / max(training.epochs, 1):.2f} ms of CPU per epoch"
+    )
+
+
+_FIGURE_ENDINGS = (".png", ".pdf", ".svg")
+
+
+def _check_figure(path: str | None) -> None:
+    """Refuse a figure that could not be written before hours of work, not after."""
+    if path is None:
+        return
+    if Path(path).suffix not in _FIGURE_ENDINGS:
+        listed = ", ".join(_FIGURE_ENDINGS)
+        raise InputError(f"'{path}' is not a figure file; choose one of {listed}")
+    if not Path(path).absolute().parent.is_dir():
+        raise InputError(f"'{path}' has no folder to stand in; make the folder first")
+
+
+def _save_figure(figure: Any, path: str) -> None:
+    import io
+
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=Path(path).suffix[1:], dpi=130)
+    _write_whole(path, buffer.getvalue())
+    click.echo(f"wrote {path}")
+
+
+def _write_states(path: str, trajectory: Any) -> None:
+    import io
+
+    buffer = io.BytesIO()
+    if Path(path).suffix == ".npz":
+        np.savez(buffer, t=trajectory.t, z=trajectory.z, energy=trajectory.energy)
+    else:
+        table = np.column_stack((trajectory.t, trajectory.z, trajectory.energy))
+        header = ",".join(["t", *trajectory.names, "H"])
+        np.savetxt(buffer, table, fmt="%.17g", delimiter=",", header=header, comments="")
+    _write_whole(path, buffer.getvalue())
+
+
+def _write_whole(path: str, content: bytes) -> None:
+    """Write a file completely or not at all."""
+    target = Path(path)
+    descriptor, temporary = tempfile.mkstemp(dir=target.absolute().parent, prefix=".hamsym-")
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        os.replace(temporary, target)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+if __name__ == "__main__":
+    sys.exit(main())

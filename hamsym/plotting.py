@@ -1,0 +1,122 @@
+"""Figures of solutions and comparisons."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from hamsym.comparison import Comparison
+    from hamsym.solution import Solution
+
+__all__ = ["plot_comparison", "plot_solution"]
+
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito
+_SAMPLES = 2_001
+_MAX_LINES = 8
+
+
+def plot_solution(solution: Solution) -> Figure:
+    """Components, phase space, residual and energy error, and the loss, in four panels."""
+    figure, axes = _panels(f"H = {solution.H.formula}")
+    t = np.linspace(*solution.span, _SAMPLES)
+    z = solution(t)
+    names, d = solution.H.names, solution.H.dof
+    for i, name in enumerate(names[:_MAX_LINES]):
+        axes[0, 0].plot(t, z[:, i], color=_color(i), label=_label(name))
+    axes[0, 0].set(title="Trajectory", xlabel="t")
+    axes[0, 0].legend(ncols=2, fontsize=8)
+
+    for i in range(min(d, _MAX_LINES)):
+        label = f"({_label(names[i])}, {_label(names[d + i])})"
+        axes[0, 1].plot(z[:, i], z[:, d + i], color=_color(i), label=label)
+        axes[0, 1].plot(z[0, i], z[0, d + i], "o", color=_color(i), markersize=4)
+    axes[0, 1].set(title="Phase space", xlabel="q", ylabel="p")
+    axes[0, 1].legend(fontsize=8)
+
+    ell = np.linalg.norm(solution.residual(t), axis=-1)
+    axes[1, 0].semilogy(t, _positive(ell), color=_color(0), label=r"$|\ell|$")
+    if solution.H.time is None:
+        drift = np.abs(solution.energy(t) - solution.energy(solution.span[0]))
+        axes[1, 0].semilogy(t, _positive(drift), color=_color(1), label=r"$|H - E_0|$")
+    axes[1, 0].set(title="Residual and energy error", xlabel="t")
+    axes[1, 0].legend(fontsize=8)
+
+    history = solution.history
+    axes[1, 1].loglog(
+        np.arange(1, len(history.loss) + 1),
+        history.loss,
+        color="0.75",
+        linewidth=0.6,
+        label="at the noisy points",
+    )
+    best = np.minimum.accumulate(history.fixed_loss)
+    axes[1, 1].loglog(history.epoch, best, color=_color(0), label="best, at fixed points")
+    axes[1, 1].set(title="Loss", xlabel="epoch")
+    axes[1, 1].legend(fontsize=8)
+    return figure
+
+
+def plot_comparison(comparison: Comparison) -> Figure:
+    """Size of the error and energies over time; the error in phase space; error against steps."""
+    solution = comparison.solution
+    figure, axes = _panels(f"H = {solution.H.formula}")
+    t = np.linspace(*solution.span, _SAMPLES)
+    names, d = solution.H.names, solution.H.dof
+    system = solution.H.compile("numpy")
+    curves: list[tuple[str, np.ndarray, np.ndarray]] = [("network", t, solution(t))]
+    curves += [
+        (f"Euler, {trajectory.steps:,} steps", trajectory.t, trajectory.z)
+        for trajectory in comparison.trajectories
+    ]
+    for i, (label, times, z) in enumerate(curves):
+        right = comparison.reference(times)
+        error = z - right
+        style: dict[str, Any] = {"color": _color(i), "label": label, "linewidth": 1.1}
+        axes[0, 0].semilogy(times[1:], _positive(np.linalg.norm(error, axis=-1))[1:], **style)
+        energy = np.abs(
+            system.energy(*system.arguments(z, times))
+            - system.energy(*system.arguments(right, times))
+        )
+        axes[0, 1].semilogy(times[1:], _positive(energy)[1:], **style)
+        if i != 1:  # Euler at K steps would dwarf the others
+            axes[1, 0].plot(error[:, 0], error[:, d], **style)
+    axes[0, 0].set(title=r"Error $|\delta z|$", xlabel="t")
+    axes[0, 1].set(title="Energy error", xlabel="t")
+    x, p = _label(names[0]), _label(names[d])
+    axes[1, 0].set(title="Error in phase space", xlabel=rf"$\delta$ {x}", ylabel=rf"$\delta$ {p}")
+    axes[1, 0].ticklabel_format(style="sci", scilimits=(-2, 2))
+    network, *eulers = comparison.rows
+    steps = [row.points for row in eulers]
+    axes[1, 1].loglog(steps, [row.error for row in eulers], "o-", color=_color(2), label="Euler")
+    axes[1, 1].loglog(network.points, network.error, "s", color=_color(0), label="network")
+    axes[1, 1].axhline(network.error, color=_color(0), linewidth=0.8, linestyle=":")
+    axes[1, 1].set(title="Error against points or steps", xlabel="points or steps")
+    for axis in axes.flat:
+        axis.legend(fontsize=8)
+    return figure
+
+
+def _panels(title: str) -> tuple[Figure, Any]:
+    # A figure of its own, not pyplot's: nothing global changes and no window system is needed.
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    axes = figure.subplots(2, 2)
+    figure.suptitle(title if len(title) <= 100 else title[:97] + "...", fontsize=11)
+    for axis in axes.flat:
+        axis.grid(alpha=0.25)
+    return figure, axes
+
+
+def _color(index: int) -> str:
+    return _COLORS[index % len(_COLORS)]
+
+
+def _label(name: str) -> str:
+    return name.replace("_", r"\_") if "$" in name else name
+
+
+def _positive(values: np.ndarray) -> np.ndarray:
+    """Values for a logarithmic axis, which zero would break."""
+    return np.maximum(values, 1e-17)

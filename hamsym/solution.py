@@ -1,0 +1,247 @@
+"""A trained trajectory: a function of time that can say how well it solves the equations."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+import scipy.optimize
+import torch
+from torch import Tensor
+
+from hamsym.errors import InputError, VacuousBoundWarning
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.training import History, Training
+from hamsym.trial import TrialSolution
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Solution"]
+
+_CHUNK = 16_384  # points evaluated at once, to bound the memory of the hidden layers
+_SCAN = 4_001  # points of the scan that precedes the search for an extremum over time
+
+
+class Solution:
+    """A closed-form trajectory z^(t) over a time span, from :func:`hamsym.solve`.
+
+    Call it with times to get states: shape (n,) gives (n, dim), a scalar gives (dim,); numpy in,
+    numpy out, torch in, torch out (differentiable in t).
+
+    Attributes
+    ----------
+    H : Hamiltonian
+    z0 : numpy.ndarray
+        Initial state, shape (dim,), reproduced exactly.
+    span : (float, float)
+    trial : TrialSolution
+        The trial solution with its trained weights.
+    method : str
+    energy_weight : float
+    training : Training
+        How the weights were found.
+    success : bool
+        Whether the stopping criterion was met.
+    message : str
+        What happened, in words.
+    """
+
+    def __init__(
+        self,
+        H: Hamiltonian,
+        z0: np.ndarray,
+        span: tuple[float, float],
+        trial: TrialSolution,
+        *,
+        method: str,
+        energy_weight: float,
+        training: Training,
+        success: bool,
+        message: str,
+    ) -> None:
+        self.H, self.z0, self.span, self.trial = H, z0, span, trial
+        self.method, self.energy_weight, self.training = method, energy_weight, training
+        self.success, self.message = success, message
+        self._system = H.compile("numpy")
+        self._dtype = next(trial.parameters()).dtype
+
+    def __repr__(self) -> str:
+        start, end = self.span
+        return (
+            f"Solution({self.H.formula!r}, t from {start:.6g} to {end:.6g}, {self.method}, "
+            f"success={self.success})"
+        )
+
+    @property
+    def points(self) -> int:
+        """Collocation points K of the training."""
+        return self.training.points
+
+    @property
+    def history(self) -> History:
+        """Loss and ell_max in the course of the training."""
+        return self.training.history
+
+    # -- evaluation --------------------------------------------------------------------------
+
+    @overload
+    def __call__(self, t: Tensor, *, extrapolate: bool = False) -> Tensor: ...
+    @overload
+    def __call__(self, t: Any, *, extrapolate: bool = False) -> np.ndarray: ...
+    def __call__(self, t: Any, *, extrapolate: bool = False) -> Any:
+        """The state at times t.
+
+        Raises
+        ------
+        InputError
+            If a time is outside the span, unless ``extrapolate=True``.
+        """
+        return self._evaluate(t, extrapolate)[0]
+
+    @overload
+    def derivative(self, t: Tensor, *, extrapolate: bool = False) -> Tensor: ...
+    @overload
+    def derivative(self, t: Any, *, extrapolate: bool = False) -> np.ndarray: ...
+    def derivative(self, t: Any, *, extrapolate: bool = False) -> Any:
+        """dz^/dt at times t, exact for the network; shapes as for the state."""
+        return self._evaluate(t, extrapolate)[1]
+
+    def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
+        """ell(t) = dz^/dt - J grad H(z^), shaped as the state (the paper's eq. partial_loss)."""
+        z, dz = self._evaluate(t, extrapolate)
+        system = self.H.compile("torch") if isinstance(t, Tensor) else self._system
+        return system.residual(z, *system.arguments(dz, t))
+
+    def energy(self, t: Any, *, extrapolate: bool = False) -> Any:
+        """H along the trajectory; shape (n,), or a scalar for a scalar t."""
+        z, _ = self._evaluate(t, extrapolate)
+        system = self.H.compile("torch") if isinstance(t, Tensor) else self._system
+        return system.energy(*system.arguments(z, t))
+
+    def _evaluate(self, t: Any, extrapolate: bool) -> tuple[Any, Any]:
+        if isinstance(t, Tensor):
+            times = t.to(self._dtype)
+            self._check_times(times.detach().cpu().numpy(), extrapolate)
+            z, dz = self.trial(times.reshape(-1))
+            return z.reshape(*t.shape, -1), dz.reshape(*t.shape, -1)
+        array = np.asarray(t, dtype=float)
+        self._check_times(array, extrapolate)
+        flat = torch.from_numpy(np.array(array, ndmin=1)).to(self._dtype)
+        with torch.no_grad():
+            parts = [self.trial(chunk) for chunk in flat.split(_CHUNK)]
+        z, dz = (torch.cat(part).numpy() for part in zip(*parts, strict=True))
+        return (z[0], dz[0]) if array.ndim == 0 else (z, dz)
+
+    def _check_times(self, t: np.ndarray, extrapolate: bool) -> None:
+        if t.ndim > 1 or t.size == 0:
+            raise InputError(f"t has shape {t.shape}; give one time or a list of times")
+        if not np.all(np.isfinite(t)):
+            raise InputError("t holds a value that is not finite; give finite times")
+        low, high = min(self.span), max(self.span)
+        slack = 4e-16 * max(abs(low), abs(high))
+        outside = (t < low - slack) | (t > high + slack)
+        if not extrapolate and outside.any():
+            worst = float(np.atleast_1d(t)[np.atleast_1d(outside)][0])
+            raise InputError(
+                f"t = {worst:.6g} is outside the span from {low:.6g} to {high:.6g}; "
+                "say extrapolate=True if that is meant"
+            )
+
+    # -- how good it is ------------------------------------------------------------------------
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """s_i = max_t |z^_i(t)| of each component, shape (dim,)."""
+        return np.abs(self(self._scan_times)).max(axis=0)
+
+    @cached_property
+    def ell_max(self) -> float:
+        """max_t |ell(t)|, the 2-norm, over continuous time and without the energy term."""
+        return self._largest(lambda t: np.linalg.norm(self.residual(t), axis=-1))
+
+    @cached_property
+    def ell_max_regularized(self) -> float:
+        """The paper's ell_max with its energy term, sqrt(max_t |ell|^2 + lambda (H - E0)^2)."""
+        if not self.energy_weight:
+            return self.ell_max
+        energy_0 = float(self.energy(self.span[0]))
+
+        def size(t: np.ndarray) -> np.ndarray:
+            ell = np.linalg.norm(self.residual(t), axis=-1)
+            return np.sqrt(ell**2 + self.energy_weight * (self.energy(t) - energy_0) ** 2)
+
+        return self._largest(size)
+
+    @cached_property
+    def sigma_min(self) -> float:
+        """Smallest singular value of the Hessian along the trajectory.
+
+        Zero where an eigenvalue changes its sign on the way, between the points of any grid.
+        """
+        # Singular values of a symmetric matrix are the magnitudes of its eigenvalues.
+        eigenvalues = self._hessian_eigenvalues(self._scan_times)
+        negative = (eigenvalues < 0).sum(axis=1)
+        largest = np.abs(eigenvalues).max()
+        if np.any(negative != negative[0]) or largest == 0:
+            return 0.0
+        smallest = -self._largest(lambda t: -np.abs(self._hessian_eigenvalues(t)).min(axis=-1))
+        return smallest if smallest > 1e-12 * largest else 0.0
+
+    @property
+    def error_bound(self) -> float:
+        """The paper's bound ell_max / sigma_min on every component of the error (eq. dz).
+
+        It is a heuristic: it assumes that the error sits in one component, is violated by a
+        residual in resonance with the motion, and mixes the units of q and p. It is infinite,
+        with a :class:`~hamsym.errors.VacuousBoundWarning`, where the Hessian is singular along
+        the trajectory, as for every system with a cyclic coordinate.
+        """
+        if self.sigma_min > 0:
+            return self.ell_max_regularized / self.sigma_min
+        warnings.warn(
+            "the bound ell_max/sigma_min is infinite: the Hessian is singular on the trajectory",
+            VacuousBoundWarning,
+            stacklevel=2,
+        )
+        return math.inf
+
+    def _hessian_eigenvalues(self, t: np.ndarray) -> np.ndarray:
+        matrices = self._system.hessian(*self._system.arguments(self(t), t))
+        return np.linalg.eigvalsh(np.asarray(matrices, dtype=float))
+
+    @cached_property
+    def _scan_times(self) -> np.ndarray:
+        return np.linspace(*self.span, _SCAN)
+
+    def _largest(self, function: Callable[[np.ndarray], np.ndarray]) -> float:
+        """max of a function of time: a fine scan, then a search around its highest peaks."""
+        times = self._scan_times
+        values = function(times)
+        best = float(values.max())
+        for index in np.argsort(values)[-3:]:
+            ends = times[max(index - 1, 0)], times[min(index + 1, len(times) - 1)]
+            found = scipy.optimize.minimize_scalar(
+                lambda t: -float(function(np.array([t]))[0]),
+                bounds=sorted(ends),
+                method="bounded",
+                options={"xatol": 1e-6 * abs(ends[1] - ends[0])},
+            )
+            best = max(best, -float(found.fun))
+        return best
+
+    def plot(self) -> Figure:
+        """A figure of the trajectory, its residual, its energy and the training.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            To show, or to save with ``.savefig(path)``.
+        """
+        from hamsym.plotting import plot_solution  # matplotlib is slow to import
+
+        return plot_solution(self)

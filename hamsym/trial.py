@@ -1,0 +1,220 @@
+"""The trial solution z^(t) = z0 + f(s) N(s), s = |t - t0| / tau, and its time derivative.
+
+The network N is fully connected; f(0) = 0 makes the initial state exact whatever the weights.
+Value and time derivative come together from one forward pass: each layer carries both on, the
+derivative in forward mode (the paper's eqs. par_sol and f_param).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from hamsym.errors import InputError
+
+__all__ = ["ACTIVATIONS", "ENVELOPES", "ComponentNetworks", "Network", "TrialSolution"]
+
+
+@dataclass(frozen=True)
+class _Activation:
+    """An activation and its first two derivatives, which cost little once it is known."""
+
+    value: Callable[[Tensor], Tensor]
+    slope: Callable[[Tensor, Tensor], Tensor]  # of pre-activation a and value h
+    curvature: Callable[[Tensor, Tensor], Tensor]  # of value h and slope
+
+
+#: Activation functions by name.
+ACTIVATIONS: dict[str, _Activation] = {
+    "sin": _Activation(torch.sin, lambda a, h: torch.cos(a), lambda h, slope: -h),
+    "sigmoid": _Activation(
+        torch.sigmoid, lambda a, h: h * (1 - h), lambda h, slope: slope * (1 - 2 * h)
+    ),
+    "tanh": _Activation(torch.tanh, lambda a, h: 1 - h * h, lambda h, slope: -2 * h * slope),
+}
+
+#: Envelopes f by name, each giving (f(s), f'(s)) with f(0) = 0.
+ENVELOPES: dict[str, Callable[[Tensor], tuple[Tensor, Tensor]]] = {
+    "exponential": lambda s: (-torch.expm1(-s), torch.exp(-s)),
+    "linear": lambda s: (s, torch.ones_like(s)),
+}
+
+
+class _Jet(torch.autograd.Function):
+    """(N, dN/ds) of a fully connected network, with the gradient of both written out.
+
+    Automatic differentiation of the same computation records and visits about four times as many
+    operations, and at the paper's sizes their number is what an epoch costs. The first K rows of
+    each matrix X hold values, the last K rows derivatives in s, so that a layer is one product.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, activation: _Activation, s: Tensor, *weights: Tensor) -> Any:
+        count = s.shape[0]
+        first, bias = weights[0], weights[1]
+        a = torch.addcmul(bias, s.unsqueeze(1), first.T)
+        a_dot = first.T.expand_as(a)
+        saved = []
+        for matrix, shift in zip(weights[2::2], weights[3::2], strict=True):
+            x = a.new_empty((2 * count, a.shape[1]))
+            h = x[:count]
+            h.copy_(activation.value(a))
+            slope = activation.slope(a, h)
+            torch.mul(slope, a_dot, out=x[count:])
+            saved.append((x, slope, a_dot))
+            product = x @ matrix.T
+            a, a_dot = product[:count] + shift, product[count:]
+        ctx.activation, ctx.layers = activation, saved
+        ctx.save_for_backward(s, *weights)
+        return a, a_dot
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad_value: Tensor, grad_rate: Tensor) -> Any:
+        s, *weights = ctx.saved_tensors
+        count = s.shape[0]
+        gradients: list[Tensor] = []
+        upstream = torch.cat((grad_value, grad_rate))
+        for index in range(len(ctx.layers) - 1, -1, -1):
+            x, slope, a_dot = ctx.layers[index]
+            gradients[:0] = (upstream.T @ x, upstream[:count].sum(0))
+            towards = upstream @ weights[2 * index + 2]
+            h, to_value, to_rate = x[:count], towards[:count], towards[count:]
+            upstream = torch.empty_like(towards)
+            torch.mul(to_rate, slope, out=upstream[count:])
+            curvature = ctx.activation.curvature(h, slope)
+            curvature.mul_(a_dot).mul_(to_rate)
+            torch.addcmul(curvature, to_value, slope, out=upstream[:count])
+        values = upstream[:count]
+        first = (s @ values + upstream[count:].sum(0)).unsqueeze(1)
+        return (None, None, first, values.sum(0), *gradients)
+
+
+class Network(torch.nn.Module):
+    """A fully connected network from one input to ``outputs`` outputs, with its derivative.
+
+    All outputs share the hidden layers. Weights start as torch's own linear layers do: uniform
+    within 1/sqrt(number of inputs).
+
+    Parameters
+    ----------
+    outputs : int
+    hidden : sequence of int
+        Neurons of each hidden layer, at least one layer.
+    activation : {"sin", "sigmoid", "tanh"}
+    generator : torch.Generator, optional
+        Source of the initial weights.
+    dtype : torch.dtype
+        float64 unless asked otherwise.
+
+    Examples
+    --------
+    >>> network = Network(2, hidden=(50, 50))
+    >>> value, rate = network(torch.linspace(0, 1, 5, dtype=torch.float64))
+    >>> value.shape, rate.shape
+    (torch.Size([5, 2]), torch.Size([5, 2]))
+    """
+
+    def __init__(
+        self,
+        outputs: int,
+        hidden: Sequence[int] = (50, 50),
+        activation: str = "sin",
+        *,
+        generator: torch.Generator | None = None,
+        dtype: torch.dtype = torch.float64,
+    ) -> None:
+        super().__init__()
+        self.activation = activation
+        self._activation = _chosen(activation, ACTIVATIONS, "activation")
+        widths = tuple(hidden)
+        if not widths or any(not isinstance(n, int) or n < 1 for n in widths):
+            raise InputError(f"hidden={hidden!r} is not a list of layer widths; give e.g. (50, 50)")
+        sizes = (1, *widths, outputs)
+        self.weights = torch.nn.ParameterList()
+        for inputs, neurons in itertools.pairwise(sizes):
+            bound = 1 / math.sqrt(inputs)
+            for shape in ((neurons, inputs), (neurons,)):
+                uniform = torch.rand(shape, generator=generator, dtype=dtype)
+                self.weights.append(torch.nn.Parameter((2 * uniform - 1) * bound))
+
+    def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
+        """N(s) and dN/ds for s of shape (K,); each of shape (K, outputs)."""
+        weights = tuple(self.weights)
+        if torch.is_grad_enabled() and weights[0].requires_grad and not s.requires_grad:
+            value, rate = _Jet.apply(self._activation, s, *weights)
+            return value, rate
+        h, h_dot = s.unsqueeze(-1), torch.ones_like(s).unsqueeze(-1)
+        for index in range(0, len(weights) - 2, 2):
+            a = torch.nn.functional.linear(h, weights[index], weights[index + 1])
+            h = self._activation.value(a)
+            h_dot = self._activation.slope(a, h) * (h_dot @ weights[index].T)
+        return torch.nn.functional.linear(h, weights[-2], weights[-1]), h_dot @ weights[-2].T
+
+
+class ComponentNetworks(torch.nn.Module):
+    """One single-output network per component instead of one network that shares its weights."""
+
+    def __init__(self, networks: Sequence[Network]) -> None:
+        super().__init__()
+        self.networks = torch.nn.ModuleList(networks)
+        self.activation = networks[0].activation
+
+    def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
+        """As :meth:`Network.forward`, the components side by side."""
+        values, rates = zip(*(network(s) for network in self.networks), strict=True)
+        return torch.cat(values, dim=-1), torch.cat(rates, dim=-1)
+
+
+class TrialSolution(torch.nn.Module):
+    """z^(t) = z0 + f(s) N(s) with s = |t - t0| / tau, in the direction of the span.
+
+    Parameters
+    ----------
+    network : Network or ComponentNetworks
+        With as many outputs as z0 has components.
+    z0 : Tensor
+        Initial state, shape (dim,).
+    t0 : float
+        Initial time, in the units of the Hamiltonian.
+    tau : float
+        Unit of the network's input; negative for a span that runs backwards.
+    envelope : {"exponential", "linear"}
+        f(s) = 1 - exp(-s) or f(s) = s.
+    """
+
+    z0: Tensor
+
+    def __init__(
+        self,
+        network: Network | ComponentNetworks,
+        z0: Tensor,
+        *,
+        t0: float = 0.0,
+        tau: float = 1.0,
+        envelope: str = "exponential",
+    ) -> None:
+        super().__init__()
+        self.network = network
+        self.register_buffer("z0", z0)
+        self.t0, self.tau, self.envelope = float(t0), float(tau), envelope
+        self._envelope = _chosen(envelope, ENVELOPES, "envelope")
+
+    def forward(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        """z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
+        s = (t - self.t0) / self.tau
+        value, rate = self.network(s)
+        f, f_dot = (part.unsqueeze(-1) for part in self._envelope(s))
+        return self.z0 + f * value, (f_dot * value + f * rate) / self.tau
+
+
+def _chosen(name: str, table: dict[str, Any], kind: str) -> Any:
+    if name not in table:
+        raise InputError(f"'{name}' is not an {kind}; choose one of {', '.join(table)}")
+    return table[name]

@@ -1,0 +1,289 @@
+"""The symbolic object: what is derived, how it is identified, what it refuses."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+import sympy
+
+import hamsym
+from hamsym import Hamiltonian, InputError
+from hamsym.errors import ParameterError, VariableError
+from hamsym.parsing import parse_expression
+from hamsym.printing import FormulaPrinter
+from hamsym.systems import Problem
+
+OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
+HENON_HEILES = "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
+MAGNETIC = "((p_x + y/2)**2 + (p_y - x/2)**2)/2"
+CENTRAL = "p_r**2/2 + p_phi**2/(2*r**2) - k/r"
+
+
+def test_oscillator_as_in_the_paper() -> None:
+    H = Hamiltonian(OSCILLATOR)
+    x, p = H.z
+    assert (H.q, H.p, H.dof, H.dim) == ((x,), (p,), 1, 2)
+    assert list(H.gradient) == [x + x**3, p]
+    assert list(H.vector_field) == [p, -x - x**3]
+    assert H.hessian == sympy.Matrix([[1 + 3 * x**2, 0], [0, 1]])
+    assert H.poisson_matrix == sympy.Matrix([[0, 1], [-1, 0]])
+    assert [equation.rhs for equation in H.equations] == list(H.vector_field)
+    assert (H.kinetic, H.potential) == (p**2 / 2, x**2 / 2 + x**4 / 4)
+    assert H.sigma_min == 1
+
+
+def test_henon_heiles_sigma_min() -> None:
+    H = Hamiltonian(HENON_HEILES)
+    x, y = H.q
+    assert H.sigma_min == sympy.Min(1, sympy.Abs(2 * sympy.sqrt(x**2 + y**2) - 1))
+
+
+def test_derivatives_agree_with_sympy(problem: Problem) -> None:
+    H = problem.H
+    assert list(H.gradient) == [sympy.diff(H.expr, symbol) for symbol in H.z]
+    assert sympy.simplify(H.hessian - sympy.hessian(H.expr, H.z)) == sympy.zeros(H.dim)
+    assert list(H.vector_field) == list(H.poisson_matrix * H.gradient)
+
+
+def test_sigma_min_agrees_with_singular_values(problem: Problem) -> None:
+    H = problem.H
+    if H.sigma_min is None:
+        assert H.dim > 2
+        return
+    values = {sympy.Symbol(n, real=True): v for n, v in H.parameters.items()}
+    generator = np.random.default_rng(0)
+    for _ in range(5):
+        z = generator.normal(size=H.dim)
+        matrix = H.compile("numpy").hessian(z)
+        expected = np.linalg.svd(matrix, compute_uv=False).min()
+        point = dict(zip(H.z, z, strict=True)) | values
+        assert float(H.sigma_min.subs(point)) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("formula", "separable"),
+    [
+        (OSCILLATOR, True),
+        ("(x + p)**2 - 2*x*p", True),
+        ("(sin(x)**2 + cos(x)**2)*p**2/2 + x**2", True),
+        ("x*p", False),
+        (MAGNETIC, False),
+        ("p**2*x**2/2", False),
+    ],
+)
+def test_separability_is_judged_by_mixed_second_derivatives(formula: str, separable: bool) -> None:
+    H = Hamiltonian(formula)
+    assert H.is_separable is separable
+    if separable:
+        assert not H.kinetic.free_symbols & set(H.q)
+        assert not H.potential.free_symbols & set(H.p)
+        assert sympy.simplify(H.kinetic + H.potential - H.expr) == 0
+    else:
+        assert H.kinetic is None
+        assert H.potential is None
+
+
+def test_cyclic_coordinates_and_conservation() -> None:
+    H = Hamiltonian(CENTRAL)
+    assert [symbol.name for symbol in H.cyclic_coordinates] == ["phi"]
+    assert H.is_conserved("p_phi")
+    assert not H.is_conserved("p_r")
+    assert H.is_conserved(H.expr)
+    assert Hamiltonian(HENON_HEILES).cyclic_coordinates == ()
+
+
+def test_runge_lenz_vector_is_conserved() -> None:
+    H = Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
+    assert H.is_conserved("p_y*(x*p_y - y*p_x) - x/sqrt(x**2 + y**2)")
+
+
+def test_explicit_time_in_conservation() -> None:
+    H = Hamiltonian("p**2/2", q=["x"], p=["p"])
+    assert not H.is_conserved("x")
+    H = Hamiltonian("p**2/2 + x*cos(t)")
+    assert H.time == sympy.Symbol("t", real=True)
+    assert not H.is_conserved(H.expr)
+    assert H.is_conserved("p + sin(t)")
+
+
+def test_poisson_bracket_is_antisymmetric_and_satisfies_jacobi() -> None:
+    H = Hamiltonian(HENON_HEILES)
+    f, g, h = "x*p_y", "y**2*p_x", "p_x*p_y + x"
+    bracket = H.poisson_bracket
+    assert sympy.expand(bracket(f, g) + bracket(g, f)) == 0
+    total = bracket(f, bracket(g, h)) + bracket(g, bracket(h, f)) + bracket(h, bracket(f, g))
+    assert sympy.expand(total) == 0
+    with pytest.raises(VariableError, match="'w' does not occur in H"):
+        bracket("w", "x")
+
+
+# -- from sympy --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("assumptions", [{}, {"real": True}, {"positive": True}])
+def test_own_symbols_are_kept(assumptions: dict[str, bool]) -> None:
+    x, p, m = sympy.symbols("x p m", **assumptions)
+    H = Hamiltonian(p**2 / (2 * m) + sympy.Abs(x) ** 3, parameters={m: 2.0})
+    assert H.z == (x, p)
+    assert H.expr.free_symbols == {x, p, m}
+    assert list(H.vector_field)[0] == p / m
+    assert H == Hamiltonian("p**2/(2*m) + abs(x)**3", parameters={"m": 2.0}) or assumptions == {
+        "positive": True
+    }
+
+
+def test_absolute_value_of_a_symbol_without_assumptions() -> None:
+    x, p = sympy.symbols("x p")
+    H = Hamiltonian(p**2 / 2 + sympy.Abs(x))
+    assert H.vector_field[1] == -sympy.sign(x)
+
+
+def test_order_as_given() -> None:
+    a, b, pa, pb = sympy.symbols("a b u v")
+    H = Hamiltonian(pa**2 + pb**2 + a**2 + b**2, q=[b, a], p=[pb, pa])
+    assert H.names == ("b", "a", "v", "u")
+    assert Hamiltonian("u**2 + a**2 + c", q=["a"], p=["u"]).parameter_names == ("c",)
+
+
+def test_coordinate_that_does_not_occur() -> None:
+    H = Hamiltonian("p**2/2", q=["s"], p=["p"])
+    assert H.names == ("s", "p")
+    assert H.cyclic_coordinates == (sympy.Symbol("s", real=True),)
+
+
+t = sympy.Symbol("t")
+BAD_EXPRESSIONS = [
+    (sympy.Symbol("x; import os") + sympy.Symbol("p"), "not a usable name"),
+    (sympy.Symbol("__import__('os')") * sympy.Symbol("p"), "not a usable name"),
+    (sympy.Symbol("x\n") * sympy.Symbol("p"), "not a usable name"),
+    (sympy.Symbol('"""') * sympy.Symbol("p"), "not a usable name"),
+    (sympy.Symbol(r"\theta") * sympy.Symbol("p"), "not a usable name"),
+    (sympy.Symbol("sin") * sympy.Symbol("p"), "function or constant"),
+    (sympy.Function("x")(t) ** 2, "not a plain symbol"),
+    (sympy.IndexedBase("q")[0] * sympy.Symbol("p"), "not a plain symbol"),
+    (sympy.Symbol("x") * sympy.I, "real"),
+    (sympy.Symbol("x") * sympy.oo, "real"),
+    (sympy.Symbol("x") + sympy.Symbol("x", real=True) + sympy.Symbol("p"), "twice"),
+    (sympy.Symbol("x", imaginary=True) * sympy.Symbol("p"), "not to be real"),
+    (sympy.Symbol("θ") * sympy.Symbol("theta") + sympy.Symbol("p"), "another spelling"),
+    (sympy.Matrix([1]), "str or a sympy expression"),
+    (sympy.Symbol("x") < 1, "str or a sympy expression"),
+    (None, "str or a sympy expression"),
+    (b"p**2", "str or a sympy expression"),
+]
+
+
+@pytest.mark.parametrize(("expression", "message"), BAD_EXPRESSIONS)
+def test_unusable_expressions(expression: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Hamiltonian(expression)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"q": ["x"]}, "together"),
+        ({"q": ["x"], "p": []}, "do not pair"),
+        ({"q": [], "p": []}, "do not pair"),
+        ({"q": ["x", "x"], "p": ["p", "r"]}, "twice"),
+        ({"q": ["x"], "p": ["x"]}, "twice"),
+        ({"q": ["x y"], "p": ["p"]}, "not a usable name"),
+        ({"q": [3], "p": ["p"]}, "not a name"),
+        ({"q": ["x"], "p": ["p"], "parameters": {"x": 1.0}}, "variable and a parameter"),
+    ],
+)
+def test_unusable_pairs(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(VariableError, match=message):
+        Hamiltonian("p**2 + x**2", **arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), "one", None, 1j])
+def test_unusable_parameter_values(value: object) -> None:
+    with pytest.raises(ParameterError, match="'k' has the value"):
+        Hamiltonian("p**2 + k*x**2", parameters={"k": value})  # type: ignore[dict-item]
+
+
+def test_unknown_and_missing_parameters() -> None:
+    with pytest.raises(ParameterError, match="'w' does not occur in H"):
+        Hamiltonian("p**2 + k*x**2", parameters={"w": 1.0})
+    H = Hamiltonian("p**2/m + k*x**2", parameters={"k": 2})
+    assert H.unbound_parameters == ("m",)
+    with pytest.raises(ParameterError, match="m has no value; use H.with_parameters"):
+        hamsym.integrate(H, [1, 0], (0, 1))
+    assert dict(H.with_parameters(m=3).parameters) == {"k": 2.0, "m": 3.0}
+
+
+# -- identity ----------------------------------------------------------------------------------
+
+
+def test_equality_and_hash() -> None:
+    assert Hamiltonian(OSCILLATOR) == Hamiltonian("x**4/4 + p**2/2 + x**2/2")
+    assert hash(Hamiltonian(OSCILLATOR)) == hash(Hamiltonian("x**4/4 + p**2/2 + x**2/2"))
+    x, p = sympy.symbols("x p")
+    assert Hamiltonian(p**2 / 2 + x**2 / 2 + x**4 / 4) == Hamiltonian(OSCILLATOR)
+    assert Hamiltonian("p**2 + x**2") != Hamiltonian("p**2 + x**2", q=["p"], p=["x"])
+    k = Hamiltonian("p**2 + k*x**2")
+    assert k != k.with_parameters(k=1)
+    assert k != "p**2 + k*x**2"
+
+
+def test_immutable() -> None:
+    H = Hamiltonian("p**2 + k*x**2", parameters={"k": 1})
+    with pytest.raises(AttributeError, match="immutable"):
+        H.expr = H.expr + 1
+    with pytest.raises(AttributeError, match="immutable"):
+        del H.q
+    with pytest.raises(TypeError):
+        H.parameters["k"] = 2  # type: ignore[index]
+
+
+def test_copies_and_pickles_are_equal() -> None:
+    H = Hamiltonian("p**2 + k*x**2", parameters={"k": 1})
+    H.compile("numpy")
+    assert copy.deepcopy(H) == H
+    assert pickle.loads(pickle.dumps(H)) == H
+
+
+def test_how_it_shows_itself(problem: Problem) -> None:
+    H = problem.H
+    assert parse_expression(str(H)) == H.expr
+    assert H.formula in repr(H)
+    assert H._repr_latex_().startswith("$")
+    assert FormulaPrinter()(H.expr) == H.formula
+
+
+# -- states ------------------------------------------------------------------------------------
+
+
+def test_states_by_name_and_by_order() -> None:
+    H = Hamiltonian("(p_θ**2 + p_x**2)/2 + θ**2 + x**2")
+    assert H.names == ("θ", "x", "p_θ", "p_x")
+    named = {"x": 2, "theta": 1, "p_theta": 3, "p_x": 4}
+    np.testing.assert_array_equal(H.state_from(named), [1, 2, 3, 4])
+    np.testing.assert_array_equal(H.state_from((1, 2, 3, 4)), [1, 2, 3, 4])
+    by_symbol = dict(zip(H.z, [1, 2, 3, 4], strict=True))
+    np.testing.assert_array_equal(H.state_from(by_symbol), [1, 2, 3, 4])
+
+
+@pytest.mark.parametrize(
+    ("z0", "message"),
+    [
+        ([1.0], "shape"),
+        ([1.0, 2.0, 3.0], "shape"),
+        ([[1.0, 2.0]], "shape"),
+        ([1.0, float("nan")], "'p' is not finite"),
+        ([float("inf"), 0.0], "'x' is not finite"),
+        ({"x": 1}, "'p' is missing"),
+        ({"x": 1, "p": 1, "y": 0}, "'y' is not a component"),
+        (["a", "b"], "not a number"),
+        ([1j, 0], "not a number"),
+        (None, "shape"),
+        ("12", "shape"),
+    ],
+)
+def test_unusable_states(z0: object, message: str) -> None:
+    with pytest.raises(VariableError, match=message):
+        Hamiltonian(OSCILLATOR).state_from(z0)  # type: ignore[arg-type]
