@@ -133,6 +133,7 @@ def _training_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--envelope", type=click.Choice(["exponential", "linear"]), default="exponential"
         ),
+        click.option("--tau", default="1", show_default=True, metavar="TIME", help="Unit of time."),
         click.option("--points", default=200, show_default=True, help="Collocation points K."),
         click.option("--noise", metavar="TIME", help="Of the points; default 3 spacings."),
         click.option("--energy-weight", default=0.0, show_default=True),
@@ -143,10 +144,10 @@ def _training_options(command: Callable[..., Any]) -> Callable[..., Any]:
     )
 
     @functools.wraps(command)
-    def wrapped(*arguments: Any, hidden: str, noise: str | None, **rest: Any) -> Any:
+    def wrapped(*arguments: Any, hidden: str, noise: str | None, tau: str, **rest: Any) -> Any:
         widths = tuple(_whole(width, "--hidden") for width in _names(hidden))
         spread = None if noise is None else parse_number(noise)
-        return command(*arguments, hidden=widths, noise=spread, **rest)
+        return command(*arguments, hidden=widths, noise=spread, tau=parse_number(tau), **rest)
 
     for option in reversed(options):
         wrapped = option(wrapped)
@@ -342,7 +343,7 @@ def _whole(text: str, option: str) -> int:
 
 
 def _report(solution: Any) -> None:
-    click.echo(("converged" if solution.success else "NOT converged") + f": {solution.message}")
+    _echo_wrapped("converged: " if solution.success else "", solution.message)
     sigma = solution.sigma_min
     bound = (
         f"{solution.error_bound:.2e} (heuristic)"

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import os
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -166,10 +167,12 @@ def integrate(
         message = f"stopped after t = {times[len(states) - 1]:.6g}: {message}"
     times = times[: len(states)]
     system = H.compile("numpy")
+    with np.errstate(all="ignore"):  # the last state before an escape may be finite, its H not
+        energy = system.energy(*system.arguments(states, times))
     return Trajectory(
         t=times,
         z=states,
-        energy=system.energy(*system.arguments(states, times)),
+        energy=energy,
         names=H.names,
         method=method,
         steps=steps,
@@ -270,7 +273,8 @@ def _run_odeint(
     H: Hamiltonian, z0: np.ndarray, times: np.ndarray, save_every: int, rtol: float, atol: float
 ) -> tuple[np.ndarray, str]:
     system = H.compile("numpy")
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", scipy.integrate.ODEintWarning)  # the report says it too
         states, report = scipy.integrate.odeint(
             lambda z, t: system.vector_field(*system.arguments(z, t)),
             z0,

@@ -25,22 +25,22 @@ def plot_solution(solution: Solution) -> Figure:
     z = solution(t)
     names, d = solution.H.names, solution.H.dof
     for i, name in enumerate(names[:_MAX_LINES]):
-        axes[0, 0].plot(t, z[:, i], color=_color(i), label=_label(name))
+        axes[0, 0].plot(t, z[:, i], color=_color(i), label=name)
     axes[0, 0].set(title="Trajectory", xlabel="t")
     axes[0, 0].legend(ncols=2, fontsize=8)
 
     for i in range(min(d, _MAX_LINES)):
-        label = f"({_label(names[i])}, {_label(names[d + i])})"
+        label = f"({names[i]}, {names[d + i]})"
         axes[0, 1].plot(z[:, i], z[:, d + i], color=_color(i), label=label)
         axes[0, 1].plot(z[0, i], z[0, d + i], "o", color=_color(i), markersize=4)
     axes[0, 1].set(title="Phase space", xlabel="q", ylabel="p")
     axes[0, 1].legend(fontsize=8)
 
     ell = np.linalg.norm(solution.residual(t), axis=-1)
-    axes[1, 0].semilogy(t, _positive(ell), color=_color(0), label=r"$|\ell|$")
+    axes[1, 0].semilogy(t[1:], _positive(ell)[1:], color=_color(0), label=r"$|\ell|$")
     if solution.H.time is None:
         drift = np.abs(solution.energy(t) - solution.energy(solution.span[0]))
-        axes[1, 0].semilogy(t, _positive(drift), color=_color(1), label=r"$|H - E_0|$")
+        axes[1, 0].semilogy(t[1:], _positive(drift)[1:], color=_color(1), label=r"$|H - E_0|$")
     axes[1, 0].set(title="Residual and energy error", xlabel="t")
     axes[1, 0].legend(fontsize=8)
 
@@ -66,36 +66,38 @@ def plot_comparison(comparison: Comparison) -> Figure:
     t = np.linspace(*solution.span, _SAMPLES)
     names, d = solution.H.names, solution.H.dof
     system = solution.H.compile("numpy")
-    curves: list[tuple[str, np.ndarray, np.ndarray]] = [("network", t, solution(t))]
-    curves += [
+    curves: list[tuple[str, np.ndarray, np.ndarray]] = [
         (f"Euler, {trajectory.steps:,} steps", trajectory.t, trajectory.z)
         for trajectory in comparison.trajectories
     ]
+    curves.append(("network", t, solution(t)))
     for i, (label, times, z) in enumerate(curves):
         right = comparison.reference(times)
         error = z - right
-        style: dict[str, Any] = {"color": _color(i), "label": label, "linewidth": 1.1}
+        color = _color(0) if label == "network" else _color(1 + i)
+        style: dict[str, Any] = {"color": color, "label": label, "linewidth": 1.1}
         axes[0, 0].semilogy(times[1:], _positive(np.linalg.norm(error, axis=-1))[1:], **style)
         energy = np.abs(
             system.energy(*system.arguments(z, times))
             - system.energy(*system.arguments(right, times))
         )
         axes[0, 1].semilogy(times[1:], _positive(energy)[1:], **style)
-        if i != 1:  # Euler at K steps would dwarf the others
+        if i >= len(curves) - 2:  # with fewer steps Euler would dwarf the others
             axes[1, 0].plot(error[:, 0], error[:, d], **style)
     axes[0, 0].set(title=r"Error $|\delta z|$", xlabel="t")
     axes[0, 1].set(title="Energy error", xlabel="t")
-    x, p = _label(names[0]), _label(names[d])
-    axes[1, 0].set(title="Error in phase space", xlabel=rf"$\delta$ {x}", ylabel=rf"$\delta$ {p}")
+    x, p = names[0], names[d]
+    axes[1, 0].set(title="Error in phase space", xlabel=f"error of {x}", ylabel=f"error of {p}")
     axes[1, 0].ticklabel_format(style="sci", scilimits=(-2, 2))
     network, *eulers = comparison.rows
     steps = [row.points for row in eulers]
-    axes[1, 1].loglog(steps, [row.error for row in eulers], "o-", color=_color(2), label="Euler")
+    axes[1, 1].loglog(steps, [row.error for row in eulers], "o-", color="0.4", label="Euler")
     axes[1, 1].loglog(network.points, network.error, "s", color=_color(0), label="network")
     axes[1, 1].axhline(network.error, color=_color(0), linewidth=0.8, linestyle=":")
     axes[1, 1].set(title="Error against points or steps", xlabel="points or steps")
-    for axis in axes.flat:
-        axis.legend(fontsize=8)
+    axes[1, 1].legend(fontsize=8)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9)
     return figure
 
 
@@ -111,10 +113,6 @@ def _panels(title: str) -> tuple[Figure, Any]:
 
 def _color(index: int) -> str:
     return _COLORS[index % len(_COLORS)]
-
-
-def _label(name: str) -> str:
-    return name.replace("_", r"\_") if "$" in name else name
 
 
 def _positive(values: np.ndarray) -> np.ndarray:

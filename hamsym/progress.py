@@ -25,7 +25,7 @@ def training_progress(
     show : bool, optional
         By default only where standard error is a terminal.
     """
-    console = Console(stderr=True)
+    console = Console(stderr=True, force_terminal=show)
     if not (console.is_terminal if show is None else show):
         yield []
         return

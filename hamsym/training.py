@@ -30,8 +30,9 @@ __all__ = [
 ]
 
 _CHECK_EVERY = 25  # epochs between evaluations at the fixed points
-# Matrices of fewer entries than this are no faster on two threads, which cost twice the CPU time.
-_ONE_THREAD = 100_000
+# Products of points and weights below this are no faster on two threads, which cost twice the CPU
+# time.
+_ONE_THREAD = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -248,7 +249,7 @@ def train_adam(
 
     threads = torch.get_num_threads()
     try:
-        if count * max(parameter.shape[0] for parameter in parameters) < _ONE_THREAD:
+        if count * sum(parameter.numel() for parameter in parameters) < _ONE_THREAD:
             torch.set_num_threads(1)
         for epoch in range(1, options.epochs + 1):
             if options.schedule == "cosine":

@@ -7,10 +7,10 @@ derivative in forward mode (the paper's eqs. par_sol and f_param).
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -25,7 +25,7 @@ __all__ = ["ACTIVATIONS", "ENVELOPES", "ComponentNetworks", "Network", "TrialSol
 class _Activation:
     """An activation and its first two derivatives, which cost little once it is known."""
 
-    value: Callable[[Tensor], Tensor]
+    value: Callable[..., Tensor]
     slope: Callable[[Tensor, Tensor], Tensor]  # of pre-activation a and value h
     curvature: Callable[[Tensor, Tensor], Tensor]  # of value h and slope
 
@@ -51,49 +51,84 @@ class _Jet(torch.autograd.Function):
 
     Automatic differentiation of the same computation records and visits about four times as many
     operations, and at the paper's sizes their number is what an epoch costs. The first K rows of
-    each matrix X hold values, the last K rows derivatives in s, so that a layer is one product.
+    each matrix x hold values, the last K rows derivatives in s, so that a layer is one product.
     """
 
     @staticmethod
-    def forward(ctx: Any, activation: _Activation, s: Tensor, *weights: Tensor) -> Any:
+    def forward(
+        ctx: Any, activation: _Activation, sizes: tuple[int, ...], s: Tensor, theta: Tensor
+    ) -> Any:
         count = s.shape[0]
-        first, bias = weights[0], weights[1]
+        (first, bias), *layers = _layers(theta, sizes)
         a = torch.addcmul(bias, s.unsqueeze(1), first.T)
         a_dot = first.T.expand_as(a)
         saved = []
-        for matrix, shift in zip(weights[2::2], weights[3::2], strict=True):
+        for matrix, shift in layers:
             x = a.new_empty((2 * count, a.shape[1]))
             h = x[:count]
-            h.copy_(activation.value(a))
+            activation.value(a, out=h)
             slope = activation.slope(a, h)
             torch.mul(slope, a_dot, out=x[count:])
             saved.append((x, slope, a_dot))
             product = x @ matrix.T
-            a, a_dot = product[:count] + shift, product[count:]
-        ctx.activation, ctx.layers = activation, saved
-        ctx.save_for_backward(s, *weights)
+            a, a_dot = product[:count].add_(shift), product[count:]
+        ctx.activation, ctx.sizes, ctx.saved = activation, sizes, saved
+        ctx.save_for_backward(s, theta)
         return a, a_dot
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad_value: Tensor, grad_rate: Tensor) -> Any:
-        s, *weights = ctx.saved_tensors
+        s, theta = ctx.saved_tensors
         count = s.shape[0]
-        gradients: list[Tensor] = []
+        gradient = torch.empty_like(theta)
+        (first, first_bias), *layers = _layers(gradient, ctx.sizes)
+        matrices = [matrix for matrix, _ in _layers(theta, ctx.sizes)[1:]]
         upstream = torch.cat((grad_value, grad_rate))
-        for index in range(len(ctx.layers) - 1, -1, -1):
-            x, slope, a_dot = ctx.layers[index]
-            gradients[:0] = (upstream.T @ x, upstream[:count].sum(0))
-            towards = upstream @ weights[2 * index + 2]
+        for (into, into_bias), matrix, (x, slope, a_dot) in zip(
+            reversed(layers), reversed(matrices), reversed(ctx.saved), strict=True
+        ):
+            torch.mm(upstream.T, x, out=into)
+            torch.sum(upstream[:count], 0, out=into_bias)
+            towards = upstream @ matrix
             h, to_value, to_rate = x[:count], towards[:count], towards[count:]
+            # With h = f(a) and h_dot = f'(a) a_dot, f'' couples the two halves.
+            curvature = ctx.activation.curvature(h, slope).mul_(a_dot).mul_(to_rate)
             upstream = torch.empty_like(towards)
-            torch.mul(to_rate, slope, out=upstream[count:])
-            curvature = ctx.activation.curvature(h, slope)
-            curvature.mul_(a_dot).mul_(to_rate)
             torch.addcmul(curvature, to_value, slope, out=upstream[:count])
+            torch.mul(to_rate, slope, out=upstream[count:])
         values = upstream[:count]
-        first = (s @ values + upstream[count:].sum(0)).unsqueeze(1)
-        return (None, None, first, values.sum(0), *gradients)
+        torch.add(s @ values, upstream[count:].sum(0), out=first[:, 0])
+        torch.sum(values, 0, out=first_bias)
+        return None, None, None, gradient
+
+
+class _Envelope(torch.autograd.Function):
+    """(z0 + f N, g N + f/tau dN) as one recorded operation; f and g = f'/tau have shape (K, 1)."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, z0: Tensor, f: Tensor, g: Tensor, tau: float, value: Tensor, rate: Tensor
+    ) -> Any:
+        scaled = f / tau
+        ctx.factors = f, g, scaled
+        return torch.addcmul(z0, f, value), (g * value).addcmul_(scaled, rate)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad_z: Tensor, grad_dz: Tensor) -> Any:
+        f, g, scaled = ctx.factors
+        return None, None, None, None, (f * grad_z).addcmul_(g, grad_dz), scaled * grad_dz
+
+
+def _layers(theta: Tensor, sizes: tuple[int, ...]) -> list[tuple[Tensor, Tensor]]:
+    """(matrix, bias) of each layer, as views into the flat vector of all weights."""
+    layers, start = [], 0
+    for inputs, neurons in pairwise(sizes):
+        middle, end = start + inputs * neurons, start + (inputs + 1) * neurons
+        layers.append((theta[start:middle].view(neurons, inputs), theta[middle:end]))
+        start = end
+    return layers
 
 
 class Network(torch.nn.Module):
@@ -136,26 +171,31 @@ class Network(torch.nn.Module):
         widths = tuple(hidden)
         if not widths or any(not isinstance(n, int) or n < 1 for n in widths):
             raise InputError(f"hidden={hidden!r} is not a list of layer widths; give e.g. (50, 50)")
-        sizes = (1, *widths, outputs)
-        self.weights = torch.nn.ParameterList()
-        for inputs, neurons in itertools.pairwise(sizes):
-            bound = 1 / math.sqrt(inputs)
-            for shape in ((neurons, inputs), (neurons,)):
-                uniform = torch.rand(shape, generator=generator, dtype=dtype)
-                self.weights.append(torch.nn.Parameter((2 * uniform - 1) * bound))
+        self.sizes = (1, *widths, outputs)
+        parts = []
+        for inputs, neurons in pairwise(self.sizes):
+            uniform = torch.rand((inputs + 1) * neurons, generator=generator, dtype=dtype)
+            parts.append((2 * uniform - 1) / math.sqrt(inputs))
+        #: All weights as one vector, layer by layer, each matrix before its bias.
+        self.theta = torch.nn.Parameter(torch.cat(parts))
+
+    @property
+    def layers(self) -> list[tuple[Tensor, Tensor]]:
+        """(matrix, bias) of each layer, shapes (neurons, inputs) and (neurons,)."""
+        return _layers(self.theta, self.sizes)
 
     def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
         """N(s) and dN/ds for s of shape (K,); each of shape (K, outputs)."""
-        weights = tuple(self.weights)
-        if torch.is_grad_enabled() and weights[0].requires_grad and not s.requires_grad:
-            value, rate = _Jet.apply(self._activation, s, *weights)
+        if _written_out(self.theta, s):
+            value, rate = _Jet.apply(self._activation, self.sizes, s, self.theta)
             return value, rate
+        *hidden, (last, last_bias) = self.layers
         h, h_dot = s.unsqueeze(-1), torch.ones_like(s).unsqueeze(-1)
-        for index in range(0, len(weights) - 2, 2):
-            a = torch.nn.functional.linear(h, weights[index], weights[index + 1])
+        for matrix, bias in hidden:
+            a = torch.nn.functional.linear(h, matrix, bias)
             h = self._activation.value(a)
-            h_dot = self._activation.slope(a, h) * (h_dot @ weights[index].T)
-        return torch.nn.functional.linear(h, weights[-2], weights[-1]), h_dot @ weights[-2].T
+            h_dot = self._activation.slope(a, h) * (h_dot @ matrix.T)
+        return torch.nn.functional.linear(h, last, last_bias), h_dot @ last.T
 
 
 class ComponentNetworks(torch.nn.Module):
@@ -211,7 +251,15 @@ class TrialSolution(torch.nn.Module):
         s = (t - self.t0) / self.tau
         value, rate = self.network(s)
         f, f_dot = (part.unsqueeze(-1) for part in self._envelope(s))
+        if _written_out(value, s):
+            z, dz = _Envelope.apply(self.z0, f, f_dot / self.tau, self.tau, value, rate)
+            return z, dz
         return self.z0 + f * value, (f_dot * value + f * rate) / self.tau
+
+
+def _written_out(weights: Tensor, s: Tensor) -> bool:
+    """Whether gradients go to the weights alone, as in training: those are written out above."""
+    return torch.is_grad_enabled() and weights.requires_grad and not s.requires_grad
 
 
 def _chosen(name: str, table: dict[str, Any], kind: str) -> Any:

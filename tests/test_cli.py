@@ -1,0 +1,234 @@
+"""The command line, as a user types it: output, files, exit status, and one line for bad input."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hamsym import Hamiltonian
+from hamsym.cli import main
+
+OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
+HENON_HEILES = "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
+SOLVE = [OSCILLATOR, "--z0", "x=1.3,p=1", "--t-end", "pi/8", "--method", "adam", "--points", "20"]
+QUICK = ["--epochs", "40", "--seed", "0"]
+
+Captured = pytest.CaptureFixture[str]
+
+
+def run(capsys: Captured, *arguments: str) -> tuple[int, str, str]:
+    status = main(list(arguments))
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    return status, captured.out, captured.err
+
+
+def test_derive_shows_everything(capsys: Captured) -> None:
+    status, out, err = run(capsys, "derive", HENON_HEILES)
+    assert (status, err) == (0, "")
+    for line in (
+        "H = p_x**2/2 + p_y**2/2 + x**2/2 + y**2/2 + x**2*y - y**3/3",
+        "z = (x, y, p_x, p_y)",
+        "  dx/dt   = p_x",
+        "  dy/dt   = p_y",
+        "  dp_x/dt = -x - 2*x*y",
+        "  dp_y/dt = -y - x**2 + y**2",
+        "  [1 + 2*y      2*x  0  0]",
+        "  [    2*x  1 - 2*y  0  0]",
+        "separable: yes",
+        "  T = p_x**2/2 + p_y**2/2",
+        "cyclic coordinates: none",
+        "sigma_min: min(1, abs(2*sqrt(x**2 + y**2) - 1))",
+    ):
+        assert line in out.splitlines()
+
+
+def test_derive_of_other_kinds(capsys: Captured) -> None:
+    _, out, _ = run(capsys, "derive", "p_r**2/2 + p_phi**2/(2*r**2) - k/r", "--param", "k=2")
+    assert "cyclic coordinates: phi" in out
+    assert "parameters: k = 2" in out
+    assert "separable: no" in out
+    _, out, _ = run(capsys, "derive", "u**2/2 + v**2", "--q", "v", "--p", "u")
+    assert "dv/dt = u" in out
+    long = " + ".join(f"p{i}**2/2 + q{i}**4*cos(q{i})" for i in range(1, 9))
+    _, out, _ = run(capsys, "derive", long)
+    assert max(map(len, out.splitlines())) <= 80
+    assert "d2H/dq1 dq1 = " in out
+
+
+def test_source_prints_what_the_library_returns(capsys: Captured) -> None:
+    H = Hamiltonian(OSCILLATOR)
+    assert run(capsys, "source", OSCILLATOR)[1] == H.source("torch")
+    _, out, _ = run(capsys, "source", OSCILLATOR, "--part", "loss")
+    assert out == H.source("torch", part="loss") + "\n"
+    _, out, _ = run(capsys, "source", OSCILLATOR, "--backend", "numba")
+    assert out == H.source("numba")
+
+
+def test_source_to_a_file(capsys: Captured, tmp_path: Path) -> None:
+    path = tmp_path / "f.py"
+    status, out, _ = run(capsys, "source", OSCILLATOR, "-o", str(path))
+    assert (status, out) == (0, f"wrote {path}\n")
+    assert path.read_text() == Hamiltonian(OSCILLATOR).source("torch")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_solve_reports_and_draws(capsys: Captured, tmp_path: Path) -> None:
+    figure = tmp_path / "s.png"
+    status, out, err = run(capsys, "solve", *SOLVE, *QUICK, "--plot", str(figure))
+    assert status == 1
+    assert err == ""
+    assert out.startswith("not converged after 40 epochs")
+    assert "ell_max" in out
+    assert "bound ell_max/sigma_min" in out
+    assert "ms of CPU per epoch" in out
+    assert figure.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_solve_exits_with_success(capsys: Captured) -> None:
+    settings = ["--epochs", "3000", "--tau", "1/4", "--noise", "0", "--schedule", "cosine"]
+    status, out, _ = run(capsys, "solve", *SOLVE, *settings, "--hidden", "20,20")
+    assert status == 0, out
+    assert out.startswith("converged: 3,000 epochs")
+
+
+def test_compare_prints_the_table(capsys: Captured, tmp_path: Path) -> None:
+    figure = tmp_path / "c.svg"
+    status, out, _ = run(capsys, "compare", *SOLVE, *QUICK, "--plot", str(figure))
+    assert status == 1
+    assert "symplectic Euler           2,000" in out
+    assert "Euler steps for the network's error" in out
+    assert max(map(len, out.splitlines()[:-1])) <= 80
+    assert b"<svg" in figure.read_bytes()
+
+
+@pytest.mark.parametrize("method", ["symplectic_euler", "dop853"])
+def test_integrate_prints_ends_and_writes_states(
+    capsys: Captured, tmp_path: Path, method: str
+) -> None:
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "pi/2", "--method", method]
+    for ending in ("csv", "npz"):
+        path = tmp_path / f"states.{ending}"
+        status, out, _ = run(
+            capsys, "integrate", *arguments, "--steps", "100", "--save-every", "10", "-o", str(path)
+        )
+        assert status == 0
+        assert "largest change of H" in out
+        if ending == "csv":
+            assert path.read_text().splitlines()[0] == "t,x,p,H"
+            table = np.loadtxt(path, delimiter=",", skiprows=1)
+        else:
+            stored = np.load(path)
+            table = np.column_stack((stored["t"], stored["z"], stored["energy"]))
+        assert table.shape == (11, 4)
+        assert table[0].tolist() == [0.0, 1.3, 1.0, 2.059025]
+
+
+def test_integrate_that_breaks_off(capsys: Captured) -> None:
+    arguments = ["p**2/2 - x**4/4", "--z0", "1,1", "--t-end", "5", "--steps", "1000"]
+    status, out, _ = run(capsys, "integrate", *arguments)
+    assert status == 1
+    assert "stopped after t = " in out
+
+
+BAD = [
+    (["derive", "p^2"], "'^' at column 2 is not a power; write ** for powers"),
+    (["derive", "x + m"], "no pair such as"),
+    (["derive", "p**2", "--q", "x"], "q and p are given together"),
+    (["derive", OSCILLATOR, "--param", "k=1"], "'k' does not occur in H"),
+    (["derive", "p**2 + k*x**2", "--param", "k"], "'k' in --param is not NAME=VALUE"),
+    (["derive", "p**2 + k*x**2", "--param", "k=one"], "is a variable"),
+    (["derive", "p**2 + k*x**2", "-P", "k=1", "-P", "k=2"], "'k' occurs twice"),
+    (["derive"], "Missing argument 'H'"),
+    (["derive", OSCILLATOR, "--colour"], "--colour"),
+    (["integral"], "No such command 'integral'"),
+    (["source", OSCILLATOR, "--part", "lagrangian"], "'lagrangian' is not a part"),
+    (["source", OSCILLATOR, "--backend", "jax"], "jax"),
+    (["source", OSCILLATOR, "-o", "no/such/folder/f.py"], "no/such/folder"),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "1"], "no method is given"),
+    (["solve", OSCILLATOR, "--z0", "1", "--t-end", "1", "--method", "adam"], "shape"),
+    (["solve", OSCILLATOR, "--z0", "x=1", "--t-end", "1", "--method", "adam"], "'p' is missing"),
+    (["solve", OSCILLATOR, "--z0", "x=1,p=y", "--t-end", "1", "--method", "adam"], "'y'"),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "0", "--method", "adam"], "span="),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "2**", "--method", "adam"], "too early"),
+    (["solve", *SOLVE, "--epochs", "0"], "epochs=0"),
+    (["solve", *SOLVE, "--hidden", "50,x"], "'x' in --hidden"),
+    (["solve", *SOLVE, "--seed", "-1"], "seed=-1"),
+    (["solve", *SOLVE, "--plot", "figure.doc"], "'figure.doc' is not a figure file"),
+    (["solve", *SOLVE, "--plot", "no/such/f.png"], "no folder"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--method", "rk4"], "'rk4'"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "-o", "x.txt"], "neither .csv"),
+    (["integrate", "p**2/m", "--q", "x", "--p", "p", "--z0", "1,1", "--t-end", "1"], "m has no"),
+    (["compare", OSCILLATOR, "--z0", "1,1", "--t-end", "1"], "no method is given"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD, ids=[" ".join(b[0])[:50] for b in BAD])
+def test_bad_input_gets_one_line_and_status_2(
+    capsys: Captured, arguments: list[str], message: str
+) -> None:
+    status, out, err = run(capsys, *arguments)
+    assert status == 2
+    assert out == ""
+    assert err.startswith("hamsym: ")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["derive", "source", "solve", "integrate", "compare"])
+def test_every_command_has_help(capsys: Captured, command: str) -> None:
+    status, out, _ = run(capsys, command, "--help")
+    assert status == 0
+    assert out.startswith(f"Usage: hamsym {command}")
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_help_without_a_command(capsys: Captured) -> None:
+    status, out, _ = run(capsys)
+    assert status == 0
+    assert "derive" in out
+
+
+def test_failed_write_leaves_nothing_behind(
+    capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", "f.py")
+
+    monkeypatch.setattr(os, "replace", full)
+    status, _, err = run(capsys, "source", OSCILLATOR, "-o", str(tmp_path / "f.py"))
+    assert status == 2
+    assert "No space left" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_as_a_program() -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "hamsym", "derive", "p**2/2 + x**2/2"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "dx/dt = p" in result.stdout
+
+
+def test_deriving_does_not_wait_for_torch() -> None:
+    script = (
+        "import sys, hamsym; hamsym.Hamiltonian('p**2/2 + x**2/2').source('torch');"
+        "print([m for m in ('torch', 'numba', 'scipy', 'matplotlib') if m in sys.modules])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_closed_pipe_is_no_error() -> None:
+    command = f'"{sys.executable}" -m hamsym source "{OSCILLATOR}" | head -1'
+    result = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
+    assert result.stderr == ""

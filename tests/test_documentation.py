@@ -1,0 +1,90 @@
+"""What the documentation shows works: docstrings, README, examples."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import pkgutil
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import hamsym
+
+ROOT = Path(__file__).parent.parent
+MODULES = ["hamsym"] + [
+    f"hamsym.{module.name}"
+    for module in pkgutil.iter_modules(hamsym.__path__)
+    if module.name not in ("__main__", "templates")
+]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_docstring_examples(name: str) -> None:
+    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE | doctest.IGNORE_EXCEPTION_DETAIL
+    module = importlib.import_module(name)
+    assert module.__doc__
+    result = doctest.testmod(module, optionflags=flags)
+    assert result.failed == 0
+
+
+@pytest.mark.parametrize("name", hamsym.__all__)
+def test_public_names_are_documented(name: str) -> None:
+    thing = getattr(hamsym, name)
+    assert thing.__doc__
+    assert name in dir(hamsym)
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'sove'"):
+        hamsym.sove  # noqa: B018
+
+
+@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.stem)
+def test_examples_run_in_miniature(example: Path, tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, str(example), "--epochs", "30", "--out", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert "symplectic Euler" in result.stdout
+    assert list((tmp_path / "out").glob("*.png"))
+
+
+def _blocks(language: str) -> list[str]:
+    readme = ROOT / "README.md"
+    text = readme.read_text(encoding="utf-8") if readme.exists() else ""
+    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("block", _blocks("pycon"), ids=lambda b: b.splitlines()[0][:40])
+def test_readme_sessions_print_what_they_say(block: str) -> None:
+    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    examples = doctest.DocTestParser().get_doctest(block, {}, "README", None, None)
+    runner = doctest.DocTestRunner(optionflags=flags)
+    runner.run(examples)
+    assert runner.summarize().failed == 0
+
+
+@pytest.mark.parametrize("block", _blocks("console"), ids=lambda b: b.splitlines()[0][:40])
+def test_readme_commands_print_what_they_say(
+    block: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Commands that print the same each time; those with timings are marked `text` there."""
+    import shlex
+
+    from hamsym.cli import main
+
+    for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+        command, _, expected = part.partition("\n")
+        program, *arguments = shlex.split(command)
+        assert program == "hamsym"
+        main(arguments)
+        captured = capsys.readouterr()
+        assert (captured.out + captured.err).rstrip() == expected.rstrip()
