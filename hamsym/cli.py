@@ -127,7 +127,7 @@ def _training_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--epochs", default=50_000, show_default=True),
         click.option("--learning-rate", default=8e-3, show_default=True),
         click.option("--betas", nargs=2, type=float, default=(0.9, 0.999), show_default=True),
-        click.option("--schedule", type=click.Choice(["constant", "cosine"]), default="constant"),
+        click.option("--schedule", type=click.Choice(["cosine", "constant"]), default="cosine"),
         click.option("--hidden", default="50,50", show_default=True, metavar="WIDTHS"),
         click.option("--activation", type=click.Choice(["sin", "sigmoid", "tanh"]), default="sin"),
         click.option(

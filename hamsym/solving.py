@@ -32,7 +32,7 @@ METHODS: dict[str, str] = {
 }
 
 _DTYPES = {"float32": torch.float32, "float64": torch.float64}
-# A residual of more than this part of the vector field is not a solution worth the name.
+# A trajectory that is estimated to be off by more than this part of its scale is no solution.
 _CONVERGED = 0.01
 
 
@@ -45,7 +45,7 @@ def solve(
     epochs: int = 50_000,
     learning_rate: float = 8e-3,
     betas: tuple[float, float] = (0.9, 0.999),
-    schedule: str = "constant",
+    schedule: str = "cosine",
     hidden: Sequence[int] = (50, 50),
     activation: str = "sin",
     envelope: str = "exponential",
@@ -96,8 +96,8 @@ def solve(
     -------
     Solution
         ``success`` tells whether the target loss was reached or, without one, whether the
-        residual between the points is below 1 % of the vector field; the best weights found are
-        returned either way.
+        estimated error stays below 1 % of the motion; the best weights found are returned either
+        way.
 
     Raises
     ------
@@ -200,9 +200,11 @@ def _verdict(solution: Solution, training: Training, target_loss: float | None) 
     done = f"{training.epochs:,} epochs"
     if training.stopped == "diverged":
         return False, f"the loss was no longer finite after {done}; lower the learning rate"
-    times = np.linspace(*solution.span, 2_001)
-    relative = solution.ell_max / np.abs(solution.derivative(times)).max()
-    state = f"loss {training.best_loss:.2e}, ell_max {solution.ell_max:.2e}"
+    relative = solution.relative_error_estimate
+    state = (
+        f"loss {training.best_loss:.2e}, ell_max {solution.ell_max:.2e}, "
+        f"estimated error {relative:.1e} of the motion"
+    )
     if training.stopped == "interrupted":
         return False, f"interrupted after {done}: {state}"
     if target_loss is not None:
@@ -211,9 +213,7 @@ def _verdict(solution: Solution, training: Training, target_loss: float | None) 
         return False, f"target loss {target_loss:.2e} not reached in {done}: {state}"
     if relative <= _CONVERGED:
         return True, f"{done}: {state}"
-    return False, (
-        f"not converged after {done}: {state}, which is {relative:.1%} of the vector field"
-    )
+    return False, f"not converged after {done}: {state}, more than {_CONVERGED:g}"
 
 
 def _initial_energy(H: Hamiltonian, state: np.ndarray, start: float) -> float:

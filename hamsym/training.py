@@ -121,7 +121,7 @@ class Training:
 
 @dataclass(frozen=True)
 class AdamOptions:
-    """Settings of :func:`train_adam`; the defaults are the paper's for its oscillator.
+    """Settings of :func:`train_adam`; but for the schedule the defaults are those of the paper.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class AdamOptions:
     betas : (float, float)
         Decay rates of Adam's moment estimates.
     schedule : {"constant", "cosine"}
-        The learning rate stays or falls to zero along half a cosine.
+        The learning rate stays, as in the paper, or falls to zero along half a cosine.
     points : int
         Collocation points K, equally spaced over the span.
     noise : float, optional
@@ -143,7 +143,7 @@ class AdamOptions:
     epochs: int = 50_000
     learning_rate: float = 8e-3
     betas: tuple[float, float] = (0.9, 0.999)
-    schedule: str = "constant"
+    schedule: str = "cosine"
     points: int = 200
     noise: float | None = None
     target_loss: float | None = None

@@ -93,6 +93,30 @@ def test_ell_max_is_over_continuous_time(solution: Solution) -> None:
     assert solution.ell_max_regularized == solution.ell_max
 
 
+@pytest.mark.parametrize("epochs", [100, 3000])
+def test_error_estimate_is_the_error(epochs: int) -> None:
+    """For poor networks as for good ones, against the exact solution."""
+    problem = CATALOGUE["nonlinear_oscillator"]()
+    span = (0.0, 3.0)
+    solution = hamsym.solve(problem.H, problem.z0, span, **{**QUICK, "epochs": epochs})
+    t = np.linspace(*span, 501)
+    error = problem.exact(t) - solution(t)
+    estimate = solution.error_estimate(t)
+    assert np.abs(estimate - error).max() < 1e-4 * np.abs(error).max()
+    assert solution.error_estimate(1.0).shape == (2,)
+    q, p = np.abs(error).max(axis=0) / solution.scale
+    assert solution.relative_error_estimate == pytest.approx(max(q, p), rel=1e-3)
+    assert solution.success == (max(q, p) <= 0.01)
+
+
+def test_error_estimate_is_infinite_beyond_an_escape() -> None:
+    H = Hamiltonian("p**2/2 - x**4/4")
+    solution = hamsym.solve(H, [1.0, 1.0], (0, 3), **{**QUICK, "epochs": 50})
+    assert np.isfinite(solution.error_estimate(0.5)).all()
+    assert np.isinf(solution.error_estimate(3.0)).all()
+    assert not solution.success
+
+
 def test_bound_and_scale(solution: Solution) -> None:
     assert solution.sigma_min == pytest.approx(1.0)
     assert solution.error_bound == pytest.approx(solution.ell_max)
