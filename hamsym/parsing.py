@@ -284,6 +284,7 @@ class _Visitor:
             return sympy.Add(*self._chain(node, (ast.Add, ast.Sub)))
         if isinstance(node.op, (ast.Mult, ast.Div)):
             return sympy.Mul(*self._chain(node, (ast.Mult, ast.Div)))
+        self.visit(node.left)  # what is wrong further to the left comes first
         before = self._text_of(node.left)
         column = self._column(node.left) + len(before)
         symbol = _REFUSED_OPERATORS[type(node.op)][0]

@@ -235,7 +235,8 @@ def test_there_are_enough_refusals() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "column"), [("x + y^2", 6), ("  x^2", 4), ("θ + 2θ", 6), ("x + foo(y)", 5)]
+    ("text", "column"),
+    [("x + y^2", 6), ("p^2/2 + x^2/2", 2), ("  x^2", 4), ("θ + 2θ", 6), ("x + foo(y)", 5)],
 )
 def test_column_counts_characters(text: str, column: int) -> None:
     with pytest.raises(ParseError) as caught:
