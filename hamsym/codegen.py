@@ -27,13 +27,14 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 import jinja2
 import sympy
 
 from hamsym.errors import InputError
 from hamsym.printing import PRINTERS, FormulaPrinter, Printer, TorchPrinter
+from hamsym.realform import RealForm
 from hamsym.system import System
 
 __all__ = ["BACKENDS", "extract", "generate", "load"]
@@ -59,23 +60,6 @@ _TEMPLATE_NAMES = frozenset(
 ) | frozenset(_FUNCTIONS)
 
 
-class SymbolicForm(Protocol):
-    """What the generator needs to know of a Hamiltonian, all in real symbols."""
-
-    expr: sympy.Expr
-    z: tuple[sympy.Symbol, ...]
-    time: sympy.Symbol | None
-    dof: int
-    parameters: dict[str, tuple[sympy.Symbol, float | None]]
-
-    @property
-    def gradient(self) -> list[sympy.Expr]: ...
-    @property
-    def hessian(self) -> dict[tuple[int, int], sympy.Expr]: ...
-    @property
-    def vector_field(self) -> list[sympy.Expr]: ...
-
-
 @dataclass(frozen=True)
 class Body:
     """Text of a function's computation: temporaries in order, then the results."""
@@ -84,7 +68,7 @@ class Body:
     results: list[str]
 
 
-def generate(form: SymbolicForm, backend: str) -> str:
+def generate(form: RealForm, backend: str) -> str:
     """The source of the module that evaluates a Hamiltonian with one backend.
 
     Raises
@@ -185,7 +169,7 @@ def load(source: str, backend: str, names: tuple[str, ...]) -> System:
 class _Names:
     """Identifiers: the user's names, with an underscore where they mean something in the code."""
 
-    def __init__(self, form: SymbolicForm) -> None:
+    def __init__(self, form: RealForm) -> None:
         self._taken = set(_TEMPLATE_NAMES) | set(dir(builtins)) | set(keyword.kwlist)
         self.of: dict[sympy.Symbol, str] = {}
         if form.time is not None:
@@ -221,7 +205,7 @@ class _Names:
 class _Bodies:
     """The computation of every generated function, as text."""
 
-    def __init__(self, form: SymbolicForm, names: _Names, backend: str) -> None:
+    def __init__(self, form: RealForm, names: _Names, backend: str) -> None:
         self._names, self._backend = names, backend
         self._state = frozenset(form.z)
         d, gradient = form.dof, form.gradient

@@ -13,7 +13,14 @@ from collections.abc import Sequence
 
 import sympy
 
-__all__ = ["connected_blocks", "gradient", "hessian", "vanishes"]
+__all__ = [
+    "connected_blocks",
+    "gradient",
+    "hessian",
+    "smallest_singular_value",
+    "split",
+    "vanishes",
+]
 
 
 def gradient(expr: sympy.Expr, variables: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
@@ -67,6 +74,47 @@ def connected_blocks(pairs: Sequence[tuple[int, int]], size: int) -> list[list[i
             for k in block[j]:
                 block[k] = block[i]
     return sorted({id(members): sorted(members) for members in block.values()}.values())
+
+
+def smallest_singular_value(
+    entries: dict[tuple[int, int], sympy.Expr], size: int
+) -> sympy.Expr | None:
+    """Smallest singular value of a symmetric matrix, if it falls into blocks of at most 2 x 2.
+
+    Examples
+    --------
+    >>> x = sympy.Symbol("x", real=True)
+    >>> smallest_singular_value({(0, 1): x, (1, 0): x, (2, 2): 1 + x**2}, 3)
+    Min(x**2 + 1, Abs(x))
+    """
+    zero = sympy.Integer(0)
+    magnitudes = set()
+    for block in connected_blocks(list(entries), size):
+        if len(block) > 2:
+            return None
+        if len(block) == 1:
+            magnitudes.add(sympy.Abs(entries.get((block[0], block[0]), zero)))
+            continue
+        i, j = block
+        a, b, c = (entries.get(index, zero) for index in ((i, i), (i, j), (j, j)))
+        # The eigenvalues are middle +- radius.
+        middle = (a + c) / 2
+        radius = sympy.sqrt(sympy.factor_terms(((a - c) / 2) ** 2 + b**2))
+        magnitudes.add(sympy.Abs(sympy.Abs(middle) - radius) if middle else radius)
+    return sympy.Min(*magnitudes)
+
+
+def split(
+    expr: sympy.Expr, q: Sequence[sympy.Symbol], p: Sequence[sympy.Symbol]
+) -> tuple[sympy.Expr, sympy.Expr]:
+    """T(p) and V(q) of a sum T + V; terms in neither belong to V."""
+    for form in (lambda e: e, sympy.expand):
+        terms = sympy.Add.make_args(form(expr))
+        with_p = [term for term in terms if term.free_symbols & set(p)]
+        if not any(term.free_symbols & set(q) for term in with_p):
+            return sympy.Add(*with_p), sympy.Add(*(t for t in terms if t not in with_p))
+    potential = expr.xreplace(dict.fromkeys(p, sympy.Integer(1)))
+    return sympy.simplify(expr - potential), potential
 
 
 def vanishes(expr: sympy.Expr) -> bool:

@@ -19,16 +19,17 @@ import sympy
 from hamsym import codegen, derivatives
 from hamsym.errors import ParameterError, VariableError
 from hamsym.pairing import find_pairs, natural_order
-from hamsym.parsing import canonical_name, parse_expression
+from hamsym.parsing import parse_expression
 from hamsym.printing import FormulaPrinter
+from hamsym.realform import RealForm
 from hamsym.symbols import (
     as_list,
     by_name,
     check_state,
     checked_expression,
     checked_values,
-    name_of,
     real_symbols,
+    state_array,
     state_symbol,
 )
 from hamsym.system import System
@@ -248,35 +249,13 @@ class Hamiltonian:
         >>> Hamiltonian("p**2/2 + x**2/2").state_from({"p": 1, "x": 1.3})
         array([1.3, 1. ])
         """
-        order = ", ".join(self.names)
-        if isinstance(z0, Mapping):
-            given = {canonical_name(name_of(key)): value for key, value in z0.items()}
-            wanted = [canonical_name(name) for name in self.names]
-            unknown = [name for name in given if name not in wanted]
-            missing = [
-                name for name, key in zip(self.names, wanted, strict=True) if key not in given
-            ]
-            if unknown:
-                raise VariableError(f"'{unknown[0]}' is not a component of z; z0 has {order}")
-            if missing:
-                raise VariableError(f"'{missing[0]}' is missing in z0; give all of {order}")
-            z0 = [given[key] for key in wanted]
-        try:
-            state = np.asarray(z0, dtype=float)
-        except (TypeError, ValueError):
-            raise VariableError(f"z0 holds something that is not a number; give {order}") from None
-        if state.shape != (self.dim,):
-            raise VariableError(f"z0 has shape {state.shape}; give the {self.dim} numbers {order}")
-        if not np.all(np.isfinite(state)):
-            name = self.names[int(np.flatnonzero(~np.isfinite(state))[0])]
-            raise VariableError(f"'{name}' is not finite in z0; give finite numbers")
-        return state
+        return state_array(z0, self.names)
 
     # -- what follows from H -----------------------------------------------------------------
 
     @cached_property
-    def _real(self) -> _RealForm:
-        return _RealForm(self)
+    def _real(self) -> RealForm:
+        return RealForm(self)
 
     def _own(self, expr: sympy.Expr) -> sympy.Expr:
         """An expression in real symbols, in the symbols of H.expr."""
@@ -332,16 +311,9 @@ class Hamiltonian:
     def _split(self) -> tuple[sympy.Expr, sympy.Expr] | None:
         if not self.is_separable:
             return None
-        q, p = set(self._real.z[: self.dof]), set(self._real.z[self.dof :])
-        expr = self._real.expr
-        for expand in (lambda e: e, sympy.expand):
-            terms = sympy.Add.make_args(expand(expr))
-            with_p = [term for term in terms if term.free_symbols & p]
-            if not any(term.free_symbols & q for term in with_p):
-                kinetic = sympy.Add(*with_p)
-                return kinetic, sympy.Add(*(term for term in terms if term not in with_p))
-        potential = expr.xreplace(dict.fromkeys(p, sympy.Integer(1)))
-        return sympy.simplify(expr - potential), potential
+        return derivatives.split(
+            self._real.expr, self._real.z[: self.dof], self._real.z[self.dof :]
+        )
 
     @property
     def kinetic(self) -> sympy.Expr | None:
@@ -426,21 +398,7 @@ class Hamiltonian:
         >>> H.sigma_min
         Min(1, Abs(2*sqrt(x**2 + y**2) - 1))
         """
-        entries = self._real.hessian
-        blocks = derivatives.connected_blocks(list(entries), self.dim)
-        if max(len(block) for block in blocks) > 2:
-            return None
-        zero = sympy.Integer(0)
-        magnitudes = set()
-        for block in blocks:
-            if len(block) == 1:
-                magnitudes.add(sympy.Abs(entries.get((block[0], block[0]), zero)))
-                continue
-            i, j = block
-            a, b, c = (entries.get(index, zero) for index in ((i, i), (i, j), (j, j)))
-            radius = sympy.sqrt(sympy.factor_terms(((a - c) / 2) ** 2 + b**2))
-            magnitudes.add(sympy.Abs(sympy.Abs((a + c) / 2) - radius))
-        return sympy.Min(*magnitudes)
+        return derivatives.smallest_singular_value(self._real.hessian, self.dim)
 
     @cached_property
     def _sources(self) -> dict[str, str]:
@@ -487,37 +445,6 @@ class Hamiltonian:
         array([ 2., -2.])
         """
         return codegen.load(self.source(backend), backend, self.names)
-
-
-class _RealForm:
-    """H and its derivatives in symbols that are real, whatever the caller's symbols assume.
-
-    Without that, sympy differentiates abs(x) into derivatives of re(x) and im(x).
-    """
-
-    def __init__(self, H: Hamiltonian) -> None:
-        forward = real_symbols({*H.expr.free_symbols, *H.z})
-        self.expr: sympy.Expr = H.expr.xreplace(forward) if forward else H.expr
-        self.z = tuple(forward.get(symbol, symbol) for symbol in H.z)
-        self.time = None if H.time is None else forward.get(H.time, H.time)
-        self.dof = H.dof
-        self.parameters = {
-            name: (sympy.Symbol(name, real=True), H.parameters.get(name))
-            for name in H.parameter_names
-        }
-        self.back = {real: own for own, real in forward.items()}
-
-    @cached_property
-    def gradient(self) -> list[sympy.Expr]:
-        return derivatives.gradient(self.expr, self.z)
-
-    @cached_property
-    def hessian(self) -> dict[tuple[int, int], sympy.Expr]:
-        return derivatives.hessian(self.gradient, self.z)
-
-    @cached_property
-    def vector_field(self) -> list[sympy.Expr]:
-        return [*self.gradient[self.dof :], *(-slope for slope in self.gradient[: self.dof])]
 
 
 def _rebuild(

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import sympy
 from sympy.core.function import AppliedUndef
 
@@ -25,6 +26,7 @@ __all__ = [
     "checked_values",
     "name_of",
     "real_symbols",
+    "state_array",
     "state_symbol",
 ]
 
@@ -127,3 +129,30 @@ def check_state(state: list[sympy.Symbol], half: int, values: Mapping[str, float
             raise VariableError(
                 f"'{symbol.name}' is a variable and a parameter; leave it out of one of them"
             )
+
+
+def state_array(
+    z0: Sequence[float] | Mapping[Any, float] | np.ndarray, names: Sequence[str]
+) -> np.ndarray:
+    """A state, given in order or by name, as an array in the order of the names."""
+    order = ", ".join(names)
+    if isinstance(z0, Mapping):
+        given = {canonical_name(name_of(key)): value for key, value in z0.items()}
+        wanted = [canonical_name(name) for name in names]
+        unknown = [name for name in given if name not in wanted]
+        missing = [name for name, key in zip(names, wanted, strict=True) if key not in given]
+        if unknown:
+            raise VariableError(f"'{unknown[0]}' is not a component of z; z0 has {order}")
+        if missing:
+            raise VariableError(f"'{missing[0]}' is missing in z0; give all of {order}")
+        z0 = [given[key] for key in wanted]
+    try:
+        state = np.array(z0, dtype=float)
+    except (TypeError, ValueError):
+        raise VariableError(f"z0 holds something that is not a number; give {order}") from None
+    if state.shape != (len(names),):
+        raise VariableError(f"z0 has shape {state.shape}; give the {len(names)} numbers {order}")
+    if not np.all(np.isfinite(state)):
+        name = names[int(np.flatnonzero(~np.isfinite(state))[0])]
+        raise VariableError(f"'{name}' is not finite in z0; give finite numbers")
+    return state

@@ -25,7 +25,7 @@ DECAY = Objective(residual=lambda t, z, dz: dz + z)
 
 def test_solves_an_equation_that_is_not_hamiltonian() -> None:
     trial, generator = decay_trial()
-    options = AdamOptions(epochs=1500, points=20, learning_rate=0.01)
+    options = AdamOptions(epochs=3000, points=20, learning_rate=0.01)
     training = train_adam(trial, DECAY, (0, 2), options, generator=generator)
     t = torch.linspace(0, 2, 101, dtype=torch.float64)
     with torch.no_grad():
