@@ -29,7 +29,7 @@ __all__ = [
     "train_adam",
 ]
 
-_CHECK_EVERY = 25  # epochs between evaluations at the fixed points
+_CHECK_EVERY = 50  # epochs between evaluations at the fixed points
 # Products of points and weights below this are no faster on two threads, which cost twice the CPU
 # time.
 _ONE_THREAD = 4_000_000
@@ -219,6 +219,7 @@ def train_adam(
     parameters = list(trial.parameters())
     dtype = parameters[0].dtype
     grid = torch.linspace(start, end, options.points, dtype=dtype)
+    offsets = grid - start
     noise = 3 * length / (options.points - 1) if options.noise is None else options.noise
     count = 2 * options.points
     fixed = start + (torch.arange(count, dtype=dtype) + 0.5) * (length / count)
@@ -259,9 +260,10 @@ def train_adam(
                 )
             t = grid
             if noise:
-                moved = grid + noise * torch.randn(grid.shape, generator=generator, dtype=dtype)
+                moved = torch.randn(grid.shape, generator=generator, dtype=dtype)
+                moved.mul_(noise).add_(offsets)
                 # Reflection at both ends, as often as needed.
-                t = start + length - ((moved - start).remainder(2 * length) - length).abs()
+                t = end - moved.remainder_(2 * length).sub_(length).abs_()
             optimizer.zero_grad(set_to_none=True)
             loss = objective(t, *trial(t))
             loss.backward()

@@ -39,9 +39,16 @@ ACTIVATIONS: dict[str, _Activation] = {
     "tanh": _Activation(torch.tanh, lambda a, h: 1 - h * h, lambda h, slope: -2 * h * slope),
 }
 
+
+def _exponential(s: Tensor) -> tuple[Tensor, Tensor]:
+    # Without cancellation near s = 0; the derivative needs no second exponential.
+    f = -torch.expm1(-s)
+    return f, 1 - f
+
+
 #: Envelopes f by name, each giving (f(s), f'(s)) with f(0) = 0.
 ENVELOPES: dict[str, Callable[[Tensor], tuple[Tensor, Tensor]]] = {
-    "exponential": lambda s: (-torch.expm1(-s), torch.exp(-s)),
+    "exponential": _exponential,
     "linear": lambda s: (s, torch.ones_like(s)),
 }
 
@@ -72,8 +79,13 @@ class _Jet(torch.autograd.Function):
             saved.append((x, slope, a_dot))
             product = x @ matrix.T
             a, a_dot = product[:count].add_(shift), product[count:]
-        ctx.activation, ctx.sizes, ctx.saved = activation, sizes, saved
-        ctx.save_for_backward(s, theta)
+        ctx.activation, ctx.sizes, ctx.saved, ctx.matrices = (
+            activation,
+            sizes,
+            saved,
+            [matrix for matrix, _ in layers],
+        )
+        ctx.save_for_backward(s, theta)  # theta too, so that a change before backward is noticed
         return a, a_dot
 
     @staticmethod
@@ -83,10 +95,9 @@ class _Jet(torch.autograd.Function):
         count = s.shape[0]
         gradient = torch.empty_like(theta)
         (first, first_bias), *layers = _layers(gradient, ctx.sizes)
-        matrices = [matrix for matrix, _ in _layers(theta, ctx.sizes)[1:]]
         upstream = torch.cat((grad_value, grad_rate))
         for (into, into_bias), matrix, (x, slope, a_dot) in zip(
-            reversed(layers), reversed(matrices), reversed(ctx.saved), strict=True
+            reversed(layers), reversed(ctx.matrices), reversed(ctx.saved), strict=True
         ):
             torch.mm(upstream.T, x, out=into)
             torch.sum(upstream[:count], 0, out=into_bias)
