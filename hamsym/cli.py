@@ -121,33 +121,39 @@ def _span_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
-def _training_options(command: Callable[..., Any]) -> Callable[..., Any]:
+def _solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of the methods; what is not given is left to the method's own default."""
+    choice = click.Choice
     options = (
-        click.option("--method", type=click.Choice(["adam"]), help="Method of solution."),
-        click.option("--epochs", default=50_000, show_default=True),
-        click.option("--learning-rate", default=8e-3, show_default=True),
-        click.option("--betas", nargs=2, type=float, default=(0.9, 0.999), show_default=True),
-        click.option("--schedule", type=click.Choice(["cosine", "constant"]), default="cosine"),
-        click.option("--hidden", default="50,50", show_default=True, metavar="WIDTHS"),
-        click.option("--activation", type=click.Choice(["sin", "sigmoid", "tanh"]), default="sin"),
-        click.option(
-            "--envelope", type=click.Choice(["exponential", "linear"]), default="exponential"
-        ),
-        click.option("--tau", default="1", show_default=True, metavar="TIME", help="Unit of time."),
-        click.option("--points", default=200, show_default=True, help="Collocation points K."),
-        click.option("--noise", metavar="TIME", help="Of the points; default 3 spacings."),
-        click.option("--energy-weight", default=0.0, show_default=True),
+        click.option("--method", type=choice(["features", "adam"]), default="features"),
+        click.option("--tol", metavar="NUMBER", help="Wanted accuracy (features)  [1e-9]"),
+        click.option("--atol", metavar="NUMBER", help="Absolute part of it  [0]"),
+        click.option("--epochs", type=int, help="Epochs of training (adam)  [50000]"),
+        click.option("--learning-rate", type=float, help="Of Adam  [0.008]"),
+        click.option("--betas", nargs=2, type=float, help="Of Adam  [0.9 0.999]"),
+        click.option("--schedule", type=choice(["cosine", "constant"]), help="[cosine]"),
+        click.option("--hidden", metavar="WIDTHS", help="Hidden layers  [50,50]"),
+        click.option("--activation", type=choice(["sin", "sigmoid", "tanh"]), help="[sin]"),
+        click.option("--envelope", type=choice(["exponential", "linear"]), help="[exponential]"),
+        click.option("--tau", metavar="TIME", help="Unit of time of the network  [1]"),
+        click.option("--points", type=int, help="Collocation points K  [200]"),
+        click.option("--noise", metavar="TIME", help="Of the points  [3 spacings]"),
+        click.option("--energy-weight", type=float, help="Of the energy penalty  [0]"),
         click.option("--target-loss", type=float, help="Stop when the loss is at most this."),
+        click.option("--dtype", type=choice(["float64", "float32"]), help="[float64]"),
         click.option("--seed", default=0, show_default=True),
-        click.option("--dtype", type=click.Choice(["float64", "float32"]), default="float64"),
         click.option("--plot", "figure", type=click.Path(), metavar="FILE", help="Draw a figure."),
     )
 
     @functools.wraps(command)
-    def wrapped(*arguments: Any, hidden: str, noise: str | None, tau: str, **rest: Any) -> Any:
-        widths = tuple(_whole(width, "--hidden") for width in _names(hidden))
-        spread = None if noise is None else parse_number(noise)
-        return command(*arguments, hidden=widths, noise=spread, tau=parse_number(tau), **rest)
+    def wrapped(*arguments: Any, **given: Any) -> Any:
+        values = {name: value for name, value in given.items() if value is not None}
+        for name in ("tol", "atol", "tau", "noise"):
+            if name in values:
+                values[name] = parse_number(values[name])
+        if "hidden" in values:
+            values["hidden"] = tuple(_whole(w, "--hidden") for w in _names(values["hidden"]))
+        return command(*arguments, **values)
 
     for option in reversed(options):
         wrapped = option(wrapped)
@@ -238,15 +244,15 @@ def source(H: Hamiltonian, backend: str, part: str | None, output: str | None) -
 @cli.command()
 @_hamiltonian_options
 @_span_options
-@_training_options
+@_solver_options
 def solve(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
-    figure: str | None,
+    figure: str | None = None,
     **options: Any,
 ) -> int:
-    """Train a network that satisfies Hamilton's equations; exit 1 if it did not converge."""
+    """Find a neural trajectory to a tolerance, or train one; exit 1 if that failed."""
     from hamsym.solving import solve as run  # torch is slow to import
 
     _check_figure(figure)
@@ -289,15 +295,15 @@ def integrate(
 @cli.command()
 @_hamiltonian_options
 @_span_options
-@_training_options
+@_solver_options
 def compare(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
-    figure: str | None,
+    figure: str | None = None,
     **options: Any,
 ) -> int:
-    """Train a network and compare it with symplectic Euler at K, 10 K and 100 K steps."""
+    """Solve, and compare with symplectic Euler at K, 10 K and 100 K steps."""
     from hamsym.comparison import compare as run_comparison
     from hamsym.solving import solve as run
 
@@ -353,10 +359,17 @@ def _report(solution: Any) -> None:
     click.echo(f"ell_max {solution.ell_max:.2e}, sigma_min {sigma:.3g}")
     click.echo(f"bound ell_max/sigma_min: {bound}")
     training = solution.training
-    click.echo(
-        f"time {training.seconds:.1f} s, "
-        f"{1e3 * training.cpu_seconds / max(training.epochs, 1):.2f} ms of CPU per epoch"
-    )
+    if solution.method == "features":
+        width = max(map(len, solution.H.names))
+        click.echo(f"{'':<{width}}  {'scale':>10}  {'estimated error':>16}")
+        for name, scale, error in zip(
+            solution.H.names, solution.scale, solution.largest_error, strict=True
+        ):
+            click.echo(f"{name:<{width}}  {scale:>10.4g}  {error:>16.1e}")
+        click.echo(f"time {training.seconds:.3f} s for the last march")
+    else:
+        per_epoch = 1e3 * training.cpu_seconds / max(training.epochs, 1)
+        click.echo(f"time {training.seconds:.1f} s, {per_epoch:.2f} ms of CPU per epoch")
 
 
 _FIGURE_ENDINGS = (".png", ".pdf", ".svg")

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from hamsym.features import March
+
 if TYPE_CHECKING:
     from hamsym.comparison import Comparison
     from hamsym.solution import Solution
@@ -45,6 +47,11 @@ def plot_solution(solution: Solution) -> Figure:
     axes[1, 0].legend(fontsize=8)
 
     history = solution.history
+    if isinstance(history, March):
+        lengths = np.abs(np.diff(history.edges))
+        axes[1, 1].step(history.edges[:-1], lengths, where="post", color=_color(0))
+        axes[1, 1].set(title=f"Length of the {len(lengths):,} windows", xlabel="t")
+        return figure
     axes[1, 1].loglog(
         np.arange(1, len(history.loss) + 1),
         history.loss,

@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 
 from hamsym.errors import InputError, VacuousBoundWarning
+from hamsym.estimates import MarchError
+from hamsym.features import FeatureTrial, March
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.training import History, Training
 from hamsym.trial import TrialSolution
@@ -40,12 +42,12 @@ class Solution:
     z0 : numpy.ndarray
         Initial state, shape (dim,), reproduced exactly.
     span : (float, float)
-    trial : TrialSolution
-        The trial solution with its trained weights.
+    trial : TrialSolution or FeatureTrial
+        The trial solution with its weights.
     method : str
-    energy_weight : float
-    training : Training
+    training : Training or March
         How the weights were found.
+    energy_weight : float
     success : bool
         Whether the stopping criterion was met.
     message : str
@@ -57,19 +59,19 @@ class Solution:
         H: Hamiltonian,
         z0: np.ndarray,
         span: tuple[float, float],
-        trial: TrialSolution,
+        trial: TrialSolution | FeatureTrial,
         *,
         method: str,
-        energy_weight: float,
-        training: Training,
-        success: bool,
-        message: str,
+        training: Training | March,
+        energy_weight: float = 0.0,
+        march_error: MarchError | None = None,
     ) -> None:
         self.H, self.z0, self.span, self.trial = H, z0, span, trial
         self.method, self.energy_weight, self.training = method, energy_weight, training
-        self.success, self.message = success, message
+        self.success, self.message = False, ""
         self._system = H.compile("numpy")
-        self._dtype = next(trial.parameters()).dtype
+        self._dtype = next(iter(trial.state_dict().values())).dtype
+        self._march_error = march_error
 
     def __repr__(self) -> str:
         start, end = self.span
@@ -84,9 +86,9 @@ class Solution:
         return self.training.points
 
     @property
-    def history(self) -> History:
-        """Loss and ell_max in the course of the training."""
-        return self.training.history
+    def history(self) -> History | March:
+        """Loss and ell_max in the course of the training, or the windows of a march."""
+        return self.training.history if isinstance(self.training, Training) else self.training
 
     # -- evaluation --------------------------------------------------------------------------
 
@@ -196,13 +198,15 @@ class Solution:
     def error_estimate(self, t: Any) -> np.ndarray:
         """The error z - z^ at times t, estimated; shapes as for the state.
 
-        It solves the equation of the error that the paper's eq. (ell) linearises,
-        d(dz)/dt = J grad H(z^ + dz) - dz^/dt from dz = 0, with DOP853. It is an estimate, not a
-        bound: its own relative error is about 1e-5, and it is infinite from where that equation
-        can no longer be solved.
+        For a trained network it solves the equation of the error that the paper's eq. (ell)
+        linearises, d(dz)/dt = J grad H(z^ + dz) - dz^/dt from dz = 0, with DOP853; it is infinite
+        from where that equation can no longer be solved. For a march it solves eq. (ell) window
+        by window (:class:`~hamsym.estimates.MarchError`). It is an estimate, not a bound.
         """
         times = np.asarray(t, dtype=float)
         self._check_times(times, extrapolate=False)
+        if self._march_error is not None:
+            return self._march_error(times)
         reached, error = self._error
         sign = np.sign(self.span[1] - self.span[0])
         known = sign * times <= sign * reached
@@ -210,16 +214,20 @@ class Solution:
         return np.asarray(values)
 
     @cached_property
+    def largest_error(self) -> np.ndarray:
+        """max_t of the estimated error of each component, round-off included, shape (dim,)."""
+        if self._march_error is not None:
+            return self._march_error.largest
+        return np.asarray(np.abs(self.error_estimate(self._scan_times)).max(axis=0))
+
+    @property
     def relative_error_estimate(self) -> float:
-        """Largest estimated error, relative to the size of the motion, max_t,i |dz_i(t)| / s.
+        """Largest estimated error, relative to the size of the motion, max_i |dz_i| / s.
 
         Here s is the largest scale among the coordinates for a coordinate, and among the momenta
         for a momentum.
         """
-        errors = (
-            np.abs(self.error_estimate(self._scan_times)).max(axis=0).reshape(2, -1).max(axis=1)
-        )
-        scales = self.scale.reshape(2, -1).max(axis=1)
+        errors, scales = (v.reshape(2, -1).max(axis=1) for v in (self.largest_error, self.scale))
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios = np.where(errors == 0, 0.0, errors / scales)
         return float(ratios.max())
@@ -272,7 +280,11 @@ class Solution:
 
     @cached_property
     def _scan_times(self) -> np.ndarray:
-        return np.linspace(*self.span, _SCAN)
+        if isinstance(self.training, Training):
+            return np.linspace(*self.span, _SCAN)
+        edges = self.training.edges
+        inside = np.linspace(0, 1, max(9, _SCAN // len(edges)), endpoint=False)
+        return np.append((edges[:-1, None] + np.diff(edges)[:, None] * inside).ravel(), edges[-1])
 
     def _largest(self, function: Callable[[np.ndarray], np.ndarray]) -> float:
         """max of a function of time: a fine scan, then a search around its highest peaks."""

@@ -97,6 +97,19 @@ def test_solve_exits_with_success(capsys: Captured) -> None:
     assert out.startswith("converged: 3,000 epochs")
 
 
+def test_solve_to_a_tolerance(capsys: Captured, tmp_path: Path) -> None:
+    arguments = [OSCILLATOR, "--z0", "x=1.3,p=1", "--t-end", "4*pi", "--tol", "1e-9"]
+    figure = tmp_path / "s.pdf"
+    status, out, err = run(capsys, "solve", *arguments, "--plot", str(figure))
+    assert (status, err) == (0, "")
+    assert out.startswith("converged: tol 1.0e-09 met: ")
+    assert "estimated error" in out
+    assert figure.read_bytes()[:4] == b"%PDF"
+    status, out, _ = run(capsys, "solve", "p**2/2 - x**4/4", "--z0", "1,1", "--t-end", "5")
+    assert status == 1
+    assert out.startswith("stopped at t = 1.31103: ")
+
+
 def test_compare_prints_the_table(capsys: Captured, tmp_path: Path) -> None:
     figure = tmp_path / "c.svg"
     status, out, _ = run(capsys, "compare", *SOLVE, *QUICK, "--plot", str(figure))
@@ -150,7 +163,8 @@ BAD = [
     (["source", OSCILLATOR, "--part", "lagrangian"], "'lagrangian' is not a part"),
     (["source", OSCILLATOR, "--backend", "jax"], "jax"),
     (["source", OSCILLATOR, "-o", "no/such/folder/f.py"], "no/such/folder"),
-    (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "1"], "no method is given"),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--epochs", "5"], "'epochs' is not"),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--tol", "0"], "tol=0.0"),
     (["solve", OSCILLATOR, "--z0", "1", "--t-end", "1", "--method", "adam"], "shape"),
     (["solve", OSCILLATOR, "--z0", "x=1", "--t-end", "1", "--method", "adam"], "'p' is missing"),
     (["solve", OSCILLATOR, "--z0", "x=1,p=y", "--t-end", "1", "--method", "adam"], "'y'"),
@@ -164,7 +178,10 @@ BAD = [
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--method", "rk4"], "'rk4'"),
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "-o", "x.txt"], "neither .csv"),
     (["integrate", "p**2/m", "--q", "x", "--p", "p", "--z0", "1,1", "--t-end", "1"], "m has no"),
-    (["compare", OSCILLATOR, "--z0", "1,1", "--t-end", "1"], "no method is given"),
+    (
+        ["compare", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--method", "adam", "--tol", "1"],
+        "'tol'",
+    ),
 ]
 
 

@@ -239,8 +239,10 @@ def test_outside_the_span(solution: Solution) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({}, "no method is given; say method='adam'"),
-        ({"method": "newton"}, "'newton' is not a known method"),
+        ({"method": "newton"}, "'newton' is not a method; choose one of features, adam"),
+        ({"method": None}, "None is not a method"),
+        ({"epochs": 5}, "'epochs' is not an option of method 'features'; it has tol, atol"),
+        ({"method": "adam", "tol": 1e-3}, "'tol' is not an option of method 'adam'"),
         ({"method": "adam", "epochs": 0}, "epochs=0"),
         ({"method": "adam", "activation": "relu"}, "'relu' is not an activation"),
         ({"method": "adam", "envelope": "x"}, "'x' is not an envelope"),

@@ -1,0 +1,113 @@
+"""The method "features": random sine features marched until the estimated error is as asked.
+
+Stage 1  March with a local tolerance (:mod:`hamsym.features`).
+Stage 2  Estimate the global error and the round-off along the march (:mod:`hamsym.estimates`).
+Stage 3  If both together exceed what was asked, march again with a tighter local tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.estimates import MarchError
+from hamsym.features import FeatureTrial, March, feature_basis, march
+from hamsym.problem import InitialValueProblem
+from hamsym.solution import Solution
+
+__all__ = ["solve_by_features"]
+
+_SMALLEST_TOL = 1e-12  # below it float64 cannot hold the answer
+_SMALLEST_LOCAL = 1e-13  # residuals cannot be told from round-off below
+_ATTEMPTS = 6
+
+
+def solve_by_features(
+    problem: InitialValueProblem, *, tol: float = 1e-9, atol: float | Sequence[float] = 0.0
+) -> Solution:
+    """March to a tolerance; options as in :func:`hamsym.solve`."""
+    H = problem.H
+    if not (isinstance(tol, (int, float)) and _SMALLEST_TOL <= tol < 1):
+        raise InputError(f"tol={tol!r} cannot be used; give a number from {_SMALLEST_TOL:g} to 1")
+    absolute = _checked_atol(atol, H.dim)
+    system, basis = H.compile("numpy"), feature_basis(problem.seed)
+    half = H.dof
+
+    def vector_field(z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return np.asarray(system.vector_field(*system.arguments(z, t)))
+
+    def jacobian(z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        matrix = system.hessian(*system.arguments(z, t))
+        return np.concatenate((matrix[..., half:, :], -matrix[..., :half, :]), axis=-2)
+
+    windows, error, allowed, excess = None, None, absolute, math.inf
+    # The cost grows as the 18th root of the accuracy: a margin is cheaper than a second march.
+    local = max(0.1 * tol, _SMALLEST_LOCAL)
+    with np.errstate(all="ignore"):
+        for _ in range(_ATTEMPTS):
+            tried = march(vector_field, jacobian, problem.z0, problem.span, local, basis)
+            if not len(tried.readouts):
+                break
+            estimate = MarchError(tried, basis, vector_field, jacobian, tried.scale)
+            allowed_now = absolute + tol * _scales(tried.scale)
+            ratios = np.where(estimate.largest > 0, estimate.largest / allowed_now, 0.0)
+            if windows is None or ratios.max() < excess:
+                windows, error, allowed, excess = tried, estimate, allowed_now, ratios.max()
+            floors = estimate.floor(tried.edges[-1:])[0]
+            hopeless = (floors > allowed_now).any() or local <= _SMALLEST_LOCAL
+            if ratios.max() <= 1 or hopeless:
+                break
+            local = max(local * min(0.3 / float(ratios.max()), 0.3), _SMALLEST_LOCAL)
+    if windows is None or error is None:
+        raise InputError(f"no solution beyond t = {tried.reached:.6g}: {tried.reason}")
+    solution = Solution(
+        H,
+        problem.z0,
+        (problem.span[0], windows.reached),
+        FeatureTrial(windows, basis),
+        method="features",
+        training=windows,
+        march_error=error,
+    )
+    solution.success, solution.message = _verdict(windows, error, tol, allowed, float(excess))
+    return solution
+
+
+def _verdict(
+    windows: March, error: MarchError, tol: float, allowed: np.ndarray, excess: float
+) -> tuple[bool, str]:
+    state = f"{len(windows.readouts):,} windows, estimated error {excess:.1e} of what was allowed"
+    held = error.until(allowed)
+    if windows.reason:
+        return False, (
+            f"stopped at t = {windows.reached:.6g}: {windows.reason}; tol {tol:.1e} held until "
+            f"t = {held:.6g}"
+        )
+    if excess <= 1:
+        return True, f"tol {tol:.1e} met: {state}"
+    floors = error.floor(windows.edges[-1:])[0]
+    cause = (
+        "round-off, which float64 does not allow to fall further, is the reason"
+        if (floors > 0.3 * allowed).any()
+        else "the march could not be made accurate enough"
+    )
+    return False, f"tol {tol:.1e} held until t = {held:.6g} only, {cause}; {state}"
+
+
+def _scales(scale: np.ndarray) -> np.ndarray:
+    """s_i with the floor of 1e-8 of the largest among its kind."""
+    halves = scale.reshape(2, -1)
+    return np.maximum(halves, 1e-8 * halves.max(axis=1, keepdims=True)).ravel()
+
+
+def _checked_atol(atol: float | Sequence[float], dim: int) -> np.ndarray:
+    try:
+        values = np.broadcast_to(np.asarray(atol, dtype=float), (dim,))
+    except (TypeError, ValueError):
+        values = np.array([math.nan])
+    if not (np.all(np.isfinite(values)) and np.all(values >= 0)):
+        raise InputError(f"atol={atol!r} cannot be used; give a number from 0, or {dim} of them")
+    return values

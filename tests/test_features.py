@@ -1,0 +1,285 @@
+"""Marching to a tolerance: it is met, or the failure says when and why."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+import hamsym
+from hamsym import Hamiltonian, InputError, systems
+from hamsym.features import _collocate, _newton, feature_basis, march
+from hamsym.integrators import reference
+from hamsym.systems import CATALOGUE, Problem
+
+EXACT = [name for name in CATALOGUE if CATALOGUE[name]().exact is not None]
+
+
+def true_error(solution: hamsym.Solution, truth, samples: int = 4_001) -> np.ndarray:
+    """max_t of the error of each component, over its scale."""
+    t = np.linspace(*solution.span, samples)
+    return np.abs(solution(t) - truth(t)).max(axis=0) / solution.scale
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+def test_tolerance_is_met_on_the_whole_catalogue(problem: Problem, tol: float) -> None:
+    truth = problem.exact or reference(problem.H, np.array(problem.z0), problem.span)
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=tol)
+    assert solution.success, solution.message
+    assert solution.message.startswith(f"tol {tol:.1e} met: ")
+    assert true_error(solution, truth).max() <= tol
+    assert solution(problem.span[0]).tolist() == list(problem.z0)
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_eleven_digits_or_an_honest_refusal(name: str) -> None:
+    problem = CATALOGUE[name]()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-11)
+    if solution.success:
+        assert true_error(solution, problem.exact).max() <= 1e-11
+    else:
+        assert "round-off" in solution.message
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-9, 1e-11])
+@pytest.mark.parametrize("name", EXACT)
+def test_estimate_is_the_error_up_to_round_off(name: str, tol: float) -> None:
+    problem = CATALOGUE[name]()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=tol)
+    t = np.linspace(*problem.span, 1_001)
+    error, estimate = problem.exact(t) - solution(t), solution.error_estimate(t)
+    floor = solution._march_error.floor(t)
+    # The exact solutions carry round-off of their own.
+    own = 1e-13 * solution.scale
+    assert np.all(np.abs(error - estimate) <= 0.001 * np.abs(error).max(axis=0) + floor + own)
+    assert np.all(solution.largest_error >= np.abs(estimate).max(axis=0))
+
+
+def test_long_spans_are_estimated_as_well() -> None:
+    """Thousands of windows: neither the error nor the estimate may drift away unnoticed."""
+    problem = systems.pendulum()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 2_000.0), tol=1e-8)
+    assert solution.success
+    t = np.linspace(0, 2_000, 2_001)
+    error, estimate = problem.exact(t) - solution(t), solution.error_estimate(t)
+    assert np.abs(error).max() <= 1e-8 * solution.scale.min()
+    assert np.abs(error - estimate).max() < 0.3 * np.abs(error).max()
+    assert len(solution.history.edges) < 4_000
+
+
+@pytest.mark.parametrize(
+    ("mass", "stiffness"), [(1e-27, 1e3), (1e30, 1e12), (1.0, 1.0), (1e-27, 1e-45)]
+)
+def test_scales_are_the_users(mass: float, stiffness: float) -> None:
+    omega = math.sqrt(stiffness / mass)
+    H = Hamiltonian("p**2/(2*m) + k*x**2/2", parameters={"m": mass, "k": stiffness})
+    solution = hamsym.solve(H, [1e-9, 0.0], (0, 40 / omega), tol=1e-9)
+    assert solution.success, solution.message
+
+    def truth(t: np.ndarray) -> np.ndarray:
+        phase = omega * t
+        return 1e-9 * np.stack((np.cos(phase), -mass * omega * np.sin(phase)), axis=-1)
+
+    assert true_error(solution, truth).max() <= 1e-9
+
+
+def test_backward_time_and_other_starts() -> None:
+    problem = systems.nonlinear_oscillator()
+    forward = hamsym.solve(problem.H, problem.z0, (0, 10), tol=1e-9)
+    back = hamsym.solve(problem.H, forward(10.0), (10.0, 0.0), tol=1e-9)
+    assert back.success
+    t = np.linspace(0, 10, 101)
+    np.testing.assert_allclose(back(t), forward(t), atol=1e-8)
+    shifted = hamsym.solve(problem.H, problem.z0, (100.0, 110.0), tol=1e-9)
+    np.testing.assert_allclose(shifted(t + 100), forward(t), atol=1e-8)
+
+
+def test_time_dependent_hamiltonian() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 - x*cos(2*t)")
+    solution = hamsym.solve(H, [0.0, 0.0], (0, 30), tol=1e-9)
+    assert solution.success
+
+    def truth(t: np.ndarray) -> np.ndarray:
+        x, p = np.cos(t) - np.cos(2 * t), 2 * np.sin(2 * t) - np.sin(t)
+        return np.stack((x, p), axis=-1) / 3
+
+    assert true_error(solution, truth).max() <= 1e-9
+
+
+def test_components_that_stay_zero_are_exactly_zero() -> None:
+    solution = hamsym.solve(Hamiltonian("p**2/2 + x**2/2", q=["x"], p=["p"]), [0, 0], (0, 5))
+    assert solution.success
+    assert not solution(np.linspace(0, 5, 11)).any()
+    at_rest = hamsym.solve(Hamiltonian("p**2/2", q=["x"], p=["p"]), [2.0, 0.0], (0, 5))
+    assert at_rest.success
+    assert at_rest(3.3).tolist() == [2.0, 0.0]
+
+
+def test_absolute_tolerance_loosens() -> None:
+    problem = systems.henon_heiles()
+    tight = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-12, atol=0.0)
+    loose = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-12, atol=[1e-3] * 4)
+    assert loose.success
+    assert np.all(loose._march_error.largest <= 1e-3 + 1e-12 * loose.scale)
+    assert tight.message != loose.message
+
+
+def test_windows_join_exactly() -> None:
+    problem = systems.kepler()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    edges = solution.history.edges
+    np.testing.assert_array_equal(solution(edges[:-1]), solution.history.states[:-1])
+    before = edges[1:-1] - 1e-12
+    jump = solution(edges[1:-1]) - solution(before) - 1e-12 * solution.derivative(edges[1:-1])
+    assert np.abs(jump).max() < 1e-13
+
+
+def test_derivative_is_that_of_the_solution() -> None:
+    problem = systems.henon_heiles()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    t = torch.linspace(0.1, 18, 50, dtype=torch.float64, requires_grad=True)
+    z = solution(t)
+    for i in range(4):
+        (slope,) = torch.autograd.grad(z[:, i].sum(), t, retain_graph=True)
+        torch.testing.assert_close(slope, solution.derivative(t.detach())[:, i])
+    assert solution.ell_max < 1e-7
+
+
+def test_same_seed_same_solution_other_features_agree() -> None:
+    problem = systems.henon_heiles()
+    first, again, other = (
+        hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9, seed=seed) for seed in (0, 0, 1)
+    )
+    t = np.linspace(*problem.span, 101)
+    assert np.array_equal(first(t), again(t))
+    assert not np.array_equal(first(t), other(t))
+    np.testing.assert_allclose(first(t), other(t), atol=2e-9)
+
+
+def test_newton_and_fixed_point_solve_the_same_equation() -> None:
+    problem = systems.nonlinear_oscillator()
+    system, basis = problem.H.compile("numpy"), feature_basis(0)
+    J = np.array(problem.H.poisson_matrix, dtype=float)
+    field = lambda z, t: system.vector_field(z)
+    jacobian = lambda z, t: J @ system.hessian(z)
+    z, h, scale = np.array(problem.z0), 0.5, np.ones(2)
+    times = h * basis.nodes
+    fixed = _collocate(field, jacobian, z, h, times, basis, None, 1e-12, scale)
+    newton = _newton(field, jacobian, z, h, times, basis, 1e-14, scale, 0)
+    assert not fixed.newton
+    assert newton.newton
+    np.testing.assert_allclose(newton.rates, fixed.rates, atol=1e-12)
+
+
+# -- failures ------------------------------------------------------------------------------------
+
+
+def test_escape_is_reported_with_the_solution_up_to_there() -> None:
+    H = Hamiltonian("p**2/2 - x**4/4")
+    solution = hamsym.solve(H, [1.0, 1.0], (0, 5), tol=1e-9)
+    assert not solution.success
+    assert solution.message.startswith("stopped at t = 1.311")
+    assert solution.span[1] == pytest.approx(1.31103, abs=1e-4)
+    truth = reference(H, np.array([1.0, 1.0]), (0.0, 1.2))
+    t = np.linspace(0, 1.2, 101)
+    np.testing.assert_allclose(solution(t), truth(t), rtol=1e-7)
+
+
+def test_collision_is_reported() -> None:
+    H = Hamiltonian("p**2/2 - 1/x")
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 3), tol=1e-6)
+    assert not solution.success
+    assert "stopped at t = 1.11" in solution.message  # pi / (2 sqrt 2)
+
+
+def test_leaving_the_domain_is_reported() -> None:
+    solution = hamsym.solve(Hamiltonian("p**2/2 + log(x)"), [1.0, -3.0], (0, 5))
+    assert not solution.success
+    assert "end of a domain" in solution.message
+
+
+def test_chaos_beyond_double_precision_is_reported() -> None:
+    problem = systems.double_pendulum()
+    solution = hamsym.solve(problem.H, (3.0, 3.0, 0.0, 0.0), (0, 150), tol=1e-9)
+    assert not solution.success
+    assert "held until t = " in solution.message
+    held = float(solution.message.split("held until t = ")[1].split()[0].rstrip(","))
+    assert 5 < held < 150
+    tighter = hamsym.solve(problem.H, (3.0, 3.0, 0.0, 0.0), (0, held / 2), tol=1e-11, seed=1)
+    t = np.linspace(0, held / 2, 201)
+    assert (np.abs(solution(t) - tighter(t)).max(axis=0) <= 2e-9 * solution.scale).all()
+
+
+def test_too_many_windows_is_reported() -> None:
+    problem = systems.harmonic_oscillator()
+    system = problem.H.compile("numpy")
+    J = np.array(problem.H.poisson_matrix, dtype=float)
+    windows = march(
+        lambda z, t: system.vector_field(z),
+        lambda z, t: J @ system.hessian(z),
+        np.array([1.0, 0.0]),
+        (0.0, 1_000.0),
+        1e-9,
+        feature_basis(0),
+        max_windows=20,
+    )
+    assert windows.reason == "more than 20 windows"
+    assert 0 < windows.reached < 1_000
+    assert len(windows.readouts) == 20
+
+
+@pytest.mark.parametrize("tol", [0.0, -1e-3, 1e-13, 1.0, math.nan, math.inf, "small"])
+def test_unusable_tolerances(tol: object) -> None:
+    with pytest.raises(InputError, match="tol=.* cannot be used; give a number from 1e-12 to 1"):
+        hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), tol=tol)
+
+
+@pytest.mark.parametrize("atol", [-1.0, math.nan, [0.0] * 3, "none"])
+def test_unusable_absolute_tolerances(atol: object) -> None:
+    with pytest.raises(InputError, match="atol=.* cannot be used; give"):
+        hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), atol=atol)
+
+
+# -- no false success ------------------------------------------------------------------------------
+
+
+def _random_start(name: str, generator: np.random.Generator) -> tuple[Hamiltonian, np.ndarray]:
+    if name == "henon_heiles":
+        return systems.henon_heiles().H, generator.uniform(-0.35, 0.35, 4)
+    if name == "kepler":
+        z = generator.normal(size=4)
+        return systems.kepler().H, np.array([1.0, 0.0, 0.0, 0.9]) + 0.2 * z
+    if name == "double_pendulum":
+        return systems.double_pendulum().H, generator.uniform(-1.5, 1.5, 4)
+    quartic = Hamiltonian("p_x**2/2 + p_y**4/4 + x**4/4 + y**2/2 + x**2*y**2/2 + p_x*y/5")
+    return quartic, generator.uniform(-1, 1, 4)
+
+
+def _check_random_starts(name: str, count: int) -> None:
+    generator = np.random.default_rng(7)
+    successes = 0
+    for _ in range(count):
+        H, z0 = _random_start(name, generator)
+        tol = 10.0 ** generator.uniform(-9, -3)
+        solution = hamsym.solve(H, z0, (0.0, 15.0), tol=tol)
+        if not solution.success:
+            continue
+        successes += 1
+        error = true_error(solution, reference(H, z0, (0.0, 15.0)), samples=301)
+        halves = solution.scale.reshape(2, -1)
+        floors = np.maximum(halves, 1e-8 * halves.max(axis=1, keepdims=True)).ravel()
+        assert (error * solution.scale <= tol * floors + 1e-11).all(), (name, z0, tol)
+    assert successes > 0.8 * count
+
+
+@pytest.mark.parametrize("name", ["henon_heiles", "kepler", "double_pendulum", "quartic"])
+def test_success_is_never_false(name: str) -> None:
+    _check_random_starts(name, 12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["henon_heiles", "kepler", "double_pendulum", "quartic"])
+def test_success_is_never_false_on_many_starts(name: str) -> None:
+    _check_random_starts(name, 400)
