@@ -23,6 +23,7 @@ import importlib.resources
 import inspect
 import keyword
 import linecache
+import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -32,9 +33,10 @@ from typing import Any
 import jinja2
 import sympy
 
-from hamsym.errors import InputError
+from hamsym.errors import CodeGenerationError, InputError
 from hamsym.printing import PRINTERS, FormulaPrinter, Printer, TorchPrinter
 from hamsym.realform import RealForm
+from hamsym.syntax import GREEK
 from hamsym.system import System
 
 __all__ = ["BACKENDS", "extract", "generate", "load"]
@@ -80,8 +82,15 @@ def generate(form: RealForm, backend: str) -> str:
     """
     if backend not in PRINTERS:
         raise InputError(f"'{backend}' is not a backend; choose one of {', '.join(BACKENDS)}")
+    formula = FormulaPrinter()(form.expr)
+    if not re.fullmatch(rf"[A-Za-z0-9_{GREEK} +\-*/().,]*", formula):
+        # The formula stands in docstrings of the module; nothing else may get into them.
+        raise CodeGenerationError("the formula holds more than names, numbers and functions")
     names = _Names(form)
-    bodies = _Bodies(form, names, backend)
+    try:
+        bodies = _Bodies(form, names, backend)
+    except RecursionError:
+        raise CodeGenerationError("the Hamiltonian is nested too deeply; split it") from None
     dim, indices = len(form.z), list(form.hessian)
     textbook = dim <= _TEXTBOOK_DIM and not bodies.vector_field.temporaries
     keywords = [name if value is None else f"{name}={value!r}" for name, value in names.parameters]
@@ -93,7 +102,7 @@ def generate(form: RealForm, backend: str) -> str:
         .render(
             dim=dim,
             dof=form.dof,
-            formula=FormulaPrinter()(form.expr),
+            formula=formula,
             z=names.state,
             dz=names.derivatives,
             time=", t" if time else "",

@@ -23,6 +23,27 @@ __all__ = [
 ]
 
 
+class _Magnitude(sympy.Function):  # type: ignore[misc]
+    """abs of a real expression; sympy differentiates its own into derivatives of re and im."""
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        return _Direction(self.args[0])
+
+
+class _Direction(sympy.Function):  # type: ignore[misc]
+    """sign of a real expression, whose derivative is zero almost everywhere."""
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        return sympy.Integer(0)
+
+
+def _diff(term: sympy.Expr, symbol: sympy.Symbol) -> sympy.Expr:
+    if not term.has(sympy.Abs, sympy.sign):
+        return term.diff(symbol)
+    own = term.replace(sympy.Abs, _Magnitude).replace(sympy.sign, _Direction)
+    return own.diff(symbol).replace(_Magnitude, sympy.Abs).replace(_Direction, sympy.sign)
+
+
 def gradient(expr: sympy.Expr, variables: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
     """First derivatives, in the order of the variables.
 
@@ -36,7 +57,7 @@ def gradient(expr: sympy.Expr, variables: Sequence[sympy.Symbol]) -> list[sympy.
     parts: list[list[sympy.Expr]] = [[] for _ in variables]
     for term in sympy.Add.make_args(expr):
         for symbol in term.free_symbols & position.keys():
-            parts[position[symbol]].append(term.diff(symbol))
+            parts[position[symbol]].append(_diff(term, symbol))
     return [sympy.Add(*part) for part in parts]
 
 
@@ -50,7 +71,7 @@ def hessian(
         for term in sympy.Add.make_args(derivative):
             for symbol in term.free_symbols & position.keys():
                 if (j := position[symbol]) >= i:
-                    parts[i, j].append(term.diff(symbol))
+                    parts[i, j].append(_diff(term, symbol))
     entries: dict[tuple[int, int], sympy.Expr] = {}
     for (i, j), part in sorted(parts.items()):
         entry = sympy.Add(*part)
@@ -108,12 +129,16 @@ def split(
     expr: sympy.Expr, q: Sequence[sympy.Symbol], p: Sequence[sympy.Symbol]
 ) -> tuple[sympy.Expr, sympy.Expr]:
     """T(p) and V(q) of a sum T + V; terms in neither belong to V."""
-    for form in (lambda e: e, sympy.expand):
+    for form in (lambda e: e, sympy.expand, sympy.simplify):
         terms = sympy.Add.make_args(form(expr))
         with_p = [term for term in terms if term.free_symbols & set(p)]
         if not any(term.free_symbols & set(q) for term in with_p):
             return sympy.Add(*with_p), sympy.Add(*(t for t in terms if t not in with_p))
-    potential = expr.xreplace(dict.fromkeys(p, sympy.Integer(1)))
+    infinite = (sympy.zoo, sympy.nan, sympy.oo, -sympy.oo, sympy.I)
+    for numerator in (2, 1, 3, 5, 7, 11):
+        potential = expr.xreplace(dict.fromkeys(p, sympy.Rational(numerator, 2)))
+        if not potential.has(*infinite):
+            break
     return sympy.simplify(expr - potential), potential
 
 

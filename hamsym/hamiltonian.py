@@ -19,7 +19,7 @@ import sympy
 from hamsym import codegen, derivatives
 from hamsym.errors import ParameterError, VariableError
 from hamsym.pairing import find_pairs, natural_order
-from hamsym.parsing import parse_expression
+from hamsym.parsing import canonical_name, parse_expression
 from hamsym.printing import FormulaPrinter
 from hamsym.realform import RealForm
 from hamsym.symbols import (
@@ -28,7 +28,6 @@ from hamsym.symbols import (
     check_state,
     checked_expression,
     checked_values,
-    real_symbols,
     state_array,
     state_symbol,
 )
@@ -198,7 +197,7 @@ class Hamiltonian:
         """Names of the parameters without a value."""
         return tuple(name for name in self.parameter_names if name not in self.parameters)
 
-    def with_parameters(self, **values: float) -> Hamiltonian:
+    def with_parameters(self, /, **values: float) -> Hamiltonian:
         """The same Hamiltonian with other parameter values.
 
         Examples
@@ -366,19 +365,22 @@ class Hamiltonian:
         """
         observable = self._observable(f)
         rate = self._real_bracket(observable, self._real.expr)
-        if self.time is not None:
-            rate += observable.diff(self._real.time)
+        if _TIME not in {*self.names, *self.parameters}:
+            rate += observable.diff(sympy.Symbol(_TIME, real=True))
         return derivatives.vanishes(rate)
 
     def _observable(self, f: str | sympy.Expr) -> sympy.Expr:
         expr = parse_expression(f) if isinstance(f, str) else checked_expression(f)
-        known = {*self.names, *self.parameter_names, _TIME}
-        unknown = sorted(s.name for s in expr.free_symbols if s.name not in known)
-        if unknown:
-            raise VariableError(
-                f"'{unknown[0]}' does not occur in H; known are {', '.join(sorted(known))}"
-            )
-        return expr.xreplace(real_symbols(expr.free_symbols))
+        known = {canonical_name(n): n for n in (*self.names, *self.parameter_names, _TIME)}
+        meant = {}
+        for symbol in sorted(expr.free_symbols, key=str):
+            name = known.get(canonical_name(symbol.name))
+            if name is None:
+                raise VariableError(
+                    f"'{symbol.name}' does not occur in H; known are {', '.join(known.values())}"
+                )
+            meant[symbol] = sympy.Symbol(name, real=True)
+        return expr.xreplace(meant)
 
     def _real_bracket(self, f: sympy.Expr, g: sympy.Expr) -> sympy.Expr:
         z, d = self._real.z, self.dof

@@ -79,6 +79,11 @@ def find_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
             )
         if candidates:
             found[momentum] = candidates[0]
+        elif momentum == "p" and (rivals := _rivals(spelled, found)):
+            raise VariableError(
+                f"'{spelled[rivals[0]]}' and '{spelled[momentum]}' both look like the momentum of "
+                f"{spelled.get(found[rivals[0]], found[rivals[0]])}; {_REMEDY}"
+            )
         elif re.fullmatch(r"[pP](_?\d+)?", momentum):
             unmatched.append(momentum)
     claims: dict[str, str] = {}
@@ -98,6 +103,11 @@ def find_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
         raise VariableError(f"no pair such as x, p_x or q1, p1 among {listed}; {_REMEDY}")
     pairs = [(spelled.get(q, q), spelled[p]) for p, q in found.items()]
     return sorted(pairs, key=lambda pair: natural_order(pair[0]))
+
+
+def _rivals(spelled: dict[str, str], found: dict[str, str]) -> list[str]:
+    """Momenta that took the coordinate which a bare p would have had, where it is the only pair."""
+    return [m for m, q in found.items() if q in _FIRST_CHOICE and q in spelled and len(found) == 1]
 
 
 def _coordinates_for(momentum: str, free: list[str], taken: set[str]) -> list[str]:

@@ -19,7 +19,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import sympy
+from sympy.core.evalf import PrecisionExhausted
 
+from hamsym.deadline import ProcessorTimeExceededError, processor_time_limit
 from hamsym.errors import InputError, ParseError, VariableError
 from hamsym.syntax import GREEK, LAMBDA, LAMBDA_STAND_IN, readable, syntax_tree
 
@@ -28,7 +30,9 @@ __all__ = ["FUNCTIONS", "canonical_name", "check_name", "parse_expression", "par
 MAX_LENGTH = 50_000  # characters
 MAX_NODES = 10_000  # operands and operations
 MAX_DEPTH = 60  # nesting, sums and products counting once however long they are
-MAX_EXPONENT = 1_000  # of an integer power
+MAX_CALLS = 6  # functions inside functions; sympy's assumptions take 2**depth of some
+MAX_EXPONENT = 1_000  # of a numerical power
+MAX_SECONDS = 0.8  # of processor time
 MAX_BITS = 5_000  # of an exact number
 
 
@@ -86,6 +90,7 @@ def check_name(name: str) -> None:
     hamsym.errors.VariableError: 'x; import os' is not a usable name; ...
     """
     shown = name if len(name) <= 40 else name[:37] + "..."
+    shown = shown if shown.isprintable() else ascii(shown)[1:-1]
     if not _NAME.fullmatch(name) or "__" in name or len(name) > _MAX_NAME:
         raise VariableError(
             f"'{shown}' is not a usable name; names are up to {_MAX_NAME} Latin or Greek letters, "
@@ -144,13 +149,6 @@ def parse_expression(text: str) -> sympy.Expr:
     """
     if not isinstance(text, str):
         raise InputError(f"a formula is a str, not {type(text).__name__}")
-    if len(text) > MAX_LENGTH:
-        raise ParseError(
-            text[:12] + "...",
-            1,
-            f"begins a formula of {len(text)} characters, more than {MAX_LENGTH}",
-            "build a sympy expression for something this large",
-        )
     return _Visitor(text).result()
 
 
@@ -172,7 +170,7 @@ def parse_number(text: str) -> float:
     if value.free_symbols:
         name = min(symbol.name for symbol in value.free_symbols)
         raise ParseError(
-            name, text.find(name) + 1, "is a variable", "a number is wanted here, such as 4*pi"
+            name, visitor.column_of(name), "is a variable", "a number is wanted here, such as 4*pi"
         )
     return float(value)
 
@@ -210,9 +208,16 @@ class _Visitor:
     """Rebuilds a syntax tree from sympy's constructors; one ``visit_`` method per node type."""
 
     def __init__(self, text: str) -> None:
+        if len(text) > MAX_LENGTH:
+            raise ParseError(
+                text[:12] + "...",
+                1,
+                f"begins a formula of {len(text)} characters, more than {MAX_LENGTH}",
+                "build a sympy expression for something this large",
+            )
         self._text = readable(text)
         self._symbols: dict[str, str] = {}  # canonical name -> name as typed
-        self._depth = 0
+        self._depth = self._calls = 0
 
     def result(self) -> sympy.Expr:
         tree = syntax_tree(self._text)
@@ -224,7 +229,16 @@ class _Visitor:
                 f"begins a formula of {count} parts, more than {MAX_NODES}",
                 "build a sympy expression for something this large",
             )
-        return self.visit(tree.body)
+        try:
+            with processor_time_limit(MAX_SECONDS):
+                return self.visit(tree.body)
+        except ProcessorTimeExceededError:
+            raise ParseError(
+                self._text.strip()[:12] + "...",
+                1,
+                "begins a formula that takes too long to read",
+                "split it, or build a sympy expression",
+            ) from None
 
     def visit(self, node: ast.AST) -> sympy.Expr:
         method = getattr(self, f"visit_{type(node).__name__}", None)
@@ -236,7 +250,15 @@ class _Visitor:
         self._depth += 1
         if self._depth > MAX_DEPTH:
             raise self._error(node, f"is nested more than {MAX_DEPTH} deep", "split the formula")
-        expr: sympy.Expr = self._checked(method(node), node)
+        try:
+            expr: sympy.Expr = self._checked(method(node), node)
+        except InputError:
+            raise
+        except (ArithmeticError, AttributeError, TypeError, ValueError, RecursionError):
+            # sympy's own, from asking whether an expression is real, or smaller than another
+            raise self._error(
+                node, "cannot be evaluated as a real expression", "simplify or split it"
+            ) from None
         self._depth -= 1
         return expr
 
@@ -247,6 +269,8 @@ class _Visitor:
         if type(value) is float:
             if not math.isfinite(value):
                 raise self._error(node, "is too large a number", "stay below 1e308")
+            if value == 0 and re.search(r"[1-9]", self._text_of(node).lower().split("e")[0]):
+                raise self._error(node, "is too small a number", "stay above 1e-308")
             return sympy.Rational(repr(value))
         if isinstance(value, complex):
             raise self._error(node, "is a complex number", "a Hamiltonian is real")
@@ -319,7 +343,16 @@ class _Visitor:
                 f"has {len(node.args)} arguments",
                 f"give {name} {wanted}, separated by commas",
             )
-        return function.build(*(self.visit(argument) for argument in node.args))
+        self._calls += 1
+        if self._calls > MAX_CALLS:
+            raise self._error(
+                node.func, f"is inside more than {MAX_CALLS} other functions", "split the formula"
+            )
+        arguments = [self.visit(argument) for argument in node.args]
+        self._calls -= 1
+        if name == "exp":
+            self._refuse_giant_log(arguments[0], node)
+        return function.build(*arguments)
 
     def _chain(self, node: ast.BinOp, operators: tuple[type, ...]) -> list[sympy.Expr]:
         """The terms of a sum or the factors of a product, however many, without recursion."""
@@ -334,7 +367,7 @@ class _Visitor:
             if isinstance(link.op, ast.Sub):
                 operand = -operand
             elif isinstance(link.op, ast.Div):
-                if operand.is_zero:
+                if _is_zero(operand):
                     raise self._error(link.right, "is zero", "nothing can be divided by it")
                 operand = 1 / operand
             operands.append(operand)
@@ -342,21 +375,33 @@ class _Visitor:
 
     def _power(self, node: ast.BinOp) -> sympy.Expr:
         base, exponent = self.visit(node.left), self.visit(node.right)
-        if exponent.is_Integer and abs(int(exponent)) > MAX_EXPONENT:
-            raise self._error(node.right, "is too large an exponent", f"stay below {MAX_EXPONENT}")
-        if base.is_Rational and exponent.is_Rational:
-            if base == 0 and exponent < 0:
+        if exponent.is_Rational:
+            if abs(exponent) > MAX_EXPONENT:
+                raise self._error(
+                    node.right, "is too large an exponent", f"stay below {MAX_EXPONENT}"
+                )
+            if exponent < 0 and _is_zero(base):
                 raise self._error(node.left, "is zero", "nothing can be divided by it")
-            bits = max(abs(base.p).bit_length(), base.q.bit_length())
+            # Numbers are taken out of products such as (2*x)**n, so they count wherever they are.
+            bits = max((_bits(number) for number in base.atoms(sympy.Rational)), default=0)
             if bits * abs(exponent) > MAX_BITS:
                 raise self._error(node, "is too large a number", "stay below 1e308")
+        self._refuse_giant_log(exponent, node)
         if base.is_number and not exponent.is_number and not base.is_positive:
             raise self._error(node.left, "is not positive", "its powers are not real")
         power = base**exponent
-        _, total = power.as_base_exp()
-        if total.is_Integer and abs(int(total)) > MAX_EXPONENT:
-            raise self._error(node, "is too high a power", f"stay below {MAX_EXPONENT}")
+        for part in (power, *power.args):
+            _, total = part.as_base_exp()
+            if total.is_Rational and abs(total) > MAX_EXPONENT:
+                raise self._error(node, "is too high a power", f"stay below {MAX_EXPONENT}")
         return power
+
+    def _refuse_giant_log(self, exponent: sympy.Expr, node: ast.AST) -> None:
+        """exp(c*log(b)) is b**c to sympy, which would write it out."""
+        if exponent.has(sympy.log) and any(
+            abs(number) > MAX_EXPONENT for number in exponent.atoms(sympy.Rational)
+        ):
+            raise self._error(node, "is too large a power", f"stay below {MAX_EXPONENT}")
 
     def _checked(self, expr: sympy.Expr, node: ast.AST) -> sympy.Expr:
         """Refuse what is not a finite real number or expression.
@@ -366,6 +411,9 @@ class _Visitor:
         """
         if expr.is_Rational:
             return self._number(expr, node)
+        for part in expr.args:
+            if part.is_Rational:
+                self._number(part, node)
         if expr.has(sympy.I, sympy.zoo, sympy.nan, sympy.oo):
             raise self._error(node, "is not a finite real number", "a Hamiltonian is real")
         if not expr.free_symbols:
@@ -382,6 +430,11 @@ class _Visitor:
             raise self._error(node, "is too large a number", "stay below 1e308")
         return number
 
+    def column_of(self, name: str) -> int:
+        """Where a name stands, counted from 1."""
+        match = re.search(rf"(?<!\w){re.escape(name)}(?!\w)", self._text)
+        return match.start() + 1 if match else 1
+
     def _column(self, node: ast.AST) -> int:
         offset = getattr(node, "col_offset", 0)
         return len(self._text.encode()[:offset].decode()) + 1
@@ -396,6 +449,22 @@ class _Visitor:
     def _operator_error(self, operator: ast.AST, node: ast.AST, column: int) -> ParseError:
         symbol, problem, remedy = _REFUSED_OPERATORS[type(operator)]
         return ParseError(symbol, column, problem, remedy)
+
+
+def _bits(number: sympy.Rational) -> int:
+    return max(abs(number.p).bit_length(), number.q.bit_length())
+
+
+def _is_zero(expr: sympy.Expr) -> bool:
+    """Whether a divisor is zero, also if that shows in its digits only."""
+    if expr.free_symbols:
+        return bool(expr.is_zero)
+    if expr.is_Rational:
+        return bool(expr == 0)
+    try:
+        return bool(abs(expr.evalf(17, strict=True)) < 1e-100)
+    except PrecisionExhausted:
+        return True
 
 
 def _function_list() -> str:

@@ -7,6 +7,7 @@ tensor function on a Python number nor be evaluated again at every call.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 
 import sympy
@@ -80,9 +81,12 @@ class Printer:
         CodeGenerationError
             Naming a function that cannot be rewritten.
         """
-        present = {type(node) for node in expr.atoms(sympy.Function, sympy.Heaviside)}
-        for function in present & _REWRITES.keys():
-            expr = expr.replace(function, _REWRITES[function])
+        for _ in range(10):  # a rewritten argument can turn f(-u) into f(u) again
+            present = {type(node) for node in expr.atoms(sympy.Function)} & _REWRITES.keys()
+            if not present:
+                break
+            for function in present:
+                expr = expr.replace(function, _REWRITES[function])
         return expr
 
     # -- numbers ---------------------------------------------------------------------------
@@ -92,7 +96,17 @@ class Printer:
         if value.is_Rational and max(abs(value.p), value.q) <= _READABLE:
             text = str(value.p) if value.q == 1 else f"{value.p}/{value.q}"
             return text, _ADD if value.p < 0 else (_ATOM if value.q == 1 else _MUL)
-        number = float(value) if value.is_Rational else float(value.evalf(30))
+        digits = value if value.is_Rational else value.evalf(30)
+        if not (digits.is_Rational or digits.is_Float):
+            raise CodeGenerationError(f"'{value}' is not a real number; rewrite the Hamiltonian")
+        try:
+            number = float(digits)
+        except OverflowError:
+            number = float("inf")
+        if abs(number) == float("inf") or (number == 0 and digits != 0):
+            raise CodeGenerationError(
+                "a coefficient is beyond the range of floating-point numbers; choose other units"
+            )
         return repr(number), _ADD if number < 0 else _ATOM
 
     # -- nodes -----------------------------------------------------------------------------
@@ -138,6 +152,10 @@ class Printer:
         numerator, denominator = self._fraction(constant)
         tops = ([numerator] if numerator else []) + [self._wrapped(f, _MUL) for f in above]
         bottoms = ([denominator] if denominator else []) + [self._wrapped(f, _POW) for f in below]
+        if denominator and any(factor.is_Add for factor in [f.as_base_exp()[0] for f in below]):
+            # 2/3/(x + y): a number in front of the sum would be multiplied out when read again.
+            tops = [f"{numerator or 1}/{denominator}", *tops[bool(numerator) :]]
+            bottoms = bottoms[1:]
         text = sign + ("*".join(tops) or "1")
         if bottoms:
             text += "/" + (bottoms[0] if len(bottoms) == 1 else f"({'*'.join(bottoms)})")
@@ -189,11 +207,11 @@ class Printer:
 
     def extremum(self, expr: sympy.Expr, form: str) -> str:
         """Minimum or maximum of two or more arguments, from a function of two."""
-        arguments = sorted(expr.args, key=sympy.default_sort_key)
-        text = self.argument(arguments[0])
-        for other in arguments[1:]:
-            text = f"{form}({text}, {self.argument(other)})"
-        return text
+        texts = [self.argument(a) for a in sorted(expr.args, key=sympy.default_sort_key)]
+        while len(texts) > 1:  # in pairs, so that many arguments nest only a little
+            pairs = [texts[i : i + 2] for i in range(0, len(texts), 2)]
+            texts = [f"{form}({', '.join(pair)})" if len(pair) == 2 else pair[0] for pair in pairs]
+        return texts[0]
 
 
 def _ordered_terms(expr: sympy.Expr) -> list[sympy.Expr]:
@@ -218,7 +236,7 @@ def _ordered_terms(expr: sympy.Expr) -> list[sympy.Expr]:
 
 
 class FormulaPrinter(Printer):
-    """The formula as :func:`hamsym.parsing.parse_expression` reads it back.
+    """The formula as :func:`hamsym.parsing.parse_expression` reads it back, up to rearrangement.
 
     Examples
     --------
@@ -241,7 +259,7 @@ class FormulaPrinter(Printer):
 
     def number(self, value: sympy.Expr) -> tuple[str, int]:
         if value.is_Float:
-            return str(value), _ADD if value < 0 else _ATOM
+            return repr(float(value)), _ADD if value < 0 else _ATOM
         if value.q != 1 and max(abs(value.p), value.q) > _READABLE:
             decimal = repr(float(value))
             if sympy.Rational(decimal) == value:
@@ -253,7 +271,8 @@ class FormulaPrinter(Printer):
         if expr.is_Symbol:
             return expr.name, _ATOM
         if expr.is_NumberSymbol:
-            return ("exp(1)" if expr is sympy.E else str(expr)), _ATOM
+            known = {sympy.E: "exp(1)", sympy.pi: "pi"}
+            return known.get(expr) or repr(float(expr)), _ATOM
         return super()._render(expr)
 
     def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
@@ -262,8 +281,10 @@ class FormulaPrinter(Printer):
     def _call(self, expr: sympy.Expr) -> str:
         if type(expr) in self.functions:
             return super()._call(expr)
-        arguments = ", ".join(self.argument(argument) for argument in expr.args)
-        return f"{expr.func.__name__}({arguments})"
+        name = expr.func.__name__
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            raise CodeGenerationError(f"{name!r} is not the name of a function; rename it")
+        return f"{name}({', '.join(self.argument(argument) for argument in expr.args)})"
 
 
 class TorchPrinter(Printer):

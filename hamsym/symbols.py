@@ -37,6 +37,11 @@ def as_list(symbols: Sequence[str | sympy.Symbol]) -> list[str | sympy.Symbol]:
     return list(symbols)
 
 
+def _quoted(name: str) -> str:
+    """A name for a one-line message, whatever is in it."""
+    return f"'{name}'" if name.isprintable() else ascii(name)
+
+
 def name_of(key: object) -> str:
     return key.name if isinstance(key, sympy.Symbol) else str(key)
 
@@ -76,6 +81,12 @@ def checked_expression(expression: object) -> sympy.Expr:
     if undefined:
         shown = min(str(node) for node in undefined)
         raise VariableError(f"'{shown}' is not a plain symbol; use Symbol('x') for a variable")
+    bound = expression.atoms(sympy.Symbol) - expression.free_symbols
+    if bound:
+        raise VariableError(
+            f"{min(symbol.name for symbol in bound)!a} is bound inside the expression; "
+            "do sums, products and substitutions first, with .doit()"
+        )
     if expression.has(sympy.I, sympy.zoo, sympy.nan, sympy.oo, -sympy.oo):
         raise InputError(f"'{str(expression)[:40]}' is not real and finite; a Hamiltonian is real")
     return expression
@@ -90,7 +101,7 @@ def checked_values(
         name = spelled.get(canonical_name(name_of(key)))
         if name is None:
             listed = ", ".join(sorted(symbols)) or "no symbols"
-            raise ParameterError(f"'{name_of(key)}' does not occur in H; it has {listed}")
+            raise ParameterError(f"{_quoted(name_of(key))} does not occur in H; it has {listed}")
         try:
             number = float(value)
         except (TypeError, ValueError):
@@ -109,8 +120,9 @@ def state_symbol(
         raise VariableError(f"'{item}' is not a name or a symbol; give q and p as names")
     name = name_of(item)
     check_name(name)
-    if name in symbols:
-        return symbols[name]
+    spelled = {canonical_name(known): symbol for known, symbol in symbols.items()}
+    if canonical_name(name) in spelled:
+        return spelled[canonical_name(name)]
     if isinstance(item, sympy.Symbol) and not real:
         return item
     return sympy.Symbol(name, real=True)

@@ -94,18 +94,22 @@ def _syntax_error(text: str, error: SyntaxError, start: int) -> ParseError:
         column = match.start() + 1 if match else 1
         return ParseError(shown[column - 1 :], column, "is too large a number", "stay below 1e308")
     if "never closed" in error.msg:
-        return ParseError("(", column, "is never closed", "add the missing )")
+        bracket = shown[column - 1]
+        missing = {"(": ")", "[": "]", "{": "}"}.get(bracket, ")")
+        return ParseError(bracket, column, "is never closed", f"add the missing {missing}")
     if "too many nested" in error.msg:
         return ParseError("(", column, "is nested too deeply", "split the formula")
     if "unmatched" in error.msg or "does not match" in error.msg:
         return ParseError(shown[column - 1], column, "was never opened", "remove it or add a (")
     if column <= start or column > end:
-        last = re.search(r"\S$", shown[:end])
+        last = re.search(r"[^\W\d]\w*$|\S$", shown[:end])
         token = last.group() if last else shown.strip()
         stray = re.search(r"(?<![=<>!])=(?!=)", shown)
         if stray:
             return _equation_error(stray.start() + 1)
-        return ParseError(token, end, "ends the formula too early", "complete or remove it")
+        return ParseError(
+            token, end - len(token) + 1, "ends the formula too early", "complete or remove it"
+        )
     if "=" in shown[column - 1 : column + 1] or ("=" in shown and "assign" in error.msg):
         return _equation_error(shown.find("=") + 1)
     match = re.compile(r"[^\W\d]\w*|\d[\w.]*|\S").match(shown, column - 1)

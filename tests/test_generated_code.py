@@ -235,6 +235,32 @@ def test_what_a_backend_lacks_is_refused_by_name_when_the_source_is_asked_for(
         H.source(backend)
 
 
+@pytest.mark.parametrize(
+    "expr", [sympy.asin(2) * x, sympy.Rational(-2) ** sympy.Rational(1, 3) * x]
+)
+def test_complex_coefficients_are_refused(expr: sympy.Expr, backend: str) -> None:
+    with pytest.raises(InputError):
+        Hamiltonian(p**2 / 2 + expr).compile(backend)
+
+
+def test_coefficients_beyond_floating_point_are_refused(backend: str) -> None:
+    for power in (400, -400):
+        H = Hamiltonian(p**2 / 2 + sympy.Integer(10) ** power * x)
+        with pytest.raises(CodeGenerationError, match="choose other units"):
+            H.compile(backend)
+
+
+def test_many_arguments_and_rewrites_inside_each_other(backend: str) -> None:
+    q = sympy.symbols("q1:90", real=True)
+    H = Hamiltonian(p**2 / 2 + sympy.Max(*q) * x, q=["x"], p=["p"])
+    values = {symbol.name: float(i) for i, symbol in enumerate(q)}
+    H = H.with_parameters(**values)
+    assert call(H.compile(backend), "energy", np.array([2.0, 0.0])) == pytest.approx(2 * 88)
+    H = Hamiltonian("p**2/2 + csc(cot(x) - atan(2))")
+    z = np.array([[0.4, 0.3]])
+    np.testing.assert_allclose(call(H.compile(backend), "energy", z), sympy_values(H, z)[0])
+
+
 # -- parameters and time -------------------------------------------------------------------------
 
 

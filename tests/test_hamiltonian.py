@@ -107,6 +107,43 @@ def test_explicit_time_in_conservation() -> None:
     assert H.time == sympy.Symbol("t", real=True)
     assert not H.is_conserved(H.expr)
     assert H.is_conserved("p + sin(t)")
+    assert not Hamiltonian(OSCILLATOR).is_conserved("t")
+    assert Hamiltonian("p**2/2", q=["x"], p=["p"]).is_conserved("x - p*t")
+
+
+@pytest.mark.parametrize(
+    ("formula", "force"),
+    [
+        ("abs(x/m)", "-sign(x/m)/m"),
+        ("abs(log(x))", "-sign(log(x))/x"),
+        ("x*sign(x/m - 1)", "-sign(x/m - 1)"),
+        ("abs(acos(x))", "sign(acos(x))/sqrt(1 - x**2)"),
+    ],
+)
+def test_absolute_values_differentiate_as_of_real_numbers(formula: str, force: str) -> None:
+    H = Hamiltonian(f"p**2/2 + {formula}", q=["x"], p=["p"])
+    assert sympy.simplify(H.vector_field[1] - parse_expression(force)) == 0
+
+
+def test_split_where_rest_is_singular() -> None:
+    H = Hamiltonian("(sin(x)**2 + cos(x)**2)*log(p - 1) + x**2")
+    x, p = H.z
+    assert (H.kinetic, H.potential) == (sympy.log(p - 1), x**2)
+
+
+def test_either_spelling_names_the_same_variable() -> None:
+    H = Hamiltonian("p_θ**2/2 + θ**2", q=["theta"], p=["p_theta"])
+    assert H.names == ("θ", "p_θ")
+    assert not H.is_conserved("p_theta")
+    assert H.poisson_bracket("theta", "p_θ") == 1
+
+
+@pytest.mark.parametrize(
+    "formula", ["x + p**2/2 + 2/3/(x + y)", "p**2/2 - 5/7/(x**2 + 1)", "p**2/2 + exp(1)*x*pi/3"]
+)
+def test_formula_reads_back(formula: str) -> None:
+    H = Hamiltonian(formula, q=["x"], p=["p"])
+    assert Hamiltonian(H.formula, q=["x"], p=["p"]) == H
 
 
 def test_poisson_bracket_is_antisymmetric_and_satisfies_jacobi() -> None:
@@ -164,6 +201,8 @@ BAD_EXPRESSIONS = [
     (sympy.Symbol("sin") * sympy.Symbol("p"), "function or constant"),
     (sympy.Function("x")(t) ** 2, "not a plain symbol"),
     (sympy.IndexedBase("q")[0] * sympy.Symbol("p"), "not a plain symbol"),
+    (sympy.Sum(sympy.Symbol('"""+evil+"""'), (sympy.Symbol('"""+evil+"""'), 1, 3)), "bound"),
+    (sympy.Subs(sympy.sin(t), t, 1) * sympy.Symbol("x"), "bound"),
     (sympy.Symbol("x") * sympy.I, "real"),
     (sympy.Symbol("x") * sympy.oo, "real"),
     (sympy.Symbol("x") + sympy.Symbol("x", real=True) + sympy.Symbol("p"), "twice"),

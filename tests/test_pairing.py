@@ -55,6 +55,7 @@ def test_pairs_are_found_and_ordered_as_people_count(
         ("theta phi p", ["'p'", "phi or theta"]),
         ("x px p_x", ["px", "p_x", "both"]),
         ("q1 x1 p1", ["'p1'", "q1 or x1"]),
+        ("x px p", ["px", "'p'", "both"]),
         ("q1 p1 p2", ["'p2'", "no coordinate", "p1, p2, q1"]),
         ("x m", ["no pair", "m, x"]),
         ("p m", ["'p'", "no coordinate"]),
