@@ -37,6 +37,7 @@ bench: $(VENV)/installed ## Print the benchmarks' ratios
 	$(BIN)/python tests/benchmarks/derivation.py
 	$(BIN)/python tests/benchmarks/euler_loop.py
 	$(BIN)/python tests/benchmarks/training_epoch.py
+	$(BIN)/python tests/benchmarks/work_precision.py
 
 clean: ## Remove the environment and everything built
 	rm -rf $(VENV) build dist output *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

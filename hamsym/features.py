@@ -34,6 +34,7 @@ _TRUNCATION = 1e-13  # of singular values, relative
 _DEGREE = 47  # of the Chebyshev series of the columns, which are entire functions
 _INNER_RANGE = 10.0  # inner weights a are uniform within +- this
 _ORDER = 18  # at which the residual falls with the length of the window, empirically
+_ROUND_OFF = 256 * np.finfo(float).eps  # of the residual, relative to the rates
 _SHRINK, _GROW = 0.6, 2.5
 _FIXED_POINT_ITERATIONS, _NEWTON_ITERATIONS = 60, 12
 
@@ -240,7 +241,10 @@ def march(
         evaluations += 1
         size = np.maximum(reached_scale, np.abs(middle).max(axis=0))
         scale_now = _floored(size)
-        error = float((length * np.abs(ell).max(axis=0) / scale_now).max()) / tolerance
+        # No window is short enough to bring the residual below the round-off of the rates.
+        allowed = tolerance * scale_now + _ROUND_OFF * length * np.abs(found.rates).max(axis=0)
+        allowed = np.maximum(allowed, np.finfo(float).tiny)
+        error = float((length * np.abs(ell).max(axis=0) / allowed).max())
         if not error <= 1:  # also where it is not a number
             factor = (0.3 / error) ** (1 / _ORDER) if math.isfinite(error) else 0.3
             length *= min(max(factor, 0.3), 0.9)

@@ -230,6 +230,15 @@ def test_too_many_windows_is_reported() -> None:
     assert len(windows.readouts) == 20
 
 
+def test_more_than_float64_holds_is_refused_with_the_best_there_is() -> None:
+    problem = systems.double_pendulum()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-12)
+    best = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-11, seed=1)
+    assert solution.success or "round-off" in solution.message
+    t = np.linspace(*problem.span, 501)
+    np.testing.assert_allclose(solution(t), best(t), atol=1e-10)
+
+
 @pytest.mark.parametrize("tol", [0.0, -1e-3, 1e-13, 1.0, math.nan, math.inf, "small"])
 def test_unusable_tolerances(tol: object) -> None:
     with pytest.raises(InputError, match="tol=.* cannot be used; give a number from 1e-12 to 1"):
