@@ -23,7 +23,15 @@ from sympy.core.evalf import PrecisionExhausted
 
 from hamsym.deadline import ProcessorTimeExceededError, processor_time_limit
 from hamsym.errors import InputError, ParseError, VariableError
-from hamsym.syntax import GREEK, LAMBDA, LAMBDA_STAND_IN, readable, syntax_tree
+from hamsym.syntax import (
+    GREEK,
+    LAMBDA,
+    LAMBDA_STAND_IN,
+    REFUSED_NODES,
+    REFUSED_OPERATORS,
+    readable,
+    syntax_tree,
+)
 
 __all__ = ["FUNCTIONS", "canonical_name", "check_name", "parse_expression", "parse_number"]
 
@@ -175,35 +183,6 @@ def parse_number(text: str) -> float:
     return float(value)
 
 
-_REFUSED_NODES: dict[type[ast.AST], tuple[str, str]] = {
-    ast.Attribute: ("is attribute access", "use plain names such as p_x"),
-    ast.Subscript: ("is a subscript", "write q1 instead of q[1]"),
-    ast.Compare: ("is a comparison", "a Hamiltonian is one expression without relations"),
-    ast.BoolOp: ("is a logical operation", "a Hamiltonian is one arithmetic expression"),
-    ast.IfExp: ("is a conditional", "use min, max, abs or sign"),
-    ast.Lambda: ("is a lambda", "write the expression alone"),
-    ast.Tuple: ("is a list of expressions", "write one expression, with . for decimals"),
-    ast.List: ("is a list", "group with parentheses ( )"),
-    ast.Set: ("is a set", "group with parentheses ( )"),
-    ast.Dict: ("is a dictionary", "group with parentheses ( )"),
-    ast.JoinedStr: ("is a string", "write the formula without quotation marks"),
-    ast.Starred: ("is unpacking", "write ** for powers and * between factors"),
-    ast.NamedExpr: ("is an assignment", "give only the right-hand side"),
-}
-_REFUSED_OPERATORS: dict[type[ast.AST], tuple[str, str, str]] = {
-    ast.BitXor: ("^", "is not a power", "write ** for powers"),
-    ast.FloorDiv: ("//", "is integer division", "write / for quotients"),
-    ast.Mod: ("%", "is a remainder", "only + - * / ** are known"),
-    ast.MatMult: ("@", "is a matrix product", "write * for products"),
-    ast.LShift: ("<<", "is a bit shift", "only + - * / ** are known"),
-    ast.RShift: (">>", "is a bit shift", "only + - * / ** are known"),
-    ast.BitOr: ("|", "is a bit operation", "write abs(x) for |x|"),
-    ast.BitAnd: ("&", "is a bit operation", "only + - * / ** are known"),
-    ast.Invert: ("~", "is a bit operation", "write - for minus"),
-    ast.Not: ("not", "is a logical operation", "write - for minus"),
-}
-
-
 class _Visitor:
     """Rebuilds a syntax tree from sympy's constructors; one ``visit_`` method per node type."""
 
@@ -243,7 +222,7 @@ class _Visitor:
     def visit(self, node: ast.AST) -> sympy.Expr:
         method = getattr(self, f"visit_{type(node).__name__}", None)
         if method is None:
-            problem, remedy = _REFUSED_NODES.get(
+            problem, remedy = REFUSED_NODES.get(
                 type(node), ("is not part of a formula", "use numbers, names and + - * / **")
             )
             raise self._error(node, problem, remedy)
@@ -311,12 +290,12 @@ class _Visitor:
         self.visit(node.left)  # what is wrong further to the left comes first
         before = self._text_of(node.left)
         column = self._column(node.left) + len(before)
-        symbol = _REFUSED_OPERATORS[type(node.op)][0]
+        symbol = REFUSED_OPERATORS[type(node.op)][0]
         raise self._operator_error(node.op, node, self._text.find(symbol, column - 1) + 1)
 
     def visit_Call(self, node: ast.Call) -> sympy.Expr:
         if isinstance(node.func, ast.Attribute):
-            raise self._error(node.func, *_REFUSED_NODES[ast.Attribute])
+            raise self._error(node.func, *REFUSED_NODES[ast.Attribute])
         if not isinstance(node.func, ast.Name):
             raise self._error(node.func, "is not a function name", "write * between factors")
         name = node.func.id
@@ -447,7 +426,7 @@ class _Visitor:
         return ParseError(token, self._column(node), problem, remedy)
 
     def _operator_error(self, operator: ast.AST, node: ast.AST, column: int) -> ParseError:
-        symbol, problem, remedy = _REFUSED_OPERATORS[type(operator)]
+        symbol, problem, remedy = REFUSED_OPERATORS[type(operator)]
         return ParseError(symbol, column, problem, remedy)
 
 

@@ -72,7 +72,7 @@ def by_name(symbols: Iterable[sympy.Symbol]) -> dict[str, sympy.Symbol]:
 
 def checked_expression(expression: object) -> sympy.Expr:
     if isinstance(expression, (int, float)) and not isinstance(expression, bool):
-        expression = sympy.sympify(expression, strict=True)
+        expression = sympy.Number(expression)
     if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
         raise InputError(
             f"a Hamiltonian is a str or a sympy expression, not {type(expression).__name__}"

@@ -12,7 +12,15 @@ import warnings
 
 from hamsym.errors import ParseError
 
-__all__ = ["GREEK", "LAMBDA", "LAMBDA_STAND_IN", "readable", "syntax_tree"]
+__all__ = [
+    "GREEK",
+    "LAMBDA",
+    "LAMBDA_STAND_IN",
+    "REFUSED_NODES",
+    "REFUSED_OPERATORS",
+    "readable",
+    "syntax_tree",
+]
 
 # Greek capitals and omicron that cannot be told from Latin letters are not accepted as names.
 GREEK = "".join(sorted(set("ΓΔΘΛΞΠΣΦΨΩαβγδεζηθικλμνξπρςστυφχψω")))
@@ -40,6 +48,36 @@ _CHARACTER_REMEDIES = {
 # `lambda` is a wavelength to a physicist and a keyword to Python's parser: it is parsed under a
 # name of the same length that no accepted text can contain.
 LAMBDA, LAMBDA_STAND_IN = "lambda", "łambda"
+
+
+# Problem and remedy of what Python's parser accepts and a formula does not.
+REFUSED_NODES: dict[type[ast.AST], tuple[str, str]] = {
+    ast.Attribute: ("is attribute access", "use plain names such as p_x"),
+    ast.Subscript: ("is a subscript", "write q1 instead of q[1]"),
+    ast.Compare: ("is a comparison", "a Hamiltonian is one expression without relations"),
+    ast.BoolOp: ("is a logical operation", "a Hamiltonian is one arithmetic expression"),
+    ast.IfExp: ("is a conditional", "use min, max, abs or sign"),
+    ast.Lambda: ("is a lambda", "write the expression alone"),
+    ast.Tuple: ("is a list of expressions", "write one expression, with . for decimals"),
+    ast.List: ("is a list", "group with parentheses ( )"),
+    ast.Set: ("is a set", "group with parentheses ( )"),
+    ast.Dict: ("is a dictionary", "group with parentheses ( )"),
+    ast.JoinedStr: ("is a string", "write the formula without quotation marks"),
+    ast.Starred: ("is unpacking", "write ** for powers and * between factors"),
+    ast.NamedExpr: ("is an assignment", "give only the right-hand side"),
+}
+REFUSED_OPERATORS: dict[type[ast.AST], tuple[str, str, str]] = {
+    ast.BitXor: ("^", "is not a power", "write ** for powers"),
+    ast.FloorDiv: ("//", "is integer division", "write / for quotients"),
+    ast.Mod: ("%", "is a remainder", "only + - * / ** are known"),
+    ast.MatMult: ("@", "is a matrix product", "write * for products"),
+    ast.LShift: ("<<", "is a bit shift", "only + - * / ** are known"),
+    ast.RShift: (">>", "is a bit shift", "only + - * / ** are known"),
+    ast.BitOr: ("|", "is a bit operation", "write abs(x) for |x|"),
+    ast.BitAnd: ("&", "is a bit operation", "only + - * / ** are known"),
+    ast.Invert: ("~", "is a bit operation", "write - for minus"),
+    ast.Not: ("not", "is a logical operation", "write - for minus"),
+}
 
 
 def readable(text: str) -> str:
