@@ -59,6 +59,10 @@ def solve_by_adam(
         noise=noise,
         target_loss=target_loss,
     )
+    if not (
+        isinstance(regularizers, Sequence) and all(isinstance(r, Regularizer) for r in regularizers)
+    ):
+        raise InputError("regularizers is not a list of Regularizer(weight, function); give one")
     precision = _precision(dtype)
     generator = torch.Generator().manual_seed(problem.seed)
     trial = TrialSolution(

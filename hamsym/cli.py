@@ -296,10 +296,12 @@ def integrate(
 @_hamiltonian_options
 @_span_options
 @_solver_options
+@click.option("--max-steps", default=100_000_000, show_default=True, help="Of Euler's search.")
 def compare(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
+    max_steps: int,
     figure: str | None = None,
     **options: Any,
 ) -> int:
@@ -310,7 +312,7 @@ def compare(
     _check_figure(figure)
     solution = run(H, z0, span, **options)
     _report(solution)
-    comparison = run_comparison(solution)
+    comparison = run_comparison(solution, max_steps=max_steps)
     click.echo(f"\n{comparison}")
     if figure is not None:
         _save_figure(comparison.plot(), figure)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hamsym.errors import InputError
 from hamsym.integrators import Trajectory, integrate, reference
 from hamsym.solution import Solution
 
@@ -60,19 +61,20 @@ class StepsToMatch:
         Euler's error at these steps, or at the most steps that were tried.
     extrapolated : float, optional
         Beyond the limit: steps extrapolated from there, the error falling as 1/steps.
+    limit : int
+        The most steps that were allowed.
     """
 
     steps: int | None
     error: float
     extrapolated: float | None = None
+    limit: int = MAX_STEPS
 
     def __str__(self) -> str:
         if self.steps is not None:
             return f"{self.steps:,}"
-        if self.extrapolated is None:
-            return f"> {MAX_STEPS:.0e}".replace("e+0", "e")
-        limit = f"> {MAX_STEPS:.0e}".replace("e+0", "e")
-        return f"{limit} (extrapolated: {self.extrapolated:.1e})"
+        limit = f"{self.limit:.0e}".replace("e+0", "e")
+        return f"> {limit} (extrapolated: {self.extrapolated:.1e})"
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,8 @@ class Comparison:
         The Euler trajectories behind the rows.
     reference : callable
         t -> states, what the errors are measured against.
+    reference_error : float
+        How far the reference itself may be off; 0 for an exact solution.
     """
 
     rows: tuple[Row, ...]
@@ -96,6 +100,7 @@ class Comparison:
     solution: Solution = field(repr=False)
     trajectories: tuple[Trajectory, ...] = field(repr=False)
     reference: Callable[[np.ndarray], np.ndarray] = field(repr=False)
+    reference_error: float = 0.0
 
     def __str__(self) -> str:
         header = f"{'method':<20}{'points':>12}{'max |dz|':>12}{'max |dE|':>12}{'time s':>10}"
@@ -105,6 +110,8 @@ class Comparison:
             f"{row.seconds:>10.2g}"
             for row in self.rows
         ]
+        if self.reference_error > 0.01 * self.rows[0].error:
+            lines.append(f"reference: DOP853, itself good to about {self.reference_error:.0e}")
         lines.append(f"Euler steps for the network's error: {self.steps_to_match}")
         return "\n".join(lines)
 
@@ -141,10 +148,18 @@ def compare(
     -------
     Comparison
     """
+    if not isinstance(solution, Solution):
+        raise InputError(
+            f"compare takes a Solution, not {type(solution).__name__}; call solve first"
+        )
     H, z0, span = solution.H, solution.z0, solution.span
     count = solution.points if points is None else points
     truth = exact or reference(H, z0, span)
     times = np.linspace(*span, _SAMPLES + 1)
+    doubt = 0.0
+    if exact is None:
+        second = reference(H, z0, span, tolerance=1e-12)
+        doubt = float(np.linalg.norm(second(times) - truth(times), axis=-1).max())
     rows = [_row("network", solution.points, times, solution(times), truth, solution, None)]
     integrate(H, z0, span, steps=1)  # compiles, so that the times are those of stepping
     trajectories = []
@@ -168,6 +183,7 @@ def compare(
         solution=solution,
         trajectories=tuple(trajectories),
         reference=truth,
+        reference_error=doubt,
     )
 
 
@@ -237,7 +253,7 @@ def _steps_to_match(
         else:
             too_few = steps
             if steps >= max_steps:
-                return StepsToMatch(None, error, steps * error / target)
+                return StepsToMatch(None, error, steps * error / target, max_steps)
         if enough is not None and enough <= max(1.01 * too_few, too_few + 1):
             break
         guess = steps * min(error / target, 1e4) if math.isfinite(error) else 10.0 * steps

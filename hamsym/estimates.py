@@ -22,7 +22,7 @@ __all__ = ["MarchError"]
 
 _NODES = 56  # more than twice those of the march
 _PERTURBATIONS = 4  # random vectors that stand for round-off
-_ROUND_OFF = 2 * np.finfo(float).eps  # of a window, relative to the scales
+_ROUND_OFF = 2 * np.finfo(float).eps  # of a window, relative to the state and its change there
 _ACCURACY = 1e-9  # of each window's tangent map, since thousands of them may follow each other
 _CHUNK = 2_000_000  # numbers in the Jacobians held at once
 
@@ -37,8 +37,6 @@ class MarchError:
         The one that was marched with.
     vector_field, jacobian : callable
         (z, t) -> shapes (n, dim) and (n, dim, dim).
-    scale : numpy.ndarray
-        Size of each component, shape (dim,).
     """
 
     def __init__(
@@ -47,7 +45,6 @@ class MarchError:
         basis: FeatureBasis,
         vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray],
         jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray],
-        scale: np.ndarray,
     ) -> None:
         nodes, integration, self._to_series = _chebyshev_collocation()
         values, rates = basis.columns(nodes)
@@ -78,7 +75,8 @@ class MarchError:
             jacobians = jacobian(flat, times.ravel()).reshape(*z.shape, dim)
             for k, w in enumerate(range(part.start, part.stop)):
                 signs = generator.choice((-1.0, 1.0), size=(dim, _PERTURBATIONS))
-                joint[:, 1:] += _ROUND_OFF * scale[:, None] * signs
+                size = np.abs(z[k]).max(axis=0) + abs(lengths[w]) * np.abs(dz[k]).max(axis=0)
+                joint[:, 1:] += _ROUND_OFF * size[:, None] * signs
                 inside, joint = _across(jacobians[k], residual[k], joint, lengths[w] * integration)
                 joint[:, 0] += jumps[w]
                 self._series[w] = self._to_series @ inside[:, :, 0]

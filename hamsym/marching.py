@@ -51,7 +51,7 @@ def solve_by_features(
             tried = march(vector_field, jacobian, problem.z0, problem.span, local, basis)
             if not len(tried.readouts):
                 break
-            estimate = MarchError(tried, basis, vector_field, jacobian, tried.scale)
+            estimate = MarchError(tried, basis, vector_field, jacobian)
             allowed_now = absolute + tol * _scales(tried.scale)
             ratios = np.where(estimate.largest > 0, estimate.largest / allowed_now, 0.0)
             if windows is None or ratios.max() < excess:

@@ -132,7 +132,7 @@ class Solution:
             self._check_times(times.detach().cpu().numpy(), extrapolate)
             z, dz = self.trial(times.reshape(-1))
             return z.reshape(*t.shape, -1), dz.reshape(*t.shape, -1)
-        array = np.asarray(t, dtype=float)
+        array = _times(t)
         self._check_times(array, extrapolate)
         flat = torch.from_numpy(np.array(array, ndmin=1)).to(self._dtype)
         with torch.no_grad():
@@ -195,7 +195,11 @@ class Solution:
         smallest = -self._largest(lambda t: -np.abs(self._hessian_eigenvalues(t)).min(axis=-1))
         return smallest if smallest > 1e-12 * largest else 0.0
 
-    def error_estimate(self, t: Any) -> np.ndarray:
+    @overload
+    def error_estimate(self, t: Tensor) -> Tensor: ...
+    @overload
+    def error_estimate(self, t: Any) -> np.ndarray: ...
+    def error_estimate(self, t: Any) -> Any:
         """The error z - z^ at times t, estimated; shapes as for the state.
 
         For a trained network it solves the equation of the error that the paper's eq. (ell)
@@ -203,7 +207,9 @@ class Solution:
         from where that equation can no longer be solved. For a march it solves eq. (ell) window
         by window (:class:`~hamsym.estimates.MarchError`). It is an estimate, not a bound.
         """
-        times = np.asarray(t, dtype=float)
+        if isinstance(t, Tensor):
+            return torch.from_numpy(self.error_estimate(t.detach().cpu().numpy()))
+        times = _times(t)
         self._check_times(times, extrapolate=False)
         if self._march_error is not None:
             return self._march_error(times)
@@ -313,3 +319,10 @@ class Solution:
         from hamsym.plotting import plot_solution  # matplotlib is slow to import
 
         return plot_solution(self)
+
+
+def _times(t: Any) -> np.ndarray:
+    try:
+        return np.asarray(t, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("t holds something that is not a number; give times") from None

@@ -108,6 +108,8 @@ def solve(
     known = list(inspect.signature(run).parameters)[1:]
     for name in options:
         if name not in known:
+            if name in H.parameter_names:
+                raise InputError(f"'{name}' is a parameter; say H.with_parameters({name}=...)")
             raise InputError(
                 f"'{name}' is not an option of method {method!r}; it has {', '.join(known)}"
             )

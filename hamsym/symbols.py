@@ -160,7 +160,7 @@ def state_array(
         z0 = [given[key] for key in wanted]
     try:
         state = np.array(z0, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RuntimeError):  # the last from a tensor that requires grad
         raise VariableError(f"z0 holds something that is not a number; give {order}") from None
     if state.shape != (len(names),):
         raise VariableError(f"z0 has shape {state.shape}; give the {len(names)} numbers {order}")

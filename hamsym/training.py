@@ -169,7 +169,9 @@ class AdamOptions:
             "above 0",
         )
         _require(
-            len(self.betas) == 2 and all(0 <= beta < 1 for beta in self.betas),
+            isinstance(self.betas, (tuple, list))
+            and len(self.betas) == 2
+            and all(isinstance(beta, (int, float)) and 0 <= beta < 1 for beta in self.betas),
             "betas",
             self.betas,
             "two numbers from 0 to below 1",
@@ -300,7 +302,7 @@ def train_adam(
 
 
 def _positive(value: float) -> bool:
-    return math.isfinite(value) and value > 0
+    return isinstance(value, (int, float)) and math.isfinite(value) and value > 0
 
 
 def _require(holds: bool, name: str, value: object, wanted: str) -> None:

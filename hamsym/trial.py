@@ -179,7 +179,7 @@ class Network(torch.nn.Module):
         super().__init__()
         self.activation = activation
         self._activation = _chosen(activation, ACTIVATIONS, "activation")
-        widths = tuple(hidden)
+        widths = tuple(hidden) if isinstance(hidden, Sequence) else ()
         if not widths or any(not isinstance(n, int) or n < 1 for n in widths):
             raise InputError(f"hidden={hidden!r} is not a list of layer widths; give e.g. (50, 50)")
         self.sizes = (1, *widths, outputs)

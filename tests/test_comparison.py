@@ -81,6 +81,20 @@ def test_how_steps_to_match_are_written() -> None:
     assert str(StepsToMatch(1234, 1e-3, None)) == "1,234"
     beyond = StepsToMatch(None, 1e-7, 2.5e9)
     assert str(beyond) == "> 1e8 (extrapolated: 2.5e+09)"
+    assert str(StepsToMatch(None, 1e-7, 2.5e9, limit=10**6)).startswith("> 1e6 (extrap")
+
+
+def test_where_the_reference_dominates_it_is_said() -> None:
+    H = hamsym.Hamiltonian("p**2/2 - x**2/2 + x**4/4")
+    solution = hamsym.solve(H, [0.1, 0.0], (0, 30), tol=1e-11)
+    comparison = hamsym.compare(solution, max_steps=10**6)
+    assert comparison.reference_error > 0.01 * comparison.rows[0].error
+    assert "reference: DOP853, itself good to about" in str(comparison)
+
+
+def test_only_solutions_are_compared() -> None:
+    with pytest.raises(hamsym.InputError, match="takes a Solution, not Hamiltonian"):
+        hamsym.compare(harmonic_oscillator().H)  # type: ignore[arg-type]
 
 
 def test_table_fits_eighty_columns(comparison: Comparison) -> None:

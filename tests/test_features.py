@@ -187,6 +187,14 @@ def test_escape_is_reported_with_the_solution_up_to_there() -> None:
     np.testing.assert_allclose(solution(t), truth(t), rtol=1e-7)
 
 
+def test_round_off_is_that_of_the_state_where_it_is_small() -> None:
+    """From a tiny start near an unstable point, a scale of the whole run would say too much."""
+    H = Hamiltonian("p**2/2 - x**2/2 + x**4/4")
+    assert hamsym.solve(H, [1e-7, 0.0], (0, 17), tol=1e-9).success
+    escaping = hamsym.solve(Hamiltonian("p**2/2 - x**4/4"), [1.0, 0.0], (0, 4), tol=1e-6)
+    assert "held until t = 1.85" in escaping.message
+
+
 def test_collision_is_reported() -> None:
     H = Hamiltonian("p**2/2 - 1/x")
     solution = hamsym.solve(H, [1.0, 0.0], (0, 3), tol=1e-6)

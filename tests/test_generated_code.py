@@ -145,6 +145,13 @@ def test_shapes_and_dtypes_follow_the_input(problem: Problem, backend: str) -> N
             assert call(system, "loss", z, z, 0.5, 1.0).shape == ()
 
 
+def test_states_of_the_wrong_length_are_refused(backend: str) -> None:
+    system = Hamiltonian("p**2/2 + x**2/2").compile(backend)
+    for shape in ((3,), (2, 5), ()):
+        with pytest.raises((ValueError, RuntimeError, IndexError)):
+            call(system, "vector_field", np.ones(shape))
+
+
 # -- every function ------------------------------------------------------------------------------
 
 # Function, a point inside its domain.

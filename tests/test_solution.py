@@ -232,6 +232,8 @@ def test_outside_the_span(solution: Solution) -> None:
             solution.energy(torch.tensor(t))
     with pytest.raises(InputError, match="not finite"):
         solution(math.nan)
+    with pytest.raises(InputError, match="not a number"):
+        solution(1j)
     with pytest.raises(InputError, match="one time or a list"):
         solution(np.zeros((2, 2)))
 
@@ -247,6 +249,10 @@ def test_outside_the_span(solution: Solution) -> None:
         ({"method": "adam", "activation": "relu"}, "'relu' is not an activation"),
         ({"method": "adam", "envelope": "x"}, "'x' is not an envelope"),
         ({"method": "adam", "hidden": ()}, "layer widths"),
+        ({"method": "adam", "hidden": 50}, "hidden=50 is not a list of layer widths"),
+        ({"method": "adam", "betas": 0.9}, "betas=0.9"),
+        ({"method": "adam", "regularizers": 5}, "regularizers is not a list"),
+        ({"omega": 2.0}, "'omega' is a parameter; say H.with_parameters(omega=...)"),
         ({"method": "adam", "tau": 0}, "tau=0"),
         ({"method": "adam", "tau": -1.0}, "tau=-1.0"),
         ({"method": "adam", "energy_weight": -1.0}, "energy_weight=-1.0"),
