@@ -198,17 +198,7 @@ def reference(
         If the solution does not exist over the whole span.
     """
     H.require_parameters()
-    system = H.compile("numpy")
-    with np.errstate(all="ignore"):
-        result = scipy.integrate.solve_ivp(
-            lambda t, z: system.vector_field(*system.arguments(z, t)),
-            span,
-            H.state_from(z0),
-            method="DOP853",
-            rtol=tolerance,
-            atol=tolerance,
-            dense_output=True,
-        )
+    result = _dop853(H, H.state_from(z0), span, tolerance, tolerance, dense_output=True)
     if not result.success or not np.all(np.isfinite(result.y)):
         raise InputError(
             f"no solution beyond t = {result.t[-1]:.6g}: {result.message} End the span before it"
@@ -252,37 +242,47 @@ def _step_loop(name: str) -> Callable[..., tuple[np.ndarray, str]]:
     return run
 
 
+def _rates(H: Hamiltonian) -> Callable[[float, np.ndarray], np.ndarray]:
+    """The vector field as scipy calls it, time first."""
+    system = H.compile("numpy")
+    return lambda t, z: np.asarray(system.vector_field(*system.arguments(z, t)))
+
+
+def _dop853(
+    H: Hamiltonian,
+    z0: np.ndarray,
+    span: tuple[float, float],
+    rtol: float,
+    atol: float,
+    **output: Any,
+) -> Any:
+    with np.errstate(all="ignore"):
+        return scipy.integrate.solve_ivp(
+            _rates(H), span, z0, method="DOP853", rtol=rtol, atol=atol, **output
+        )
+
+
 def _run_dop853(
     H: Hamiltonian, z0: np.ndarray, times: np.ndarray, save_every: int, rtol: float, atol: float
 ) -> tuple[np.ndarray, str]:
-    system = H.compile("numpy")
-    with np.errstate(all="ignore"):
-        result = scipy.integrate.solve_ivp(
-            lambda t, z: system.vector_field(*system.arguments(z, t)),
-            (times[0], times[-1]),
-            z0,
-            method="DOP853",
-            t_eval=times,
-            rtol=rtol,
-            atol=atol,
-        )
+    result = _dop853(H, z0, (times[0], times[-1]), rtol, atol, t_eval=times)
     return result.y.T, "" if result.success else result.message
 
 
 def _run_odeint(
     H: Hamiltonian, z0: np.ndarray, times: np.ndarray, save_every: int, rtol: float, atol: float
 ) -> tuple[np.ndarray, str]:
-    system = H.compile("numpy")
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", scipy.integrate.ODEintWarning)  # the report says it too
         states, report = scipy.integrate.odeint(
-            lambda z, t: system.vector_field(*system.arguments(z, t)),
+            _rates(H),
             z0,
             times,
             rtol=rtol,
             atol=atol,
             mxstep=100_000,
             full_output=True,
+            tfirst=True,
         )
     if report["message"] == "Integration successful.":
         return states, ""
