@@ -2,9 +2,10 @@
 
 The error delta = z - z^ obeys delta' = J Hess(z^) delta - r(t) with r the residual (the paper's
 eq. ell), up to terms of second order. Inside a window r oscillates about as often as there are
-columns in the basis, so the equation is solved by collocation on more nodes than the solution
-itself used. Round-off is not in r: random perturbations of its size are sent along the same
-tangent map, one batch at every joint.
+columns in the basis, so it is sampled at twice as many nodes as the solution itself used, and
+carried to the ends of the windows by their tangent maps: delta(t) = Phi(t) (delta_a - integral of
+Phi^-1 r). Round-off is not in r: random perturbations of its size are sent along the same maps,
+one batch at every joint.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.features import FeatureBasis, March
+from hamsym.tangent import Collocation, TangentMaps, collocation, poisson
 
 __all__ = ["MarchError"]
 
-_NODES = 56  # more than twice those of the march
+_NODES = 48  # twice those of the march
 _PERTURBATIONS = 4  # random vectors that stand for round-off
 _ROUND_OFF = 2 * np.finfo(float).eps  # of a window, relative to the state and its change there
-_ACCURACY = 1e-9  # of each window's tangent map, since thousands of them may follow each other
-_CHUNK = 2_000_000  # numbers in the Jacobians held at once
+_CHUNK = 2_000_000  # numbers in the tangent maps held at once
 
 
 class MarchError:
@@ -46,44 +47,73 @@ class MarchError:
         vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray],
         jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ) -> None:
-        nodes, integration, self._to_series = _chebyshev_collocation()
-        values, rates = basis.columns(nodes)
-        dense = chebyshev.chebvander(np.linspace(-1, 1, 4 * _NODES), _NODES - 1)
-        count, _, dim = windows.readouts.shape
+        self._rule = collocation(_NODES)
         self._edges = windows.edges
-        lengths = np.diff(windows.edges)
+        self._lengths = np.diff(windows.edges)
+        count, _, dim = windows.readouts.shape
+        scale = windows.scale.reshape(2, -1).max(axis=1)
+        self._scale = np.repeat(np.where(scale > 0, scale, 1.0), dim // 2)
         # What rounding did to the state at each joint, the same way every time, is known.
         jumps = windows.states[:-1] + np.einsum("m,wmd->wd", basis.end, windows.readouts)
-        jumps = np.asarray(jumps - windows.states[1:], dtype=float)
-        generator = np.random.default_rng(0)
-        # Column 0 is the error, the others are perturbations of the size of round-off.
-        joint = np.zeros((dim, 1 + _PERTURBATIONS))
+        self._jumps = np.asarray(jumps - windows.states[1:], dtype=float) / self._scale
+        self._windows, self._basis = windows, basis
+        self._vector_field, self._jacobian = vector_field, jacobian
+        self._generator = np.random.default_rng(0)
         self._series = np.empty((count, _NODES, dim))
         self._floors = np.empty((count, dim))
         self.largest = np.zeros(dim)
+        # Column 0 is the error, the others are perturbations of the size of round-off.
+        joint = np.zeros((dim, 1 + _PERTURBATIONS))
         step = max(1, _CHUNK // (_NODES * dim * dim))
         for first in range(0, count, step):
-            part = slice(first, min(first + step, count))
-            z = windows.states[part][:, None] + np.einsum(
-                "lm,wmd->wld", values, windows.readouts[part]
-            )
-            dz = np.einsum("lm,wmd->wld", rates, windows.readouts[part])
-            dz /= lengths[part, None, None]
-            times = windows.edges[part][:, None] + lengths[part, None] * nodes
-            flat = z.reshape(-1, dim)
-            residual = dz - vector_field(flat, times.ravel()).reshape(z.shape)
-            jacobians = jacobian(flat, times.ravel()).reshape(*z.shape, dim)
-            for k, w in enumerate(range(part.start, part.stop)):
-                signs = generator.choice((-1.0, 1.0), size=(dim, _PERTURBATIONS))
-                size = np.abs(z[k]).max(axis=0) + abs(lengths[w]) * np.abs(dz[k]).max(axis=0)
-                joint[:, 1:] += _ROUND_OFF * size[:, None] * signs
-                inside, joint = _across(jacobians[k], residual[k], joint, lengths[w] * integration)
-                joint[:, 0] += jumps[w]
-                self._series[w] = self._to_series @ inside[:, :, 0]
-                self._floors[w] = _spread(inside[:, :, 1:])
-                # A scan this fine misses a few percent of a peak at most.
-                between = 1.05 * np.abs(dense @ self._series[w]).max(axis=0)
-                self.largest = np.maximum(self.largest, between + self._floors[w])
+            joint = self._across(slice(first, min(first + step, count)), joint)
+
+    def _across(self, part: slice, joint: np.ndarray) -> np.ndarray:
+        """Estimate a run of windows; from and to the errors at its ends, in units of the scale."""
+        lengths, count, dim = self._lengths[part], part.stop - part.start, len(self._scale)
+        z, dz, times = self._sampled(part, self._rule)
+        residual = dz - self._vector_field(z.reshape(-1, dim), times.ravel()).reshape(z.shape)
+        z_coarse, _, times_coarse = self._sampled(part, TangentMaps.rule)
+        jacobians = self._jacobian(z_coarse.reshape(-1, dim), times_coarse.ravel())
+        maps = TangentMaps(jacobians.reshape(*z_coarse.shape, dim), lengths, self._scale)
+        fine = maps.at(self._rule.nodes)
+        # The maps are symplectic: Phi^-1 = -J Phi^T J.
+        forcing = poisson((residual / self._scale).transpose(2, 1, 0))
+        forcing = -poisson(np.einsum("inaw,inw->anw", fine, forcing))
+        drift = -lengths * (self._rule.integration @ forcing)
+
+        size = np.abs(z).max(axis=1) + np.abs(lengths)[:, None] * np.abs(dz).max(axis=1)
+        signs = self._generator.choice((-1.0, 1.0), size=(count, dim, _PERTURBATIONS))
+        kicks = _ROUND_OFF * (size / self._scale)[:, :, None] * signs
+        starts = np.empty((count, dim, 1 + _PERTURBATIONS))
+        for w in range(count):
+            starts[w] = joint
+            starts[w, :, 1:] += kicks[w]
+            joint = starts[w].copy()
+            joint[:, 0] += drift[:, -1, w]
+            joint = maps.ends[w] @ joint
+            joint[:, 0] += self._jumps[part.start + w]
+
+        error = np.einsum("inaw,anw->win", fine, starts[:, :, 0].T[:, None] + drift[:, :-1])
+        series = self._rule.to_series @ (error * self._scale[:, None]).transpose(0, 2, 1)
+        perturbed = np.einsum("inaw,wac->winc", maps.inside, starts[:, :, 1:])
+        # Three standard deviations, at worst in the window.
+        deviations = np.sqrt((perturbed**2).mean(axis=3)).max(axis=2)
+        self._series[part], self._floors[part] = series, 3 * self._scale * deviations
+        # A scan this fine misses a few percent of a peak at most.
+        between = 1.05 * np.abs(_dense() @ series).max(axis=1)
+        self.largest = np.maximum(self.largest, (between + self._floors[part]).max(axis=0))
+        return joint
+
+    def _sampled(
+        self, part: slice, rule: Collocation
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """z^ and dz^/dt at the nodes of a rule, both (windows, nodes, dim), and the times."""
+        values, rates = _columns(self._basis, len(rule.nodes))
+        readouts, lengths = self._windows.readouts[part], self._lengths[part]
+        z = self._windows.states[part][:, None] + values @ readouts
+        dz = rates @ readouts / lengths[:, None, None]
+        return z, dz, self._edges[part][:, None] + lengths[:, None] * rule.nodes
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Estimated z - z^ at times t, shape (*t.shape, dim)."""
@@ -97,7 +127,7 @@ class MarchError:
 
     def until(self, allowed: np.ndarray) -> float:
         """The end of the last window before estimate and floor exceed what is allowed."""
-        sizes = np.abs(self(self._edges[1:] - 1e-9 * np.diff(self._edges))) + self._floors
+        sizes = np.abs(self(self._edges[1:] - 1e-9 * self._lengths)) + self._floors
         bad = (sizes > allowed).any(axis=1)
         return float(self._edges[int(np.argmax(bad))] if bad.any() else self._edges[-1])
 
@@ -105,56 +135,15 @@ class MarchError:
         direction = math.copysign(1.0, self._edges[-1] - self._edges[0])
         window = np.searchsorted(direction * self._edges, direction * t, side="right") - 1
         window = np.clip(window, 0, len(self._series) - 1)
-        return window, (t - self._edges[window]) / np.diff(self._edges)[window]
+        return window, (t - self._edges[window]) / self._lengths[window]
 
 
-def _across(
-    jacobians: np.ndarray, residual: np.ndarray, start: np.ndarray, integration: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """delta at the nodes of a window, shape (nodes, dim, columns), and at its end.
-
-    The last row of the integration matrix belongs to the end of the window.
-    """
-    nodes, dim = residual.shape
-    delta = np.broadcast_to(start, (nodes, *start.shape))
-    last = math.inf
-    for count in range(60):
-        rates = jacobians @ delta
-        rates[:, :, 0] -= residual
-        sums = (integration @ rates.reshape(nodes, -1)).reshape(nodes + 1, *start.shape)
-        moved = start + sums[:-1]
-        change = np.abs(moved - delta).max(axis=(0, 1))
-        delta = moved
-        ratio = float((change / np.maximum(np.abs(delta).max(axis=(0, 1)), 1e-300)).max())
-        if ratio <= _ACCURACY:
-            return delta, start + sums[-1]
-        if not ratio < 1e12 or (count > 10 and ratio > last):
-            break
-        last = ratio
-    # The iteration does not contract: solve the collocation equations as they stand.
-    matrix = np.eye(nodes * dim) - np.einsum("kl,lij->kilj", integration[:-1], jacobians).reshape(
-        nodes * dim, nodes * dim
-    )
-    right = np.broadcast_to(start, (nodes, *start.shape)).copy()
-    right[:, :, 0] -= integration[:-1] @ residual
-    delta = np.linalg.solve(matrix, right.reshape(nodes * dim, -1)).reshape(nodes, *start.shape)
-    rates = jacobians @ delta
-    rates[:, :, 0] -= residual
-    return delta, start + (integration[-1] @ rates.reshape(nodes, -1)).reshape(start.shape)
-
-
-def _spread(perturbed: np.ndarray) -> np.ndarray:
-    """Three standard deviations of the perturbed components, at worst in the window."""
-    deviations = np.sqrt((perturbed**2).mean(axis=2)).max(axis=0)
-    return np.asarray(3 * deviations)
+@functools.lru_cache(maxsize=8)
+def _columns(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray]:
+    return basis.columns(collocation(count).nodes)
 
 
 @functools.cache
-def _chebyshev_collocation() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes in (0, 1), integrals from 0 to each node and to 1, values to a Chebyshev series."""
-    nodes = (1 - np.cos((2 * np.arange(_NODES) + 1) * math.pi / (2 * _NODES))) / 2
-    to_series = np.linalg.inv(chebyshev.chebvander(2 * nodes - 1, _NODES - 1))
-    ends = np.append(nodes, 1.0)
-    integrals = chebyshev.chebint(np.eye(_NODES), lbnd=-1, scl=0.5)
-    integration = chebyshev.chebval(2 * ends - 1, integrals).T @ to_series
-    return nodes, integration, to_series
+def _dense() -> np.ndarray:
+    """A Chebyshev series -> values at points dense enough to show its peaks."""
+    return chebyshev.chebvander(np.linspace(-1, 1, 4 * _NODES), _NODES - 1)

@@ -39,7 +39,7 @@ _SHRINK, _GROW = 0.6, 2.5
 _FIXED_POINT_ITERATIONS, _NEWTON_ITERATIONS = 60, 12
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # one object a seed, so that tables of it can be cached
 class FeatureBasis:
     """Orthonormal combinations Q = f(s) sin(a s + b) W of the features, for s in [0, 1].
 

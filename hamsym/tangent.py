@@ -1,0 +1,141 @@
+"""How nearby solutions move: the tangent maps of many windows at once.
+
+On a window of length h the matrix Phi(t) = dz(t)/dz(t_a) obeys Phi' = J Hess(z^(t)) Phi, Phi = 1 at
+the start. It is found by collocation at Chebyshev nodes, for all windows of a march in one batch:
+no window needs the others' results.
+
+Inside this module arrays are (component, node, column, window), so that the long axis is the
+innermost one.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+__all__ = ["Collocation", "TangentMaps", "collocation", "poisson"]
+
+_NODES = 28
+_ACCURACY = 1e-10  # of each map, since thousands of them may follow each other
+_ITERATIONS = 60
+
+
+@dataclass(frozen=True)
+class Collocation:
+    """Polynomial collocation on [0, 1].
+
+    Attributes
+    ----------
+    nodes : numpy.ndarray
+        Chebyshev points of the first kind, shape (n,).
+    integration : numpy.ndarray
+        Values at the nodes -> integrals from 0 to each node and, last, to 1, shape (n + 1, n).
+    to_series : numpy.ndarray
+        Values at the nodes -> Chebyshev series in 2 s - 1, shape (n, n).
+    """
+
+    nodes: np.ndarray
+    integration: np.ndarray
+    to_series: np.ndarray
+
+    def interpolation(self, s: np.ndarray) -> np.ndarray:
+        """Values at the nodes -> values at s, shape (len(s), n)."""
+        return chebyshev.chebvander(2 * s - 1, len(self.nodes) - 1) @ self.to_series
+
+
+@functools.cache
+def collocation(count: int) -> Collocation:
+    """Collocation at ``count`` nodes."""
+    nodes = (1 - np.cos((2 * np.arange(count) + 1) * math.pi / (2 * count))) / 2
+    to_series = np.linalg.inv(chebyshev.chebvander(2 * nodes - 1, count - 1))
+    integrals = chebyshev.chebint(np.eye(count), lbnd=-1, scl=0.5)
+    integration = chebyshev.chebval(2 * np.append(nodes, 1.0) - 1, integrals).T @ to_series
+    return Collocation(nodes, integration, to_series)
+
+
+class TangentMaps:
+    """Phi on each of a number of windows, at nodes and at the ends.
+
+    Parameters
+    ----------
+    jacobians : numpy.ndarray
+        J Hess at ``TangentMaps.nodes`` of every window, shape (windows, nodes, dim, dim).
+    lengths : numpy.ndarray
+        Of the windows, shape (windows,); negative backwards in time.
+    scale : numpy.ndarray
+        Units of the components, shape (dim,), the same for all coordinates and the same for all
+        momenta. The maps are those of z / scale, and symplectic again.
+
+    Attributes
+    ----------
+    inside : numpy.ndarray
+        Shape (dim, nodes, dim, windows).
+    ends : numpy.ndarray
+        Shape (windows, dim, dim).
+    """
+
+    rule = collocation(_NODES)
+    nodes = rule.nodes
+
+    def __init__(self, jacobians: np.ndarray, lengths: np.ndarray, scale: np.ndarray) -> None:
+        generators = jacobians * (lengths[:, None, None, None] * (scale / scale[:, None]))
+        dim, windows = len(scale), len(lengths)
+        # H couples few components: products with the entries that are not zero, one by one.
+        entries = {
+            (i, j): np.ascontiguousarray(generators[:, :, i, j].T)
+            for i, j in np.argwhere(generators.any(axis=(0, 1)))
+        }
+        unit = np.eye(dim)[:, None, :, None]
+        integration = self.rule.integration
+        maps = np.broadcast_to(unit, (dim, _NODES, dim, windows))
+        open_ = np.ones(windows, dtype=bool)
+        for _ in range(_ITERATIONS):
+            moved = unit + _integrated(integration[:-1], _rates(entries, maps))
+            change = np.abs(moved - maps).max(axis=(0, 1, 2))
+            size = np.abs(moved).max(axis=(0, 1, 2))
+            maps = moved
+            open_ = ~(change <= _ACCURACY * size)
+            if not open_.any() or not np.all(size < 1e100):
+                break
+        for w in np.flatnonzero(open_):
+            maps[:, :, :, w] = _solved(generators[w], integration[:-1])
+        self.inside = maps
+        ends = unit + _integrated(integration[-1:], _rates(entries, maps))
+        self.ends = np.ascontiguousarray(ends[:, 0].transpose(2, 0, 1))
+
+    def at(self, s: np.ndarray) -> np.ndarray:
+        """Phi at the same s in [0, 1] of every window, shape (dim, len(s), dim, windows)."""
+        return _integrated(self.rule.interpolation(s), self.inside)
+
+
+def poisson(vectors: np.ndarray) -> np.ndarray:
+    """J v for v with the components along the first axis."""
+    half = len(vectors) // 2
+    return np.concatenate((vectors[half:], -vectors[:half]))
+
+
+def _rates(entries: dict[tuple[int, int], np.ndarray], maps: np.ndarray) -> np.ndarray:
+    rates = np.zeros(maps.shape)
+    for (i, j), entry in entries.items():
+        rates[i] += entry[:, None, :] * maps[j]
+    return rates
+
+
+def _integrated(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """A matrix over the nodes applied to an array (component, node, column, window)."""
+    dim, nodes, columns, windows = values.shape
+    product = matrix @ values.reshape(dim, nodes, columns * windows)
+    return product.reshape(dim, len(matrix), columns, windows)
+
+
+def _solved(generator: np.ndarray, integration: np.ndarray) -> np.ndarray:
+    """The collocation equations of one window as they stand, where the iteration fails."""
+    nodes, dim, _ = generator.shape
+    size = nodes * dim
+    matrix = np.eye(size) - np.einsum("kl,lij->kilj", integration, generator).reshape(size, size)
+    maps = np.linalg.solve(matrix, np.tile(np.eye(dim), (nodes, 1)))
+    return maps.reshape(nodes, dim, dim).transpose(1, 0, 2)
