@@ -33,6 +33,7 @@ from typing import Any
 import jinja2
 import sympy
 
+from hamsym import compiled
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.printing import PRINTERS, FormulaPrinter, Printer, TorchPrinter
 from hamsym.realform import RealForm
@@ -57,7 +58,7 @@ _TEMPLATE_NAMES = frozenset(
     torch np math njit z dz t z0 out value matrix entries positions rows zero point points times
     energy_0 energy_weight energy_error save saves save_every step step_size start start_time
     correction jacobian attempt change previous scale converged
-    symplectic_euler symplectic_euler_p
+    symplectic_euler symplectic_euler_p rates states
     """.split()
 ) | frozenset(_FUNCTIONS)
 
@@ -108,6 +109,7 @@ def generate(form: RealForm, backend: str) -> str:
             time=", t" if time else "",
             keywords=", *, " + ", ".join(keywords) if keywords else "",
             positional="".join(f", {name}" for name in parameter_names),
+            bound=_bound(names),
             passed="".join([", t" for _ in time] + [f", {n}={n}" for n in parameter_names]),
             textbook=textbook,
             separable=not bodies.mixed_indices,
@@ -121,6 +123,12 @@ def generate(form: RealForm, backend: str) -> str:
             **bodies.by_name(),
         )
     )
+
+
+def _bound(names: _Names) -> str | None:
+    """The parameters' values as further arguments, if all of them have one."""
+    values = [value for _, value in names.parameters]
+    return None if None in values else "".join(f", {value!r}" for value in values)
 
 
 def _matrix_rows(indices: list[tuple[int, int]], texts: list[str], dim: int) -> list[list[str]]:
@@ -150,12 +158,7 @@ def extract(source: str, part: str) -> str:
 @functools.lru_cache(maxsize=256)
 def load(source: str, backend: str, names: tuple[str, ...]) -> System:
     """Run a generated module and collect its functions; the same text is loaded once."""
-    digest = hashlib.sha256(source.encode()).hexdigest()[:12]
-    filename = f"<hamsym {backend} {digest}>"
-    # With mtime None the entry outlives linecache.checkcache, so that tracebacks show the source.
-    linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
-    module = ModuleType(f"hamsym_{backend}_{digest}")
-    exec(compile(source, filename, "exec"), module.__dict__)
+    module = compiled.load_module(source, backend) if backend == "numba" else _run(source, backend)
     functions: dict[str, Any] = {name: getattr(module, name) for name in _FUNCTIONS}
     loops = {
         name: getattr(module, name)
@@ -167,9 +170,21 @@ def load(source: str, backend: str, names: tuple[str, ...]) -> System:
         names=names,
         source=source,
         step_loops=loops,
+        rates=getattr(module, "rates", None),
         time_dependent="t" in inspect.signature(functions["energy"]).parameters,
         **functions,
     )
+
+
+def _run(source: str, backend: str) -> ModuleType:
+    """A module without a file; tracebacks show its source all the same."""
+    digest = hashlib.sha256(source.encode()).hexdigest()[:12]
+    filename = f"<hamsym {backend} {digest}>"
+    # With mtime None the entry outlives linecache.checkcache.
+    linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
+    module = ModuleType(f"hamsym_{backend}_{digest}")
+    exec(compile(source, filename, "exec"), module.__dict__)
+    return module
 
 
 # -- names -----------------------------------------------------------------------------------

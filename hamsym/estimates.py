@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from hamsym.features import FeatureBasis, March
+from hamsym.features import FeatureBasis, Flow, March
 from hamsym.tangent import Collocation, TangentMaps, collocation, poisson
 
 __all__ = ["MarchError"]
@@ -36,16 +35,14 @@ class MarchError:
     windows : March
     basis : FeatureBasis
         The one that was marched with.
-    vector_field, jacobian : callable
-        (z, t) -> shapes (n, dim) and (n, dim, dim).
+    flow : Flow
     """
 
     def __init__(
         self,
         windows: March,
         basis: FeatureBasis,
-        vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray],
-        jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray],
+        flow: Flow,
     ) -> None:
         self._rule = collocation(_NODES)
         self._edges = windows.edges
@@ -56,8 +53,7 @@ class MarchError:
         # What rounding did to the state at each joint, the same way every time, is known.
         jumps = windows.states[:-1] + np.einsum("m,wmd->wd", basis.end, windows.readouts)
         self._jumps = np.asarray(jumps - windows.states[1:], dtype=float) / self._scale
-        self._windows, self._basis = windows, basis
-        self._vector_field, self._jacobian = vector_field, jacobian
+        self._windows, self._basis, self._flow = windows, basis, flow
         self._generator = np.random.default_rng(0)
         self._series = np.empty((count, _NODES, dim))
         self._floors = np.empty((count, dim))
@@ -72,9 +68,9 @@ class MarchError:
         """Estimate a run of windows; from and to the errors at its ends, in units of the scale."""
         lengths, count, dim = self._lengths[part], part.stop - part.start, len(self._scale)
         z, dz, times = self._sampled(part, self._rule)
-        residual = dz - self._vector_field(z.reshape(-1, dim), times.ravel()).reshape(z.shape)
+        residual = dz - self._flow.vector_field(z.reshape(-1, dim), times.ravel()).reshape(z.shape)
         z_coarse, _, times_coarse = self._sampled(part, TangentMaps.rule)
-        jacobians = self._jacobian(z_coarse.reshape(-1, dim), times_coarse.ravel())
+        jacobians = self._flow.jacobian(z_coarse.reshape(-1, dim), times_coarse.ravel())
         maps = TangentMaps(jacobians.reshape(*z_coarse.shape, dim), lengths, self._scale)
         fine = maps.at(self._rule.nodes)
         # The maps are symplectic: Phi^-1 = -J Phi^T J.
@@ -105,9 +101,7 @@ class MarchError:
         self.largest = np.maximum(self.largest, (between + self._floors[part]).max(axis=0))
         return joint
 
-    def _sampled(
-        self, part: slice, rule: Collocation
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _sampled(self, part: slice, rule: Collocation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """z^ and dz^/dt at the nodes of a rule, both (windows, nodes, dim), and the times."""
         values, rates = _columns(self._basis, len(rule.nodes))
         readouts, lengths = self._windows.readouts[part], self._lengths[part]

@@ -10,7 +10,7 @@ Stage 2  On a window, collocation at Chebyshev nodes is the fixed point Z = z_a 
          precomputed integration matrix S; where that does not contract, Newton's method with the
          generated Hessian solves the same equation.
 Stage 3  The residual between the nodes decides whether the window is accepted, and the next length
-         (:func:`march`).
+         (:func:`march`, and the loop over windows in :mod:`hamsym.march_loop`).
 """
 
 from __future__ import annotations
@@ -18,14 +18,17 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["FeatureBasis", "FeatureTrial", "March", "feature_basis", "march"]
+from hamsym import march_loop
+
+__all__ = ["FeatureBasis", "FeatureTrial", "Flow", "March", "feature_basis", "march"]
 
 _NEURONS = 60
 _NODES = 24  # collocation points of a window
@@ -33,10 +36,10 @@ _BETWEEN = 27  # points at which the residual is judged
 _TRUNCATION = 1e-14  # of singular values, relative
 _DEGREE = 47  # of the Chebyshev series of the columns, which are entire functions
 _INNER_RANGE = 10.0  # inner weights a are uniform within +- this
-_ORDER = 18  # at which the residual falls with the length of the window, empirically
-_ROUND_OFF = 256 * np.finfo(float).eps  # of the residual, relative to the rates
-_SHRINK, _GROW = 0.6, 2.5
-_FIXED_POINT_ITERATIONS, _NEWTON_ITERATIONS = 60, 12
+_NEWTON_ITERATIONS = 12
+_SHORTEST = 1e-13  # window, relative to the times
+_ROOM = 64  # windows for which there is room at first
+_COMPILING = 10.0  # seconds that compiling may take; it pays for a march that would take longer
 
 
 @dataclass(frozen=True, eq=False)  # one object a seed, so that tables of it can be cached
@@ -50,7 +53,7 @@ class FeatureBasis:
     mixing : numpy.ndarray
         W, shape (M, m): raw readout weights of each orthonormal column.
     nodes, between : numpy.ndarray
-        Chebyshev points of the first kind in (0, 1), and points in between, with both ends.
+        Chebyshev points of the first kind in (0, 1), and points in between, almost to both ends.
     fit : numpy.ndarray
         Values dz/ds at the nodes -> coefficients, shape (m, nodes).
     integration : numpy.ndarray
@@ -59,6 +62,8 @@ class FeatureBasis:
         Q and dQ/ds at the points in between.
     end : numpy.ndarray
         Q at s = 1 in extended precision, shape (m,).
+    tables : tuple of numpy.ndarray
+        What :func:`~hamsym.march_loop.march_windows` takes, in its order.
     series, rate_series : numpy.ndarray
         Chebyshev series of N = sin(a s + b) W and dN/ds in 2 s - 1, shape (degree + 1, m). They
         are the same functions to the last bit or two, without the cancellation in that product.
@@ -76,6 +81,24 @@ class FeatureBasis:
     end: np.ndarray
     series: np.ndarray
     rate_series: np.ndarray
+
+    @cached_property
+    def tables(self) -> tuple[np.ndarray, ...]:
+        end = self.end.astype(float)
+        # The polynomial of degree 2 through the last rates of a window, in s - 1.
+        tail = np.linalg.pinv(np.vander(self.nodes[-march_loop.TAIL :] - 1, 3, increasing=True))
+        arrays = (
+            self.nodes,
+            self.integration,
+            self.fit,
+            self.between,
+            self.to_between,
+            self.rates_between,
+            end,
+            (self.end - end).astype(float),
+            tail,
+        )
+        return tuple(np.ascontiguousarray(array) for array in arrays)
 
     def columns(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Q and dQ/ds at s of shape (n,); each of shape (n, m)."""
@@ -95,7 +118,8 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
     kept = sizes > _TRUNCATION * sizes[0]
     mixing = right[kept].T / sizes[kept]
     nodes = _chebyshev(_NODES)
-    between = np.linspace(0.0, 1.0, _BETWEEN)
+    # Just inside the window: at a breakpoint the equations of the next one may hold.
+    between = np.clip(np.linspace(0.0, 1.0, _BETWEEN), 1e-9, 1 - 1e-9)
 
     at_nodes, rates_at_nodes = (c.astype(float) for c in _columns(inner, shift, mixing, nodes))
     fit = np.linalg.pinv(rates_at_nodes, rcond=1e-14)
@@ -154,6 +178,31 @@ def _chebyshev(count: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Flow:
+    """The equation z' = F(z, t), as the march takes it.
+
+    Attributes
+    ----------
+    vector_field : callable
+        (z, t) -> F, shapes (n, dim), (n,) -> (n, dim).
+    jacobian : callable
+        (z, t) -> dF/dz, shape (n, dim, dim).
+    rates : callable
+        (z, t, out), F written to out.
+    loop : callable
+        :func:`~hamsym.march_loop.march_windows`, or the same compiled.
+    compiled : callable, optional
+        Compiles, and returns the same with compiled ``rates`` and ``loop``; None where they are.
+    """
+
+    vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    rates: Callable[[np.ndarray, np.ndarray, np.ndarray], None]
+    loop: Callable[..., int] = march_loop.march_windows
+    compiled: Callable[[], Flow] | None = None
+
+
+@dataclass(frozen=True)
 class March:
     """Windows of a solution, and what they cost.
 
@@ -173,6 +222,8 @@ class March:
         Calls of the vector field, each at all points of a window.
     newton_windows : int
         Windows for which Newton's method was needed.
+    compiled : bool
+        Whether compiled code marched.
     scale : numpy.ndarray
         Largest magnitude of each component, shape (dim,).
     seconds, cpu_seconds : float
@@ -185,6 +236,7 @@ class March:
     reason: str
     evaluations: int
     newton_windows: int
+    compiled: bool
     scale: np.ndarray = field(repr=False)
     seconds: float
     cpu_seconds: float
@@ -196,156 +248,140 @@ class March:
 
 
 def march(
-    vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    flow: Flow,
     z0: np.ndarray,
     span: tuple[float, float],
     tolerance: float,
     basis: FeatureBasis,
     *,
+    breakpoints: Sequence[float] = (),
     max_windows: int = 200_000,
 ) -> March:
-    """March windows over a span, each to a local tolerance relative to the components' scales."""
+    """March windows over a span, each to a local tolerance relative to the components' scales.
+
+    Parameters
+    ----------
+    flow : Flow
+    z0 : numpy.ndarray
+        Shape (dim,).
+    span : (float, float)
+    tolerance : float
+    basis : FeatureBasis
+    breakpoints : sequence of float
+        Times inside the span, in its direction, at which a window must end.
+    max_windows : int
+    """
     began, cpu_began = time.perf_counter(), time.process_time()
     start, end = span
-    direction = math.copysign(1.0, end - start)
-    t, z = start, z0.copy()
-    edges, states = [t], [z]
-    readouts: list[np.ndarray] = []
-    reached_scale = np.abs(z)
-    scale = _floored(reached_scale)
-    rate = vector_field(z[None], np.array([t]))[0]
-    length = _first_length(z, rate, abs(end - start))
-    previous: np.ndarray | None = None
-    evaluations, newton_windows, reason = 1, 0, ""
-    smallest = 1e-13
-    while direction * (end - t) > 0:
-        length = min(length, abs(end - t))
-        if length < smallest * max(abs(end - start), abs(t)):
+    dim, columns = len(z0), basis.mixing.shape[1]
+    rate = np.empty((1, dim))
+    flow.rates(z0[None], np.array([start]), rate)
+    sizes = np.abs(z0)
+    clock = np.array([start, _first_length(z0, rate[0], abs(end - start))])
+    counts = np.array([0, 1, 0])
+    tail = np.vstack((rate, np.zeros((2, dim))))
+    stops = np.array([*breakpoints, end], dtype=float)
+    shortest = _SHORTEST * max(abs(end - start), abs(start), abs(end))
+    room = min(_ROOM, max_windows)
+    edges, states = np.empty(room + 1), np.empty((room + 1, dim))
+    readouts = np.empty((room, columns, dim))
+    edges[0], states[0] = start, z0
+    given, found = False, np.empty((len(basis.nodes), dim))
+    newton_windows, reason = 0, ""
+    while True:
+        status = flow.loop(
+            flow.rates,
+            *basis.tables,
+            stops,
+            tolerance,
+            shortest,
+            given,
+            found,
+            clock,
+            counts,
+            sizes,
+            tail,
+            edges,
+            states,
+            readouts,
+        )
+        count, given = int(counts[0]), False
+        if status == march_loop.FINISHED:
+            break
+        if status == march_loop.TOO_SHORT:
             reason = "the windows became too short, as near a singularity or the end of a domain"
             break
-        if len(readouts) >= max_windows:
-            reason = f"more than {max_windows:,} windows"
-            break
-        h = direction * length
-        times = t + h * basis.nodes
-        found = _collocate(vector_field, jacobian, z, h, times, basis, previous, tolerance, scale)
-        evaluations += found.evaluations
-        if found.rates is None:
-            length *= _SHRINK
-            previous = None
+        if status == march_loop.FULL:
+            if count >= max_windows:
+                reason = f"more than {max_windows:,} windows"
+                break
+            room = min(2 * count, max_windows) - count
+            edges, states, readouts = (
+                np.concatenate((array, np.empty((room, *array.shape[1:]))))
+                for array in (edges, states, readouts)
+            )
+            spent, done = time.perf_counter() - began, abs(clock[0] - start)
+            if flow.compiled and spent * (abs(end - start) / done - 1) > _COMPILING:
+                flow = flow.compiled()
             continue
-        readout = h * (basis.fit @ found.rates)
-        middle = z + basis.to_between @ readout
-        ell = basis.rates_between @ readout / h - vector_field(middle, t + h * basis.between)
-        evaluations += 1
-        size = np.maximum(reached_scale, np.abs(middle).max(axis=0))
-        scale_now = _floored(size)
-        # No window is short enough to bring the residual below the round-off of the rates.
-        allowed = tolerance * scale_now + _ROUND_OFF * length * np.abs(found.rates).max(axis=0)
-        allowed = np.maximum(allowed, np.finfo(float).tiny)
-        error = float((length * np.abs(ell).max(axis=0) / allowed).max())
-        if not error <= 1:  # also where it is not a number
-            factor = (0.3 / error) ** (1 / _ORDER) if math.isfinite(error) else 0.3
-            length *= min(max(factor, 0.3), 0.9)
-            previous = None
-            continue
-        newton_windows += found.newton
-        # Rounding Q(1) would push every window the same way, and energies would drift.
-        z = (z + basis.end @ readout).astype(float)
-        t = end if length == abs(end - t) else t + h
-        edges.append(t)
-        states.append(z)
-        readouts.append(readout)
-        reached_scale, scale = size, scale_now
-        growth = min(_GROW, (0.1 / max(error, 1e-30)) ** (1 / _ORDER))
-        length *= growth
-        previous = found.rates
+        rates, spent = _newton(flow, basis, states[count], clock, end, tolerance, sizes)
+        counts[1] += spent
+        if rates is None:
+            clock[1] *= march_loop.SHRINK
+        else:
+            given, found = True, rates
+            newton_windows += 1
     return March(
-        edges=np.array(edges),
-        states=np.array(states),
-        readouts=np.array(readouts).reshape(-1, basis.mixing.shape[1], len(z0)),
-        reached=t,
+        edges=edges[: count + 1].copy(),
+        states=states[: count + 1].copy(),
+        readouts=readouts[:count].copy(),
+        reached=float(clock[0]),
         reason=reason,
-        evaluations=evaluations,
+        evaluations=int(counts[1]),
         newton_windows=newton_windows,
-        scale=reached_scale,
+        compiled=flow.compiled is None,
+        scale=sizes,
         seconds=time.perf_counter() - began,
         cpu_seconds=time.process_time() - cpu_began,
     )
 
 
-@dataclass
-class _Collocated:
-    rates: np.ndarray | None
-    evaluations: int
-    newton: bool = False
-
-
-def _collocate(
-    vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    z: np.ndarray,
-    h: float,
-    times: np.ndarray,
-    basis: FeatureBasis,
-    guess: np.ndarray | None,
-    tolerance: float,
-    scale: np.ndarray,
-) -> _Collocated:
-    """F at the nodes of a window that satisfies Z = z_a + h S F(Z), or None."""
-    integration = h * basis.integration
-    rates = guess if guess is not None else vector_field(np.tile(z, (len(times), 1)), times)
-    Z = z + integration @ rates
-    last = math.inf
-    enough = max(0.01 * tolerance, 4e-16)
-    for count in range(1, _FIXED_POINT_ITERATIONS + 1):
-        rates = vector_field(Z, times)
-        moved = z + integration @ rates
-        change = float((np.abs(moved - Z) / scale).max())
-        Z = moved
-        if change <= enough or (change < 1e-12 and change >= last):
-            return _Collocated(rates, count)
-        if not change < 1e6 or (count > 8 and change > 0.9 * last):
-            break
-        last = change
-    return _newton(vector_field, jacobian, z, h, times, basis, enough, scale, count)
-
-
 def _newton(
-    vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    z: np.ndarray,
-    h: float,
-    times: np.ndarray,
+    flow: Flow,
     basis: FeatureBasis,
-    enough: float,
-    scale: np.ndarray,
-    spent: int,
-) -> _Collocated:
-    """The same equation by Newton's method, from the constant state."""
+    z: np.ndarray,
+    clock: np.ndarray,
+    end: float,
+    tolerance: float,
+    sizes: np.ndarray,
+) -> tuple[np.ndarray | None, int]:
+    """F at the nodes of a window by Newton's method from the constant state, and evaluations."""
+    t, length = clock
+    h = math.copysign(length, end - t)
+    times, integration = t + h * basis.nodes, h * basis.integration
     count, dim = len(times), len(z)
-    integration = h * basis.integration
-    Z = np.tile(z, (count, 1))
+    scale, enough = march_loop.floored(sizes), max(0.01 * tolerance, 4e-16)
+    Z, rates = np.tile(z, (count, 1)), np.empty((count, dim))
     last = math.inf
     for step in range(1, _NEWTON_ITERATIONS + 1):
-        rates = vector_field(Z, times)
+        flow.rates(Z, times, rates)
         defect = z + integration @ rates - Z
         matrix = np.eye(count * dim) - np.einsum(
-            "kl,lij->kilj", integration, jacobian(Z, times)
+            "kl,lij->kilj", integration, flow.jacobian(Z, times)
         ).reshape(count * dim, count * dim)
         try:
             correction = np.linalg.solve(matrix, defect.ravel()).reshape(count, dim)
         except np.linalg.LinAlgError:
-            break
+            return None, step
         Z = Z + correction
         change = float((np.abs(correction) / scale).max())
         if change <= enough or (change < 1e-11 and change >= last):
-            return _Collocated(vector_field(Z, times), spent + step + 1, newton=True)
+            flow.rates(Z, times, rates)
+            return rates, step + 1
         if not change < 1e6:
-            break
+            return None, step
         last = change
-    return _Collocated(None, spent + _NEWTON_ITERATIONS)
+    return None, _NEWTON_ITERATIONS
 
 
 def _first_length(z: np.ndarray, rate: np.ndarray, span: float) -> float:
@@ -353,14 +389,6 @@ def _first_length(z: np.ndarray, rate: np.ndarray, span: float) -> float:
     sizes, speeds = (np.abs(v).reshape(2, -1).max(axis=1) for v in (z, rate))
     known = (sizes > 0) & (speeds > 0)
     return min(span, 0.1 * float((sizes[known] / speeds[known]).min(initial=math.inf)))
-
-
-def _floored(scale: np.ndarray) -> np.ndarray:
-    """Scales with the floor of 1e-8 of the largest of their half; 1 where a half is zero so far."""
-    halves = scale.reshape(2, -1)
-    largest = halves.max(axis=1, keepdims=True)
-    largest = np.where(largest > 0, largest, 1.0)
-    return np.maximum(halves, 1e-8 * largest).ravel()
 
 
 class FeatureTrial(torch.nn.Module):

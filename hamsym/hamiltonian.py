@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 import sympy
 
-from hamsym import codegen, derivatives
+from hamsym import codegen, compiled, derivatives
 from hamsym.errors import ParameterError, VariableError
 from hamsym.pairing import find_pairs, natural_order
 from hamsym.parsing import canonical_name, parse_expression
@@ -440,13 +440,20 @@ class Hamiltonian:
     def compile(self, backend: str = "torch") -> System:
         """The generated functions of one backend, ready to call; cached.
 
+        For ``"numba"`` this also compiles what :func:`hamsym.solve` marches with, which is then
+        used for this Hamiltonian: about a second, once on a machine about ten, and some
+        thousandths of a second where it was done before.
+
         Examples
         --------
         >>> H = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
         >>> H.compile("numpy").vector_field([1.0, 2.0])
         array([ 2., -2.])
         """
-        return codegen.load(self.source(backend), backend, self.names)
+        system = codegen.load(self.source(backend), backend, self.names)
+        if system.rates is not None:
+            compiled.prepare(self, system.rates)
+        return system
 
 
 def _rebuild(

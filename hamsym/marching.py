@@ -12,9 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hamsym import compiled
 from hamsym.errors import InputError
 from hamsym.estimates import MarchError
-from hamsym.features import FeatureTrial, March, feature_basis, march
+from hamsym.features import FeatureTrial, Flow, March, feature_basis, march
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.problem import InitialValueProblem
 from hamsym.solution import Solution
 
@@ -26,32 +28,29 @@ _ATTEMPTS = 6
 
 
 def solve_by_features(
-    problem: InitialValueProblem, *, tol: float = 1e-9, atol: float | Sequence[float] = 0.0
+    problem: InitialValueProblem,
+    *,
+    tol: float = 1e-9,
+    atol: float | Sequence[float] = 0.0,
+    breakpoints: Sequence[float] = (),
 ) -> Solution:
     """March to a tolerance; options as in :func:`hamsym.solve`."""
     H = problem.H
     if not (isinstance(tol, (int, float)) and _SMALLEST_TOL <= tol < 1):
         raise InputError(f"tol={tol!r} cannot be used; give a number from {_SMALLEST_TOL:g} to 1")
     absolute = _checked_atol(atol, H.dim)
-    system, basis = H.compile("numpy"), feature_basis(problem.seed)
-    half = H.dof
-
-    def vector_field(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return np.asarray(system.vector_field(*system.arguments(z, t)))
-
-    def jacobian(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        matrix = system.hessian(*system.arguments(z, t))
-        return np.concatenate((matrix[..., half:, :], -matrix[..., :half, :]), axis=-2)
-
+    stops = _checked_breakpoints(breakpoints, problem.span)
+    basis = feature_basis(problem.seed)
+    flow = _flow(H)
     windows, error, allowed, excess = None, None, absolute, math.inf
     # The cost grows as the 18th root of the accuracy: a margin is cheaper than a second march.
     local = max(0.1 * tol, _SMALLEST_LOCAL)
     with np.errstate(all="ignore"):
         for _ in range(_ATTEMPTS):
-            tried = march(vector_field, jacobian, problem.z0, problem.span, local, basis)
+            tried = march(flow, problem.z0, problem.span, local, basis, breakpoints=stops)
             if not len(tried.readouts):
                 break
-            estimate = MarchError(tried, basis, vector_field, jacobian)
+            estimate = MarchError(tried, basis, flow)
             allowed_now = absolute + tol * _scales(tried.scale)
             ratios = np.where(estimate.largest > 0, estimate.largest / allowed_now, 0.0)
             if windows is None or ratios.max() < excess:
@@ -74,6 +73,31 @@ def solve_by_features(
     )
     solution.success, solution.message = _verdict(windows, error, tol, allowed, float(excess))
     return solution
+
+
+def _flow(H: Hamiltonian) -> Flow:
+    """The equations, with compiled code where that is there."""
+    system, half = H.compile("numpy"), H.dof
+
+    def vector_field(z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return np.asarray(system.vector_field(*system.arguments(z, t)))
+
+    def jacobian(z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        matrix = system.hessian(*system.arguments(z, t))
+        return np.concatenate((matrix[..., half:, :], -matrix[..., :half, :]), axis=-2)
+
+    def rates(z: np.ndarray, t: np.ndarray, out: np.ndarray) -> None:
+        out[:] = vector_field(z, t)
+
+    plain = Flow(vector_field, jacobian, rates, compiled=lambda: _compiled(H, plain))
+    return _compiled(H, plain) if compiled.prepared(H) else plain
+
+
+def _compiled(H: Hamiltonian, plain: Flow) -> Flow:
+    H.compile("numba")
+    rates = compiled.prepared(H)
+    assert rates is not None
+    return Flow(plain.vector_field, plain.jacobian, rates, compiled.compiled_loop())
 
 
 def _verdict(
@@ -111,3 +135,18 @@ def _checked_atol(atol: float | Sequence[float], dim: int) -> np.ndarray:
     if not (np.all(np.isfinite(values)) and np.all(values >= 0)):
         raise InputError(f"atol={atol!r} cannot be used; give a number from 0, or {dim} of them")
     return values
+
+
+def _checked_breakpoints(breakpoints: Sequence[float], span: tuple[float, float]) -> list[float]:
+    """Breakpoints in the direction of the span, each once."""
+    try:
+        times = sorted({float(time) for time in breakpoints})
+    except (TypeError, ValueError):
+        raise InputError(f"breakpoints={breakpoints!r} is not a list of times; give one") from None
+    for time in times:
+        if not min(span) < time < max(span):
+            raise InputError(
+                f"breakpoint {time:.6g} is not inside the span from {min(span):.6g} to "
+                f"{max(span):.6g}; leave it out"
+            )
+    return times if span[0] < span[1] else times[::-1]

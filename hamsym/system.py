@@ -38,6 +38,9 @@ class System:
         two arguments if H depends on time.
     step_loops : mapping
         Compiled integrators by name (numba only).
+    rates : callable, optional
+        (z, t, out) of shapes (n, dim), (n,), (n, dim), for compiled callers (numba only, and only
+        where every parameter has a value).
     time_dependent : bool
         Whether the functions take ``t``.
     """
@@ -52,6 +55,7 @@ class System:
     residual: Callable[..., Any] = field(repr=False)
     loss: Callable[..., Any] = field(repr=False)
     step_loops: Mapping[str, Callable[..., Any]] = field(repr=False, default_factory=dict)
+    rates: Callable[..., None] | None = field(repr=False, default=None)
     time_dependent: bool = False
 
     def arguments(self, z: Any, t: Any) -> tuple[Any, ...]:

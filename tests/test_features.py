@@ -10,8 +10,9 @@ import torch
 
 import hamsym
 from hamsym import Hamiltonian, InputError, systems
-from hamsym.features import _collocate, _newton, feature_basis, march
+from hamsym.features import _newton, feature_basis, march
 from hamsym.integrators import reference
+from hamsym.marching import _flow
 from hamsym.systems import CATALOGUE, Problem
 
 EXACT = [name for name in CATALOGUE if CATALOGUE[name]().exact is not None]
@@ -160,17 +161,82 @@ def test_same_seed_same_solution_other_features_agree() -> None:
 
 def test_newton_and_fixed_point_solve_the_same_equation() -> None:
     problem = systems.nonlinear_oscillator()
-    system, basis = problem.H.compile("numpy"), feature_basis(0)
-    J = np.array(problem.H.poisson_matrix, dtype=float)
-    field = lambda z, t: system.vector_field(z)
-    jacobian = lambda z, t: J @ system.hessian(z)
-    z, h, scale = np.array(problem.z0), 0.5, np.ones(2)
-    times = h * basis.nodes
-    fixed = _collocate(field, jacobian, z, h, times, basis, None, 1e-12, scale)
-    newton = _newton(field, jacobian, z, h, times, basis, 1e-14, scale, 0)
-    assert not fixed.newton
-    assert newton.newton
-    np.testing.assert_allclose(newton.rates, fixed.rates, atol=1e-12)
+    flow, basis, z0 = _flow(problem.H), feature_basis(0), np.array(problem.z0)
+    marched = march(flow, z0, (0.0, 0.5), 1e-12, basis)
+    assert marched.newton_windows == 0
+    end, clock = marched.edges[1], np.array([0.0, marched.edges[1]])
+    rates, _ = _newton(flow, basis, z0, clock, end, 1e-13, np.ones(2))
+    np.testing.assert_allclose(end * basis.fit @ rates, marched.readouts[0], atol=1e-13)
+
+
+def test_newton_takes_over_where_the_fixed_point_does_not_contract() -> None:
+    """A stiff spring that oscillates with an amplitude at the tolerance beside a slow motion."""
+    H = Hamiltonian("p**2/2 + r**2/2 + x**2/2 + 500000*(y - x)**2", q=["x", "y"], p=["p", "r"])
+    solution = hamsym.solve(H, [1.0, 1.0, 0.0, 0.0], (0, 1), tol=1e-3)
+    assert solution.success
+    assert solution.history.newton_windows > 0
+    truth = reference(H, np.array([1.0, 1.0, 0.0, 0.0]), (0.0, 1.0), tolerance=1e-10)
+    assert true_error(solution, truth).max() <= 1e-3
+
+
+def test_breakpoints_end_windows() -> None:
+    H = Hamiltonian("p**2/2 - x*sign(t - 1)")
+    solution = hamsym.solve(H, [0.0, 0.0], (0, 3), tol=1e-11, breakpoints=[2.0, 1.0, 2.0])
+    assert solution.success, solution.message
+    assert {1.0, 2.0} < set(solution.history.edges)
+    t = np.linspace(0, 3, 301)
+    exact = np.where(t < 1, -t, t - 2)
+    np.testing.assert_allclose(solution(t)[:, 1], exact, atol=2e-11)
+    back = hamsym.solve(H, solution(3.0), (3, 0), tol=1e-11, breakpoints=[1.0, 2.0])
+    np.testing.assert_allclose(back(0.0), [0, 0], atol=1e-10)
+
+
+@pytest.mark.parametrize("breakpoints", [[5.0], [0.0], [math.nan], ["soon"], 3.0])
+def test_unusable_breakpoints(breakpoints: object) -> None:
+    with pytest.raises(InputError, match="breakpoint"):
+        hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), breakpoints=breakpoints)
+
+
+# -- Henon-Heiles against a Taylor series in extended precision -----------------------------------
+
+
+def _taylor_henon_heiles(z0: list[float], end: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states, from power series of degree 30 in the 64-bit mantissa of longdouble."""
+    degree, h = 30, np.longdouble(end) / steps
+    powers = h ** np.arange(degree + 1)
+    states = [np.array(z0, dtype=np.longdouble)]
+    for _ in range(steps):
+        x, y, px, py = (np.zeros(degree + 1, np.longdouble) for _ in range(4))
+        x[0], y[0], px[0], py[0] = states[-1]
+        for k in range(degree):
+            forward, back = slice(0, k + 1), slice(k, None, -1)
+            x[k + 1], y[k + 1] = px[k] / (k + 1), py[k] / (k + 1)
+            px[k + 1] = -(x[k] + 2 * (x[forward] @ y[back])) / (k + 1)
+            force = y[k] + x[forward] @ x[back] - y[forward] @ y[back]
+            py[k + 1] = -force / (k + 1)
+        states.append(np.array([series @ powers for series in (x, y, px, py)]))
+    return np.linspace(0, end, steps + 1), np.array(states)
+
+
+def test_three_hundred_units_of_henon_heiles() -> None:
+    problem = systems.henon_heiles()
+    t, truth = _taylor_henon_heiles(list(problem.z0), 300.0, 1_000)
+    solution = hamsym.solve(problem.H, problem.z0, (0, 300), tol=1e-11)
+    assert np.abs(solution(t) - truth).max() <= 1e-10
+    assert np.abs(truth.astype(float) - solution(t) - solution.error_estimate(t)).max() <= 1e-12
+
+
+def test_a_chaotic_orbit_and_its_estimate() -> None:
+    z0 = [0.0, -0.1, math.sqrt(2 * (0.125 - 0.005 - 0.001 / 3)), 0.0]
+    t, truth = _taylor_henon_heiles(z0, 150.0, 500)
+    _, check = _taylor_henon_heiles(z0, 150.0, 1_000)
+    assert np.abs(truth - check[::2]).max() < 1e-13
+    solution = hamsym.solve(systems.henon_heiles().H, z0, (0, 150), tol=1e-9)
+    assert solution.success
+    error = np.abs(solution(t) - truth).max(axis=0)
+    assert error.max() <= 1e-8
+    estimate = np.abs(solution.error_estimate(t)).max(axis=0)
+    assert np.all((estimate < 10 * error) & (error < 10 * estimate))
 
 
 # -- failures ------------------------------------------------------------------------------------
@@ -221,18 +287,9 @@ def test_chaos_beyond_double_precision_is_reported() -> None:
 
 
 def test_too_many_windows_is_reported() -> None:
-    problem = systems.harmonic_oscillator()
-    system = problem.H.compile("numpy")
-    J = np.array(problem.H.poisson_matrix, dtype=float)
-    windows = march(
-        lambda z, t: system.vector_field(z),
-        lambda z, t: J @ system.hessian(z),
-        np.array([1.0, 0.0]),
-        (0.0, 1_000.0),
-        1e-9,
-        feature_basis(0),
-        max_windows=20,
-    )
+    flow = _flow(systems.harmonic_oscillator().H)
+    z0, span = np.array([1.0, 0.0]), (0.0, 1_000.0)
+    windows = march(flow, z0, span, 1e-9, feature_basis(0), max_windows=20)
     assert windows.reason == "more than 20 windows"
     assert 0 < windows.reached < 1_000
     assert len(windows.readouts) == 20

@@ -1,0 +1,176 @@
+"""Compiled code: sources as real files in a directory of the user's own, so that numba can cache.
+
+numba keeps what it has compiled beside the source, as pickles; who can write there can run code.
+Everything is therefore kept in one directory that only the user can write, and nothing is compiled
+unless somebody asked for it (``H.compile("numba")``) or it pays (see :mod:`hamsym.marching`).
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.resources
+import importlib.util
+import os
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Hashable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+__all__ = [
+    "cache_directory",
+    "compiled_loop",
+    "load_module",
+    "prepare",
+    "prepared",
+    "write_atomically",
+]
+
+_VARIABLE = "HAMSYM_CACHE_DIR"
+
+
+@functools.cache
+def cache_directory() -> Path:
+    """The directory of compiled sources: $HAMSYM_CACHE_DIR, or hamsym in the user's cache.
+
+    Where that cannot be made, or others could write it, a temporary directory of this process
+    takes its place, and what is compiled is compiled again by the next one.
+    """
+    chosen = os.environ.get(_VARIABLE)
+    for path in (Path(chosen),) if chosen else (_user_cache() / "hamsym",):
+        try:
+            path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if _is_private(path):
+            return path.resolve()
+    return Path(tempfile.mkdtemp(prefix="hamsym-"))  # made for this user alone
+
+
+def _user_cache() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _is_private(path: Path) -> bool:
+    """Whether the user owns a directory that nobody else can write."""
+    try:
+        status = path.lstat()
+    except OSError:
+        return False
+    if not stat.S_ISDIR(status.st_mode) or not os.access(path, os.W_OK):
+        return False
+    if not hasattr(os, "getuid"):  # elsewhere the user's own folders are private by default
+        return True
+    return status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def load_module(source: str, name: str) -> ModuleType:
+    """A module of the given source, run from a file of the cache directory."""
+    digest = hashlib.sha256(source.encode()).hexdigest()[:16]
+    path = cache_directory() / f"{name}_{digest}.py"
+    if not path.is_file() or path.read_text("utf-8") != source:
+        write_atomically(path, source.encode())
+    spec = importlib.util.spec_from_file_location(f"hamsym_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # numba looks there for what it loads from its cache
+    spec.loader.exec_module(module)
+    return module
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file so that, whenever it stops, the old content is there or the new one."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+@functools.cache
+def compiled_loop() -> Callable[..., int]:
+    """:func:`hamsym.march_loop.march_windows`, compiled; seconds the first time on a machine."""
+    import numba
+    from numba import types
+
+    source = importlib.resources.files("hamsym").joinpath("march_loop.py").read_text("utf-8")
+    module: Any = load_module(source, "march_loop")
+    options = {"cache": True, "error_model": "numpy"}
+    module.floored = numba.njit(**options)(module.floored)
+    module.column_sizes = numba.njit(**options)(module.column_sizes_in_loops)
+    vector, matrix, cube = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+    signature = types.int64(
+        types.FunctionType(_rates_signature()),
+        vector,  # nodes
+        matrix,  # integration
+        matrix,  # fit
+        vector,  # between
+        matrix,  # to_between
+        matrix,  # rates_between
+        vector,  # end
+        vector,  # end_low
+        matrix,  # tail_fit
+        vector,  # stops
+        types.float64,  # tolerance
+        types.float64,  # shortest
+        types.boolean,  # given
+        matrix,  # found
+        vector,  # clock
+        types.int64[::1],  # counts
+        vector,  # sizes
+        matrix,  # tail
+        vector,  # edges
+        matrix,  # states
+        cube,  # readouts
+    )
+    return _compiled(signature, module.march_windows)
+
+
+_prepared: dict[Hashable, Callable[..., None]] = {}
+
+
+def prepare(key: Hashable, rates: Any) -> None:
+    """Compile ``rates`` of a generated numba module for :func:`compiled_loop`, and that too."""
+    compiled_loop()
+    if key not in _prepared:
+        _prepared[key] = _compiled(_rates_signature(), rates.py_func)
+
+
+def prepared(key: Hashable) -> Callable[..., None] | None:
+    """What :func:`prepare` made under this key in the present process, if it did."""
+    return _prepared.get(key)
+
+
+def _compiled(signature: Any, function: Any) -> Any:
+    """A function for one signature, from the cache or to it."""
+    import numba
+
+    compiler = numba.njit(signature, cache=True, error_model="numpy")
+    try:
+        return compiler(function)
+    except Exception:
+        # What is in the cache was damaged, or written by versions that are no longer there.
+        path = Path(function.__code__.co_filename)
+        for file in (path.parent / "__pycache__").glob(f"{path.stem}.*.nb?"):
+            file.unlink(missing_ok=True)
+        return compiler(function)
+
+
+def _rates_signature() -> Any:
+    from numba import types
+
+    matrix = types.float64[:, ::1]
+    return types.void(matrix, types.float64[::1], matrix)

@@ -1,0 +1,193 @@
+"""The march itself: windows of collocation, one after the other, each to a local tolerance.
+
+Written in what numpy and numba have in common: it runs as it stands, and :mod:`hamsym.compiled`
+compiles the same text. It knows the vector field as a function rates(z, t, out) only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+__all__ = ["FINISHED", "FULL", "NEWTON", "TOO_SHORT", "march_windows"]
+
+# How march_windows ends: at the end of the span, at a window whose equation the fixed point
+# iteration does not solve, at a window too short for float64, or with its arrays full.
+FINISHED, NEWTON, TOO_SHORT, FULL = range(4)
+
+ORDER = 18  # at which the residual falls with the length of the window, empirically
+ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
+SHRINK, GROW = 0.6, 2.5
+ITERATIONS = 60
+TAIL = 6  # last nodes of a window, from which the next one is guessed
+TINY = 2.2250738585072014e-308
+
+Array: TypeAlias = np.ndarray
+
+
+def floored(sizes: Array) -> Array:
+    """Sizes with the floor of 1e-8 of the largest of their half; 1 where a half is zero so far."""
+    scale = np.empty_like(sizes)
+    half = len(sizes) // 2
+    for first in (0, half):
+        largest = sizes[first : first + half].max()
+        if not largest > 0:
+            largest = 1.0
+        scale[first : first + half] = np.maximum(sizes[first : first + half], 1e-8 * largest)
+    return scale
+
+
+def column_sizes(values: Array) -> Array:
+    """Largest magnitude in each column."""
+    return np.abs(values).max(axis=0)
+
+
+def column_sizes_in_loops(values: Array) -> Array:
+    """The same for the compiler, which knows no maximum along an axis."""
+    sizes = np.zeros(values.shape[1])
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            size = abs(values[row, column])
+            # Once it is not a number, it stays so.
+            if not size <= sizes[column] and sizes[column] == sizes[column]:
+                sizes[column] = size
+    return sizes
+
+
+def march_windows(
+    rates: Callable[[Array, Array, Array], None],
+    nodes: Array,
+    integration: Array,
+    fit: Array,
+    between: Array,
+    to_between: Array,
+    rates_between: Array,
+    end: Array,
+    end_low: Array,
+    tail_fit: Array,
+    stops: Array,
+    tolerance: float,
+    shortest: float,
+    given: bool,
+    found: Array,
+    clock: Array,
+    counts: Array,
+    sizes: Array,
+    tail: Array,
+    edges: Array,
+    states: Array,
+    readouts: Array,
+) -> int:
+    """Fill edges, states and readouts from counts[0] on; returns how it ended.
+
+    Parameters
+    ----------
+    rates : callable
+        (z, t, out) for z, out of shape (n, dim) and t of shape (n,).
+    nodes, integration, fit, between, to_between, rates_between, end, end_low, tail_fit
+        Tables of the :class:`~hamsym.features.FeatureBasis`.
+    stops : array
+        Times at which a window must end, the last of them the end of the march.
+    tolerance : float
+        Of each window, relative to the sizes of the components.
+    shortest : float
+        Length below which a window is not tried.
+    given : bool
+        Whether ``found`` has the rates at the nodes of the first window already.
+    found : array (nodes, dim)
+        Those rates.
+    clock : array (2,)
+        Time, and length of the next window; updated.
+    counts : array (3,)
+        Windows so far, evaluations of the vector field, stops passed; updated.
+    sizes : array (dim,)
+        Largest magnitude of each component so far; updated.
+    tail : array (3, dim)
+        Quadratic guess of the rates after the last window, in units of its length; updated.
+    edges, states, readouts : arrays
+        Shapes (n + 1,), (n + 1, dim) and (n, columns, dim).
+    """
+    dim = len(sizes)
+    count, evaluations, passed = counts[0], counts[1], counts[2]
+    t, length = clock[0], clock[1]
+    direction = 1.0 if stops[-1] > t else -1.0
+    last_length = abs(t - edges[count - 1]) if count else 0.0
+    scale = floored(sizes)
+    enough = max(0.01 * tolerance, 4e-16)
+    guess = np.empty((len(nodes), 3))
+    values = np.empty((len(nodes), dim))
+    flow = np.empty((len(between), dim))
+    status = FINISHED
+    while passed < len(stops):
+        stop = stops[passed]
+        length = min(length, abs(stop - t))
+        if length < shortest:
+            status = TOO_SHORT
+            break
+        if count == len(readouts):
+            status = FULL
+            break
+        h = direction * length
+        z = states[count]
+        if not given:
+            times = t + h * nodes
+            ratio = length / last_length if count else 0.0
+            guess[:, 0] = 1.0
+            guess[:, 1] = ratio * nodes
+            guess[:, 2] = guess[:, 1] ** 2
+            scaled = h * integration
+            nearby = z + scaled @ (guess @ tail)
+            last = math.inf
+            solved = False
+            for attempt in range(ITERATIONS):
+                rates(nearby, times, values)
+                moved = z + scaled @ values
+                change = (np.abs(moved - nearby) / scale).max()
+                nearby = moved
+                evaluations += 1
+                if change <= enough or (change < 1e-12 and change >= last):
+                    solved = True
+                    break
+                if not change < 1e9 or (attempt > 30 and change > 0.9 * last):
+                    break
+                last = change
+            if not solved:
+                status = NEWTON
+                break
+            found = values
+        given = False
+        readout = h * (fit @ found)
+        middle = z + to_between @ readout
+        rates(middle, t + h * between, flow)
+        evaluations += 1
+        residual = (rates_between @ readout) / h - flow
+        sizes_now = np.maximum(sizes, column_sizes(middle))
+        scale_now = floored(sizes_now)
+        # No window is short enough to bring the residual below the round-off of the rates.
+        allowed = tolerance * scale_now + ROUND_OFF * length * column_sizes(found)
+        error = (length * column_sizes(residual) / np.maximum(allowed, TINY)).max()
+        if not error <= 1:  # also where it is not a number
+            factor = (0.3 / error) ** (1 / ORDER) if math.isfinite(error) else 0.3
+            length *= min(max(factor, 0.3), 0.9)
+            continue
+        # Rounding Q(1) would push every window the same way, and energies would drift.
+        states[count + 1] = z + (end @ readout + end_low @ readout)
+        if length == abs(stop - t):
+            t = stop
+            passed += 1
+        else:
+            t += h
+        readouts[count] = readout
+        count += 1
+        edges[count] = t
+        tail[:, :] = tail_fit @ found[-TAIL:]
+        sizes[:] = sizes_now
+        scale = scale_now
+        last_length = length
+        length *= min(GROW, (0.1 / max(error, 1e-30)) ** (1 / ORDER))
+    clock[0], clock[1] = t, length
+    counts[0], counts[1], counts[2] = count, evaluations, passed
+    return status

@@ -1,0 +1,128 @@
+"""Compiled code: the same march, kept where only the user can write."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym import Hamiltonian, compiled, features, march_loop
+from hamsym.systems import Problem
+
+
+def test_compiled_and_plain_march_agree(problem: Problem) -> None:
+    plain = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    problem.H.compile("numba")
+    fast = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    assert (plain.history.compiled, fast.history.compiled) == (False, True)
+    assert fast.success
+    t = np.linspace(*problem.span, 501)
+    assert (np.abs(fast(t) - plain(t)) <= 2e-9 * plain.scale).all()
+    assert abs(len(fast.history.edges) - len(plain.history.edges)) <= 1
+
+
+def test_nothing_is_compiled_unasked() -> None:
+    code = (
+        "import sys, hamsym; hamsym.solve(hamsym.Hamiltonian('p**2 + x**2'), [1, 0], (0, 9));"
+        "sys.exit('numba' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_compiling_when_it_pays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(features, "_COMPILING", 0.0)
+    H = Hamiltonian("p**2/2 + x**2/2 + x**6/6")
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 200), tol=1e-9)
+    assert solution.success
+    assert solution.history.compiled
+    monkeypatch.undo()
+    other = Hamiltonian("p**2/2 + x**2/2 + x**6/12 + x**6/12")
+    assert hamsym.solve(other, [1.0, 0.0], (0, 1)).history.compiled  # equal, so it is there
+
+
+def test_parameters_and_time_reach_compiled_code() -> None:
+    H = Hamiltonian("p**2/(2*m) + k*x**2/2 - x*cos(2*t)", parameters={"m": 2.0, "k": 3.0})
+    plain = hamsym.solve(H, [0.3, 0.1], (1.0, 9.0), tol=1e-10)
+    H.compile("numba")
+    fast = hamsym.solve(H, [0.3, 0.1], (1.0, 9.0), tol=1e-10)
+    assert fast.history.compiled
+    t = np.linspace(1, 9, 101)
+    np.testing.assert_allclose(fast(t), plain(t), atol=1e-9)
+
+
+def test_sizes_of_columns_agree() -> None:
+    values = np.random.default_rng(0).normal(size=(7, 3))
+    np.testing.assert_array_equal(
+        march_loop.column_sizes(values), march_loop.column_sizes_in_loops(values)
+    )
+    values[3, 1] = np.nan
+    assert np.isnan(march_loop.column_sizes_in_loops(values)[1])
+
+
+def test_scales_of_halves() -> None:
+    sizes = np.array([1.0, 1e-12, 0.0, 0.0])
+    np.testing.assert_array_equal(march_loop.floored(sizes), [1.0, 1e-8, 1e-8, 1e-8])
+
+
+# -- the cache -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def fresh_cache(monkeypatch: pytest.MonkeyPatch):
+    compiled.cache_directory.cache_clear()
+    yield monkeypatch
+    monkeypatch.undo()
+    compiled.cache_directory.cache_clear()
+
+
+def test_cache_is_the_users_own(fresh_cache, tmp_path: Path) -> None:
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path / "a" / "cache"))
+    path = compiled.cache_directory()
+    assert path == (tmp_path / "a" / "cache").resolve()
+    assert stat.S_IMODE(path.stat().st_mode) == 0o700
+    module = compiled.load_module("VALUE = 3\n", "numba")
+    assert module.VALUE == 3
+    assert Path(module.__file__).parent == path
+    Path(module.__file__).write_text("VALUE = 4\n")
+    assert compiled.load_module("VALUE = 3\n", "numba").VALUE == 3
+    assert not [entry for entry in path.iterdir() if entry.name.startswith(".")]
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no permission bits here")
+@pytest.mark.parametrize("unsafe", ["writable by others", "a link", "a file"])
+def test_a_directory_that_others_could_write_is_not_used(
+    fresh_cache, tmp_path: Path, unsafe: str
+) -> None:
+    path = tmp_path / "cache"
+    if unsafe == "a file":
+        path.write_text("")
+    elif unsafe == "a link":
+        (tmp_path / "elsewhere").mkdir(mode=0o700)
+        path.symlink_to(tmp_path / "elsewhere")
+    else:
+        path.mkdir()
+        path.chmod(0o777)
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(path))
+    used = compiled.cache_directory()
+    assert tmp_path.resolve() not in used.resolve().parents
+    assert stat.S_IMODE(used.stat().st_mode) == 0o700
+
+
+def test_damaged_cache_is_replaced(tmp_path: Path) -> None:
+    code = (
+        "import hamsym; H = hamsym.Hamiltonian('p**2/2 + x**4');"
+        "H.compile('numba'); print(hamsym.solve(H, [1, 0], (0, 1)).history.compiled)"
+    )
+    environment = {**os.environ, "HAMSYM_CACHE_DIR": str(tmp_path)}
+    run = [sys.executable, "-c", code]
+    subprocess.run(run, env=environment, check=True)
+    for file in (tmp_path / "__pycache__").glob("numba_*.nb?"):
+        file.write_bytes(b"damaged")
+    again = subprocess.run(run, env=environment, check=True, capture_output=True, text=True)
+    assert again.stdout == "True\n"
