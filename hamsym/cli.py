@@ -370,8 +370,9 @@ def _report(solution: Any) -> None:
             click.echo(f"{name:<{width}}  {scale:>10.4g}  {error:>16.1e}")
         click.echo(f"time {training.seconds:.3f} s for the last march")
     else:
-        per_epoch = 1e3 * training.cpu_seconds / max(training.epochs, 1)
-        click.echo(f"time {training.seconds:.1f} s, {per_epoch:.2f} ms of CPU per epoch")
+        each = 1e3 * training.cpu_seconds / max(training.iterations, 1)
+        unit = "epoch" if solution.method == "adam" else "iteration"
+        click.echo(f"time {training.seconds:.1f} s, {each:.2f} ms of CPU per {unit}")
 
 
 _FIGURE_ENDINGS = (".png", ".pdf", ".svg")

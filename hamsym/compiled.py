@@ -20,13 +20,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from hamsym.atomic import write_atomically
+
 __all__ = [
     "cache_directory",
     "compiled_loop",
     "load_module",
     "prepare",
     "prepared",
-    "write_atomically",
 ]
 
 _VARIABLE = "HAMSYM_CACHE_DIR"
@@ -84,20 +85,6 @@ def load_module(source: str, name: str) -> ModuleType:
     sys.modules[spec.name] = module  # numba looks there for what it loads from its cache
     spec.loader.exec_module(module)
     return module
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that, whenever it stops, the old content is there or the new one."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
 
 
 @functools.cache

@@ -61,5 +61,9 @@ class CodeGenerationError(InputError):
     """The Hamiltonian contains a function that a backend cannot evaluate."""
 
 
+class FileError(HamsymError):
+    """A file cannot be read or written, or does not hold what it should."""
+
+
 class VacuousBoundWarning(UserWarning):
     """An error bound says nothing, because the Hessian is singular along the trajectory."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,26 +21,30 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.problem import InitialValueProblem
 from hamsym.solution import Solution
 
-__all__ = ["solve_by_features"]
+__all__ = ["FeatureOptions", "solve_by_features"]
 
 _SMALLEST_TOL = 1e-12  # below it float64 cannot hold the answer
 _SMALLEST_LOCAL = 1e-13  # residuals cannot be told from round-off below
 _ATTEMPTS = 6
 
 
-def solve_by_features(
-    problem: InitialValueProblem,
-    *,
-    tol: float = 1e-9,
-    atol: float | Sequence[float] = 0.0,
-    breakpoints: Sequence[float] = (),
-) -> Solution:
+@dataclass(frozen=True)
+class FeatureOptions:
+    """Options of the method "features"; see :func:`hamsym.solve`."""
+
+    tol: float = 1e-9
+    atol: float | Sequence[float] = 0.0
+    breakpoints: Sequence[float] = ()
+
+
+def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> Solution:
     """March to a tolerance; options as in :func:`hamsym.solve`."""
+    tol = options.tol
     H = problem.H
     if not (isinstance(tol, (int, float)) and _SMALLEST_TOL <= tol < 1):
         raise InputError(f"tol={tol!r} cannot be used; give a number from {_SMALLEST_TOL:g} to 1")
-    absolute = _checked_atol(atol, H.dim)
-    stops = _checked_breakpoints(breakpoints, problem.span)
+    absolute = _checked_atol(options.atol, H.dim)
+    stops = _checked_breakpoints(options.breakpoints, problem.span)
     basis = feature_basis(problem.seed)
     flow = _flow(H)
     windows, error, allowed, excess = None, None, absolute, math.inf

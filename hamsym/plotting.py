@@ -60,8 +60,8 @@ def plot_solution(solution: Solution) -> Figure:
         label="at the noisy points",
     )
     best = np.minimum.accumulate(history.fixed_loss)
-    axes[1, 1].loglog(history.epoch, best, color=_color(0), label="best, at fixed points")
-    axes[1, 1].set(title="Loss", xlabel="epoch")
+    axes[1, 1].loglog(history.iteration, best, color=_color(0), label="best, at fixed points")
+    axes[1, 1].set(title="Loss", xlabel="iteration")
     axes[1, 1].legend(fontsize=8)
     return figure
 

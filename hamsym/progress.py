@@ -15,13 +15,13 @@ __all__ = ["training_progress"]
 
 @contextmanager
 def training_progress(
-    epochs: int, show: bool | None = None
+    iterations: int, show: bool | None = None
 ) -> Iterator[list[Callable[[TrainingState], None]]]:
     """Callbacks that draw loss, ell_max and the time left on standard error.
 
     Parameters
     ----------
-    epochs : int
+    iterations : int
     show : bool, optional
         By default only where standard error is a terminal.
     """
@@ -37,11 +37,11 @@ def training_progress(
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("", total=epochs, loss=float("nan"), ell_max=float("nan"))
+        task = progress.add_task("", total=iterations, loss=float("nan"), ell_max=float("nan"))
 
         def update(state: TrainingState) -> None:
             progress.update(
-                task, completed=state.epoch, loss=state.best_loss, ell_max=state.ell_max
+                task, completed=state.iteration, loss=state.best_loss, ell_max=state.ell_max
             )
 
         yield [update]

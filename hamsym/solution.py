@@ -286,7 +286,7 @@ class Solution:
 
     @cached_property
     def _scan_times(self) -> np.ndarray:
-        if isinstance(self.training, Training):
+        if not isinstance(self.training, March):
             return np.linspace(*self.span, _SCAN)
         edges = self.training.edges
         inside = np.linspace(0, 1, max(9, _SCAN // len(edges)), endpoint=False)

@@ -2,25 +2,41 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from hamsym.adam import solve_by_adam
+from hamsym.deep_networks import (
+    AdamOptions,
+    LBFGSOptions,
+    LevenbergMarquardtOptions,
+    solve_by_training,
+)
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.marching import solve_by_features
+from hamsym.marching import FeatureOptions, solve_by_features
 from hamsym.problem import InitialValueProblem
 from hamsym.solution import Solution
 
 __all__ = ["METHODS", "solve"]
 
-#: Methods of solution by name: (problem, **options) -> Solution.
-METHODS: dict[str, Callable[..., Solution]] = {
-    "features": solve_by_features,
-    "adam": solve_by_adam,
+
+@dataclass(frozen=True)
+class Method:
+    """A method of solution: a dataclass of its options, and what runs it."""
+
+    options: type[Any]
+    run: Callable[[InitialValueProblem, Any], Solution]
+
+
+#: Methods of solution by name.
+METHODS: dict[str, Method] = {
+    "features": Method(FeatureOptions, solve_by_features),
+    "levenberg-marquardt": Method(LevenbergMarquardtOptions, solve_by_training),
+    "lbfgs": Method(LBFGSOptions, solve_by_training),
+    "adam": Method(AdamOptions, solve_by_training),
 }
 
 
@@ -104,8 +120,7 @@ def solve(
     """
     if method not in METHODS:
         raise InputError(f"{method!r} is not a method; choose one of {', '.join(METHODS)}")
-    run = METHODS[method]
-    known = list(inspect.signature(run).parameters)[1:]
+    known = [field.name for field in fields(METHODS[method].options)]
     for name in options:
         if name not in known:
             if name in H.parameter_names:
@@ -113,4 +128,5 @@ def solve(
             raise InputError(
                 f"'{name}' is not an option of method {method!r}; it has {', '.join(known)}"
             )
-    return run(InitialValueProblem.checked(H, z0, span, seed, progress), **options)
+    problem = InitialValueProblem.checked(H, z0, span, seed, progress)
+    return METHODS[method].run(problem, METHODS[method].options(**options))

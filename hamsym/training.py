@@ -1,7 +1,8 @@
 """A trainer for trial solutions of any first-order equation; it knows no Hamiltonian.
 
 Input:  a trial solution t -> (z, dz/dt), an :class:`Objective` made of a residual function, a
-        loss and regularisers, and a time span.
+        loss and regularisers, a time span, an optimiser (:mod:`hamsym.optimizers`,
+        :mod:`hamsym.levenberg_marquardt`) and rules for stopping.
 Output: the weights with the lowest loss at fixed points (left in the trial solution), and a
         :class:`Training` that tells how it went.
 """
@@ -9,27 +10,35 @@ Output: the weights with the lowest loss at fixed points (left in the trial solu
 from __future__ import annotations
 
 import math
+import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from hamsym.errors import InputError
+from hamsym.errors import FileError, InputError
+from hamsym.files import read_tensors, write_tensors
+from hamsym.trial import Network
 
 __all__ = [
-    "AdamOptions",
+    "Checkpoint",
+    "Criterion",
     "History",
     "Objective",
+    "Optimizer",
     "Regularizer",
+    "Stages",
+    "Stopping",
     "Training",
     "TrainingState",
-    "train_adam",
+    "train",
 ]
 
-_CHECK_EVERY = 50  # epochs between evaluations at the fixed points
 # Products of points and weights below this are no faster on two threads, which cost twice the CPU
 # time.
 _ONE_THREAD = 4_000_000
@@ -56,11 +65,19 @@ class Objective:
         residual.
     regularizers : tuple of Regularizer
         Further terms.
+    rows : callable, optional
+        (t, z, dz) -> shape (K, m), of which the loss without regularisers is the mean square
+        2-norm over the points; by default the residual. For least-squares methods.
+    slopes : callable, optional
+        (t, z, dz) -> derivatives of the rows in z and in dz, each of shape (K, m, dim); by default
+        from automatic differentiation.
     """
 
     residual: Callable[[Tensor, Tensor, Tensor], Tensor]
     loss: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None
     regularizers: tuple[Regularizer, ...] = ()
+    rows: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None
+    slopes: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]] | None = None
 
     def __call__(self, t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
         """The loss with all its terms, a scalar."""
@@ -77,8 +94,8 @@ class Objective:
 class TrainingState:
     """What a callback is told after each evaluation at the fixed points."""
 
-    epoch: int
-    epochs: int
+    iteration: int
+    iterations: int
     loss: float
     best_loss: float
     ell_max: float
@@ -92,14 +109,14 @@ class History:
     Attributes
     ----------
     loss : numpy.ndarray
-        Loss at the noisy points, one value per epoch.
-    epoch, fixed_loss, ell_max, seconds : numpy.ndarray
-        Evaluations at the fixed points: after which epoch, the loss, the largest 2-norm of the
-        residual, and the time since the start.
+        Loss at the optimiser's own points, one value per iteration.
+    iteration, fixed_loss, ell_max, seconds : numpy.ndarray
+        Evaluations at the fixed points: after which iteration, the loss, the largest 2-norm of
+        the residual, and the time since the start.
     """
 
     loss: np.ndarray = field(repr=False)
-    epoch: np.ndarray = field(repr=False)
+    iteration: np.ndarray = field(repr=False)
     fixed_loss: np.ndarray = field(repr=False)
     ell_max: np.ndarray = field(repr=False)
     seconds: np.ndarray = field(repr=False)
@@ -107,97 +124,199 @@ class History:
 
 @dataclass(frozen=True)
 class Training:
-    """How a training ended; the best weights are in the trial solution."""
+    """How a training ended; the best weights are in the trial solution.
+
+    Attributes
+    ----------
+    history : History
+    points : int
+        Collocation points K.
+    iterations : int
+        Of the optimiser: epochs of Adam, steps of the others.
+    restarts : int
+        How often the training began again with new weights.
+    best_loss, best_ell_max : float
+        At the fixed points, of the weights that were kept.
+    stopped : str
+        The rule that ended it: "iterations", "target loss", "target ell_max", the name of a
+        :class:`Criterion`, "patience", "time limit", "stalled", "diverged" or "interrupted".
+    seconds, cpu_seconds : float
+        Including those before a resumption.
+    """
 
     history: History
     points: int
-    epochs: int
+    iterations: int
+    restarts: int
     best_loss: float
-    reached_target: bool
-    stopped: str  # "epochs", "target", "diverged" or "interrupted"
+    best_ell_max: float
+    stopped: str
     seconds: float
     cpu_seconds: float
 
 
 @dataclass(frozen=True)
-class AdamOptions:
-    """Settings of :func:`train_adam`; but for the schedule the defaults are those of the paper.
+class Criterion:
+    """A rule for stopping that looks at the trial solution; asked when the loss has quartered."""
+
+    name: str
+    holds: Callable[[torch.nn.Module], bool]
+
+
+@dataclass(frozen=True)
+class Stopping:
+    """When a training ends: at the first of these.
 
     Attributes
     ----------
-    epochs : int
-    learning_rate : float
-    betas : (float, float)
-        Decay rates of Adam's moment estimates.
-    schedule : {"constant", "cosine"}
-        The learning rate stays, as in the paper, or falls to zero along half a cosine.
-    points : int
-        Collocation points K, equally spaced over the span.
-    noise : float, optional
-        Standard deviation of the Gaussian noise added to the points each epoch, in units of
-        time; by default three times their spacing, which is what the paper's settings are.
+    iterations : int
     target_loss : float, optional
-        Training stops when the loss at the fixed points is at most this.
+        The loss at the fixed points is at most this.
+    target_ell_max : float, optional
+        The largest residual at the fixed points is at most this.
+    patience : int, optional
+        So many iterations have not improved the loss at the fixed points.
+    time_limit : float, optional
+        So many seconds have passed.
+    criteria : tuple of Criterion
     """
 
-    epochs: int = 50_000
-    learning_rate: float = 8e-3
-    betas: tuple[float, float] = (0.9, 0.999)
-    schedule: str = "cosine"
-    points: int = 200
-    noise: float | None = None
+    iterations: int
     target_loss: float | None = None
+    target_ell_max: float | None = None
+    patience: int | None = None
+    time_limit: float | None = None
+    criteria: tuple[Criterion, ...] = ()
 
     def __post_init__(self) -> None:
-        _require(
-            isinstance(self.epochs, int) and self.epochs >= 1, "epochs", self.epochs, "1 or more"
-        )
-        _require(
-            isinstance(self.points, int) and self.points >= 2, "points", self.points, "2 or more"
-        )
-        _require(_positive(self.learning_rate), "learning_rate", self.learning_rate, "above 0")
-        _require(
-            self.noise is None or self.noise == 0 or _positive(self.noise),
-            "noise",
-            self.noise,
-            "0 or more",
-        )
-        _require(
-            self.target_loss is None or _positive(self.target_loss),
-            "target_loss",
-            self.target_loss,
-            "above 0",
-        )
-        _require(
-            isinstance(self.betas, (tuple, list))
-            and len(self.betas) == 2
-            and all(isinstance(beta, (int, float)) and 0 <= beta < 1 for beta in self.betas),
-            "betas",
-            self.betas,
-            "two numbers from 0 to below 1",
-        )
-        _require(
-            self.schedule in ("constant", "cosine"),
-            "schedule",
-            self.schedule,
-            "'constant' or 'cosine'",
-        )
+        require_whole("iterations", self.iterations, 1)
+        if self.patience is not None:
+            require_whole("patience", self.patience, 1)
+        for name in ("target_loss", "target_ell_max", "time_limit"):
+            if getattr(self, name) is not None:
+                require_positive(name, getattr(self, name))
 
 
-def train_adam(
+@dataclass(frozen=True)
+class Stages:
+    """Sequential training: first a short span, then longer ones, the weights carried over.
+
+    Attributes
+    ----------
+    count : int
+        The span of stage k is the k-th part of count.
+    residual : float
+        A stage ends when the root mean square of the residual is below this part of that of
+        dz/dt, or when its share of the iterations is used up.
+    restart_after : int, optional
+        Instead, after so many iterations in a stage without that (or, in the last one, with a
+        residual above 1e-4), new weights are drawn and the first stage begins again.
+    restarts : int
+        Largest number of such restarts.
+    """
+
+    count: int = 1
+    residual: float = 0.03
+    restart_after: int | None = None
+    restarts: int = 10
+
+    def __post_init__(self) -> None:
+        require_whole("stages", self.count, 1)
+        require_whole("restarts", self.restarts, 0)
+
+
+class Optimizer(Protocol):
+    """What changes the weights, one iteration at a time."""
+
+    points: int
+    check_every: int  # iterations between evaluations at the fixed points
+
+    def bind(
+        self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
+    ) -> None:
+        """Set to work on these; to be called once, before anything else."""
+
+    def fixed_points(self, span: tuple[float, float]) -> Tensor:
+        """Points at which weights are judged, and which are never trained on."""
+
+    def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
+        """One iteration on a span that is this share of the whole, done the part of all iterations.
+
+        Returns the loss at its points before the step, and the mean square of dz/dt there.
+        """
+
+    @property
+    def stalled(self) -> bool:
+        """Whether further iterations are of no use."""
+
+    def reset(self) -> None:
+        """Forget what was learned about weights that are no more."""
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """All that the next iterations depend on, as tensors and as values for JSON."""
+
+    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
+        """Take over such a state."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A file from which a training that was killed goes on as if it had not been.
+
+    Attributes
+    ----------
+    path : path-like
+        Written in one step, now and then and at the end; read if it is there.
+    settings : mapping
+        What the training is of; a file with other settings is refused.
+    every : float
+        Seconds between writing.
+    """
+
+    path: str | os.PathLike[str]
+    settings: Mapping[str, Any]
+    every: float = 10.0
+
+    def read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+        """What was written last, if anything was.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be read, or is of a training with other settings.
+        """
+        if not Path(self.path).exists():
+            return None
+        tensors, values = read_tensors(self.path, "checkpoint")
+        theirs = values["settings"]
+        for name in sorted({*theirs, *self.settings}):
+            if theirs.get(name) != self.settings.get(name):
+                raise FileError(
+                    f"'{self.path}' is of a training with {name}={theirs.get(name)}, this one has "
+                    f"{self.settings.get(name)}; give another file"
+                )
+        return tensors, values
+
+    def write(self, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
+        """Replace the file."""
+        write_tensors(self.path, "checkpoint", tensors, {"settings": dict(self.settings), **values})
+
+
+def train(
     trial: torch.nn.Module,
     objective: Objective,
     span: tuple[float, float],
-    options: AdamOptions,
+    optimizer: Optimizer,
+    stopping: Stopping,
     *,
     generator: torch.Generator,
+    stages: Stages | None = None,
     callbacks: Sequence[Callable[[TrainingState], None]] = (),
+    checkpoint: Checkpoint | None = None,
 ) -> Training:
-    """Minimise an objective over a time span with Adam (Kingma & Ba 2015).
+    """Minimise an objective over a time span.
 
-    Each epoch moves the collocation points by Gaussian noise, reflected into the span, so that
-    the equation is enforced everywhere and not at K points only. The weights that are kept are
-    the best at fixed points, the midpoints of a grid twice as fine, which are never trained on.
+    The weights that are kept are the best at fixed points, which are never trained on.
 
     Parameters
     ----------
@@ -206,105 +325,273 @@ def train_adam(
     objective : Objective
     span : (float, float)
         Start and end time; the end may be the smaller.
-    options : AdamOptions
+    optimizer : Optimizer
+        A new one.
+    stopping : Stopping
     generator : torch.Generator
-        Source of the noise.
+        Source of all that is random.
+    stages : Stages, optional
+        By default the whole span from the beginning.
     callbacks : sequence of callable
         Each is given a :class:`TrainingState` now and then.
+    checkpoint : Checkpoint, optional
 
     Returns
     -------
     Training
+
+    Raises
+    ------
+    FileError
+        If the checkpoint cannot be read or written, or is of another training.
     """
-    start, end = min(span), max(span)
-    length = end - start
-    parameters = list(trial.parameters())
-    dtype = parameters[0].dtype
-    grid = torch.linspace(start, end, options.points, dtype=dtype)
-    offsets = grid - start
-    noise = 3 * length / (options.points - 1) if options.noise is None else options.noise
-    count = 2 * options.points
-    fixed = start + (torch.arange(count, dtype=dtype) + 0.5) * (length / count)
+    optimizer.bind(trial, objective, generator)
+    run = _Run(trial, objective, span, optimizer, stopping, stages or Stages(), generator)
+    if checkpoint is not None and (saved := checkpoint.read()) is not None:
+        run.restore(*saved)
+    return run.through(callbacks, checkpoint)
 
-    optimizer = torch.optim.Adam(
-        parameters, lr=options.learning_rate, betas=options.betas, fused=True
-    )
-    losses: list[float] = []
-    checks: list[tuple[int, float, float, float]] = []
-    best_loss, best = math.inf, [parameter.detach().clone() for parameter in parameters]
-    lowest = math.inf
-    stopped = "epochs"
-    began, cpu_began = time.perf_counter(), time.process_time()
 
-    def check(epoch: int) -> float:
-        nonlocal best_loss, best
+class _Run:
+    """The state of a training, which a checkpoint holds completely."""
+
+    def __init__(
+        self,
+        trial: torch.nn.Module,
+        objective: Objective,
+        span: tuple[float, float],
+        optimizer: Optimizer,
+        stopping: Stopping,
+        stages: Stages,
+        generator: torch.Generator,
+    ) -> None:
+        self.trial, self.objective, self.span = trial, objective, span
+        self.optimizer, self.stopping, self.stages = optimizer, stopping, stages
+        self.generator = generator
+        self.parameters = list(trial.parameters())
+        self.fixed = optimizer.fixed_points(span)
+        self.best = self._weights()
+        self.losses: list[float] = []
+        self.checks: list[tuple[int, float, float, float]] = []
+        # Numbers that change on the way; all of them go into a checkpoint.
+        self.counts = {"iteration": 0, "stage": 1, "in_stage": 0, "restarts": 0, "improved": 0}
+        self.levels = {
+            "best_loss": math.inf,
+            "best_ell_max": math.inf,
+            "lowest": math.inf,  # at the optimiser's points
+            "judged": math.inf,  # best loss when the criteria were last asked
+            "seconds": 0.0,
+            "cpu_seconds": 0.0,
+        }
+
+    def through(
+        self, callbacks: Sequence[Callable[[TrainingState], None]], checkpoint: Checkpoint | None
+    ) -> Training:
+        threads = torch.get_num_threads()
+        size = len(self.fixed) * sum(parameter.numel() for parameter in self.parameters)
+        self.began = time.perf_counter() - self.levels["seconds"]
+        self.cpu_began = time.process_time() - self.levels["cpu_seconds"]
+        written = time.perf_counter()
+        # A run that had ended before its checkpoint was read must not take one step more.
+        stopped = self._verdict() if self.checks else None
+        try:
+            if size < _ONE_THREAD:
+                torch.set_num_threads(1)
+            while stopped is None:
+                if self.counts["iteration"] >= self.stopping.iterations:
+                    stopped = "iterations"
+                    break
+                stopped = self._iterate(callbacks)
+                if checkpoint is not None and time.perf_counter() - written >= checkpoint.every:
+                    self._write(checkpoint)
+                    written = time.perf_counter()
+        except KeyboardInterrupt:
+            # The iteration was left halfway: what was written before it is what can be resumed.
+            stopped = "interrupted"
+        finally:
+            torch.set_num_threads(threads)
+        self._clock()
+        if checkpoint is not None and stopped != "interrupted":
+            self._write(checkpoint)
+        self._put(self.best)
+        columns = np.array(self.checks, dtype=float).reshape(-1, 4).T
+        return Training(
+            history=History(np.array(self.losses), columns[0].astype(int), *columns[1:]),
+            points=self.optimizer.points,
+            iterations=len(self.losses),
+            restarts=self.counts["restarts"],
+            best_loss=self.levels["best_loss"],
+            best_ell_max=self.levels["best_ell_max"],
+            stopped=stopped or "interrupted",
+            seconds=self.levels["seconds"],
+            cpu_seconds=self.levels["cpu_seconds"],
+        )
+
+    def _iterate(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> str | None:
+        """One iteration and what follows from it; the rule that ends the training, if one does."""
+        counts, levels, total = self.counts, self.levels, self.stopping.iterations
+        start, end = self.span
+        share = counts["stage"] / self.stages.count
+        # Stages share what is left of the iterations.
+        left = (total - counts["iteration"] + counts["in_stage"]) / (
+            self.stages.count - counts["stage"] + 1
+        )
+        reached = end if share == 1 else start + share * (end - start)
+        loss, motion = self.optimizer.iterate((start, reached), share, counts["iteration"] / total)
+        self.losses.append(loss)
+        counts["iteration"] += 1
+        counts["in_stage"] += 1
+        if not math.isfinite(loss):
+            return self._restart("diverged")
+        record = loss < 0.9 * levels["lowest"]
+        levels["lowest"] = min(levels["lowest"], loss)
+        if share < 1:
+            passed = loss <= self.stages.residual**2 * motion
+            patience = self.stages.restart_after
+            if passed or (patience is None and counts["in_stage"] >= left):
+                counts["stage"] += 1
+                counts["in_stage"] = 0
+                levels["lowest"] = math.inf
+            elif self.optimizer.stalled or (patience and counts["in_stage"] >= patience):
+                return self._restart("stalled")
+        last = counts["iteration"] == total
+        stopped = None
+        if (share == 1 and record) or counts["iteration"] % self.optimizer.check_every == 0 or last:
+            self._check(callbacks)
+            stopped = self._verdict()
+            poor = share == 1 and levels["best_loss"] > 1e-8 * motion
+            if (
+                stopped is None
+                and poor
+                and counts["in_stage"] >= (self.stages.restart_after or math.inf)
+            ):
+                return self._restart("stalled")
+        if stopped is None and share == 1 and self.optimizer.stalled:
+            poor = levels["best_loss"] > 1e-8 * motion
+            return self._restart("stalled") if poor else "stalled"
+        return stopped
+
+    def _check(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> None:
+        counts, levels = self.counts, self.levels
         with torch.no_grad():
-            z, dz = trial(fixed)
-            loss = float(objective(fixed, z, dz))
-            ell_max = float(objective.residual(fixed, z, dz).square().sum(-1).max().sqrt())
-        if loss < best_loss:
-            best_loss, best = loss, [parameter.detach().clone() for parameter in parameters]
-        checks.append((epoch, loss, ell_max, time.perf_counter() - began))
-        state = TrainingState(epoch, options.epochs, loss, best_loss, ell_max, checks[-1][3])
+            z, dz = self.trial(self.fixed)
+            loss = float(self.objective(self.fixed, z, dz))
+            residual = self.objective.residual(self.fixed, z, dz)
+            ell_max = float(residual.square().sum(-1).max().sqrt())
+        if loss < levels["best_loss"]:
+            levels["best_loss"], levels["best_ell_max"] = loss, ell_max
+            counts["improved"] = counts["iteration"]
+            self.best = self._weights()
+        self._clock()
+        self.checks.append((counts["iteration"], loss, ell_max, levels["seconds"]))
+        state = TrainingState(
+            counts["iteration"],
+            self.stopping.iterations,
+            loss,
+            levels["best_loss"],
+            ell_max,
+            levels["seconds"],
+        )
         for callback in callbacks:
             callback(state)
-        return loss
 
-    threads = torch.get_num_threads()
-    try:
-        if count * sum(parameter.numel() for parameter in parameters) < _ONE_THREAD:
-            torch.set_num_threads(1)
-        for epoch in range(1, options.epochs + 1):
-            if options.schedule == "cosine":
-                fraction = (epoch - 1) / options.epochs
-                optimizer.param_groups[0]["lr"] = (
-                    options.learning_rate * (1 + math.cos(math.pi * fraction)) / 2
-                )
-            t = grid
-            if noise:
-                moved = torch.randn(grid.shape, generator=generator, dtype=dtype)
-                moved.mul_(noise).add_(offsets)
-                # Reflection at both ends, as often as needed.
-                t = end - moved.remainder_(2 * length).sub_(length).abs_()
-            optimizer.zero_grad(set_to_none=True)
-            loss = objective(t, *trial(t))
-            loss.backward()
-            optimizer.step()
-            losses.append(loss.item())
-            if not math.isfinite(losses[-1]):
-                stopped = "diverged"
-                break
-            record = losses[-1] < 0.9 * lowest
-            lowest = min(lowest, losses[-1])
-            if record or epoch % _CHECK_EVERY == 0 or epoch == options.epochs:
-                fixed_loss = check(epoch)
-                if options.target_loss is not None and fixed_loss <= options.target_loss:
-                    stopped = "target"
-                    break
-    except KeyboardInterrupt:
-        stopped = "interrupted"
-    finally:
-        torch.set_num_threads(threads)
-    with torch.no_grad():
-        for parameter, value in zip(parameters, best, strict=True):
+    def _verdict(self) -> str | None:
+        """The first rule that holds for the best weights, if one does."""
+        rules, counts, levels = self.stopping, self.counts, self.levels
+        if rules.target_loss is not None and levels["best_loss"] <= rules.target_loss:
+            return "target loss"
+        if rules.target_ell_max is not None and levels["best_ell_max"] <= rules.target_ell_max:
+            return "target ell_max"
+        if rules.criteria and levels["best_loss"] <= levels["judged"] / 4:
+            levels["judged"] = levels["best_loss"]
+            present = self._weights()
+            self._put(self.best)
+            held = [rule.name for rule in rules.criteria if rule.holds(self.trial)]
+            self._put(present)
+            if held:
+                return held[0]
+        if rules.time_limit is not None and levels["seconds"] >= rules.time_limit:
+            return "time limit"
+        waited = min(counts["iteration"] - counts["improved"], counts["in_stage"])
+        last_stage = counts["stage"] == self.stages.count
+        if rules.patience is not None and last_stage and waited >= rules.patience:
+            return "patience"
+        return None
+
+    def _restart(self, reason: str) -> str | None:
+        """Begin again with new weights, or end for this reason where that is not wanted."""
+        if self.stages.restart_after is None or self.counts["restarts"] >= self.stages.restarts:
+            return reason
+        for module in self.trial.modules():
+            if isinstance(module, Network):
+                module.draw(self.generator)
+        self.optimizer.reset()
+        self.counts["restarts"] += 1
+        self.counts["stage"], self.counts["in_stage"] = 1, 0
+        self.levels["lowest"] = math.inf
+        return None
+
+    def _weights(self) -> list[Tensor]:
+        return [parameter.detach().clone() for parameter in self.parameters]
+
+    @torch.no_grad()
+    def _put(self, weights: list[Tensor]) -> None:
+        for parameter, value in zip(self.parameters, weights, strict=True):
             parameter.copy_(value)
-    columns = np.array(checks, dtype=float).reshape(-1, 4).T
-    return Training(
-        history=History(np.array(losses), columns[0].astype(int), *columns[1:]),
-        points=options.points,
-        epochs=len(losses),
-        best_loss=best_loss,
-        reached_target=stopped == "target",
-        stopped=stopped,
-        seconds=time.perf_counter() - began,
-        cpu_seconds=time.process_time() - cpu_began,
-    )
+
+    def _clock(self) -> None:
+        self.levels["seconds"] = time.perf_counter() - self.began
+        self.levels["cpu_seconds"] = time.process_time() - self.cpu_began
+
+    def _write(self, checkpoint: Checkpoint) -> None:
+        self._clock()
+        tensors = {
+            "losses": torch.tensor(self.losses, dtype=torch.float64),
+            "checks": torch.tensor(self.checks, dtype=torch.float64).reshape(-1, 4),
+            "generator": self.generator.get_state(),
+        }
+        for position, (now, best) in enumerate(zip(self._weights(), self.best, strict=True)):
+            tensors[f"weights.{position}"], tensors[f"best.{position}"] = now, best
+        own, values = self.optimizer.state()
+        tensors |= {f"optimizer.{name}": tensor.clone() for name, tensor in own.items()}
+        checkpoint.write(
+            tensors, {"counts": self.counts, "levels": self.levels, "optimizer": values}
+        )
+
+    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
+        """Go on from what a checkpoint holds."""
+        count = len(self.parameters)
+        self._put([tensors[f"weights.{position}"] for position in range(count)])
+        self.best = [tensors[f"best.{position}"] for position in range(count)]
+        self.losses = tensors["losses"].tolist()
+        self.checks = [(int(row[0]), *row[1:]) for row in tensors["checks"].tolist()]
+        self.generator.set_state(tensors["generator"])
+        self.counts, self.levels = values["counts"], values["levels"]
+        self.levels["judged"] = math.inf  # the criteria may be others now
+        prefix = "optimizer."
+        own = {
+            name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)
+        }
+        self.optimizer.restore(own, values["optimizer"])
 
 
-def _positive(value: float) -> bool:
+def require_positive(name: str, value: object) -> None:
+    """Refuse what is not a finite number above 0."""
+    require(is_positive(value), name, value, "above 0")
+
+
+def require_whole(name: str, value: object, least: int) -> None:
+    """Refuse what is not a whole number from ``least``."""
+    whole = isinstance(value, int) and not isinstance(value, bool) and value >= least
+    require(whole, name, value, f"{least} or more")
+
+
+def is_positive(value: object) -> bool:
+    """Whether a value is a finite number above 0."""
     return isinstance(value, (int, float)) and math.isfinite(value) and value > 0
 
 
-def _require(holds: bool, name: str, value: object, wanted: str) -> None:
+def require(holds: bool, name: str, value: object, wanted: str) -> None:
+    """Refuse a setting, unless it holds."""
     if not holds:
         raise InputError(f"{name}={value!r} cannot be used; give {wanted}")

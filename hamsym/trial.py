@@ -145,8 +145,7 @@ def _layers(theta: Tensor, sizes: tuple[int, ...]) -> list[tuple[Tensor, Tensor]
 class Network(torch.nn.Module):
     """A fully connected network from one input to ``outputs`` outputs, with its derivative.
 
-    All outputs share the hidden layers. Weights start as torch's own linear layers do: uniform
-    within 1/sqrt(number of inputs).
+    All outputs share the hidden layers.
 
     Parameters
     ----------
@@ -154,6 +153,10 @@ class Network(torch.nn.Module):
     hidden : sequence of int
         Neurons of each hidden layer, at least one layer.
     activation : {"sin", "sigmoid", "tanh"}
+    frequency : float, optional
+        Weights of the first layer start uniform within +- this, its shifts within +- pi, further
+        hidden layers within sqrt(6 / inputs). By default all start as torch's own linear layers
+        do, uniform within 1/sqrt(inputs).
     generator : torch.Generator, optional
         Source of the initial weights.
     dtype : torch.dtype
@@ -173,22 +176,39 @@ class Network(torch.nn.Module):
         hidden: Sequence[int] = (50, 50),
         activation: str = "sin",
         *,
+        frequency: float | None = None,
         generator: torch.Generator | None = None,
         dtype: torch.dtype = torch.float64,
     ) -> None:
         super().__init__()
-        self.activation = activation
+        self.activation, self.frequency = activation, frequency
         self._activation = _chosen(activation, ACTIVATIONS, "activation")
         widths = tuple(hidden) if isinstance(hidden, Sequence) else ()
         if not widths or any(not isinstance(n, int) or n < 1 for n in widths):
             raise InputError(f"hidden={hidden!r} is not a list of layer widths; give e.g. (50, 50)")
         self.sizes = (1, *widths, outputs)
-        parts = []
-        for inputs, neurons in pairwise(self.sizes):
-            uniform = torch.rand((inputs + 1) * neurons, generator=generator, dtype=dtype)
-            parts.append((2 * uniform - 1) / math.sqrt(inputs))
+        count = sum((inputs + 1) * neurons for inputs, neurons in pairwise(self.sizes))
         #: All weights as one vector, layer by layer, each matrix before its bias.
-        self.theta = torch.nn.Parameter(torch.cat(parts))
+        self.theta = torch.nn.Parameter(torch.empty(count, dtype=dtype))
+        self.draw(generator)
+
+    @torch.no_grad()
+    def draw(self, generator: torch.Generator | None = None) -> None:
+        """Give all weights new random values."""
+        last = len(self.sizes) - 2
+        for position, (matrix, bias) in enumerate(self.layers):
+            neurons, inputs = matrix.shape
+            within = [1 / math.sqrt(inputs)] * 2  # of the matrix and of the bias
+            if self.frequency is not None and position == 0:
+                within = [self.frequency, math.pi]
+            elif self.frequency is not None and position < last:
+                within[0] = math.sqrt(6 / inputs)
+            uniform = torch.rand(
+                (inputs + 1) * neurons, generator=generator, dtype=self.theta.dtype
+            )
+            uniform = 2 * uniform - 1
+            matrix.copy_(within[0] * uniform[: inputs * neurons].view_as(matrix))
+            bias.copy_(within[1] * uniform[inputs * neurons :])
 
     @property
     def layers(self) -> list[tuple[Tensor, Tensor]]:
@@ -257,11 +277,16 @@ class TrialSolution(torch.nn.Module):
         self.t0, self.tau, self.envelope = float(t0), float(tau), envelope
         self._envelope = _chosen(envelope, ENVELOPES, "envelope")
 
+    def envelope_at(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """s, f(s) and f'(s) at times t of shape (K,)."""
+        s = (t - self.t0) / self.tau
+        return s, *self._envelope(s)
+
     def forward(self, t: Tensor) -> tuple[Tensor, Tensor]:
         """z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
-        s = (t - self.t0) / self.tau
+        s, *envelope = self.envelope_at(t)
         value, rate = self.network(s)
-        f, f_dot = (part.unsqueeze(-1) for part in self._envelope(s))
+        f, f_dot = (part.unsqueeze(-1) for part in envelope)
         if _written_out(value, s):
             z, dz = _Envelope.apply(self.z0, f, f_dot / self.tau, self.tau, value, rate)
             return z, dz
