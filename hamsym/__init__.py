@@ -26,6 +26,7 @@ from hamsym.system import System
 
 if TYPE_CHECKING:
     from hamsym import systems
+    from hamsym.archive import load
     from hamsym.comparison import Comparison, compare
     from hamsym.integrators import Trajectory, integrate
     from hamsym.solution import Solution
@@ -43,6 +44,7 @@ __all__ = [
     "Trajectory",
     "compare",
     "integrate",
+    "load",
     "solve",
     "systems",
 ]
@@ -57,6 +59,7 @@ _LAZY = {
     "Trajectory": "hamsym.integrators",
     "compare": "hamsym.comparison",
     "integrate": "hamsym.integrators",
+    "load": "hamsym.archive",
     "solve": "hamsym.solving",
 }
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -19,7 +20,7 @@ from numpy.polynomial import chebyshev
 from hamsym.features import FeatureBasis, Flow, March
 from hamsym.tangent import Collocation, TangentMaps, collocation, poisson
 
-__all__ = ["MarchError"]
+__all__ = ["MarchError", "estimate_error"]
 
 _NODES = 48  # twice those of the march
 _PERTURBATIONS = 4  # random vectors that stand for round-off
@@ -27,25 +28,62 @@ _ROUND_OFF = 2 * np.finfo(float).eps  # of a window, relative to the state and i
 _CHUNK = 2_000_000  # numbers in the tangent maps held at once
 
 
+@dataclass(frozen=True)
 class MarchError:
     """Estimated error of a march: z - z^ and the round-off floor, as functions of time.
 
-    Parameters
+    Attributes
     ----------
-    windows : March
-    basis : FeatureBasis
-        The one that was marched with.
-    flow : Flow
+    edges : numpy.ndarray
+        Ends of the windows, shape (n + 1,).
+    series : numpy.ndarray
+        Chebyshev series of z - z^ on each window, shape (n, degree + 1, dim).
+    floors : numpy.ndarray
+        Size of the accumulated round-off in each window, shape (n, dim).
+    largest : numpy.ndarray
+        Largest magnitude of both together, shape (dim,).
     """
 
-    def __init__(
-        self,
-        windows: March,
-        basis: FeatureBasis,
-        flow: Flow,
-    ) -> None:
+    edges: np.ndarray = field(repr=False)
+    series: np.ndarray = field(repr=False)
+    floors: np.ndarray = field(repr=False)
+    largest: np.ndarray
+
+    def __call__(self, t: np.ndarray) -> np.ndarray:
+        """Estimated z - z^ at times t, shape (*t.shape, dim)."""
+        window, s = self._place(t)
+        degrees = np.arange(self.series.shape[1])
+        basis = np.cos(np.multiply.outer(np.arccos(np.clip(2 * s - 1, -1, 1)), degrees))
+        return np.einsum("...l,...ld->...d", basis, self.series[window])
+
+    def floor(self, t: np.ndarray) -> np.ndarray:
+        """Estimated size of the accumulated round-off at times t, shape (*t.shape, dim)."""
+        return self.floors[self._place(t)[0]]
+
+    def until(self, allowed: np.ndarray) -> float:
+        """The end of the last window before estimate and floor exceed what is allowed."""
+        sizes = np.abs(self(self.edges[1:] - 1e-9 * np.diff(self.edges))) + self.floors
+        bad = (sizes > allowed).any(axis=1)
+        return float(self.edges[int(np.argmax(bad))] if bad.any() else self.edges[-1])
+
+    def _place(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        direction = math.copysign(1.0, self.edges[-1] - self.edges[0])
+        window = np.searchsorted(direction * self.edges, direction * t, side="right") - 1
+        window = np.clip(window, 0, len(self.series) - 1)
+        return window, (t - self.edges[window]) / np.diff(self.edges)[window]
+
+
+def estimate_error(windows: March, basis: FeatureBasis, flow: Flow) -> MarchError:
+    """The error of a march with this basis, from the equations once more."""
+    return _Estimation(windows, basis, flow).result
+
+
+class _Estimation:
+    """The errors of one run of windows after the other, carried from joint to joint."""
+
+    def __init__(self, windows: March, basis: FeatureBasis, flow: Flow) -> None:
         self._rule = collocation(_NODES)
-        self._edges = windows.edges
+        self._windows, self._basis, self._flow = windows, basis, flow
         self._lengths = np.diff(windows.edges)
         count, _, dim = windows.readouts.shape
         scale = windows.scale.reshape(2, -1).max(axis=1)
@@ -53,11 +91,10 @@ class MarchError:
         # What rounding did to the state at each joint, the same way every time, is known.
         jumps = windows.states[:-1] + np.einsum("m,wmd->wd", basis.end, windows.readouts)
         self._jumps = np.asarray(jumps - windows.states[1:], dtype=float) / self._scale
-        self._windows, self._basis, self._flow = windows, basis, flow
         self._generator = np.random.default_rng(0)
-        self._series = np.empty((count, _NODES, dim))
-        self._floors = np.empty((count, dim))
-        self.largest = np.zeros(dim)
+        self.result = MarchError(
+            windows.edges, np.empty((count, _NODES, dim)), np.empty((count, dim)), np.zeros(dim)
+        )
         # Column 0 is the error, the others are perturbations of the size of round-off.
         joint = np.zeros((dim, 1 + _PERTURBATIONS))
         step = max(1, _CHUNK // (_NODES * dim * dim))
@@ -95,10 +132,11 @@ class MarchError:
         perturbed = np.einsum("inaw,wac->winc", maps.inside, starts[:, :, 1:])
         # Three standard deviations, at worst in the window.
         deviations = np.sqrt((perturbed**2).mean(axis=3)).max(axis=2)
-        self._series[part], self._floors[part] = series, 3 * self._scale * deviations
+        floors = 3 * self._scale * deviations
+        self.result.series[part], self.result.floors[part] = series, floors
         # A scan this fine misses a few percent of a peak at most.
         between = 1.05 * np.abs(_dense() @ series).max(axis=1)
-        self.largest = np.maximum(self.largest, (between + self._floors[part]).max(axis=0))
+        np.maximum(self.result.largest, (between + floors).max(axis=0), out=self.result.largest)
         return joint
 
     def _sampled(self, part: slice, rule: Collocation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -107,29 +145,7 @@ class MarchError:
         readouts, lengths = self._windows.readouts[part], self._lengths[part]
         z = self._windows.states[part][:, None] + values @ readouts
         dz = rates @ readouts / lengths[:, None, None]
-        return z, dz, self._edges[part][:, None] + lengths[:, None] * rule.nodes
-
-    def __call__(self, t: np.ndarray) -> np.ndarray:
-        """Estimated z - z^ at times t, shape (*t.shape, dim)."""
-        window, s = self._place(t)
-        basis = np.cos(np.multiply.outer(np.arccos(np.clip(2 * s - 1, -1, 1)), np.arange(_NODES)))
-        return np.einsum("...l,...ld->...d", basis, self._series[window])
-
-    def floor(self, t: np.ndarray) -> np.ndarray:
-        """Estimated size of the accumulated round-off at times t, shape (*t.shape, dim)."""
-        return self._floors[self._place(t)[0]]
-
-    def until(self, allowed: np.ndarray) -> float:
-        """The end of the last window before estimate and floor exceed what is allowed."""
-        sizes = np.abs(self(self._edges[1:] - 1e-9 * self._lengths)) + self._floors
-        bad = (sizes > allowed).any(axis=1)
-        return float(self._edges[int(np.argmax(bad))] if bad.any() else self._edges[-1])
-
-    def _place(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        direction = math.copysign(1.0, self._edges[-1] - self._edges[0])
-        window = np.searchsorted(direction * self._edges, direction * t, side="right") - 1
-        window = np.clip(window, 0, len(self._series) - 1)
-        return window, (t - self._edges[window]) / self._lengths[window]
+        return z, dz, self._windows.edges[part][:, None] + lengths[:, None] * rule.nodes
 
 
 @functools.lru_cache(maxsize=8)

@@ -394,17 +394,37 @@ def _first_length(z: np.ndarray, rate: np.ndarray, span: float) -> float:
 class FeatureTrial(torch.nn.Module):
     """The solution of a march as a function of time, with its derivative; one network a window."""
 
-    def __init__(self, windows: March, basis: FeatureBasis) -> None:
+    def __init__(
+        self,
+        edges: Tensor,
+        states: Tensor,
+        readouts: Tensor,
+        series: Tensor,
+        rate_series: Tensor,
+    ) -> None:
         super().__init__()
-        for name, array in (
-            ("edges", windows.edges),
-            ("states", windows.states),
-            ("readouts", windows.readouts),
-            ("series", basis.series),
-            ("rate_series", basis.rate_series),
-        ):
-            self.register_buffer(name, torch.tensor(array))
-        self.direction = math.copysign(1.0, windows.edges[-1] - windows.edges[0])
+        self.register_buffer("edges", edges)
+        self.register_buffer("states", states)
+        self.register_buffer("readouts", readouts)
+        self.register_buffer("series", series)
+        self.register_buffer("rate_series", rate_series)
+        self.direction = math.copysign(1.0, float(edges[-1] - edges[0]))
+
+    @classmethod
+    def of_march(cls, windows: March, basis: FeatureBasis) -> FeatureTrial:
+        """The trial solution of windows that were marched with a basis."""
+        return cls(
+            *(
+                torch.tensor(array)
+                for array in (
+                    windows.edges,
+                    windows.states,
+                    windows.readouts,
+                    basis.series,
+                    basis.rate_series,
+                )
+            )
+        )
 
     edges: Tensor
     states: Tensor
@@ -414,17 +434,27 @@ class FeatureTrial(torch.nn.Module):
 
     def forward(self, t: Tensor) -> tuple[Tensor, Tensor]:
         """z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
-        window = torch.searchsorted(self.direction * self.edges, self.direction * t, right=True) - 1
-        window = window.clamp(0, len(self.readouts) - 1)
-        start, length = self.edges[window], (self.edges[1:] - self.edges[:-1])[window]
-        s = (t - start) / length
-        polynomials = _chebyshev_values(2 * s - 1)
+        window, length, s, polynomials = self._place(t)
         f = -torch.expm1(-s).unsqueeze(-1)
         network, slopes = polynomials @ self.series, polynomials @ self.rate_series
         readout = self.readouts[window]
         z = self.states[window] + torch.einsum("km,kmd->kd", f * network, readout)
         dz = torch.einsum("km,kmd->kd", (1 - f) * network + f * slopes, readout)
         return z, dz / length.unsqueeze(-1)
+
+    def value(self, t: Tensor) -> Tensor:
+        """z^ alone, the same numbers in half the time."""
+        window, _, s, polynomials = self._place(t)
+        columns = -torch.expm1(-s).unsqueeze(-1) * (polynomials @ self.series)
+        return self.states[window] + torch.einsum("km,kmd->kd", columns, self.readouts[window])
+
+    def _place(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Which window t is in, the window's length, s there, and Chebyshev polynomials of s."""
+        window = torch.searchsorted(self.direction * self.edges, self.direction * t, right=True) - 1
+        window = window.clamp(0, len(self.readouts) - 1)
+        start, length = self.edges[window], (self.edges[1:] - self.edges[:-1])[window]
+        s = (t - start) / length
+        return window, length, s, _chebyshev_values(2 * s - 1)
 
 
 def _chebyshev_values(x: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ import numpy as np
 
 from hamsym import compiled
 from hamsym.errors import InputError
-from hamsym.estimates import MarchError
+from hamsym.estimates import MarchError, estimate_error
 from hamsym.features import FeatureTrial, Flow, March, feature_basis, march
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problem import InitialValueProblem
@@ -55,7 +55,7 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
             tried = march(flow, problem.z0, problem.span, local, basis, breakpoints=stops)
             if not len(tried.readouts):
                 break
-            estimate = MarchError(tried, basis, flow)
+            estimate = estimate_error(tried, basis, flow)
             allowed_now = absolute + tol * _scales(tried.scale)
             ratios = np.where(estimate.largest > 0, estimate.largest / allowed_now, 0.0)
             if windows is None or ratios.max() < excess:
@@ -71,7 +71,7 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
         H,
         problem.z0,
         (problem.span[0], windows.reached),
-        FeatureTrial(windows, basis),
+        FeatureTrial.of_march(windows, basis),
         method="features",
         training=windows,
         march_error=error,

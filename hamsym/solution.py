@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Callable
 from functools import cached_property
@@ -18,6 +19,7 @@ from hamsym.errors import InputError, VacuousBoundWarning
 from hamsym.estimates import MarchError
 from hamsym.features import FeatureTrial, March
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.tangent import TangentMaps
 from hamsym.training import History, Training
 from hamsym.trial import TrialSolution
 
@@ -48,6 +50,8 @@ class Solution:
     training : Training or March
         How the weights were found.
     energy_weight : float
+    march_error : MarchError or None
+        Estimated error of a march.
     success : bool
         Whether the stopping criterion was met.
     message : str
@@ -71,7 +75,7 @@ class Solution:
         self.success, self.message = False, ""
         self._system = H.compile("numpy")
         self._dtype = next(iter(trial.state_dict().values())).dtype
-        self._march_error = march_error
+        self.march_error = march_error
 
     def __repr__(self) -> str:
         start, end = self.span
@@ -93,18 +97,36 @@ class Solution:
     # -- evaluation --------------------------------------------------------------------------
 
     @overload
-    def __call__(self, t: Tensor, *, extrapolate: bool = False) -> Tensor: ...
+    def __call__(
+        self, t: Tensor, *, extrapolate: bool = False, z0: Tensor | None = None
+    ) -> Tensor: ...
     @overload
-    def __call__(self, t: Any, *, extrapolate: bool = False) -> np.ndarray: ...
-    def __call__(self, t: Any, *, extrapolate: bool = False) -> Any:
+    def __call__(self, t: Any, *, extrapolate: bool = False, z0: None = None) -> np.ndarray: ...
+    def __call__(self, t: Any, *, extrapolate: bool = False, z0: Tensor | None = None) -> Any:
         """The state at times t.
+
+        Parameters
+        ----------
+        t : float, sequence, array or Tensor
+        extrapolate : bool
+            Allow times outside the span.
+        z0 : Tensor, optional
+            The initial state, equal to ``solution.z0``, as a tensor through which gradients flow:
+            the result is differentiable in it, by :meth:`sensitivity`. For t as a tensor only.
 
         Raises
         ------
         InputError
-            If a time is outside the span, unless ``extrapolate=True``.
+            If a time is outside the span, unless ``extrapolate=True``, or z0 is another state.
         """
-        return self._evaluate(t, extrapolate)[0]
+        if z0 is None:
+            return self._state(t, extrapolate)
+        if not (isinstance(t, Tensor) and isinstance(z0, Tensor)):
+            raise InputError("z0 takes part in gradients only if t and z0 are both tensors")
+        if not np.array_equal(z0.detach().cpu().numpy(), self.z0):
+            raise InputError("z0 is not the initial state of this solution; solve again from there")
+        change = (z0 - z0.detach()).to(self._dtype)
+        return self._state(t, extrapolate) + self.sensitivity(t) @ change
 
     @overload
     def derivative(self, t: Tensor, *, extrapolate: bool = False) -> Tensor: ...
@@ -113,6 +135,50 @@ class Solution:
     def derivative(self, t: Any, *, extrapolate: bool = False) -> Any:
         """dz^/dt at times t, exact for the network; shapes as for the state."""
         return self._evaluate(t, extrapolate)[1]
+
+    @overload
+    def sensitivity(self, t: Tensor) -> Tensor: ...
+    @overload
+    def sensitivity(self, t: Any) -> np.ndarray: ...
+    def sensitivity(self, t: Any) -> Any:
+        """dz(t)/dz0 along the trajectory, shape (n, dim, dim), or (dim, dim) for a scalar t.
+
+        The solution Phi of Phi' = J Hess(z^(t)) Phi with Phi = 1 at the start: how the state at t
+        changes with the initial state.
+
+        Raises
+        ------
+        InputError
+            If a time is outside the span.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve(hamsym.Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 5))
+        >>> solution.sensitivity(np.pi / 2).round(8) + 0.0
+        array([[ 0.,  1.],
+               [-1.,  0.]])
+        """
+        if isinstance(t, Tensor):
+            return torch.from_numpy(self.sensitivity(t.detach().cpu().numpy()))
+        times = _times(t)
+        self._check_times(times, extrapolate=False)
+        edges = self._tangent_edges
+        sign = np.sign(edges[-1] - edges[0])
+        flat = np.atleast_1d(times)
+        window = np.searchsorted(sign * edges, sign * flat, side="right") - 1
+        window = np.clip(window, 0, len(edges) - 2)
+        used, place = np.unique(window, return_inverse=True)
+        maps = self._tangent_maps(used)
+        s = (flat - edges[window]) / np.diff(edges)[window]
+        inside = np.einsum("ln,inaw->wlia", maps.rule.to_series, maps.inside)[place]
+        basis = np.cos(
+            np.multiply.outer(np.arccos(np.clip(2 * s - 1, -1, 1)), range(len(maps.nodes)))
+        )
+        values = np.einsum("kl,klia->kia", basis, inside) @ self._tangent_starts[window]
+        half = np.repeat(self._half_scales, self.H.dof)
+        values *= half[:, None] / half
+        return values.reshape(*times.shape, *values.shape[1:])
 
     def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
         """ell(t) = dz^/dt - J grad H(z^), shaped as the state (the paper's eq. partial_loss)."""
@@ -126,19 +192,28 @@ class Solution:
         system = self.H.compile("torch") if isinstance(t, Tensor) else self._system
         return system.energy(*system.arguments(z, t))
 
+    def _state(self, t: Any, extrapolate: bool) -> Any:
+        return self._apply(lambda times: (self.trial.value(times),), t, extrapolate)[0]
+
     def _evaluate(self, t: Any, extrapolate: bool) -> tuple[Any, Any]:
+        z, dz = self._apply(self.trial, t, extrapolate)
+        return z, dz
+
+    def _apply(
+        self, function: Callable[[Tensor], tuple[Tensor, ...]], t: Any, extrapolate: bool
+    ) -> tuple[Any, ...]:
+        """Values of a function of times, shape (K,) -> (K, dim) each, in the caller's terms."""
         if isinstance(t, Tensor):
             times = t.to(self._dtype)
             self._check_times(times.detach().cpu().numpy(), extrapolate)
-            z, dz = self.trial(times.reshape(-1))
-            return z.reshape(*t.shape, -1), dz.reshape(*t.shape, -1)
+            return tuple(value.reshape(*t.shape, -1) for value in function(times.reshape(-1)))
         array = _times(t)
         self._check_times(array, extrapolate)
         flat = torch.from_numpy(np.array(array, ndmin=1)).to(self._dtype)
         with torch.no_grad():
-            parts = [self.trial(chunk) for chunk in flat.split(_CHUNK)]
-        z, dz = (torch.cat(part).numpy() for part in zip(*parts, strict=True))
-        return (z[0], dz[0]) if array.ndim == 0 else (z, dz)
+            parts = [function(chunk) for chunk in flat.split(_CHUNK)]
+        values = (torch.cat(part).numpy() for part in zip(*parts, strict=True))
+        return tuple(value[0] if array.ndim == 0 else value for value in values)
 
     def _check_times(self, t: np.ndarray, extrapolate: bool) -> None:
         if t.ndim > 1 or t.size == 0:
@@ -211,8 +286,8 @@ class Solution:
             return torch.from_numpy(self.error_estimate(t.detach().cpu().numpy()))
         times = _times(t)
         self._check_times(times, extrapolate=False)
-        if self._march_error is not None:
-            return self._march_error(times)
+        if self.march_error is not None:
+            return self.march_error(times)
         reached, error = self._error
         sign = np.sign(self.span[1] - self.span[0])
         known = sign * times <= sign * reached
@@ -222,8 +297,8 @@ class Solution:
     @cached_property
     def largest_error(self) -> np.ndarray:
         """max_t of the estimated error of each component, round-off included, shape (dim,)."""
-        if self._march_error is not None:
-            return self._march_error.largest
+        if self.march_error is not None:
+            return self.march_error.largest
         return np.asarray(np.abs(self.error_estimate(self._scan_times)).max(axis=0))
 
     @property
@@ -262,6 +337,46 @@ class Solution:
             )
         return float(result.t[-1]), lambda t: size * result.sol(t)
 
+    # -- how nearby solutions move -------------------------------------------------------------
+
+    @cached_property
+    def _half_scales(self) -> np.ndarray:
+        """Units of the coordinates and of the momenta."""
+        halves = self.scale.reshape(2, -1).max(axis=1)
+        return np.where(halves > 0, halves, 1.0)
+
+    @cached_property
+    def _tangent_edges(self) -> np.ndarray:
+        """Windows short enough for polynomials: those of the march, or by the size of J Hess."""
+        if isinstance(self.training, March):
+            return self.training.edges
+        start, end = self.span
+        matrices, dof = self._hessians(self._scan_times), self.H.dof
+        # J Hess in units of the scales has the size of the rates at which nearby states part.
+        units = np.repeat(self._half_scales, dof)
+        sizes = np.abs(matrices * units * np.roll(units, dof)[:, None] ** -1.0)
+        fastest = float(sizes.sum(axis=-1).max())
+        return np.linspace(start, end, 2 + int(fastest * abs(end - start) / 2))
+
+    @cached_property
+    def _tangent_starts(self) -> np.ndarray:
+        """Phi at the start of each window, shape (windows, dim, dim), in units of the scales."""
+        ends = self._tangent_maps(np.arange(len(self._tangent_edges) - 1)).ends
+        starts = np.empty_like(ends)
+        starts[0] = np.eye(self.H.dim)
+        for k in range(1, len(ends)):
+            starts[k] = ends[k - 1] @ starts[k - 1]
+        return starts
+
+    def _tangent_maps(self, windows: np.ndarray) -> TangentMaps:
+        edges, dim = self._tangent_edges, self.H.dim
+        lengths = np.diff(edges)[windows]
+        times = edges[windows, None] + lengths[:, None] * TangentMaps.nodes
+        hessians = self._hessians(times.ravel()).reshape(*times.shape, dim, dim)
+        half = self.H.dof
+        jacobians = np.concatenate((hessians[..., half:, :], -hessians[..., :half, :]), axis=-2)
+        return TangentMaps(jacobians, lengths, np.repeat(self._half_scales, half))
+
     @property
     def error_bound(self) -> float:
         """The paper's bound ell_max / sigma_min on every component of the error (eq. dz).
@@ -281,8 +396,11 @@ class Solution:
         return math.inf
 
     def _hessian_eigenvalues(self, t: np.ndarray) -> np.ndarray:
+        return np.linalg.eigvalsh(self._hessians(t))
+
+    def _hessians(self, t: np.ndarray) -> np.ndarray:
         matrices = self._system.hessian(*self._system.arguments(self(t), t))
-        return np.linalg.eigvalsh(np.asarray(matrices, dtype=float))
+        return np.asarray(matrices, dtype=float)
 
     @cached_property
     def _scan_times(self) -> np.ndarray:
@@ -307,6 +425,31 @@ class Solution:
             )
             best = max(best, -float(found.fun))
         return best
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything into one file, from which :func:`hamsym.load` makes it again.
+
+        The file is safetensors with JSON: numbers to the last bit, nothing to execute. It is
+        replaced in one step.
+
+        Raises
+        ------
+        FileError
+            If it cannot be written.
+
+        Examples
+        --------
+        >>> import hamsym, tempfile
+        >>> solution = hamsym.solve(hamsym.Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 5))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     solution.save(folder + "/circle.hamsym")
+        ...     again = hamsym.load(folder + "/circle.hamsym")
+        >>> bool((again([1.0, 2.0]) == solution([1.0, 2.0])).all())
+        True
+        """
+        from hamsym.archive import save
+
+        save(self, path)
 
     def plot(self) -> Figure:
         """A figure of the trajectory, its residual, its energy and the training.

@@ -292,6 +292,10 @@ class TrialSolution(torch.nn.Module):
             return z, dz
         return self.z0 + f * value, (f_dot * value + f * rate) / self.tau
 
+    def value(self, t: Tensor) -> Tensor:
+        """z^ alone."""
+        return self(t)[0]
+
 
 def _written_out(weights: Tensor, s: Tensor) -> bool:
     """Whether gradients go to the weights alone, as in training: those are written out above."""
