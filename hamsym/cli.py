@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import os
 import sys
-import tempfile
 import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 import click
 import numpy as np
 
+from hamsym.atomic import write_atomically
 from hamsym.errors import HamsymError, InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.parsing import parse_number
@@ -124,10 +124,13 @@ def _span_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def _solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Options of the methods; what is not given is left to the method's own default."""
     choice = click.Choice
+    methods = ["features", "levenberg-marquardt", "lbfgs", "adam"]
     options = (
-        click.option("--method", type=choice(["features", "adam"]), default="features"),
+        click.option("--method", type=choice(methods), default="features", show_default=True),
         click.option("--tol", metavar="NUMBER", help="Wanted accuracy (features)  [1e-9]"),
         click.option("--atol", metavar="NUMBER", help="Absolute part of it  [0]"),
+        click.option("--breakpoints", metavar="TIMES", help="Where windows end (features)."),
+        click.option("--iterations", type=int, help="At most  [1000, or 5000 with lbfgs]"),
         click.option("--epochs", type=int, help="Epochs of training (adam)  [50000]"),
         click.option("--learning-rate", type=float, help="Of Adam  [0.008]"),
         click.option("--betas", nargs=2, type=float, help="Of Adam  [0.9 0.999]"),
@@ -135,11 +138,18 @@ def _solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--hidden", metavar="WIDTHS", help="Hidden layers  [50,50]"),
         click.option("--activation", type=choice(["sin", "sigmoid", "tanh"]), help="[sin]"),
         click.option("--envelope", type=choice(["exponential", "linear"]), help="[exponential]"),
-        click.option("--tau", metavar="TIME", help="Unit of time of the network  [1]"),
+        click.option("--tau", metavar="TIME", help="Of the input  [1 (adam), span/(4 pi)]"),
+        click.option("--stages", type=int, help="Spans of sequential training  [1 (adam), 12]"),
         click.option("--points", type=int, help="Collocation points K  [200]"),
         click.option("--noise", metavar="TIME", help="Of the points  [3 spacings]"),
         click.option("--energy-weight", type=float, help="Of the energy penalty  [0]"),
         click.option("--target-loss", type=float, help="Stop when the loss is at most this."),
+        click.option("--target-ell-max", type=float, help="Or the largest residual."),
+        click.option("--target-error", type=float, help="Or the estimated error of the motion."),
+        click.option("--accuracy", type=float, help="Or ell_max / sigma_min."),
+        click.option("--patience", type=int, help="Or nothing improved for so many iterations."),
+        click.option("--time-limit", type=float, metavar="SECONDS", help="Or so much time."),
+        click.option("--checkpoint", type=click.Path(), metavar="FILE", help="Go on from there."),
         click.option("--dtype", type=choice(["float64", "float32"]), help="[float64]"),
         click.option("--seed", default=0, show_default=True),
         click.option("--plot", "figure", type=click.Path(), metavar="FILE", help="Draw a figure."),
@@ -151,6 +161,8 @@ def _solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
         for name in ("tol", "atol", "tau", "noise"):
             if name in values:
                 values[name] = parse_number(values[name])
+        if "breakpoints" in values:
+            values["breakpoints"] = [parse_number(t) for t in _names(values["breakpoints"])]
         if "hidden" in values:
             values["hidden"] = tuple(_whole(w, "--hidden") for w in _names(values["hidden"]))
         return command(*arguments, **values)
@@ -237,7 +249,7 @@ def source(H: Hamiltonian, backend: str, part: str | None, output: str | None) -
     if output is None:
         click.echo(text, nl=False)
     else:
-        _write_whole(output, text.encode())
+        write_atomically(Path(output), text.encode())
         click.echo(f"wrote {output}")
 
 
@@ -245,19 +257,25 @@ def source(H: Hamiltonian, backend: str, part: str | None, output: str | None) -
 @_hamiltonian_options
 @_span_options
 @_solver_options
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="For hamsym.load.")
 def solve(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
     figure: str | None = None,
+    output: str | None = None,
     **options: Any,
 ) -> int:
     """Find a neural trajectory to a tolerance, or train one; exit 1 if that failed."""
     from hamsym.solving import solve as run  # torch is slow to import
 
     _check_figure(figure)
+    _check_folder(output)
     solution = run(H, z0, span, **options)
     _report(solution)
+    if output is not None:
+        solution.save(output)
+        click.echo(f"wrote {output}")
     if figure is not None:
         _save_figure(solution.plot(), figure)
     return 0 if solution.success else 1
@@ -385,7 +403,11 @@ def _check_figure(path: str | None) -> None:
     if Path(path).suffix not in _FIGURE_ENDINGS:
         listed = ", ".join(_FIGURE_ENDINGS)
         raise InputError(f"'{path}' is not a figure file; choose one of {listed}")
-    if not Path(path).absolute().parent.is_dir():
+    _check_folder(path)
+
+
+def _check_folder(path: str | None) -> None:
+    if path is not None and not Path(path).absolute().parent.is_dir():
         raise InputError(f"'{path}' has no folder to stand in; make the folder first")
 
 
@@ -394,7 +416,7 @@ def _save_figure(figure: Any, path: str) -> None:
 
     buffer = io.BytesIO()
     figure.savefig(buffer, format=Path(path).suffix[1:], dpi=130)
-    _write_whole(path, buffer.getvalue())
+    write_atomically(Path(path), buffer.getvalue())
     click.echo(f"wrote {path}")
 
 
@@ -408,23 +430,7 @@ def _write_states(path: str, trajectory: Any) -> None:
         table = np.column_stack((trajectory.t, trajectory.z, trajectory.energy))
         header = ",".join(["t", *trajectory.names, "H"])
         np.savetxt(buffer, table, fmt="%.17g", delimiter=",", header=header, comments="")
-    _write_whole(path, buffer.getvalue())
-
-
-def _write_whole(path: str, content: bytes) -> None:
-    """Write a file completely or not at all."""
-    target = Path(path)
-    descriptor, temporary = tempfile.mkstemp(dir=target.absolute().parent, prefix=".hamsym-")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, target)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    write_atomically(Path(path), buffer.getvalue())
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Solution"]
 
-_CHUNK = 16_384  # points evaluated at once, to bound the memory of the hidden layers
+_CHUNK = 4_096  # points evaluated at once, to bound the memory of the hidden layers
 _SCAN = 4_001  # points of the scan that precedes the search for an extremum over time
 
 

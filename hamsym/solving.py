@@ -60,8 +60,9 @@ def solve(
         Initial state, in the order of H.z or by name.
     span : (float, float)
         Start and end time; the end may be the earlier one.
-    method : {"features", "adam"}
-        Random sine features marched to a tolerance, or a deep network trained as in the paper.
+    method : {"features", "levenberg-marquardt", "lbfgs", "adam"}
+        Random sine features marched to a tolerance; or a deep network, all weights trained, by
+        the optimiser of this name ("adam" as in the paper).
     seed : int
         Of all that is random: same seed, same machine, same result.
     progress : bool, optional
@@ -76,23 +77,61 @@ def solve(
         atol : float or sequence, default 0
             Absolute part, in the units of the components.
 
-        For ``"adam"``:
+        breakpoints : sequence of float, default ()
+            Times at which a window must end, such as jumps of a force.
 
-        epochs, learning_rate, betas, schedule, points, noise, target_loss
-            See :class:`~hamsym.training.AdamOptions`.
+        For all methods that train a deep network:
+
         hidden : sequence of int, default (50, 50)
             Neurons of each hidden layer.
         activation : {"sin", "sigmoid", "tanh"}
         envelope : {"exponential", "linear"}
             f(s) = 1 - exp(-s) or f(s) = s, with s = |t - t_start| / tau.
-        tau : float, default 1
-            Unit of time of the network's input, in the units of H; the paper's is 1.
+        tau : float
+            Unit of time of the network's input, in the units of H; by default the span over
+            4 pi, and 1 for ``"adam"``, as in the paper.
+        frequency : float, optional
+            Weights of the first layer start uniform within +- this, 3 by default; None, the
+            default of ``"adam"``, is torch's usual start.
         shared_weights : bool, default True
             One network with dim outputs; otherwise one network for each component.
+        points : int, default 200
+            Collocation points K.
+        stages : int, default 12, and 1 for ``"adam"``
+            Sequential training: so many spans, each longer by an equal part, weights carried
+            over.
         energy_weight : float, default 0
             Weight lambda of the mean of (H - E0)^2 in the loss (the paper's eq. regLoss).
         regularizers : sequence of Regularizer
-            Further terms of the loss.
+            Further terms of the loss; not for ``"levenberg-marquardt"``.
+        target_loss, target_ell_max : float, optional
+            Stop, with success, when the loss or the largest residual at fixed points, which are
+            not trained on, is at most this.
+        target_error : float, optional
+            Stop, with success, when the estimated error relative to the motion
+            (:attr:`Solution.relative_error_estimate`) is at most this.
+        accuracy : float, optional
+            Stop, with success, when ell_max <= sigma_min * accuracy, as in the paper, with
+            sigma_min along the trajectory; never, and the message says so, where that is 0.
+        patience : int, optional
+            Stop after so many iterations without a better loss; 200 for
+            ``"levenberg-marquardt"``.
+        time_limit : float, optional
+            Stop after so many seconds.
+        checkpoint : path, optional
+            A file that is written every ``checkpoint_every`` (10) seconds and at the end. Where
+            it is there already, the training goes on from it, to the same weights to the last
+            bit as if it had not been interrupted.
+
+        For ``"levenberg-marquardt"``: ``iterations`` (1,000) and ``restarts`` (10), how often at
+        most new weights are drawn when the training stalls. For ``"lbfgs"``: ``iterations``
+        (5,000). For both float64 is the only dtype.
+
+        For ``"adam"``:
+
+        epochs, learning_rate, betas, schedule, noise
+            50,000, 8e-3, (0.9, 0.999), "cosine" and three spacings of the points; see
+            :class:`~hamsym.optimizers.Adam`.
         dtype : {"float64", "float32"}
 
     Returns

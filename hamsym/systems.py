@@ -28,6 +28,7 @@ __all__ = [
     "kepler",
     "nonlinear_oscillator",
     "pendulum",
+    "three_bodies",
 ]
 
 
@@ -282,3 +283,24 @@ def double_pendulum() -> Problem:
         parameters={"g": 1.0},
     )
     return Problem("double pendulum", H, (1.0, 0.5, 0.0, 0.0), (0.0, 20.0), "textbooks")
+
+
+@_listed
+def three_bodies() -> Problem:
+    """Three equal masses chasing each other along a figure of eight, in the plane.
+
+    H = (|p_1|^2 + |p_2|^2 + |p_3|^2)/2 - 1/r_12 - 1/r_13 - 1/r_23. Found by Moore (1993), proved
+    by Chenciner & Montgomery (2000); the start is that of Simo's computation.
+    """
+    kinetic = " + ".join(f"(px{i}**2 + py{i}**2)/2" for i in (1, 2, 3))
+    potential = " - ".join(
+        f"1/sqrt((x{i} - x{j})**2 + (y{i} - y{j})**2)" for i, j in ((1, 2), (1, 3), (2, 3))
+    )
+    names = [f"{axis}{i}" for axis in ("x", "y") for i in (1, 2, 3)]
+    H = Hamiltonian(f"{kinetic} - {potential}", q=names, p=["p" + name for name in names])
+    x, y, u, v = 0.97000435669734, -0.24308753153583, -0.93240737144104, -0.86473146092102
+    z0 = (x, -x, 0.0, y, -y, 0.0, -u / 2, -u / 2, u, -v / 2, -v / 2, v)
+    period = 6.32591398292621
+    return Problem(
+        "three bodies", H, z0, (0.0, period), "Chenciner & Montgomery 2000", None, period
+    )

@@ -286,6 +286,8 @@ class Checkpoint:
             If the file cannot be read, or is of a training with other settings.
         """
         if not Path(self.path).exists():
+            if not Path(self.path).absolute().parent.is_dir():
+                raise FileError(f"'{self.path}' has no folder to stand in; make the folder first")
             return None
         tensors, values = read_tensors(self.path, "checkpoint")
         theirs = values["settings"]

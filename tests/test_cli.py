@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hamsym
 from hamsym import Hamiltonian
 from hamsym.cli import main
 
@@ -97,6 +98,29 @@ def test_solve_exits_with_success(capsys: Captured) -> None:
     assert out.startswith("converged: 3,000 epochs")
 
 
+def test_solve_by_least_squares_saves_and_resumes(capsys: Captured, tmp_path: Path) -> None:
+    saved, checkpoint = str(tmp_path / "s.hamsym"), str(tmp_path / "run")
+    settings = ["--method", "levenberg-marquardt", "--hidden", "10,10", "--points", "40"]
+    settings += ["--target-error", "1e-4", "--checkpoint", checkpoint, "-o", saved]
+    for _ in range(2):  # the second run finds all its work done
+        status, out, err = run(capsys, "solve", *SOLVE, *settings)
+        assert (status, err) == (0, "")
+        assert out.startswith("converged: target error 1.00e-04 reached after ")
+        assert f"wrote {saved}" in out
+    solution = hamsym.load(saved)
+    assert solution.relative_error_estimate <= 1e-4
+    status, _, err = run(capsys, "solve", *SOLVE, *settings, "--seed", "1")
+    assert status == 2
+    assert "is of a training with seed=0, this one has 1" in err
+
+
+def test_solve_with_breakpoints(capsys: Captured) -> None:
+    status, out, _ = run(
+        capsys, "solve", *SOLVE, "--method", "features", "--breakpoints", "1/4,0.5"
+    )
+    assert status == 0, out
+
+
 def test_solve_to_a_tolerance(capsys: Captured, tmp_path: Path) -> None:
     arguments = [OSCILLATOR, "--z0", "x=1.3,p=1", "--t-end", "4*pi", "--tol", "1e-9"]
     figure = tmp_path / "s.pdf"
@@ -170,6 +194,18 @@ BAD = [
     (["solve", OSCILLATOR, "--z0", "x=1,p=y", "--t-end", "1", "--method", "adam"], "'y'"),
     (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "0", "--method", "adam"], "span="),
     (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "2**", "--method", "adam"], "too early"),
+    (
+        ["solve", *SOLVE, "--method", "features", "--breakpoints", "99"],
+        "breakpoint 99 is not inside the span",
+    ),
+    (["solve", *SOLVE, "-o", "/no/such/folder/s"], "has no folder to stand in"),
+    (
+        ["solve", *SOLVE, "--method", "lbfgs", "--checkpoint", "/no/such/folder/s"],
+        "has no folder to stand in",
+    ),
+    (["solve", *SOLVE, "--method", "lbfgs", "--iterations", "0"], "iterations=0"),
+    (["solve", *SOLVE, "--method", "lbfgs", "--accuracy", "-1"], "accuracy=-1.0"),
+    (["solve", *SOLVE, "--method", "lbfgs", "--dtype", "float32"], "too coarse for lbfgs"),
     (["solve", *SOLVE, "--epochs", "0"], "epochs=0"),
     (["solve", *SOLVE, "--hidden", "50,x"], "'x' in --hidden"),
     (["solve", *SOLVE, "--seed", "-1"], "seed=-1"),
