@@ -25,6 +25,7 @@ from hamsym.atomic import write_atomically
 __all__ = [
     "cache_directory",
     "compiled_loop",
+    "cost",
     "load_module",
     "prepare",
     "prepared",
@@ -85,6 +86,12 @@ def load_module(source: str, name: str) -> ModuleType:
     sys.modules[spec.name] = module  # numba looks there for what it loads from its cache
     spec.loader.exec_module(module)
     return module
+
+
+def cost() -> float:
+    """Seconds that compiling a march may take; it pays where more than that is saved."""
+    known = any((cache_directory() / "__pycache__").glob("march_loop_*.nbc"))
+    return 1.0 if known else 10.0
 
 
 @functools.cache

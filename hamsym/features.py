@@ -26,7 +26,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hamsym import march_loop
+from hamsym import compiled, march_loop
 
 __all__ = ["FeatureBasis", "FeatureTrial", "Flow", "March", "feature_basis", "march"]
 
@@ -39,7 +39,6 @@ _INNER_RANGE = 10.0  # inner weights a are uniform within +- this
 _NEWTON_ITERATIONS = 12
 _SHORTEST = 1e-13  # window, relative to the times
 _ROOM = 64  # windows for which there is room at first
-_COMPILING = 10.0  # seconds that compiling may take; it pays for a march that would take longer
 
 
 @dataclass(frozen=True, eq=False)  # one object a seed, so that tables of it can be cached
@@ -321,7 +320,7 @@ def march(
                 for array in (edges, states, readouts)
             )
             spent, done = time.perf_counter() - began, abs(clock[0] - start)
-            if flow.compiled and spent * (abs(end - start) / done - 1) > _COMPILING:
+            if flow.compiled and spent * (abs(end - start) / done - 1) > compiled.cost():
                 flow = flow.compiled()
             continue
         rates, spent = _newton(flow, basis, states[count], clock, end, tolerance, sizes)

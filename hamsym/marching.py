@@ -60,9 +60,10 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
             ratios = np.where(estimate.largest > 0, estimate.largest / allowed_now, 0.0)
             if windows is None or ratios.max() < excess:
                 windows, error, allowed, excess = tried, estimate, allowed_now, ratios.max()
-            floors = estimate.floor(tried.edges[-1:])[0]
-            hopeless = (floors > allowed_now).any() or local <= _SMALLEST_LOCAL
-            if ratios.max() <= 1 or hopeless:
+            floors = estimate.floors.max(axis=0)
+            # What is left is round-off where that is most of the error; no march gets below it.
+            left = (estimate.largest > np.maximum(2 * floors, allowed_now)).any()
+            if ratios.max() <= 1 or not left or local <= _SMALLEST_LOCAL:
                 break
             local = max(local * min(0.3 / float(ratios.max()), 0.3), _SMALLEST_LOCAL)
     if windows is None or error is None:
@@ -117,7 +118,7 @@ def _verdict(
         )
     if excess <= 1:
         return True, f"tol {tol:.1e} met: {state}"
-    floors = error.floor(windows.edges[-1:])[0]
+    floors = error.floors.max(axis=0)
     cause = (
         "round-off, which float64 does not allow to fall further, is the reason"
         if (floors > 0.3 * allowed).any()
