@@ -57,7 +57,7 @@ def plot_solution(solution: Solution) -> Figure:
         history.loss,
         color="0.75",
         linewidth=0.6,
-        label="at the noisy points",
+        label="at the training points",
     )
     best = np.minimum.accumulate(history.fixed_loss)
     axes[1, 1].loglog(history.iteration, best, color=_color(0), label="best, at fixed points")
