@@ -7,11 +7,13 @@ unless somebody asked for it (``H.compile("numba")``) or it pays (see :mod:`hams
 
 from __future__ import annotations
 
+import atexit
 import functools
 import hashlib
 import importlib.resources
 import importlib.util
 import os
+import shutil
 import stat
 import sys
 import tempfile
@@ -42,14 +44,19 @@ def cache_directory() -> Path:
     takes its place, and what is compiled is compiled again by the next one.
     """
     chosen = os.environ.get(_VARIABLE)
-    for path in (Path(chosen),) if chosen else (_user_cache() / "hamsym",):
-        try:
-            path.mkdir(mode=0o700, parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if _is_private(path):
-            return path.resolve()
-    return Path(tempfile.mkdtemp(prefix="hamsym-"))  # made for this user alone
+    try:
+        path = Path(chosen).expanduser() if chosen else _user_cache() / "hamsym"
+        # numba would make the second one open to whomever the user's umask lets in.
+        for folder in (path, path / "__pycache__"):
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        private = _is_private(path) and _is_private(path / "__pycache__")
+    except (OSError, RuntimeError):  # such as a user without a home
+        private = False
+    if private:
+        return path.resolve()
+    temporary = tempfile.mkdtemp(prefix="hamsym-")  # made for this user alone
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    return Path(temporary)
 
 
 def _user_cache() -> Path:
@@ -120,6 +127,7 @@ def compiled_loop() -> Callable[..., int]:
         vector,  # stops
         types.float64,  # tolerance
         types.float64,  # shortest
+        types.float64,  # longest
         types.boolean,  # given
         matrix,  # found
         vector,  # clock
@@ -160,7 +168,10 @@ def _compiled(signature: Any, function: Any) -> Any:
         path = Path(function.__code__.co_filename)
         for file in (path.parent / "__pycache__").glob(f"{path.stem}.*.nb?"):
             file.unlink(missing_ok=True)
+    try:
         return compiler(function)
+    except Exception:  # a cache elsewhere, such as in $NUMBA_CACHE_DIR, that cannot be used
+        return numba.njit(signature, error_model="numpy")(function)
 
 
 def _rates_signature() -> Any:

@@ -35,6 +35,7 @@ from hamsym.training import (
     Stages,
     Stopping,
     Training,
+    is_positive,
     require_positive,
     require_whole,
     train,
@@ -198,11 +199,13 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
     if (wanted := options.target_error) is not None:
         require_positive("target_error", wanted)
         criteria.append(
-            Criterion("target error", lambda _: solution().relative_error_estimate <= wanted)
+            Criterion(
+                "target error", wanted, lambda _: solution().relative_error_estimate <= wanted
+            )
         )
     if (accuracy := options.accuracy) is not None:
         require_positive("accuracy", accuracy)
-        criteria.append(Criterion("accuracy", lambda _: _accurate(solution(), accuracy)))
+        criteria.append(Criterion("accuracy", accuracy, lambda _: _accurate(solution(), accuracy)))
     stopping = Stopping(
         iterations=options.total,
         target_loss=options.target_loss,
@@ -372,14 +375,14 @@ def _check(H: Hamiltonian, options: DeepOptions, tau: float) -> None:
         raise InputError("regularizers is not a list of Regularizer(weight, function); give one")
     if options.frequency is not None:
         require_positive("frequency", options.frequency)
-    if not (math.isfinite(energy_weight) and energy_weight >= 0):
+    if energy_weight != 0 and not is_positive(energy_weight):
         raise InputError(f"energy_weight={energy_weight!r} cannot be used; give 0 or more")
     if energy_weight and H.time is not None:
         raise InputError(
             f"energy_weight={energy_weight!r} penalises changes of an energy that is not "
             "conserved, because H depends on t; leave it at 0"
         )
-    if not (math.isfinite(tau) and tau > 0):
+    if not is_positive(tau):
         raise InputError(f"tau={tau!r} cannot be used; give a time above 0")
     if _precision(options.dtype) != torch.float64 and options.method != "adam":
         raise InputError(f"dtype={options.dtype!r} is too coarse for {options.method}; use float64")

@@ -157,3 +157,21 @@ def vanishes(expr: sympy.Expr) -> bool:
         if value.is_Float and abs(value) > 1e-20:
             return False
     return bool(sympy.simplify(expr) == 0)
+
+
+def switches(
+    gradient: Sequence[sympy.Expr], z: Sequence[sympy.Symbol]
+) -> list[tuple[sympy.Expr, list[sympy.Expr]]]:
+    """Where the gradient may jump: functions of the state, and the jump where each is zero."""
+    steps = {
+        step
+        for slope in gradient
+        for step in slope.atoms(sympy.sign, sympy.Heaviside)
+        if step.args[0].free_symbols & set(z)
+    }
+    found = []
+    for step in sorted(steps, key=str):
+        low = -1 if isinstance(step, sympy.sign) else 0
+        jumps = [slope.xreplace({step: 1}) - slope.xreplace({step: low}) for slope in gradient]
+        found.append((step.args[0], jumps))
+    return found

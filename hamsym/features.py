@@ -254,6 +254,7 @@ def march(
     basis: FeatureBasis,
     *,
     breakpoints: Sequence[float] = (),
+    longest: float = math.inf,
     max_windows: int = 200_000,
 ) -> March:
     """March windows over a span, each to a local tolerance relative to the components' scales.
@@ -268,6 +269,8 @@ def march(
     basis : FeatureBasis
     breakpoints : sequence of float
         Times inside the span, in its direction, at which a window must end.
+    longest : float
+        Length that no window exceeds.
     max_windows : int
     """
     began, cpu_began = time.perf_counter(), time.process_time()
@@ -294,6 +297,7 @@ def march(
             stops,
             tolerance,
             shortest,
+            longest,
             given,
             found,
             clock,
@@ -309,6 +313,8 @@ def march(
             break
         if status == march_loop.TOO_SHORT:
             reason = "the windows became too short, as near a singularity or the end of a domain"
+            if max(abs(start), abs(end)) > 100 * abs(end - start):
+                reason += ", or for float64 to resolve t; let the time begin nearer to 0"
             break
         if status == march_loop.FULL:
             if count >= max_windows:

@@ -8,7 +8,7 @@ Output: Hamilton's equations, the Hessian and what follows from them, as sympy o
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NoReturn
@@ -403,6 +403,27 @@ class Hamiltonian:
         return derivatives.smallest_singular_value(self._real.hessian, self.dim)
 
     @cached_property
+    def switches(self) -> list[tuple[Callable[..., Any], Callable[..., Any]]]:
+        """Functions of (z, t) at whose zeros the gradient may jump, and by how much it does.
+
+        Such as x for H = p**2/2 + abs(x); z has shape (..., dim).
+        """
+        real = self._real
+        time = real.time or sympy.Dummy("t")
+        values = {symbol: value for symbol, value in real.parameters.values() if value is not None}
+        found: list[tuple[Callable[..., Any], Callable[..., Any]]] = []
+        for argument, jumps in derivatives.switches(real.gradient, real.z):
+            pair = []
+            for expr in (argument, sympy.Matrix([jumps])):
+                # Names are dummies there, and what is printed are functions of the parser's list.
+                function = sympy.lambdify(
+                    (*real.z, time), expr.xreplace(values), "numpy", dummify=True
+                )
+                pair.append(functools.partial(_of_state, function))
+            found.append((pair[0], pair[1]))
+        return found
+
+    @cached_property
     def _sources(self) -> dict[str, str]:
         return {}
 
@@ -454,6 +475,10 @@ class Hamiltonian:
         if system.rates is not None:
             compiled.prepare(self, system.rates)
         return system
+
+
+def _of_state(function: Callable[..., Any], z: np.ndarray, t: Any) -> np.ndarray:
+    return np.asarray(function(*np.moveaxis(z, -1, 0), t), dtype=float)
 
 
 def _rebuild(

@@ -71,6 +71,7 @@ def march_windows(
     stops: Array,
     tolerance: float,
     shortest: float,
+    longest: float,
     given: bool,
     found: Array,
     clock: Array,
@@ -95,6 +96,8 @@ def march_windows(
         Of each window, relative to the sizes of the components.
     shortest : float
         Length below which a window is not tried.
+    longest : float
+        Length that no window exceeds.
     given : bool
         Whether ``found`` has the rates at the nodes of the first window already.
     found : array (nodes, dim)
@@ -123,7 +126,7 @@ def march_windows(
     status = FINISHED
     while passed < len(stops):
         stop = stops[passed]
-        length = min(length, abs(stop - t))
+        length = min(length, longest, abs(stop - t))
         if length < shortest:
             status = TOO_SHORT
             break

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.optimize
 
 from hamsym import compiled
 from hamsym.errors import InputError
@@ -26,6 +27,8 @@ __all__ = ["FeatureOptions", "solve_by_features"]
 _SMALLEST_TOL = 1e-12  # below it float64 cannot hold the answer
 _SMALLEST_LOCAL = 1e-13  # residuals cannot be told from round-off below
 _ATTEMPTS = 6
+_JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
+_FEWEST_WINDOWS = 8  # so that a short event in a long rest is not stepped over unseen
 
 
 @dataclass(frozen=True)
@@ -35,15 +38,17 @@ class FeatureOptions:
     tol: float = 1e-9
     atol: float | Sequence[float] = 0.0
     breakpoints: Sequence[float] = ()
+    max_window: float | None = None
 
 
 def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> Solution:
     """March to a tolerance; options as in :func:`hamsym.solve`."""
     tol = options.tol
     H = problem.H
-    if not (isinstance(tol, (int, float)) and _SMALLEST_TOL <= tol < 1):
+    if not (isinstance(tol, (int, float, np.floating)) and _SMALLEST_TOL <= tol < 1):
         raise InputError(f"tol={tol!r} cannot be used; give a number from {_SMALLEST_TOL:g} to 1")
     absolute = _checked_atol(options.atol, H.dim)
+    longest = _checked_window(options.max_window, problem.span)
     stops = _checked_breakpoints(options.breakpoints, problem.span)
     basis = feature_basis(problem.seed)
     flow = _flow(H)
@@ -52,7 +57,9 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
     local = max(0.1 * tol, _SMALLEST_LOCAL)
     with np.errstate(all="ignore"):
         for _ in range(_ATTEMPTS):
-            tried = march(flow, problem.z0, problem.span, local, basis, breakpoints=stops)
+            tried = march(
+                flow, problem.z0, problem.span, local, basis, breakpoints=stops, longest=longest
+            )
             if not len(tried.readouts):
                 break
             estimate = estimate_error(tried, basis, flow)
@@ -78,7 +85,44 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
         march_error=error,
     )
     solution.success, solution.message = _verdict(windows, error, tol, allowed, float(excess))
+    if solution.success and (jump := _first_jump(H, solution, windows)) is not None:
+        solution.success = False
+        solution.message = (
+            f"the force jumps at t = {jump:.6g}, beyond which the error cannot be estimated; solve "
+            f"up to there, and on from there ({solution.message})"
+        )
     return solution
+
+
+def _first_jump(H: Hamiltonian, solution: Solution, windows: March) -> float | None:
+    """The first time at which the trajectory crosses a jump of the gradient, such as of abs(x).
+
+    The linear equation of the error knows nothing of what a jump does to nearby trajectories.
+    """
+    first: float | None = None
+    direction = math.copysign(1.0, windows.edges[-1] - windows.edges[0])
+    inside = np.linspace(0, 1, _JUMP_SAMPLES, endpoint=False)
+    times = (windows.edges[:-1, None] + np.diff(windows.edges)[:, None] * inside).ravel()
+    times = np.append(times, windows.edges[-1])
+    z = solution(times)
+    with np.errstate(all="ignore"):
+        rates = np.abs(H.compile("numpy").gradient(*H.compile("numpy").arguments(z, times)))
+        size = rates.reshape(len(times), 2, -1).max(axis=(0, 2)).repeat(H.dof)
+        for argument, jump in H.switches:
+            values = np.broadcast_to(argument(z, times), times.shape)
+            for k in np.flatnonzero(values[:-1] * values[1:] < 0):
+                at = scipy.optimize.brentq(
+                    lambda t, argument=argument: float(argument(solution(t), t)),
+                    *times[k : k + 2],
+                    xtol=1e-12 * abs(times[k + 1] - times[k]) + 1e-300,
+                )
+                height = np.abs(jump(solution(at), at)).ravel()
+                if (height > 1e-6 * size).any():
+                    first = (
+                        at if first is None else direction * min(direction * at, direction * first)
+                    )
+                    break
+    return first
 
 
 def _flow(H: Hamiltonian) -> Flow:
@@ -141,6 +185,14 @@ def _checked_atol(atol: float | Sequence[float], dim: int) -> np.ndarray:
     if not (np.all(np.isfinite(values)) and np.all(values >= 0)):
         raise InputError(f"atol={atol!r} cannot be used; give a number from 0, or {dim} of them")
     return values
+
+
+def _checked_window(max_window: float | None, span: tuple[float, float]) -> float:
+    if max_window is None:
+        return abs(span[1] - span[0]) / _FEWEST_WINDOWS
+    if not (isinstance(max_window, (int, float)) and max_window > 0):
+        raise InputError(f"max_window={max_window!r} cannot be used; give a time above 0")
+    return float(max_window)
 
 
 def _checked_breakpoints(breakpoints: Sequence[float], span: tuple[float, float]) -> list[float]:

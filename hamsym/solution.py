@@ -29,7 +29,13 @@ if TYPE_CHECKING:
 __all__ = ["Solution"]
 
 _CHUNK = 4_096  # points evaluated at once, to bound the memory of the hidden layers
+_ERROR_CALLS = 50_000  # evaluations for the equation of the error, at most
+_TANGENT_WINDOWS = 1_024  # for which tangent maps are held at once
 _SCAN = 4_001  # points of the scan that precedes the search for an extremum over time
+
+
+class _TooManyCalls(Exception):  # noqa: N818
+    pass
 
 
 class Solution:
@@ -123,10 +129,10 @@ class Solution:
             return self._state(t, extrapolate)
         if not (isinstance(t, Tensor) and isinstance(z0, Tensor)):
             raise InputError("z0 takes part in gradients only if t and z0 are both tensors")
-        if not np.array_equal(z0.detach().cpu().numpy(), self.z0):
+        if not torch.equal(z0.detach().cpu(), torch.from_numpy(self.z0).to(z0.dtype)):
             raise InputError("z0 is not the initial state of this solution; solve again from there")
         change = (z0 - z0.detach()).to(self._dtype)
-        return self._state(t, extrapolate) + self.sensitivity(t) @ change
+        return self._state(t, extrapolate) + self.sensitivity(t).to(self._dtype) @ change
 
     @overload
     def derivative(self, t: Tensor, *, extrapolate: bool = False) -> Tensor: ...
@@ -163,22 +169,30 @@ class Solution:
             return torch.from_numpy(self.sensitivity(t.detach().cpu().numpy()))
         times = _times(t)
         self._check_times(times, extrapolate=False)
+        flat = np.atleast_1d(times)
+        parts = [self._sensitivity(flat[k : k + _CHUNK]) for k in range(0, len(flat), _CHUNK)]
+        return np.concatenate(parts).reshape(*times.shape, self.H.dim, self.H.dim)
+
+    def _sensitivity(self, times: np.ndarray) -> np.ndarray:
         edges = self._tangent_edges
         sign = np.sign(edges[-1] - edges[0])
-        flat = np.atleast_1d(times)
-        window = np.searchsorted(sign * edges, sign * flat, side="right") - 1
+        window = np.searchsorted(sign * edges, sign * times, side="right") - 1
         window = np.clip(window, 0, len(edges) - 2)
-        used, place = np.unique(window, return_inverse=True)
-        maps = self._tangent_maps(used)
-        s = (flat - edges[window]) / np.diff(edges)[window]
-        inside = np.einsum("ln,inaw->wlia", maps.rule.to_series, maps.inside)[place]
-        basis = np.cos(
-            np.multiply.outer(np.arccos(np.clip(2 * s - 1, -1, 1)), range(len(maps.nodes)))
-        )
-        values = np.einsum("kl,klia->kia", basis, inside) @ self._tangent_starts[window]
-        half = np.repeat(self._half_scales, self.H.dof)
-        values *= half[:, None] / half
-        return values.reshape(*times.shape, *values.shape[1:])
+        s = (times - edges[window]) / np.diff(edges)[window]
+        values = np.empty((len(times), self.H.dim, self.H.dim))
+        used = np.unique(window)
+        for first in range(0, len(used), _TANGENT_WINDOWS):
+            some = used[first : first + _TANGENT_WINDOWS]
+            here = np.isin(window, some)
+            maps = self._tangent_maps(some)
+            series = np.einsum("ln,inaw->wlia", maps.rule.to_series, maps.inside)
+            angles = np.arccos(np.clip(2 * s[here] - 1, -1, 1))
+            basis = np.cos(np.multiply.outer(angles, np.arange(len(maps.nodes))))
+            place = np.searchsorted(some, window[here])
+            inside = np.einsum("kl,klia->kia", basis, series[place])
+            values[here] = inside @ self._tangent_starts[window[here]]
+        units = np.repeat(self._half_scales, self.H.dof)
+        return values * (units[:, None] / units)
 
     def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
         """ell(t) = dz^/dt - J grad H(z^), shaped as the state (the paper's eq. partial_loss)."""
@@ -318,23 +332,32 @@ class Solution:
         """Until when the equation of the error was solved, and its solution, (dim, ...)."""
         size = self.ell_max or 1.0  # errors are measured in units of ell_max
 
+        calls = 0
+
         def rate(t: float, error: np.ndarray) -> np.ndarray:
+            nonlocal calls
+            calls += 1
+            if calls > _ERROR_CALLS:
+                raise _TooManyCalls
             z, dz = self._evaluate(t, extrapolate=True)
             flow = self._system.vector_field(*self._system.arguments(z + size * error, t))
             return np.asarray((flow - dz) / size)
 
         start, end = self.span
         with np.errstate(all="ignore"):
-            result = scipy.integrate.solve_ivp(
-                rate,
-                self.span,
-                np.zeros(self.H.dim),
-                method="DOP853",
-                dense_output=True,
-                rtol=1e-6,
-                atol=1e-7 * abs(end - start),
-                max_step=abs(end - start) / 50,
-            )
+            try:
+                result = scipy.integrate.solve_ivp(
+                    rate,
+                    self.span,
+                    np.zeros(self.H.dim),
+                    method="DOP853",
+                    dense_output=True,
+                    rtol=1e-6,
+                    atol=1e-7 * abs(end - start),
+                    max_step=abs(end - start) / 50,
+                )
+            except _TooManyCalls:  # a network this wild is no solution
+                return start, lambda t: np.zeros((self.H.dim, *np.shape(t)))
         return float(result.t[-1]), lambda t: size * result.sol(t)
 
     # -- how nearby solutions move -------------------------------------------------------------
@@ -355,17 +378,19 @@ class Solution:
         # J Hess in units of the scales has the size of the rates at which nearby states part.
         units = np.repeat(self._half_scales, dof)
         sizes = np.abs(matrices * units * np.roll(units, dof)[:, None] ** -1.0)
-        fastest = float(sizes.sum(axis=-1).max())
-        return np.linspace(start, end, 2 + int(fastest * abs(end - start) / 2))
+        wanted = float(sizes.sum(axis=-1).max()) * abs(end - start) / 2
+        return np.linspace(start, end, 2 + int(min(np.nan_to_num(wanted), 100_000)))
 
     @cached_property
     def _tangent_starts(self) -> np.ndarray:
         """Phi at the start of each window, shape (windows, dim, dim), in units of the scales."""
-        ends = self._tangent_maps(np.arange(len(self._tangent_edges) - 1)).ends
-        starts = np.empty_like(ends)
-        starts[0] = np.eye(self.H.dim)
-        for k in range(1, len(ends)):
-            starts[k] = ends[k - 1] @ starts[k - 1]
+        count, dim = len(self._tangent_edges) - 1, self.H.dim
+        starts = np.empty((count + 1, dim, dim))
+        starts[0] = np.eye(dim)
+        for first in range(0, count, _TANGENT_WINDOWS):
+            windows = np.arange(first, min(first + _TANGENT_WINDOWS, count))
+            for k, end in zip(windows, self._tangent_maps(windows).ends, strict=True):
+                starts[k + 1] = end @ starts[k]
         return starts
 
     def _tangent_maps(self, windows: np.ndarray) -> TangentMaps:

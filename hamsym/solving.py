@@ -79,6 +79,9 @@ def solve(
 
         breakpoints : sequence of float, default ()
             Times at which a window must end, such as jumps of a force.
+        max_window : float, optional
+            Longest window, an eighth of the span by default. H is looked at at about a hundred
+            times in each window: give a shorter one where something brief happens in between.
 
         For all methods that train a deep network:
 
@@ -157,7 +160,7 @@ def solve(
     >>> trained(0.0)
     array([1., 0.])
     """
-    if method not in METHODS:
+    if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"{method!r} is not a method; choose one of {', '.join(METHODS)}")
     known = [field.name for field in fields(METHODS[method].options)]
     for name in options:

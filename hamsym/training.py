@@ -160,6 +160,7 @@ class Criterion:
     """A rule for stopping that looks at the trial solution; asked when the loss has quartered."""
 
     name: str
+    value: float
     holds: Callable[[torch.nn.Module], bool]
 
 
@@ -290,7 +291,9 @@ class Checkpoint:
                 raise FileError(f"'{self.path}' has no folder to stand in; make the folder first")
             return None
         tensors, values = read_tensors(self.path, "checkpoint")
-        theirs = values["settings"]
+        theirs = values.get("settings")
+        if not isinstance(theirs, dict):
+            raise FileError(f"'{self.path}' is damaged; give another file")
         for name in sorted({*theirs, *self.settings}):
             if theirs.get(name) != self.settings.get(name):
                 raise FileError(
@@ -349,8 +352,15 @@ def train(
     """
     optimizer.bind(trial, objective, generator)
     run = _Run(trial, objective, span, optimizer, stopping, stages or Stages(), generator)
-    if checkpoint is not None and (saved := checkpoint.read()) is not None:
-        run.restore(*saved)
+    if checkpoint is not None:
+        saved = checkpoint.read()
+        if saved is None:
+            run.write(checkpoint)  # better to learn now than after hours that it cannot be written
+        else:
+            try:
+                run.restore(*saved)
+            except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+                raise FileError(f"'{checkpoint.path}' is damaged: {error!r}") from None
     return run.through(callbacks, checkpoint)
 
 
@@ -373,6 +383,7 @@ class _Run:
         self.parameters = list(trial.parameters())
         self.fixed = optimizer.fixed_points(span)
         self.best = self._weights()
+        self.stopped: str | None = None
         self.losses: list[float] = []
         self.checks: list[tuple[int, float, float, float]] = []
         # Numbers that change on the way; all of them go into a checkpoint.
@@ -394,8 +405,8 @@ class _Run:
         self.began = time.perf_counter() - self.levels["seconds"]
         self.cpu_began = time.process_time() - self.levels["cpu_seconds"]
         written = time.perf_counter()
-        # A run that had ended before its checkpoint was read must not take one step more.
-        stopped = self._verdict() if self.checks else None
+        # A run that had ended does not take one step more, unless its rules are others now.
+        stopped = self.stopped if self.stopped not in (None, "iterations", "time limit") else None
         try:
             if size < _ONE_THREAD:
                 torch.set_num_threads(1)
@@ -405,7 +416,8 @@ class _Run:
                     break
                 stopped = self._iterate(callbacks)
                 if checkpoint is not None and time.perf_counter() - written >= checkpoint.every:
-                    self._write(checkpoint)
+                    self._clock()
+                    self.write(checkpoint)
                     written = time.perf_counter()
         except KeyboardInterrupt:
             # The iteration was left halfway: what was written before it is what can be resumed.
@@ -414,7 +426,8 @@ class _Run:
             torch.set_num_threads(threads)
         self._clock()
         if checkpoint is not None and stopped != "interrupted":
-            self._write(checkpoint)
+            self.stopped = stopped
+            self.write(checkpoint)
         self._put(self.best)
         columns = np.array(self.checks, dtype=float).reshape(-1, 4).T
         return Training(
@@ -533,6 +546,11 @@ class _Run:
         self.levels["lowest"] = math.inf
         return None
 
+    def _rules(self) -> list[Any]:
+        rules = self.stopping
+        criteria = [[rule.name, rule.value] for rule in rules.criteria]
+        return [rules.target_loss, rules.target_ell_max, rules.patience, criteria]
+
     def _weights(self) -> list[Tensor]:
         return [parameter.detach().clone() for parameter in self.parameters]
 
@@ -545,8 +563,8 @@ class _Run:
         self.levels["seconds"] = time.perf_counter() - self.began
         self.levels["cpu_seconds"] = time.process_time() - self.cpu_began
 
-    def _write(self, checkpoint: Checkpoint) -> None:
-        self._clock()
+    def write(self, checkpoint: Checkpoint) -> None:
+        """Put the whole state into a file."""
         tensors = {
             "losses": torch.tensor(self.losses, dtype=torch.float64),
             "checks": torch.tensor(self.checks, dtype=torch.float64).reshape(-1, 4),
@@ -557,7 +575,14 @@ class _Run:
         own, values = self.optimizer.state()
         tensors |= {f"optimizer.{name}": tensor.clone() for name, tensor in own.items()}
         checkpoint.write(
-            tensors, {"counts": self.counts, "levels": self.levels, "optimizer": values}
+            tensors,
+            {
+                "counts": self.counts,
+                "levels": self.levels,
+                "optimizer": values,
+                "stopped": self.stopped,
+                "rules": self._rules(),
+            },
         )
 
     def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
@@ -569,7 +594,11 @@ class _Run:
         self.checks = [(int(row[0]), *row[1:]) for row in tensors["checks"].tolist()]
         self.generator.set_state(tensors["generator"])
         self.counts, self.levels = values["counts"], values["levels"]
-        self.levels["judged"] = math.inf  # the criteria may be others now
+        self.stopped = values["stopped"]
+        if values["rules"] != self._rules():
+            # The best weights so far may do for rules that have changed.
+            self.levels["judged"] = math.inf
+            self.stopped = self._verdict()
         prefix = "optimizer."
         own = {
             name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)
@@ -584,13 +613,15 @@ def require_positive(name: str, value: object) -> None:
 
 def require_whole(name: str, value: object, least: int) -> None:
     """Refuse what is not a whole number from ``least``."""
-    whole = isinstance(value, int) and not isinstance(value, bool) and value >= least
+    number = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    whole = number and value >= least  # type: ignore[operator]
     require(whole, name, value, f"{least} or more")
 
 
 def is_positive(value: object) -> bool:
     """Whether a value is a finite number above 0."""
-    return isinstance(value, (int, float)) and math.isfinite(value) and value > 0
+    number = isinstance(value, (int, float, np.integer, np.floating))
+    return number and math.isfinite(value) and value > 0  # type: ignore[arg-type, operator]
 
 
 def require(holds: bool, name: str, value: object, wanted: str) -> None:

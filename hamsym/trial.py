@@ -184,7 +184,9 @@ class Network(torch.nn.Module):
         self.activation, self.frequency = activation, frequency
         self._activation = _chosen(activation, ACTIVATIONS, "activation")
         widths = tuple(hidden) if isinstance(hidden, Sequence) else ()
-        if not widths or any(not isinstance(n, int) or n < 1 for n in widths):
+        if not widths or any(
+            not isinstance(n, int) or isinstance(n, bool) or not 1 <= n <= 100_000 for n in widths
+        ):
             raise InputError(f"hidden={hidden!r} is not a list of layer widths; give e.g. (50, 50)")
         self.sizes = (1, *widths, outputs)
         count = sum((inputs + 1) * neurons for inputs, neurons in pairwise(self.sizes))
@@ -303,6 +305,6 @@ def _written_out(weights: Tensor, s: Tensor) -> bool:
 
 
 def _chosen(name: str, table: dict[str, Any], kind: str) -> Any:
-    if name not in table:
+    if not isinstance(name, str) or name not in table:
         raise InputError(f"'{name}' is not an {kind}; choose one of {', '.join(table)}")
     return table[name]

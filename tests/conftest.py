@@ -7,8 +7,15 @@ import pytest
 from hamsym.printing import PRINTERS
 from hamsym.systems import CATALOGUE, Problem
 
+# Twelve components are slow to compile; what is quick with them is tested by name.
+_LARGE = {"three_bodies"}
 
-@pytest.fixture(params=list(CATALOGUE))
+
+@pytest.fixture(
+    params=[
+        pytest.param(name, marks=pytest.mark.slow if name in _LARGE else ()) for name in CATALOGUE
+    ]
+)
 def problem(request: pytest.FixtureRequest) -> Problem:
     return CATALOGUE[request.param]()
 

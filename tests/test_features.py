@@ -34,6 +34,13 @@ def test_tolerance_is_met_on_the_whole_catalogue(problem: Problem, tol: float) -
     assert solution(problem.span[0]).tolist() == list(problem.z0)
 
 
+def test_three_bodies_return_after_a_period() -> None:
+    problem = systems.three_bodies()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-10)
+    assert solution.success
+    assert np.abs(solution(problem.period) - problem.z0).max() <= 1e-9
+
+
 @pytest.mark.parametrize("name", EXACT)
 def test_eleven_digits_or_an_honest_refusal(name: str) -> None:
     problem = CATALOGUE[name]()
@@ -259,6 +266,48 @@ def test_round_off_is_that_of_the_state_where_it_is_small() -> None:
     assert hamsym.solve(H, [1e-7, 0.0], (0, 17), tol=1e-9).success
     escaping = hamsym.solve(Hamiltonian("p**2/2 - x**4/4"), [1.0, 0.0], (0, 4), tol=1e-6)
     assert "held until t = 1.85" in escaping.message
+
+
+@pytest.mark.parametrize(
+    ("formula", "z0", "jump"),
+    [
+        ("p**2/2 + abs(x)", [1.0, 0.0], math.sqrt(2)),
+        ("p**2/2 + max(x, k*x)", [1.0, 0.0], math.sqrt(2)),
+        ("p**2/2 + x**2/2 + abs(p)/10", [1.0, 0.0], None),
+    ],
+)
+def test_a_force_that_jumps_is_no_success(formula: str, z0: list, jump: float | None) -> None:
+    parameters = {"k": -1.0} if "k" in formula else {}
+    H = Hamiltonian(formula, parameters=parameters)
+    solution = hamsym.solve(H, z0, (0, 6), tol=1e-6)
+    assert not solution.success
+    assert "the force jumps at t = " in solution.message
+    if jump is not None:
+        assert f"t = {jump:.6g}, beyond which" in solution.message
+        assert hamsym.solve(H, z0, (0, jump - 1e-9), tol=1e-6).success
+
+
+def test_a_kink_of_the_force_alone_is_no_jump() -> None:
+    H = Hamiltonian("p**2/2 + abs(x)**3")
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 6), tol=1e-6)
+    assert solution.success, solution.message
+    truth = hamsym.solve(H, [1.0, 0.0], (0, 6), tol=1e-9, seed=1)
+    assert true_error(solution, truth).max() <= 1e-6
+
+
+def test_a_brief_event_in_a_long_rest() -> None:
+    H = Hamiltonian("p**2/2 - x*exp(-(t - 51.3)**2)")
+    truth = hamsym.solve(H, [0.0, 0.0], (0, 100), tol=1e-9, max_window=0.5)
+    solution = hamsym.solve(H, [0.0, 0.0], (0, 100), tol=1e-6)
+    assert truth(100.0)[1] == pytest.approx(math.sqrt(math.pi), rel=1e-9)
+    assert true_error(solution, truth).max() <= 1e-6
+    assert np.diff(truth.history.edges).max() <= 0.5 * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("max_window", [0.0, -1.0, math.nan, "long"])
+def test_unusable_windows(max_window: object) -> None:
+    with pytest.raises(InputError, match="max_window=.* cannot be used; give a time above 0"):
+        hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), max_window=max_window)
 
 
 def test_collision_is_reported() -> None:

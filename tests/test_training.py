@@ -268,7 +268,7 @@ def test_each_solves_an_equation_that_is_not_hamiltonian(optimizer) -> None:
         ({"target_loss": 1e-2}, "target loss"),
         ({"target_ell_max": 0.3}, "target ell_max"),
         ({"time_limit": 1e-9}, "time limit"),
-        ({"criteria": (Criterion("enough", lambda trial: True),)}, "enough"),
+        ({"criteria": (Criterion("enough", 1.0, lambda trial: True),)}, "enough"),
         ({}, "iterations"),
     ],
 )
