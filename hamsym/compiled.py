@@ -82,8 +82,7 @@ def _is_private(path: Path) -> bool:
 
 def load_module(source: str, name: str) -> ModuleType:
     """A module of the given source, run from a file of the cache directory."""
-    digest = hashlib.sha256(source.encode()).hexdigest()[:16]
-    path = cache_directory() / f"{name}_{digest}.py"
+    path = _file(source, name)
     if not path.is_file() or path.read_text("utf-8") != source:
         write_atomically(path, source.encode())
     spec = importlib.util.spec_from_file_location(f"hamsym_{path.stem}", path)
@@ -97,8 +96,18 @@ def load_module(source: str, name: str) -> ModuleType:
 
 def cost() -> float:
     """Seconds that compiling a march may take; it pays where more than that is saved."""
-    known = any((cache_directory() / "__pycache__").glob("march_loop_*.nbc"))
+    stem = _file(_loop_source(), "march_loop").stem
+    known = any((cache_directory() / "__pycache__").glob(f"{stem}.march_windows-*.nbc"))
     return 1.0 if known else 10.0
+
+
+def _loop_source() -> str:
+    return importlib.resources.files("hamsym").joinpath("march_loop.py").read_text("utf-8")
+
+
+def _file(source: str, name: str) -> Path:
+    digest = hashlib.sha256(source.encode()).hexdigest()[:16]
+    return cache_directory() / f"{name}_{digest}.py"
 
 
 @functools.cache
@@ -107,8 +116,7 @@ def compiled_loop() -> Callable[..., int]:
     import numba
     from numba import types
 
-    source = importlib.resources.files("hamsym").joinpath("march_loop.py").read_text("utf-8")
-    module: Any = load_module(source, "march_loop")
+    module: Any = load_module(_loop_source(), "march_loop")
     options = {"cache": True, "error_model": "numpy"}
     module.floored = numba.njit(**options)(module.floored)
     module.column_sizes = numba.njit(**options)(module.column_sizes_in_loops)

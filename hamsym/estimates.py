@@ -25,6 +25,7 @@ __all__ = ["MarchError", "estimate_error"]
 _NODES = 48  # twice those of the march
 _PERTURBATIONS = 4  # random vectors that stand for round-off
 _ROUND_OFF = 2 * np.finfo(float).eps  # of a window, relative to the state and its change there
+_ACCURACY = 1e-5  # of the maps of all windows together
 _CHUNK = 2_000_000  # numbers in the tangent maps held at once
 
 
@@ -86,6 +87,8 @@ class _Estimation:
         self._windows, self._basis, self._flow = windows, basis, flow
         self._lengths = np.diff(windows.edges)
         count, _, dim = windows.readouts.shape
+        # Of each window's map, since all of them follow each other.
+        self._accuracy = _ACCURACY / max(count, 100)
         scale = windows.scale.reshape(2, -1).max(axis=1)
         self._scale = np.repeat(np.where(scale > 0, scale, 1.0), dim // 2)
         # What rounding did to the state at each joint, the same way every time, is known.
@@ -108,7 +111,9 @@ class _Estimation:
         residual = dz - self._flow.vector_field(z.reshape(-1, dim), times.ravel()).reshape(z.shape)
         z_coarse, _, times_coarse = self._sampled(part, TangentMaps.rule)
         jacobians = self._flow.jacobian(z_coarse.reshape(-1, dim), times_coarse.ravel())
-        maps = TangentMaps(jacobians.reshape(*z_coarse.shape, dim), lengths, self._scale)
+        maps = TangentMaps(
+            jacobians.reshape(*z_coarse.shape, dim), lengths, self._scale, self._accuracy
+        )
         fine = maps.at(self._rule.nodes)
         # The maps are symplectic: Phi^-1 = -J Phi^T J.
         forcing = poisson((residual / self._scale).transpose(2, 1, 0))

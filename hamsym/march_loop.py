@@ -22,6 +22,7 @@ ORDER = 18  # at which the residual falls with the length of the window, empiric
 ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
 SHRINK, GROW = 0.6, 2.5
 ITERATIONS = 60
+SMALL, RETRIES = 600, 3  # unknowns above which so many shorter windows are tried before Newton
 TAIL = 6  # last nodes of a window, from which the next one is guessed
 TINY = 2.2250738585072014e-308
 
@@ -123,6 +124,10 @@ def march_windows(
     guess = np.empty((len(nodes), 3))
     values = np.empty((len(nodes), dim))
     flow = np.empty((len(between), dim))
+    # Where the iteration fails, Newton's method is asked; in large systems only if shorter windows
+    # fail too, or if it served the last window.
+    stiff, failures = given, 0
+    retries = 0 if dim * len(nodes) <= SMALL else RETRIES
     status = FINISHED
     while passed < len(stops):
         stop = stops[passed]
@@ -157,10 +162,15 @@ def march_windows(
                 if not change < 1e9 or (attempt > 30 and change > 0.9 * last):
                     break
                 last = change
-            if not solved:
+            if not solved and (stiff or failures >= retries):
                 status = NEWTON
                 break
+            if not solved:
+                failures += 1
+                length *= SHRINK
+                continue
             found = values
+            stiff = False
         given = False
         readout = h * (fit @ found)
         middle = z + to_between @ readout
@@ -183,6 +193,7 @@ def march_windows(
             passed += 1
         else:
             t += h
+        failures = 0
         readouts[count] = readout
         count += 1
         edges[count] = t

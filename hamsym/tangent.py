@@ -20,7 +20,6 @@ from numpy.polynomial import chebyshev
 __all__ = ["Collocation", "TangentMaps", "collocation", "poisson"]
 
 _NODES = 28
-_ACCURACY = 1e-10  # of each map, since thousands of them may follow each other
 _ITERATIONS = 60
 
 
@@ -69,6 +68,8 @@ class TangentMaps:
     scale : numpy.ndarray
         Units of the components, shape (dim,), the same for all coordinates and the same for all
         momenta. The maps are those of z / scale, and symplectic again.
+    accuracy : float
+        Of each map, relative to its largest entry.
 
     Attributes
     ----------
@@ -81,7 +82,13 @@ class TangentMaps:
     rule = collocation(_NODES)
     nodes = rule.nodes
 
-    def __init__(self, jacobians: np.ndarray, lengths: np.ndarray, scale: np.ndarray) -> None:
+    def __init__(
+        self,
+        jacobians: np.ndarray,
+        lengths: np.ndarray,
+        scale: np.ndarray,
+        accuracy: float = 1e-12,
+    ) -> None:
         generators = jacobians * (lengths[:, None, None, None] * (scale / scale[:, None]))
         dim, windows = len(scale), len(lengths)
         # H couples few components: products with the entries that are not zero, one by one.
@@ -102,7 +109,7 @@ class TangentMaps:
             change = np.abs(moved - maps).max(axis=(0, 1, 2))
             size = np.abs(moved).max(axis=(0, 1, 2))
             maps = moved
-            open_ = ~(change <= _ACCURACY * size)
+            open_ = ~(change <= accuracy * size)
             if not open_.any() or not np.all(size < 1e100):
                 break
         for w in np.flatnonzero(open_):
