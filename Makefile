@@ -33,10 +33,11 @@ lint: $(VENV)/installed ## Check style, formatting and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(VENV)/installed ## Print the benchmarks' ratios
+bench: $(VENV)/installed ## Print the benchmarks' ratios (twenty minutes)
 	$(BIN)/python tests/benchmarks/derivation.py
 	$(BIN)/python tests/benchmarks/euler_loop.py
 	$(BIN)/python tests/benchmarks/training_epoch.py
+	$(BIN)/python tests/benchmarks/growth.py
 	$(BIN)/python tests/benchmarks/work_precision.py
 
 clean: ## Remove the environment and everything built

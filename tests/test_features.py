@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import hamsym
-from hamsym import Hamiltonian, InputError, systems
+from hamsym import Hamiltonian, InputError, march_loop, systems
 from hamsym.features import _newton, feature_basis, march
 from hamsym.integrators import reference
 from hamsym.marching import _flow
@@ -176,18 +176,27 @@ def test_newton_and_fixed_point_solve_the_same_equation() -> None:
     np.testing.assert_allclose(end * basis.fit @ rates, marched.readouts[0], atol=1e-13)
 
 
-def test_newton_takes_over_where_the_fixed_point_does_not_contract() -> None:
-    """Two masses on a stiff spring that move as one: smooth, but no fixed point at long windows."""
+def test_newton_takes_over_where_the_fixed_point_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = systems.nonlinear_oscillator()
+    usual = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    monkeypatch.setattr(march_loop, "ITERATIONS", 3)  # too few for any window
+    newton = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    assert usual.history.newton_windows == 0
+    assert newton.history.newton_windows >= len(newton.history.readouts) > 10
+    assert newton.success
+    assert true_error(newton, problem.exact).max() <= 1e-9
+
+
+def test_a_stiff_system() -> None:
+    """Two masses on a stiff spring that move as one."""
     stiffness = np.array([[1 + 1e6, -1e6], [-1e6, 1e6]])
     squares, modes = np.linalg.eigh(stiffness)
     H = Hamiltonian("(p**2 + r**2)/2 + x**2/2 + 500000*(y - x)**2", q=["x", "y"], p=["p", "r"])
     start = modes[:, 0] / modes[0, 0]
     solution = hamsym.solve(H, [*start, 0.0, 0.0], (0, 2), tol=1e-6)
     assert solution.success, solution.message
-    assert solution.history.newton_windows > 0
     t = np.linspace(0, 2, 301)
-    exact = np.cos(np.sqrt(squares[0]) * t)
-    np.testing.assert_allclose(solution(t)[:, 0], exact, atol=1e-6)
+    np.testing.assert_allclose(solution(t)[:, 0], np.cos(np.sqrt(squares[0]) * t), atol=1e-6)
 
 
 def test_breakpoints_end_windows() -> None:
