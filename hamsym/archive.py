@@ -63,7 +63,7 @@ def load(path: str | os.PathLike[str]) -> Solution:
     tensors, values = read_tensors(path, _KIND)
     try:
         return _solution(tensors, values)
-    except (KeyError, TypeError, ValueError, IndexError, RuntimeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, RuntimeError, AttributeError) as error:
         raise FileError(f"'{path}' holds a solution that makes no sense: {error}") from None
 
 
@@ -95,6 +95,8 @@ def _solution(tensors: dict[str, Tensor], values: dict[str, Any]) -> Solution:
         energy_weight=float(values["energy_weight"]),
         march_error=error,
     )
+    if solution.z0.shape != (solution.H.dim,) or solution(start).shape != solution.z0.shape:
+        raise ValueError("its parts are of different dimensions")
     solution.success, solution.message = bool(values["success"]), str(values["message"])
     return solution
 
@@ -147,6 +149,10 @@ def _trial_values(trial: TrialSolution | FeatureTrial) -> dict[str, Any]:
 
 def _trial(values: dict[str, Any], state: dict[str, Tensor]) -> TrialSolution | FeatureTrial:
     if values["form"] == "features":
+        count, _, dim = state["readouts"].shape
+        edges, states = state["edges"].shape, state["states"].shape
+        if edges != (count + 1,) or states != (count + 1, dim):
+            raise ValueError("its windows do not fit together")
         return FeatureTrial(**state)
     z0 = state["z0"]
 

@@ -45,8 +45,8 @@ def write_tensors(
     )
     try:
         write_atomically(Path(path), content)
-    except OSError as error:
-        raise FileError(f"'{path}' cannot be written: {error.strerror or error}") from None
+    except (OSError, ValueError, TypeError) as error:
+        raise FileError(f"'{path}' cannot be written: {_reason(error)}") from None
 
 
 def read_tensors(
@@ -63,17 +63,21 @@ def read_tensors(
         with safetensors.safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except OSError as error:
-        raise FileError(f"'{path}' cannot be read: {error.strerror or error}") from None
     except safetensors.SafetensorError as error:
         raise FileError(f"'{path}' is damaged or no file of hamsym: {error}") from None
+    except (OSError, ValueError, TypeError) as error:
+        raise FileError(f"'{path}' cannot be read: {_reason(error)}") from None
     try:
         values = json.loads(metadata[_KEY])
         version, found = values.pop("version"), values.pop("kind")
-    except (KeyError, AttributeError, ValueError):
+    except (KeyError, AttributeError, TypeError, ValueError, RecursionError):
         raise FileError(f"'{path}' is not a file of hamsym") from None
     if found != kind:
         raise FileError(f"'{path}' holds a {found}, not a {kind}")
     if version != _VERSION:
         raise FileError(f"'{path}' is of version {version}; this hamsym reads version {_VERSION}")
     return tensors, values
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)

@@ -217,9 +217,11 @@ def checked_span(span: tuple[float, float]) -> tuple[float, float]:
     """
     try:
         start, end = (float(value) for value in span)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"span={span!r} is not a pair of times; give (t_start, t_end)") from None
-    if not (math.isfinite(start) and math.isfinite(end)) or start == end:
+    # Below the smallest normal number nothing can be divided by a span.
+    distinct = abs(end - start) > 1e-300
+    if not (math.isfinite(start) and math.isfinite(end)) or not distinct:
         raise InputError(f"span={span!r} cannot be used; give two different finite times")
     return start, end
 

@@ -160,7 +160,12 @@ def state_array(
         z0 = [given[key] for key in wanted]
     try:
         state = np.array(z0, dtype=float)
-    except (TypeError, ValueError, RuntimeError):  # the last from a tensor that requires grad
+    except (
+        TypeError,
+        ValueError,
+        OverflowError,
+        RuntimeError,
+    ):  # the last from a tensor of torch's
         raise VariableError(f"z0 holds something that is not a number; give {order}") from None
     if state.shape != (len(names),):
         raise VariableError(f"z0 has shape {state.shape}; give the {len(names)} numbers {order}")

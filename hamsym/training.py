@@ -286,6 +286,8 @@ class Checkpoint:
         FileError
             If the file cannot be read, or is of a training with other settings.
         """
+        if not isinstance(self.path, (str, os.PathLike)):
+            raise InputError(f"checkpoint={self.path!r} is not a path; give one")
         if not Path(self.path).exists():
             if not Path(self.path).absolute().parent.is_dir():
                 raise FileError(f"'{self.path}' has no folder to stand in; make the folder first")

@@ -101,10 +101,28 @@ def test_files_that_cannot_be_used(tmp_path: Path) -> None:
         ({"span": "long"}, "makes no sense"),
         ({"H": {"formula": "__import__('os')", "floats": {}}}, "makes no sense"),
         ({"trial": {"form": "network"}}, "makes no sense"),
+        ({"H": {"formula": "p**2 + x**2", "floats": [1]}}, "makes no sense"),
     ):
         changed(**values)
         with pytest.raises(FileError, match=message):
             hamsym.load(path)
+
+
+@pytest.mark.parametrize("path", [5, None, "a\0b"])
+def test_paths_that_are_none(path: object) -> None:
+    solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
+    with pytest.raises(FileError, match="cannot be written"):
+        solution.save(path)
+    with pytest.raises(FileError, match="cannot be read"):
+        hamsym.load(path)
+
+
+def test_windows_that_do_not_fit_together(tmp_path: Path) -> None:
+    solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
+    solution.trial.states = solution.trial.states[:, :1]
+    solution.save(tmp_path / "a")
+    with pytest.raises(FileError, match="do not fit together"):
+        hamsym.load(tmp_path / "a")
 
 
 def test_what_was_there_stays_if_writing_fails(tmp_path: Path) -> None:
