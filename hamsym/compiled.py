@@ -1,8 +1,8 @@
 """Compiled code: sources as real files in a directory of the user's own, so that numba can cache.
 
 numba keeps what it has compiled beside the source, as pickles; who can write there can run code.
-Everything is therefore kept in one directory that only the user can write, and nothing is compiled
-unless somebody asked for it (``H.compile("numba")``) or it pays (see :mod:`hamsym.marching`).
+Everything is therefore kept in one directory that only the user can write. Nothing is compiled
+unless somebody asks for it (``H.compile("numba")``) or it pays (:func:`hamsym.features.march`).
 """
 
 from __future__ import annotations
