@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["Solution"]
 
 _CHUNK = 4_096  # points evaluated at once, to bound the memory of the hidden layers
-_ERROR_CALLS = 50_000  # evaluations for the equation of the error, at most
+_ERROR_CALLS = 20_000  # evaluations for the equation of the error, at most
 _TANGENT_WINDOWS = 1_024  # for which tangent maps are held at once
 _SCAN = 4_001  # points of the scan that precedes the search for an extremum over time
 

@@ -418,7 +418,26 @@ class KilledError(Exception):
     pass
 
 
-def test_resumes_to_the_same_bits(optimizer, tmp_path: Path) -> None:
+def _below(level: float) -> Criterion:
+    t = torch.linspace(0, 2, 9, dtype=torch.float64)
+
+    def holds(trial: torch.nn.Module) -> bool:
+        with torch.no_grad():
+            return bool((trial(t)[0][:, 0] - torch.exp(-t)).abs().max() < level)
+
+    return Criterion("error", level, holds)
+
+
+@pytest.mark.parametrize(
+    "stopping",
+    [
+        Stopping(80, target_loss=1e-30),
+        Stopping(80, criteria=(_below(0.05),), patience=40),
+        Stopping(80, criteria=(_below(1e-4),), patience=12),
+    ],
+    ids=["iterations", "criterion", "patience"],
+)
+def test_resumes_to_the_same_bits(optimizer, stopping: Stopping, tmp_path: Path) -> None:
     def run(checkpoint: Checkpoint | None, callbacks=()) -> tuple[torch.Tensor, Training]:
         trial, generator = decay_trial(3)
         training = train(
@@ -426,7 +445,7 @@ def test_resumes_to_the_same_bits(optimizer, tmp_path: Path) -> None:
             DECAY,
             (0, 2),
             optimizer(),
-            Stopping(80, target_loss=1e-30),
+            stopping,
             stages=Stages(2, restart_after=30, restarts=2),
             generator=generator,
             callbacks=callbacks,
