@@ -27,6 +27,7 @@ import torch
 from torch import Tensor
 
 from hamsym import compiled, march_loop
+from hamsym.tangent import chebyshev_points
 
 __all__ = ["FeatureBasis", "FeatureTrial", "Flow", "March", "feature_basis", "march"]
 
@@ -111,12 +112,12 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
     generator = np.random.default_rng(seed)
     inner = generator.uniform(-_INNER_RANGE, _INNER_RANGE, _NEURONS)
     shift = generator.uniform(-math.pi, math.pi, _NEURONS)
-    dense = _chebyshev(160)
+    dense = chebyshev_points(160)
     values, rates = _raw_columns(inner, shift, dense)
     _, sizes, right = np.linalg.svd(np.vstack((values, rates)), full_matrices=False)
     kept = sizes > _TRUNCATION * sizes[0]
     mixing = right[kept].T / sizes[kept]
-    nodes = _chebyshev(_NODES)
+    nodes = chebyshev_points(_NODES)
     # Just inside the window: at a breakpoint the equations of the next one may hold.
     between = np.clip(np.linspace(0.0, 1.0, _BETWEEN), 1e-9, 1 - 1e-9)
 
@@ -170,10 +171,6 @@ def _raw_columns(
     features, slopes = np.sin(phase), np.cos(phase) * inner
     f = -np.expm1(-s)[:, None]
     return f * features, (1 - f) * features + f * slopes
-
-
-def _chebyshev(count: int) -> np.ndarray:
-    return (1 - np.cos((2 * np.arange(count) + 1) * math.pi / (2 * count))) / 2
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from hamsym.errors import InputError
-from hamsym.optimizers import fresh_points, midpoints, spread
+from hamsym.optimizers import fresh_points, points_between
 from hamsym.training import Objective, require_whole
 from hamsym.trial import ACTIVATIONS, ComponentNetworks, Network, TrialSolution
 
@@ -81,7 +81,7 @@ class LevenbergMarquardt:
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Midpoints between twice as many points of the same density."""
-        return spread(span, midpoints((0.0, 1.0), 2 * self.points + 1, self._dtype))
+        return points_between(span, self.points, self._dtype)
 
     @torch.no_grad()
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:

@@ -21,6 +21,7 @@ from hamsym.features import FeatureTrial, Flow, March, feature_basis, march
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problem import InitialValueProblem
 from hamsym.solution import Solution
+from hamsym.tangent import generators
 
 __all__ = ["FeatureOptions", "solve_by_features"]
 
@@ -99,14 +100,17 @@ def _first_jump(H: Hamiltonian, solution: Solution, windows: March) -> float | N
 
     The linear equation of the error knows nothing of what a jump does to nearby trajectories.
     """
+    if not H.switches:
+        return None
     first: float | None = None
+    system = H.compile("numpy")
     direction = math.copysign(1.0, windows.edges[-1] - windows.edges[0])
     inside = np.linspace(0, 1, _JUMP_SAMPLES, endpoint=False)
     times = (windows.edges[:-1, None] + np.diff(windows.edges)[:, None] * inside).ravel()
     times = np.append(times, windows.edges[-1])
     z = solution(times)
     with np.errstate(all="ignore"):
-        rates = np.abs(H.compile("numpy").gradient(*H.compile("numpy").arguments(z, times)))
+        rates = np.abs(system.gradient(*system.arguments(z, times)))
         size = rates.reshape(len(times), 2, -1).max(axis=(0, 2)).repeat(H.dof)
         for argument, jump in H.switches:
             values = np.broadcast_to(argument(z, times), times.shape)
@@ -127,14 +131,13 @@ def _first_jump(H: Hamiltonian, solution: Solution, windows: March) -> float | N
 
 def _flow(H: Hamiltonian) -> Flow:
     """The equations, with compiled code where that is there."""
-    system, half = H.compile("numpy"), H.dof
+    system = H.compile("numpy")
 
     def vector_field(z: np.ndarray, t: np.ndarray) -> np.ndarray:
         return np.asarray(system.vector_field(*system.arguments(z, t)))
 
     def jacobian(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        matrix = system.hessian(*system.arguments(z, t))
-        return np.concatenate((matrix[..., half:, :], -matrix[..., :half, :]), axis=-2)
+        return generators(system.hessian(*system.arguments(z, t)))
 
     def rates(z: np.ndarray, t: np.ndarray, out: np.ndarray) -> None:
         out[:] = vector_field(z, t)

@@ -10,10 +10,24 @@ from torch import Tensor
 
 from hamsym.training import Objective, is_positive, require, require_positive, require_whole
 
-__all__ = ["LBFGS", "Adam", "fresh_points", "midpoints"]
+__all__ = ["LBFGS", "Adam", "fresh_points", "midpoints", "points_between"]
 
 
-class Adam:
+class _OfTorch:
+    """What the optimisers that torch has share."""
+
+    def bind(
+        self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
+    ) -> None:
+        self._trial, self._objective, self._generator = trial, objective, generator
+        self._parameters = list(trial.parameters())
+        self.reset()
+
+    def reset(self) -> None:
+        raise NotImplementedError
+
+
+class Adam(_OfTorch):
     """Adam (Kingma & Ba 2015) on noisy points, as in the paper.
 
     Each iteration moves the collocation points by Gaussian noise, reflected into the span, so
@@ -59,13 +73,6 @@ class Adam:
         require(schedule in ("constant", "cosine"), "schedule", schedule, "'constant' or 'cosine'")
         self.learning_rate, self.betas, self.schedule = learning_rate, betas, schedule
         self.points, self.noise = points, noise
-
-    def bind(
-        self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
-    ) -> None:
-        self._trial, self._objective, self._generator = trial, objective, generator
-        self._parameters = list(trial.parameters())
-        self.reset()
 
     def reset(self) -> None:
         self._adam = torch.optim.Adam(
@@ -113,7 +120,7 @@ class Adam:
         self._adam.load_state_dict({"state": states, "param_groups": groups})
 
 
-class LBFGS:
+class LBFGS(_OfTorch):
     """L-BFGS with a strong Wolfe line search (Liu & Nocedal 1989), of torch.
 
     The points stay while its memory of curvature lasts, and are drawn anew, with the memory
@@ -143,13 +150,6 @@ class LBFGS:
         """Whether fresh points and an empty memory led to no step several times in a row."""
         return self._failures >= self._PATIENCE
 
-    def bind(
-        self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
-    ) -> None:
-        self._trial, self._objective, self._generator = trial, objective, generator
-        self._parameters = list(trial.parameters())
-        self.reset()
-
     def reset(self) -> None:
         self._lbfgs = torch.optim.LBFGS(
             self._parameters,
@@ -165,7 +165,7 @@ class LBFGS:
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Midpoints between twice as many points of the same density."""
-        return spread(span, _cells(2 * self.points + 1, self._parameters[0].dtype))
+        return points_between(span, self.points, self._parameters[0].dtype)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         if self._t is None or self._age >= self.refresh or share != self._share:
@@ -252,6 +252,11 @@ def fresh_points(
     ) / count
     u[0], u[-1] = 0.0, 1.0
     return spread(span, u)
+
+
+def points_between(span: tuple[float, float], count: int, dtype: torch.dtype) -> Tensor:
+    """Midpoints of twice as many cells and one, of the density of :func:`fresh_points`."""
+    return spread(span, _cells(2 * count + 1, dtype))
 
 
 def spread(span: tuple[float, float], u: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from hamsym.errors import InputError, VacuousBoundWarning
 from hamsym.estimates import MarchError
 from hamsym.features import FeatureTrial, March
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.tangent import TangentMaps
+from hamsym.tangent import TangentMaps, generators
 from hamsym.training import History, Training
 from hamsym.trial import TrialSolution
 
@@ -398,9 +398,8 @@ class Solution:
         lengths = np.diff(edges)[windows]
         times = edges[windows, None] + lengths[:, None] * TangentMaps.nodes
         hessians = self._hessians(times.ravel()).reshape(*times.shape, dim, dim)
-        half = self.H.dof
-        jacobians = np.concatenate((hessians[..., half:, :], -hessians[..., :half, :]), axis=-2)
-        return TangentMaps(jacobians, lengths, np.repeat(self._half_scales, half))
+        units = np.repeat(self._half_scales, self.H.dof)
+        return TangentMaps(generators(hessians), lengths, units)
 
     @property
     def error_bound(self) -> float:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import chebyshev
 
-__all__ = ["Collocation", "TangentMaps", "collocation", "poisson"]
+__all__ = ["Collocation", "TangentMaps", "chebyshev_points", "collocation", "generators", "poisson"]
 
 _NODES = 28
 _ITERATIONS = 60
@@ -46,10 +46,15 @@ class Collocation:
         return chebyshev.chebvander(2 * s - 1, len(self.nodes) - 1) @ self.to_series
 
 
+def chebyshev_points(count: int) -> np.ndarray:
+    """Chebyshev points of the first kind in (0, 1), in ascending order."""
+    return (1 - np.cos((2 * np.arange(count) + 1) * math.pi / (2 * count))) / 2
+
+
 @functools.cache
 def collocation(count: int) -> Collocation:
     """Collocation at ``count`` nodes."""
-    nodes = (1 - np.cos((2 * np.arange(count) + 1) * math.pi / (2 * count))) / 2
+    nodes = chebyshev_points(count)
     to_series = np.linalg.inv(chebyshev.chebvander(2 * nodes - 1, count - 1))
     integrals = chebyshev.chebint(np.eye(count), lbnd=-1, scl=0.5)
     integration = chebyshev.chebval(2 * np.append(nodes, 1.0) - 1, integrals).T @ to_series
@@ -89,12 +94,12 @@ class TangentMaps:
         scale: np.ndarray,
         accuracy: float = 1e-12,
     ) -> None:
-        generators = jacobians * (lengths[:, None, None, None] * (scale / scale[:, None]))
+        scaled = jacobians * (lengths[:, None, None, None] * (scale / scale[:, None]))
         dim, windows = len(scale), len(lengths)
         # H couples few components: products with the entries that are not zero, one by one.
         entries = {
-            (i, j): np.ascontiguousarray(generators[:, :, i, j].T)
-            for i, j in np.argwhere(generators.any(axis=(0, 1)))
+            (i, j): np.ascontiguousarray(scaled[:, :, i, j].T)
+            for i, j in np.argwhere(scaled.any(axis=(0, 1)))
         }
         unit = np.eye(dim)[:, None, :, None]
         integration = self.rule.integration
@@ -113,7 +118,7 @@ class TangentMaps:
             if not open_.any() or not np.all(size < 1e100):
                 break
         for w in np.flatnonzero(open_):
-            maps[:, :, :, w] = _solved(generators[w], integration[:-1])
+            maps[:, :, :, w] = _solved(scaled[w], integration[:-1])
         self.inside = maps
         ends = unit + _integrated(integration[-1:], _rates(entries, maps))
         self.ends = np.ascontiguousarray(ends[:, 0].transpose(2, 0, 1))
@@ -121,6 +126,12 @@ class TangentMaps:
     def at(self, s: np.ndarray) -> np.ndarray:
         """Phi at the same s in [0, 1] of every window, shape (dim, len(s), dim, windows)."""
         return _integrated(self.rule.interpolation(s), self.inside)
+
+
+def generators(hessians: np.ndarray) -> np.ndarray:
+    """J Hess, which moves tangent vectors, from Hessians of shape (..., dim, dim)."""
+    half = hessians.shape[-1] // 2
+    return np.concatenate((hessians[..., half:, :], -hessians[..., :half, :]), axis=-2)
 
 
 def poisson(vectors: np.ndarray) -> np.ndarray:
