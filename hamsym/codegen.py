@@ -52,13 +52,23 @@ _CSE_OPERATIONS = 30
 _CSE_SAVING = 0.67
 
 _FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss")
+_STEP_LOOPS = (
+    *(f"splitting{kind}" for kind in ("", "_compensated", "_ensemble", "_ensemble_compensated")),
+    *("splitting_tangent", "symplectic_euler", "symplectic_euler_p", "implicit", "doubled"),
+)
 # Every name that a template assigns, imports or takes as an argument.
 _TEMPLATE_NAMES = frozenset(
     """
     torch np math njit z dz t z0 out value matrix entries positions rows zero point points times
-    energy_0 energy_weight energy_error save saves save_every step step_size start start_time
-    correction jacobian attempt change previous scale converged
-    symplectic_euler symplectic_euler_p rates states
+    energy_0 energy_weight energy_error rates states
+    low columns done starts sizes first saves save_every stages trajectory save step step_size
+    elapsed stage drift kick change moved lanes low_lanes base count lane component curvature
+    column row size pivot pivots old correction attempt previous scale converged between second
+    right left entry factor block tangents coefficients weights weight nodes continued increments
+    slopes state stale half largest at over point others fresh coupling other vectors angle
+    cosine sine splitting splitting_compensated splitting_ensemble
+    splitting_ensemble_compensated
+    splitting_tangent symplectic_euler symplectic_euler_p implicit doubled
     """.split()
 ) | frozenset(_FUNCTIONS)
 
@@ -105,6 +115,7 @@ def generate(form: RealForm, backend: str) -> str:
             dof=form.dof,
             formula=formula,
             z=names.state,
+            lows=names.low_parts,
             dz=names.derivatives,
             time=", t" if time else "",
             keywords=", *, " + ", ".join(keywords) if keywords else "",
@@ -160,11 +171,7 @@ def load(source: str, backend: str, names: tuple[str, ...]) -> System:
     """Run a generated module and collect its functions; the same text is loaded once."""
     module = compiled.load_module(source, backend) if backend == "numba" else _run(source, backend)
     functions: dict[str, Any] = {name: getattr(module, name) for name in _FUNCTIONS}
-    loops = {
-        name: getattr(module, name)
-        for name in ("symplectic_euler", "symplectic_euler_p")
-        if hasattr(module, name)
-    }
+    loops = {name: getattr(module, name) for name in _STEP_LOOPS if hasattr(module, name)}
     return System(
         backend=backend,
         names=names,
@@ -204,6 +211,7 @@ class _Names:
             (self._claim(symbol), value) for symbol, value in form.parameters.values()
         ]
         self.derivatives = [self.unused("d" + name) for name in self.state]
+        self.low_parts = [self.unused(name + "_low") for name in self.state]
 
     def _claim(self, symbol: sympy.Symbol) -> str:
         self.of[symbol] = self.unused(symbol.name)
@@ -240,11 +248,20 @@ class _Bodies:
         self.residual = self._residual_rows(form.vector_field)
         mixed = {(i - d, j): entry for (i, j), entry in form.hessian.items() if j < d <= i}
         self.mixed_indices = list(mixed)
-        if backend == "numba":  # the step loops
-            self.velocity = self._body(gradient[d:])
-            self.force = self._body(gradient[:d])
-            self.velocity_jacobian = self._body([*gradient[d:], *mixed.values()])
-            self.force_jacobian = self._body([*gradient[:d], *mixed.values()])
+        if backend != "numba":
+            return
+        # The step loops: dH/dp and dH/dq, by themselves and with what their derivatives need.
+        kinetic = {
+            (i - d, j - d): entry for (i, j), entry in form.hessian.items() if min(i, j) >= d
+        }
+        potential = {index: entry for index, entry in form.hessian.items() if max(index) < d}
+        self.kinetic_indices, self.potential_indices = list(kinetic), list(potential)
+        self.velocity = self._body(gradient[d:])
+        self.force = self._body(gradient[:d])
+        self.velocity_jacobian = self._body([*gradient[d:], *mixed.values()])
+        self.force_jacobian = self._body([*gradient[:d], *mixed.values()])
+        self.velocity_curvature = self._body([*gradient[d:], *kinetic.values()])
+        self.force_curvature = self._body([*gradient[:d], *potential.values()])
 
     def by_name(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if not name.startswith("_")}

@@ -30,6 +30,7 @@ from hamsym.symbols import (
     checked_values,
     state_array,
     state_symbol,
+    states_array,
 )
 from hamsym.system import System
 
@@ -249,6 +250,27 @@ class Hamiltonian:
         array([1.3, 1. ])
         """
         return state_array(z0, self.names)
+
+    def states_from(self, z0: Any) -> np.ndarray:
+        """A state as :meth:`state_from` has it, or an ensemble of them.
+
+        Parameters
+        ----------
+        z0 : sequence, mapping or array
+            As in :meth:`state_from`; or an array of shape (batch, dim), or a mapping to arrays.
+
+        Returns
+        -------
+        numpy.ndarray
+            Shape (dim,) or (batch, dim), float64.
+
+        Examples
+        --------
+        >>> Hamiltonian("p**2/2 + x**2/2").states_from({"p": 1, "x": [1.3, 1.4]})
+        array([[1.3, 1. ],
+               [1.4, 1. ]])
+        """
+        return states_array(z0, self.names)
 
     # -- what follows from H -----------------------------------------------------------------
 

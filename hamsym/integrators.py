@@ -1,9 +1,10 @@
-"""Trajectories by time stepping: generated symplectic loops, and scipy's methods as references.
+"""Trajectories by time stepping: generated loops for every method of the table, and scipy's.
 
-Input:  a Hamiltonian, an initial state, a time span.
+Input:  a Hamiltonian, one or many initial states, a time span.
 Output: a :class:`Trajectory` of states at equally spaced times.
 
-An integrator is one row of :data:`INTEGRATORS`.
+An integrator is one row of :data:`INTEGRATORS`; its coefficients are in :mod:`hamsym.schemes`, the
+loop that takes them in the numba template.
 """
 
 from __future__ import annotations
@@ -11,19 +12,34 @@ from __future__ import annotations
 import math
 import os
 import time
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.integrate
 
-from hamsym import codegen
+from hamsym import schemes
+from hamsym.adaptive import Adaptive, reference, run_dop853, run_odeint
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.schemes import Doubled, RungeKutta, Scheme, Splitting
+from hamsym.stepping import Stepper
 
-__all__ = ["INTEGRATORS", "Integrator", "Trajectory", "checked_span", "integrate", "reference"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "ALIASES",
+    "INTEGRATORS",
+    "Integrator",
+    "Trajectory",
+    "checked_span",
+    "checked_steps",
+    "fixed_step",
+    "integrate",
+    "listing",
+    "reference",
+]
 
 
 @dataclass(frozen=True)
@@ -33,45 +49,139 @@ class Integrator:
     Attributes
     ----------
     order : int
-    symplectic : bool
     summary, source : str
-    run : callable
-        (H, z0, times, save_every, tolerances) -> (states, message); fewer states than times, and
-        a message, if the method had to stop early.
-    adaptive : bool
-        Whether the method chooses its own steps, to rtol and atol.
+    scheme : Scheme or Adaptive
     """
 
     order: int
-    symplectic: bool
     summary: str
     source: str
-    run: Callable[..., tuple[np.ndarray, str]] = field(repr=False)
-    adaptive: bool = False
+    scheme: Scheme | Adaptive = field(repr=False)
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the method chooses its own steps, to rtol and atol."""
+        return isinstance(self.scheme, Adaptive)
+
+    @property
+    def symplectic(self) -> bool:
+        """Whether a step is a symplectic map of phase space."""
+        return self.scheme.is_symplectic
+
+    @property
+    def stages(self) -> int | None:
+        """Evaluations of the force or the gradient in a step; implicit methods repeat them."""
+        return None if isinstance(self.scheme, Adaptive) else self.scheme.stages
+
+
+#: Every integrator by name.
+INTEGRATORS: dict[str, Integrator] = {
+    "symplectic_euler": Integrator(
+        1,
+        "q first with p_n, then p with q_n+1; implicit for non-separable H",
+        "the paper's eqs. EulerScheme; de Vogelaere 1956",
+        schemes.SYMPLECTIC_EULER,
+    ),
+    "symplectic_euler_p": Integrator(
+        1,
+        "its adjoint, p first; implicit for non-separable H",
+        "de Vogelaere 1956",
+        schemes.SYMPLECTIC_EULER_P,
+    ),
+    "stormer_verlet": Integrator(
+        2,
+        "half a drift, a kick, half a drift",
+        "Stormer 1907, Verlet 1967",
+        schemes.STORMER_VERLET,
+    ),
+    "ruth3": Integrator(3, "splitting", "Ruth 1983", schemes.RUTH3),
+    "forest_ruth": Integrator(
+        4,
+        "triple jump of Stormer-Verlet; alias yoshida4",
+        "Forest & Ruth 1990, Yoshida 1990",
+        schemes.FOREST_RUTH,
+    ),
+    "mclachlan4": Integrator(
+        4, "composition of symplectic Euler and its adjoint", "McLachlan 1995", schemes.MCLACHLAN4
+    ),
+    "blanes_moan4": Integrator(4, "splitting S6", "Blanes & Moan 2002", schemes.BLANES_MOAN4),
+    "blanes_moan6": Integrator(6, "splitting S10", "Blanes & Moan 2002", schemes.BLANES_MOAN6),
+    "yoshida6": Integrator(
+        6, "composition of Stormer-Verlet, solution A", "Yoshida 1990", schemes.YOSHIDA6
+    ),
+    "yoshida8": Integrator(
+        8, "composition of Stormer-Verlet, solution D", "Yoshida 1990", schemes.YOSHIDA8
+    ),
+    "implicit_midpoint": Integrator(
+        2,
+        "implicit, any H",
+        "Feng Kang 1985; Hairer, Lubich & Wanner 2006, II.1",
+        schemes.IMPLICIT_MIDPOINT,
+    ),
+    "gauss4": Integrator(
+        4, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", schemes.GAUSS4
+    ),
+    "gauss6": Integrator(
+        6, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", schemes.GAUSS6
+    ),
+    "tao2": Integrator(
+        2, "explicit, any H; symplectic in a doubled phase space", "Tao 2016", schemes.TAO2
+    ),
+    "tao4": Integrator(4, "triple jump of tao2", "Tao 2016", schemes.TAO4),
+    "dop853": Integrator(
+        8,
+        "Dormand-Prince 8(5,3) from scipy, adaptive, any H",
+        "Hairer, Norsett & Wanner 1993, II.5",
+        Adaptive(run_dop853),
+    ),
+    "odeint": Integrator(
+        12,
+        "LSODA from scipy, adaptive, any H; the paper's ground truth",
+        "Hindmarsh 1983",
+        Adaptive(run_odeint),
+    ),
+}
+
+#: Other names of the same coefficients.
+ALIASES = {"yoshida4": "forest_ruth"}
+
+
+def listing() -> str:
+    """The table of integrators as text, a line each."""
+    lines = [f"{'method':<20}{'order':>5}{'stages':>7}  {'what it is; source'}"]
+    for name, row in INTEGRATORS.items():
+        stages = "-" if row.stages is None else str(row.stages)
+        lines.append(f"{name:<20}{row.order:>5}{stages:>7}  {row.summary}; {row.source}")
+    return "\n".join(lines)
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """States along a trajectory.
+    """States along a trajectory, or along each trajectory of an ensemble.
 
     Attributes
     ----------
     t : numpy.ndarray
         Times, shape (n,).
     z : numpy.ndarray
-        States, shape (n, dim), in the order of H.z.
+        States, shape (n, dim), or (batch, n, dim) for an ensemble, in the order of H.z.
     energy : numpy.ndarray
-        H along the trajectory, shape (n,).
+        H along the trajectory, shape (n,) or (batch, n).
     names : tuple of str
         Components of z.
     method : str
     steps : int
         Steps taken by a fixed-step method, outputs of an adaptive one.
+    dt : float
+        Length of a step, or of the time between outputs.
+    evaluations : int
+        Of the force, the gradient or the vector field, whichever the method needs.
     seconds : float
         Wall time of the stepping, compilation included.
     success : bool
     message : str
-        What happened, in words.
+        What happened, in words. A trajectory that had to stop ends there; in an ensemble its
+        later states are nan.
     """
 
     t: np.ndarray = field(repr=False)
@@ -80,9 +190,17 @@ class Trajectory:
     names: tuple[str, ...]
     method: str
     steps: int
+    dt: float
+    evaluations: int
     seconds: float
     success: bool
     message: str
+
+    def plot(self) -> Figure:
+        """Components, phase space and the change of H, as a figure."""
+        from hamsym.plotting import plot_trajectory  # matplotlib is slow to import
+
+        return plot_trajectory(self)
 
 
 def integrate(
@@ -91,10 +209,14 @@ def integrate(
     span: tuple[float, float],
     method: str = "symplectic_euler",
     *,
-    steps: int = 20_000,
+    steps: int | None = None,
+    dt: float | None = None,
     save_every: int = 1,
+    compensated: bool = False,
+    omega: float | None = None,
     rtol: float | None = None,
     atol: float | None = None,
+    progress: bool | None = None,
 ) -> Trajectory:
     """Integrate Hamilton's equations from z0 over a time span.
 
@@ -102,109 +224,158 @@ def integrate(
     ----------
     H : Hamiltonian
         With a value for every parameter.
-    z0 : sequence or mapping
-        Initial state, in the order of H.z or by name.
+    z0 : sequence, mapping or array
+        Initial state in the order of H.z or by name. An array of shape (batch, dim), or a mapping
+        with arrays, is an ensemble; its trajectories share the processor's cores.
     span : (float, float)
         Start and end time; the end may be the earlier one.
     method : str
-        A name in :data:`INTEGRATORS`: ``symplectic_euler`` (q first, the paper's eqs.
-        EulerScheme), ``symplectic_euler_p`` (p first), ``dop853``, ``odeint``. For a
-        non-separable H the symplectic Euler methods solve their implicit half by Newton's method
-        with the symbolic Hessian.
-    steps : int
-        Number of equal steps (for an adaptive method: of equal output intervals).
+        A name in :data:`INTEGRATORS`. Splitting methods need H = T(p, t) + V(q, t); there V is
+        taken at a time that advances with the drifts of q, and T at one that advances with the
+        kicks of p. The symplectic Euler methods solve their implicit half by Newton's method where
+        H is not separable.
+    steps : int, optional
+        Number of equal steps (for an adaptive method: of equal output intervals), 20,000 unless
+        given.
+    dt : float, optional
+        In place of ``steps``: the span is divided into the fewest equal steps no longer than this.
     save_every : int
-        Keep every so many steps; divides ``steps``.
+        Keep every so many steps; divides the number of steps.
+    compensated : bool
+        Carry what rounding loses from one step to the next, for splitting methods over very many
+        steps. The implicit Runge-Kutta methods always do.
+    omega : float, optional
+        Coupling of ``tao2`` and ``tao4``, per unit of time; by default twice the spectral radius
+        of J Hess at the start.
     rtol, atol : float, optional
         Tolerances of an adaptive method, 1e-13 each unless given.
+    progress : bool, optional
+        Show how far it is; by default on a terminal, after a second.
 
     Returns
     -------
     Trajectory
-        With ``success=False``, a message and the part before it if a step could not be solved or
-        the states left the range of numbers.
+        With ``success=False``, a message and the part before it if a step could not be solved,
+        the states left the range of numbers, or Ctrl-C was pressed.
 
     Raises
     ------
     InputError
-        If a name, a number or the span cannot be used, or the result would not fit into memory.
+        If a name, a number or the span cannot be used, H is not separable and the method needs
+        it, or the result would not fit into memory.
 
     Examples
     --------
     >>> H = Hamiltonian("p**2/2 + x**2/2")
-    >>> trajectory = integrate(H, [1.0, 0.0], (0, 2 * np.pi), "dop853", steps=4)
+    >>> trajectory = integrate(H, [1.0, 0.0], (0, 2 * np.pi), "yoshida8", steps=100)
     >>> trajectory.z[-1].round(9) + 0.0
     array([1., 0.])
+    >>> integrate(H, {"x": np.linspace(0, 1, 5), "p": 0.0}, (0, 1), "gauss4", dt=0.1).z.shape
+    (5, 11, 2)
     """
-    if method not in INTEGRATORS:
-        raise InputError(f"'{method}' is not a method; choose one of {', '.join(INTEGRATORS)}")
-    integrator = INTEGRATORS[method]
+    name, integrator = _row(method)
     H.require_parameters()
-    state = H.state_from(z0)
+    states = H.states_from(z0)
     start, end = checked_span(span)
-    _require_whole("steps", steps)
+    steps = checked_steps(end - start, steps, dt)
     _require_whole("save_every", save_every)
     if steps % save_every:
         raise InputError(f"save_every={save_every} does not divide steps={steps}; choose a divisor")
-    tolerances = {"rtol": rtol, "atol": atol}
-    for name, value in tolerances.items():
-        if value is None:
-            tolerances[name] = 1e-13
-        elif not integrator.adaptive:
-            raise InputError(f"{name} has no meaning for {method}; give steps instead")
-        elif not (math.isfinite(value) and value >= 2.3e-14):
-            raise InputError(f"{name}={value!r} cannot be used; give a number from 2.3e-14")
+    scheme = integrator.scheme
+    if compensated and not isinstance(scheme, Splitting | RungeKutta):
+        raise InputError(f"compensated has no meaning for {method}; leave it out")
+    if omega is not None and not isinstance(scheme, Doubled):
+        raise InputError(f"omega has no meaning for {method}; it is for tao2 and tao4")
     saves = steps // save_every
-    _require_memory(saves, H.dim)
+    ensemble = np.atleast_2d(states)
+    _require_memory(saves, H.dim, len(ensemble))
     times = np.linspace(start, end, saves + 1)
     began = time.perf_counter()
-    states, message = integrator.run(H, state, times, save_every, **tolerances)
+    if isinstance(scheme, Adaptive):
+        tolerances = _tolerances(rtol, atol)
+        z, evaluations, message = _run_adaptive(H, scheme, ensemble, times, tolerances)
+    else:
+        for option, value in (("rtol", rtol), ("atol", atol)):
+            if value is not None:
+                raise InputError(f"{option} has no meaning for {method}; give steps or dt instead")
+        stepper = fixed_step(
+            H,
+            name,
+            ensemble,
+            np.full(len(ensemble), start),
+            np.full(len(ensemble), (end - start) / steps),
+            compensated=compensated,
+            omega=omega,
+        )
+        done = stepper.advance(saves, save_every, show=progress)
+        z = np.concatenate((ensemble[:, None], done.states), axis=1)
+        evaluations, message = done.evaluations, ""
+        implicit = isinstance(scheme, RungeKutta) or not (
+            H.is_separable or isinstance(scheme, Doubled)
+        )
+        if done.interrupted:
+            message = "interrupted"
+        elif implicit and done.steps.min() < steps:
+            message = "the implicit step could not be solved; take more steps"
     seconds = time.perf_counter() - began
-    finite = np.all(np.isfinite(states), axis=1)
-    if not finite.all():
-        states = states[: int(np.argmin(finite))]
-        message = message or "the states left the range of numbers"
-    if message:
-        message = f"stopped after t = {times[len(states) - 1]:.6g}: {message}"
-    times = times[: len(states)]
+    z, times, message = _reached(z, times, message)
     system = H.compile("numpy")
     with np.errstate(all="ignore"):  # the last state before an escape may be finite, its H not
-        energy = system.energy(*system.arguments(states, times))
+        energy = system.energy(*system.arguments(z, times))
+    if states.ndim == 1:
+        z, energy = z[0], energy[0]
     return Trajectory(
         t=times,
-        z=states,
+        z=z,
         energy=energy,
         names=H.names,
-        method=method,
+        method=name,
         steps=steps,
+        dt=(end - start) / steps,
+        evaluations=evaluations,
         seconds=seconds,
         success=not message,
-        message=message or f"{method}: {steps:,} steps to t = {end:.6g}",
+        message=message or f"{name}: {steps:,} steps to t = {end:.6g}",
     )
 
 
-def reference(
-    H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], *, tolerance: float = 1e-13
-) -> Callable[[np.ndarray], np.ndarray]:
-    """DOP853 with dense output as a function of time, for judging less accurate solutions.
-
-    Returns
-    -------
-    callable
-        t of shape (n,) -> states of shape (n, dim).
+def fixed_step(
+    H: Hamiltonian,
+    method: str,
+    states: np.ndarray,
+    starts: np.ndarray,
+    sizes: np.ndarray,
+    *,
+    compensated: bool = False,
+    omega: float | None = None,
+    tangents: np.ndarray | None = None,
+) -> Stepper:
+    """Trajectories that advance by equal steps; see :class:`hamsym.stepping.Stepper`.
 
     Raises
     ------
     InputError
-        If the solution does not exist over the whole span.
+        If the method is unknown, chooses its own steps, or cannot be used for this H.
     """
-    H.require_parameters()
-    result = _dop853(H, H.state_from(z0), span, tolerance, tolerance, dense_output=True)
-    if not result.success or not np.all(np.isfinite(result.y)):
-        raise InputError(
-            f"no solution beyond t = {result.t[-1]:.6g}: {result.message} End the span before it"
-        )
-    return lambda t: result.sol(np.asarray(t)).T
+    name, integrator = _row(method)
+    if isinstance(integrator.scheme, Adaptive):
+        fixed = ", ".join(key for key, row in INTEGRATORS.items() if not row.adaptive)
+        raise InputError(f"{method} chooses its own steps; choose one of {fixed}")
+    if omega is None:
+        omega = _coupling(H, states, starts) if isinstance(integrator.scheme, Doubled) else 0.0
+    elif not (math.isfinite(omega) and omega >= 0):
+        raise InputError(f"omega={omega!r} cannot be used; give a number from 0")
+    return Stepper(
+        H,
+        integrator.scheme,
+        name,
+        states,
+        starts,
+        sizes,
+        compensated=compensated,
+        tangents=tangents,
+        omega=omega,
+    )
 
 
 def checked_span(span: tuple[float, float]) -> tuple[float, float]:
@@ -226,108 +397,91 @@ def checked_span(span: tuple[float, float]) -> tuple[float, float]:
     return start, end
 
 
-def _step_loop(name: str) -> Callable[..., tuple[np.ndarray, str]]:
-    def run(
-        H: Hamiltonian, z0: np.ndarray, times: np.ndarray, save_every: int, **_: float
-    ) -> tuple[np.ndarray, str]:
-        # H.compile("numba") would compile more than this loop.
-        loop = codegen.load(H.source("numba"), "numba", H.names).step_loops[name]
-        saves = len(times) - 1
-        step_size = (times[-1] - times[0]) / (saves * save_every)
-        states = np.empty((saves + 1, H.dim))
-        values = [H.parameters[parameter] for parameter in H.parameter_names]
-        done = loop(z0, states, times[0], step_size, saves, save_every, *values)
-        if done == saves * save_every:
-            return states, ""
-        return states[: done // save_every + 1], (
-            "the implicit step could not be solved; take more steps"
-        )
+def checked_steps(length: float, steps: int | None, dt: float | None, default: int = 20_000) -> int:
+    """The number of equal steps in a span of this length.
 
-    return run
-
-
-def _rates(H: Hamiltonian) -> Callable[[float, np.ndarray], np.ndarray]:
-    """The vector field as scipy calls it, time first."""
-    system = H.compile("numpy")
-    return lambda t, z: np.asarray(system.vector_field(*system.arguments(z, t)))
+    Raises
+    ------
+    InputError
+        If both or an unusable one are given.
+    """
+    if dt is None:
+        steps = default if steps is None else steps
+        _require_whole("steps", steps)
+        return steps
+    if steps is not None:
+        raise InputError(f"steps={steps!r} and dt={dt!r} say the same thing; give one of them")
+    try:
+        count = abs(length) / float(dt)
+    except (TypeError, ValueError, ZeroDivisionError):
+        count = math.nan
+    if not (math.isfinite(count) and count > 0):
+        raise InputError(f"dt={dt!r} cannot be used; give a number above 0")
+    # A dt that divides the span but for round-off is meant to.
+    return max(1, math.ceil(count * (1 - 1e-12)))
 
 
-def _dop853(
+def _row(method: str) -> tuple[str, Integrator]:
+    name = ALIASES.get(method, method)
+    if name not in INTEGRATORS:
+        raise InputError(f"'{method}' is not a method; choose one of {', '.join(INTEGRATORS)}")
+    return name, INTEGRATORS[name]
+
+
+def _run_adaptive(
     H: Hamiltonian,
-    z0: np.ndarray,
-    span: tuple[float, float],
-    rtol: float,
-    atol: float,
-    **output: Any,
-) -> Any:
-    with np.errstate(all="ignore"):
-        return scipy.integrate.solve_ivp(
-            _rates(H), span, z0, method="DOP853", rtol=rtol, atol=atol, **output
-        )
+    scheme: Adaptive,
+    ensemble: np.ndarray,
+    times: np.ndarray,
+    tolerances: tuple[float, float],
+) -> tuple[np.ndarray, int, str]:
+    z = np.full((len(ensemble), len(times), H.dim), np.nan)
+    evaluations, message = 0, ""
+    for i, state in enumerate(ensemble):
+        try:
+            states, count, problem = scheme.run(H, state, times, *tolerances)
+        except KeyboardInterrupt:
+            return z, evaluations, "interrupted"
+        z[i, : len(states)] = states
+        evaluations += count
+        message = message or problem
+    return z, evaluations, message
 
 
-def _run_dop853(
-    H: Hamiltonian, z0: np.ndarray, times: np.ndarray, save_every: int, rtol: float, atol: float
-) -> tuple[np.ndarray, str]:
-    result = _dop853(H, z0, (times[0], times[-1]), rtol, atol, t_eval=times)
-    return result.y.T, "" if result.success else result.message
+def _reached(z: np.ndarray, times: np.ndarray, message: str) -> tuple[np.ndarray, np.ndarray, str]:
+    """Trajectories up to the last of them that still has a state, and what to say of it."""
+    finite = np.logical_and.accumulate(np.isfinite(z).all(axis=-1), axis=1)
+    z[~finite] = np.nan
+    counts = finite.sum(axis=1)
+    if counts.min() < len(times):
+        message = message or "the states left the range of numbers"
+    if message:
+        stopped = f"stopped after t = {times[counts.min() - 1]:.6g}: {message}"
+        if len(z) > 1:
+            which = int(np.argmin(counts))
+            number = int((counts < len(times)).sum())
+            stopped = (
+                f"{number} of {len(z):,} trajectories stopped, number {which} first, {stopped}"
+            )
+        message = stopped
+    end = max(int(counts.max()), 1)
+    return z[:, :end], times[:end], message
 
 
-def _run_odeint(
-    H: Hamiltonian, z0: np.ndarray, times: np.ndarray, save_every: int, rtol: float, atol: float
-) -> tuple[np.ndarray, str]:
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", scipy.integrate.ODEintWarning)  # the report says it too
-        states, report = scipy.integrate.odeint(
-            _rates(H),
-            z0,
-            times,
-            rtol=rtol,
-            atol=atol,
-            mxstep=100_000,
-            full_output=True,
-            tfirst=True,
-        )
-    if report["message"] == "Integration successful.":
-        return states, ""
-    # LSODA reports how far it was at each output; the first it did not reach ends the trajectory.
-    ahead = np.sign(times[-1] - times[0]) * (report["tcur"] - times[1:]) >= 0
-    return states[: 1 + (len(ahead) if ahead.all() else int(np.argmin(ahead)))], report["message"]
+def _coupling(H: Hamiltonian, states: np.ndarray, starts: np.ndarray) -> float:
+    system = H.compile("numpy")
+    hessian = system.hessian(*system.arguments(states, starts))
+    J = np.array(H.poisson_matrix, dtype=float)
+    radius = float(np.abs(np.linalg.eigvals(J @ hessian)).max())
+    return 2 * radius if radius > 0 else 1.0
 
 
-#: Every integrator by name.
-INTEGRATORS: dict[str, Integrator] = {
-    "symplectic_euler": Integrator(
-        1,
-        True,
-        "symplectic Euler, q first with p_n, then p with q_n+1",
-        "the paper's eqs. EulerScheme_q and EulerScheme_p; de Vogelaere 1956",
-        _step_loop("symplectic_euler"),
-    ),
-    "symplectic_euler_p": Integrator(
-        1,
-        True,
-        "symplectic Euler, p first with q_n, then q with p_n+1",
-        "the adjoint of symplectic_euler",
-        _step_loop("symplectic_euler_p"),
-    ),
-    "dop853": Integrator(
-        8,
-        False,
-        "Dormand-Prince 8(5,3), adaptive, from scipy",
-        "Hairer, Norsett & Wanner 1993, section II.5",
-        _run_dop853,
-        adaptive=True,
-    ),
-    "odeint": Integrator(
-        12,
-        False,
-        "LSODA, adaptive, from scipy; the paper's ground truth",
-        "Hindmarsh 1983",
-        _run_odeint,
-        adaptive=True,
-    ),
-}
+def _tolerances(rtol: float | None, atol: float | None) -> tuple[float, float]:
+    values = [1e-13 if value is None else value for value in (rtol, atol)]
+    for name, value in zip(("rtol", "atol"), values, strict=True):
+        if not (math.isfinite(value) and value >= 2.3e-14):
+            raise InputError(f"{name}={value!r} cannot be used; give a number from 2.3e-14")
+    return values[0], values[1]
 
 
 def _require_whole(name: str, value: int) -> None:
@@ -335,14 +489,16 @@ def _require_whole(name: str, value: int) -> None:
         raise InputError(f"{name}={value!r} cannot be used; give a whole number from 1")
 
 
-def _require_memory(saves: int, dim: int) -> None:
-    wanted = (saves + 1) * dim * 8
+def _require_memory(saves: int, dim: int, batch: int) -> None:
+    # The states, a copy of them while they are put together, and the energies.
+    wanted = (saves + 1) * (2 * dim + 1) * 8 * batch
     try:
         there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):  # not every system can say
         return
     if wanted > there // 2:
+        states = f"{saves:,} states" + (f" of {batch:,} trajectories" if batch > 1 else "")
         raise InputError(
-            f"{saves:,} states would take {wanted / 2**30:.1f} GiB of {there / 2**30:.1f} GiB; "
+            f"{states} would take {wanted / 2**30:.1f} GiB of {there / 2**30:.1f} GiB; "
             "keep fewer of them with save_every"
         )

@@ -11,9 +11,10 @@ from hamsym.features import March
 
 if TYPE_CHECKING:
     from hamsym.comparison import Comparison
+    from hamsym.integrators import Trajectory
     from hamsym.solution import Solution
 
-__all__ = ["plot_comparison", "plot_solution"]
+__all__ = ["plot_comparison", "plot_solution", "plot_trajectory"]
 
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito
 _SAMPLES = 2_001
@@ -63,6 +64,38 @@ def plot_solution(solution: Solution) -> Figure:
     axes[1, 1].loglog(history.iteration, best, color=_color(0), label="best, at fixed points")
     axes[1, 1].set(title="Loss", xlabel="iteration")
     axes[1, 1].legend(fontsize=8)
+    return figure
+
+
+def plot_trajectory(trajectory: Trajectory) -> Figure:
+    """Components, phase space and the change of H over time, in four panels.
+
+    Of an ensemble the first trajectories are drawn in phase space, and the first one alone over
+    time.
+    """
+    figure, axes = _panels(f"{trajectory.method}, {trajectory.steps:,} steps")
+    ensemble = trajectory.z.ndim == 3
+    z = trajectory.z if ensemble else trajectory.z[None]
+    energy = trajectory.energy if ensemble else trajectory.energy[None]
+    names, d = trajectory.names, len(trajectory.names) // 2
+    every = max(1, len(trajectory.t) // _SAMPLES)
+    t = trajectory.t[::every]
+    for i, name in enumerate(names[:_MAX_LINES]):
+        axes[0, 0].plot(t, z[0, ::every, i], color=_color(i), label=name, linewidth=1)
+    axes[0, 0].set(title="Trajectory", xlabel="t")
+    axes[0, 0].legend(ncols=2, fontsize=8)
+    for k, path in enumerate(z[:_MAX_LINES]):
+        axes[0, 1].plot(path[::every, 0], path[::every, d], ",", color=_color(k))
+        if d > 1:
+            axes[1, 0].plot(path[::every, 0], path[::every, 1], color=_color(k), linewidth=0.5)
+    axes[0, 1].set(title="Phase space", xlabel=names[0], ylabel=names[d])
+    if d > 1:
+        axes[1, 0].set(title="Orbit", xlabel=names[0], ylabel=names[1])
+    else:
+        axes[1, 0].set_axis_off()
+    for k, values in enumerate(energy[:_MAX_LINES]):
+        axes[1, 1].plot(t, (values - values[0])[::every], color=_color(k), linewidth=0.7)
+    axes[1, 1].set(title="H(t) - H(0)", xlabel="t")
     return figure
 
 

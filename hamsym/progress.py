@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from hamsym.training import TrainingState
+if TYPE_CHECKING:  # torch is slow to import, and time stepping does without it
+    from hamsym.training import TrainingState
 
-__all__ = ["training_progress"]
+__all__ = ["stepping_progress", "training_progress"]
 
 
 @contextmanager
@@ -45,3 +48,38 @@ def training_progress(
             )
 
         yield [update]
+
+
+@contextmanager
+def stepping_progress(steps: int, show: bool | None = None) -> Iterator[Callable[[int], None]]:
+    """A function that takes the number of steps done and, after a second, draws how far it is.
+
+    Parameters
+    ----------
+    steps : int
+    show : bool, optional
+        By default only where standard error is a terminal.
+    """
+    console = Console(stderr=True, force_terminal=show)
+    if not (console.is_terminal if show is None else show):
+        yield lambda _: None
+        return
+    columns = (
+        TextColumn("stepping"),
+        BarColumn(bar_width=16),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+    )
+    progress = Progress(*columns, console=console, transient=True)
+    task = progress.add_task("", total=steps)
+    began = time.monotonic()
+
+    def update(more: int) -> None:
+        progress.update(task, advance=more)
+        if time.monotonic() - began > 1 and not progress.live.is_started:
+            progress.start()
+
+    try:
+        yield update
+    finally:
+        progress.stop()

@@ -18,7 +18,7 @@ import pytest
 import sympy
 import torch
 
-from hamsym import Hamiltonian, InputError
+from hamsym import Hamiltonian, InputError, integrate
 from hamsym.codegen import _TEMPLATE_NAMES
 from hamsym.errors import CodeGenerationError
 from hamsym.printing import PRINTERS
@@ -36,7 +36,13 @@ def states(H: Hamiltonian, around: np.ndarray, count: int = 5) -> np.ndarray:
     return around + 0.2 * np.random.default_rng(1).normal(size=(count, H.dim))
 
 
+# At this time the functions of a Hamiltonian with explicit time are called.
+TIME = 0.4
+
+
 def call(system: System, name: str, *arguments: object, **keywords: object) -> np.ndarray:
+    if system.time_dependent and len(arguments) == (2 if name in ("residual", "loss") else 1):
+        arguments = (*arguments, TIME)
     if system.backend == "torch":
         arguments = tuple(torch.tensor(a) if isinstance(a, np.ndarray) else a for a in arguments)
     return array(getattr(system, name)(*arguments, **keywords))
@@ -51,6 +57,7 @@ def sympy_values(H: Hamiltonian, z: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     first = [sympy.diff(expr, v) for v in variables]
     second = [[sympy.diff(f, v) for v in variables] for f in first]
     values = {sympy.Symbol(name, real=True): v for name, v in H.parameters.items()}
+    values[sympy.Symbol("t", real=True)] = TIME
 
     def at(e: sympy.Expr, point: np.ndarray) -> float:
         exact = dict(zip(variables, map(sympy.Float, point), strict=True))
@@ -96,6 +103,9 @@ def test_all_functions_against_sympy(problem: Problem, backend: str) -> None:
         np.testing.assert_allclose(call(system, "vector_field", z), gradient @ J.T, **close)
         np.testing.assert_allclose(call(system, "hessian", z), hessian, **close)
         np.testing.assert_allclose(call(system, "residual", z, dz), residual, **close)
+        if H.time is not None:  # there is no energy penalty then
+            np.testing.assert_allclose(call(system, "loss", z, dz), loss, **close)
+            continue
         np.testing.assert_allclose(call(system, "loss", z, dz, 0.7), loss, **close)
         weighted = call(system, "loss", z, dz, 0.7, 2.5)
         np.testing.assert_allclose(weighted, loss + 2.5 * penalty, **close)
@@ -105,9 +115,9 @@ def test_derivatives_against_autograd(problem: Problem, backend: str) -> None:
     z = states(problem.H, np.array(problem.z0), count=4)
     torch_system, system = problem.H.compile("torch"), problem.H.compile(backend)
     for point in z:
-        tensor = torch.tensor(point)
-        gradient = torch.func.grad(torch_system.energy)(tensor).numpy()
-        hessian = torch.func.hessian(torch_system.energy)(tensor).numpy()
+        arguments = torch_system.arguments(torch.tensor(point), TIME)
+        gradient = torch.func.grad(torch_system.energy)(*arguments).numpy()
+        hessian = torch.func.hessian(torch_system.energy)(*arguments).numpy()
         np.testing.assert_allclose(call(system, "gradient", point), gradient, atol=1e-12)
         np.testing.assert_allclose(call(system, "hessian", point), hessian, atol=1e-11)
 
@@ -142,7 +152,8 @@ def test_shapes_and_dtypes_follow_the_input(problem: Problem, backend: str) -> N
                 assert (value.shape, value.dtype) == (shape, dtype), name
             assert call(system, "residual", z, z).shape == (*batch, dim)
             assert call(system, "residual", z, z).dtype == dtype
-            assert call(system, "loss", z, z, 0.5, 1.0).shape == ()
+            penalty = (0.5, 1.0) if H.time is None else ()
+            assert call(system, "loss", z, z, *penalty).shape == ()
 
 
 def test_states_of_the_wrong_length_are_refused(backend: str) -> None:
@@ -383,7 +394,8 @@ def test_unknown_backend_or_part(arguments: tuple[str, ...], message: str) -> No
 
 def test_step_loops_are_parts_of_numba_source() -> None:
     H = Hamiltonian("p**2 + x**2")
-    assert "x = x + step_size*(2*p)" in H.source("numba", part="symplectic_euler")
+    assert "x = x + drift*(2*p)" in H.source("numba", part="splitting")
+    assert "p = p - kick*(2*x)" in H.source("numba", part="splitting")
 
 
 # -- names ---------------------------------------------------------------------------------------
@@ -392,11 +404,13 @@ def test_step_loops_are_parts_of_numba_source() -> None:
 def test_every_name_of_the_templates_is_reserved(problem: Problem, backend: str) -> None:
     tree = ast.parse(problem.H.source(backend))
     # No name of the user's gets into these.
-    tree.body = [n for n in tree.body if getattr(n, "name", "") not in ("_solve", "_floating")]
+    tree.body = [n for n in tree.body if getattr(n, "name", "") not in ("_factor", "_floating")]
     bound = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name)}
     bound |= {a.arg for a in ast.walk(tree) if isinstance(a, ast.arg)}
     bound |= {n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)}
-    users = {*problem.H.names, *(f"d{n}" for n in problem.H.names), *problem.H.parameter_names}
+    H = problem.H
+    users = {f"{mark}{name}" for name in H.names for mark in ("", "d")} | set(H.parameter_names)
+    users |= {f"{name}_low" for name in H.names}
     template = {n for n in bound - users if not n.startswith("_") and not n[1:].isdigit()}
     assert template <= _TEMPLATE_NAMES | set(dir(builtins))
 
@@ -441,11 +455,9 @@ def test_names_that_mean_something_in_the_code(
     identifiers = {n.id for n in ast.walk(ast.parse(system.source)) if isinstance(n, ast.Name)}
     assert not any(keyword.iskeyword(name) for name in identifiers)
     if backend == "numba":
-        for loop in system.step_loops.values():
-            out = np.empty((2, H.dim))
-            values = [parameters[name] for name in H.parameter_names]
-            assert loop(z[0], out, 0.0, 1e-3, 1, 1, *values) == 1
-            np.testing.assert_allclose((out[1] - z[0]) / 1e-3, z[0] - residual[0], atol=0.1)
+        for method in ("symplectic_euler", "gauss4", "tao2"):
+            first = integrate(H, z[0], (0, 1e-3), method, steps=1).z[-1]
+            np.testing.assert_allclose((first - z[0]) / 1e-3, z[0] - residual[0], atol=0.1)
 
 
 def test_large_systems_take_out_common_subexpressions() -> None:
@@ -468,11 +480,14 @@ def test_torch_functions_under_vmap_and_on_another_device(problem: Problem) -> N
     system = problem.H.compile("torch")
     z = torch.tensor(states(problem.H, np.array(problem.z0)))
     for name in ("energy", "gradient", "vector_field", "hessian"):
+        arguments = system.arguments((), torch.tensor(TIME, dtype=z.dtype))[1:]
         function = getattr(system, name)
-        torch.testing.assert_close(torch.func.vmap(function)(z), function(z))
+        each = torch.func.vmap(lambda point, f=function, a=arguments: f(point, *a))(z)
+        torch.testing.assert_close(each, function(z, *arguments))
         # The meta device computes shapes only, and refuses tensors that were made elsewhere.
-        assert function(z.to("meta")).device.type == "meta"
-    assert system.loss(z.to("meta"), z.to("meta"), 0.0, 1.0).device.type == "meta"
+        assert function(z.to("meta"), *arguments).device.type == "meta"
+    more = arguments or (0.0, 1.0)
+    assert system.loss(z.to("meta"), z.to("meta"), *more).device.type == "meta"
 
 
 # -- alone -----------------------------------------------------------------------------------------

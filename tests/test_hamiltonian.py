@@ -57,9 +57,10 @@ def test_sigma_min_agrees_with_singular_values(problem: Problem) -> None:
     generator = np.random.default_rng(0)
     for _ in range(5):
         z = generator.normal(size=H.dim)
-        matrix = H.compile("numpy").hessian(z)
+        system = H.compile("numpy")
+        matrix = system.hessian(*system.arguments(z, 0.4))
         expected = np.linalg.svd(matrix, compute_uv=False).min()
-        point = dict(zip(H.z, z, strict=True)) | values
+        point = dict(zip(H.z, z, strict=True)) | values | {sympy.Symbol("t", real=True): 0.4}
         assert float(H.sigma_min.subs(point)) == pytest.approx(expected, abs=1e-12)
 
 

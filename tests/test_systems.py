@@ -3,13 +3,50 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+import sympy
 
 from hamsym import InputError, systems
 from hamsym.integrators import reference
-from hamsym.systems import CATALOGUE, Problem
+from hamsym.parsing import parse_expression
+from hamsym.systems import CATALOGUE, Problem, fermi_pasta_ulam_tsingou
+
+Make = Callable[[], Problem]
+
+#: Arguments other than the usual ones; those that exist are tested like the catalogue itself.
+VARIANTS: dict[str, Make] = {
+    **{f"toda_chain {n}": lambda n=n: systems.toda_chain(n) for n in (2, 4, 5, 6)},
+    **{
+        f"calogero_moser {n}, {omega}": lambda n=n, omega=omega: systems.calogero_moser(n, 1, omega)
+        for n in (2, 3, 4, 5, 6)
+        for omega in (0.0, 0.3, 1.0)
+    },
+    "calogero_moser, weak": lambda: systems.calogero_moser(g=0.05),
+    "calogero_moser, strong": lambda: systems.calogero_moser(g=10.0, omega=3.0),
+    **{
+        f"driven_oscillator {drive}": lambda drive=drive: systems.driven_oscillator(drive=drive)
+        for drive in (0.0, 0.99, 1 - 1e-6, 1 - 1e-10, 1.0, 1 + 1e-8, 1.3, 7.0)
+    },
+    "driven_oscillator, fast": lambda: systems.driven_oscillator(2.5, 2.5, force=-3.0),
+    **{
+        f"morse_oscillator from {x}, {p}": lambda x=x, p=p: systems.morse_oscillator(x=x, p=p)
+        for x, p in ((-0.6, 0.0), (0.0, 1.0), (0.0, -1.0), (0.0, 0.0), (3.0, 0.0), (6.0, 0.001))
+    },
+    "morse_oscillator, deep": lambda: systems.morse_oscillator(8.0, 0.5, 1.0, -2.0),
+    **{
+        f"fermi_pasta_ulam_tsingou {n}, linear": lambda n=n: fermi_pasta_ulam_tsingou(n, 0.0, 0.0)
+        for n in (2, 5, 8)
+    },
+    "coupled_oscillators 5": lambda: systems.coupled_oscillators(5, coupling=2.0),
+    "kepler, circle": lambda: systems.kepler(0.0),
+    "charged_particle, left": lambda: systems.charged_particle(-2.5),
+}
+ALL = CATALOGUE | VARIANTS
+EXACT = [name for name, make in ALL.items() if make().exact]
+CONSERVING = [name for name, make in ALL.items() if make().conserved]
 
 
 def test_starts_fit(problem: Problem) -> None:
@@ -29,8 +66,99 @@ def test_exact_solution_starts_right_and_solves_the_equations(problem: Problem) 
     t = np.linspace(*problem.span, 41)[1:-1]
     h = 1e-3
     slope = (8 * (truth(t + h) - truth(t - h)) - (truth(t + 2 * h) - truth(t - 2 * h))) / (12 * h)
-    flow = problem.H.compile("numpy").vector_field(truth(t))
+    system = problem.H.compile("numpy")
+    flow = system.vector_field(*system.arguments(truth(t), t))
     np.testing.assert_allclose(slope, flow, atol=1e-8)
+
+
+@pytest.mark.parametrize("end", [1, -1], ids=["forwards", "backwards"])
+@pytest.mark.parametrize("name", EXACT)
+def test_exact_solution_agrees_with_integration(name: str, end: int) -> None:
+    problem = ALL[name]()
+    span = (0.0, end * problem.span[1])
+    t = np.linspace(*span, 201)
+    truth = reference(problem.H, problem.z0, span)
+    with np.errstate(all="raise", under="ignore"):
+        z = problem.exact(t)
+    np.testing.assert_allclose(z, truth(t), rtol=0, atol=1e-10)
+    if name != "morse_oscillator from 0.0, 0.0":
+        assert np.abs(z - problem.z0).max() > 0.1
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_exact_solution_of_any_number_of_times(name: str) -> None:
+    problem = ALL[name]()
+    z = problem.exact(np.array([1.0, 2.0]))
+    assert problem.exact(np.array([])).shape == (0, problem.H.dim)
+    np.testing.assert_allclose(problem.exact(np.array([2.0])), z[1:], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(problem.exact(np.array(2)), z[1], rtol=0, atol=1e-14)
+
+
+# -- first integrals -----------------------------------------------------------------------------
+
+
+def random_point(problem: Problem) -> dict[sympy.Symbol, sympy.Float]:
+    """A state near the start, a time, and the values of the parameters, in 50 digits."""
+    H = problem.H
+    state = np.array(problem.z0) + 0.2 * np.random.default_rng(3).normal(size=H.dim)
+    values = dict(zip(H.names, state.tolist(), strict=True)) | dict(H.parameters) | {"t": 1.7}
+    return {sympy.Symbol(name, real=True): sympy.Float(v, 50) for name, v in values.items()}
+
+
+def rate(problem: Problem, formula: str, point: dict[sympy.Symbol, sympy.Float]) -> float:
+    """How fast a function of the state and the time changes along the trajectory there."""
+    f = parse_expression(formula)
+    change = problem.H.poisson_bracket(f, problem.H.expr) + f.diff(sympy.Symbol("t", real=True))
+    return abs(float(change.xreplace(point)))
+
+
+def slopes(problem: Problem, f: sympy.Expr, point: dict[sympy.Symbol, sympy.Float]) -> list[float]:
+    return [float(f.diff(symbol).xreplace(point)) for symbol in problem.H.z]
+
+
+@pytest.mark.parametrize("name", CONSERVING)
+def test_conserved_quantities(name: str) -> None:
+    problem = ALL[name]()
+    point = random_point(problem)
+    of_H = slopes(problem, problem.H.expr, point)
+    for formula in problem.conserved:
+        assert rate(problem, formula, point) < 1e-25
+        assert rate(problem, f"{formula} + {problem.H.names[0]}/1000", point) > 1e-6
+        # Neither a number nor a function of H.
+        of_f = slopes(problem, parse_expression(formula), point)
+        assert np.linalg.matrix_rank(np.array([of_f, of_H]), tol=1e-6) == 2
+
+
+@pytest.mark.parametrize("name", ["kepler", "charged_particle", "toda_chain"])
+def test_conserved_whatever_the_parameters(name: str) -> None:
+    problem = CATALOGUE[name]()
+    assert problem.conserved
+    assert all(problem.H.is_conserved(formula) for formula in problem.conserved)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+@pytest.mark.parametrize("make", [systems.toda_chain, systems.coupled_oscillators])
+def test_chains_are_integrable(make: Callable[[int], Problem], n: int) -> None:
+    """As many first integrals as pairs, independent and in involution."""
+    problem = make(n)
+    assert len(problem.conserved) == n - 1
+    point = random_point(problem)
+    integrals = [problem.H.expr, *map(parse_expression, problem.conserved)]
+    gradients = np.array([slopes(problem, f, point) for f in integrals])
+    assert np.linalg.matrix_rank(gradients, tol=1e-6) == n
+    for f in integrals:
+        for g in integrals:
+            assert abs(float(problem.H.poisson_bracket(f, g).xreplace(point))) < 1e-25
+
+
+def test_long_chains_are_not_written_out() -> None:
+    assert systems.toda_chain(13).exact is None
+    assert len(systems.toda_chain(13).conserved) == 5
+    assert systems.coupled_oscillators(13).conserved == ()
+    assert len(systems.coupled_oscillators(12).conserved) == 11
+
+
+# -- periods, parameters -------------------------------------------------------------------------
 
 
 def test_period(problem: Problem) -> None:
@@ -76,6 +204,48 @@ def test_kepler_as_usual() -> None:
     assert problem.period == pytest.approx(2 * math.pi)
 
 
+@pytest.mark.parametrize("x", [1e-3, 1.5, 6.0, 16.0])
+def test_morse_oscillator_near_the_bottom_and_near_dissociation(x: float) -> None:
+    problem = systems.morse_oscillator(x=x)
+    t = np.linspace(0, problem.period, 1001)
+    z = problem.exact(t)
+    energy = (1 - math.exp(-x)) ** 2
+    np.testing.assert_allclose(problem.H.compile("numpy").energy(z), energy, rtol=1e-11)
+    np.testing.assert_allclose(z[-1], problem.z0, atol=1e-10)
+    assert z[:, 0].min() == pytest.approx(-math.log(1 + math.sqrt(energy)), rel=1e-9)
+
+
+@pytest.mark.parametrize("drive", [1 - 1e-9, 1 + 1e-9, 1 - 1e-15, 1 + 1e-13])
+def test_driven_oscillator_reaches_resonance_without_a_jump(drive: float) -> None:
+    t = np.linspace(-30, 30, 601)
+    resonance = systems.driven_oscillator(drive=1.0).exact(t)
+    near = systems.driven_oscillator(drive=drive).exact(t)
+    # The phases of the drives differ by (drive - 1) t at time t.
+    assert np.abs(near - resonance).max() < 30**2 * abs(drive - 1) + 1e-13
+    assert np.abs(resonance[:, 0]).max() > 6
+
+
+@pytest.mark.parametrize("which", ["alpha", "beta"])
+def test_fermi_pasta_ulam_tsingou_chain_tends_to_the_harmonic_one(which: str) -> None:
+    linear = fermi_pasta_ulam_tsingou(alpha=0.0, beta=0.0)
+    t = np.linspace(*linear.span, 101)
+    distances = []
+    for value in (1e-4, 2e-4):
+        problem = fermi_pasta_ulam_tsingou(**{"alpha": 0.0, "beta": 0.0, which: value})
+        assert (problem.exact, problem.period, problem.conserved) == (None, None, ())
+        z = reference(problem.H, problem.z0, problem.span)(t)
+        distances.append(np.abs(z - linear.exact(t)).max())
+    assert distances[0] > 1e-5
+    assert distances[1] / distances[0] == pytest.approx(2, rel=0.01)
+
+
+def test_spring_bounces_twice_while_it_swings_once() -> None:
+    hessian = systems.spring_pendulum().H.compile("numpy").hessian([0.0, -1.0, 0.0, 0.0])
+    np.testing.assert_allclose(hessian[:2, :2], np.diag([1.0, 4.0]), atol=1e-14)
+    rates = systems.spring_pendulum().H.compile("numpy").vector_field([0.0, -1.0, 0.0, 0.0])
+    np.testing.assert_allclose(rates, 0, atol=1e-14)
+
+
 @pytest.mark.parametrize(
     "make",
     [
@@ -84,6 +254,29 @@ def test_kepler_as_usual() -> None:
         lambda: systems.kepler(1.0),
         lambda: systems.kepler(-0.1),
         lambda: systems.coupled_oscillators(0),
+        lambda: systems.coupled_oscillators(2.0),  # type: ignore[arg-type]
+        lambda: fermi_pasta_ulam_tsingou(1),
+        lambda: fermi_pasta_ulam_tsingou(True),
+        lambda: systems.toda_chain(1),
+        lambda: systems.toda_chain(3.0),  # type: ignore[arg-type]
+        lambda: systems.calogero_moser(1),
+        lambda: systems.calogero_moser(g=0.0),
+        lambda: systems.calogero_moser(omega=-1.0),
+        lambda: systems.calogero_moser(omega=math.inf),
+        lambda: systems.morse_oscillator(depth=0.0),
+        lambda: systems.morse_oscillator(a=-1.0),
+        lambda: systems.morse_oscillator(depth=1.0, x=0.0, p=math.sqrt(2)),  # energy D
+        lambda: systems.morse_oscillator(x=-0.7),
+        lambda: systems.morse_oscillator(x=-1e6),
+        lambda: systems.morse_oscillator(x=1e6),
+        lambda: systems.morse_oscillator(p=1e200),
+        lambda: systems.morse_oscillator(x=math.nan),
+        lambda: systems.driven_oscillator(omega=0.0),
+        lambda: systems.driven_oscillator(drive=-1.0),
+        lambda: systems.driven_oscillator(drive=math.nan),
+        lambda: systems.spring_pendulum(stiffness=0.0),
+        lambda: systems.spring_pendulum(length=-1.0),
+        lambda: systems.spring_pendulum(gravity=math.inf),
     ],
 )
 def test_unusable_arguments(make: object) -> None:

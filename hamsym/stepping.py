@@ -1,0 +1,227 @@
+"""Steps of equal size with the generated loops, for one trajectory or an ensemble of them.
+
+Input:  a Hamiltonian, a scheme of :mod:`hamsym.schemes`, states of shape (n, dim).
+Output: states of shape (n, saves, dim), and what became of each trajectory.
+
+The work is cut into pieces of about a tenth of a second, so that progress can be shown and an
+interruption keeps what was done, and ensembles are divided between the processor's cores. Neither
+changes a bit of the result.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hamsym import codegen
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.progress import stepping_progress
+from hamsym.schemes import Doubled, RungeKutta, Scheme, Splitting
+
+__all__ = ["Stepper", "Stepping"]
+
+# Component updates in a piece, and from where on a second core pays.
+_PIECE, _WORTH_THREADS = 20_000_000, 200_000
+# From so many trajectories on, taking each flow together is faster than one after the other.
+_ENSEMBLE = 4
+
+
+@dataclass
+class Stepping:
+    """What a number of steps led to.
+
+    Attributes
+    ----------
+    states : numpy.ndarray
+        After every save_every steps, shape (n, saves, dim); nan after the last step that could be
+        done.
+    steps : numpy.ndarray
+        Steps done by each trajectory, shape (n,).
+    evaluations : int
+        Of the force, the gradient or the vector field, all trajectories together.
+    interrupted : bool
+        Whether Ctrl-C ended it.
+    """
+
+    states: np.ndarray = field(repr=False)
+    steps: np.ndarray
+    evaluations: int
+    interrupted: bool = False
+
+
+class Stepper:
+    """Trajectories that advance together, step by step, and keep their place between calls.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+        With a value for every parameter.
+    scheme : Scheme
+    name : str
+        What the method is called in errors.
+    states : numpy.ndarray
+        Shape (n, dim).
+    starts, sizes : numpy.ndarray
+        First time and step size of each trajectory, shape (n,).
+    compensated : bool
+        Whether round-off is carried from step to step.
+    tangents : numpy.ndarray, optional
+        Vectors to be moved by the derivative of the steps, shape (n, width, k), where width is
+        dim (for a :class:`Doubled` scheme 2 dim).
+    omega : float
+        Coupling of a :class:`Doubled` scheme.
+
+    Raises
+    ------
+    InputError
+        If the scheme splits H and H is not separable.
+    """
+
+    def __init__(
+        self,
+        H: Hamiltonian,
+        scheme: Scheme,
+        name: str,
+        states: np.ndarray,
+        starts: np.ndarray,
+        sizes: np.ndarray,
+        *,
+        compensated: bool = False,
+        tangents: np.ndarray | None = None,
+        omega: float = 0.0,
+    ) -> None:
+        count, self._dim = states.shape
+        self.scheme = scheme
+        self._loop = _loop(H, scheme, name, count, compensated, tangents is not None)
+        self._states = np.zeros((count, scheme.width(self._dim)))
+        self._states[:, : self._dim] = states
+        if isinstance(scheme, Doubled):
+            self._states[:, self._dim :] = states
+        self._low = np.zeros_like(self._states)
+        self.tangents = np.zeros((count, 1, 0)) if tangents is None else tangents
+        self._done = np.zeros((count, 2), dtype=np.int64)
+        self._starts, self._sizes = np.ascontiguousarray(starts), np.ascontiguousarray(sizes)
+        self._first = 0
+        implicit_euler = isinstance(scheme, Splitting) and not H.is_separable
+        self._constants: list[Any] = [] if implicit_euler else list(scheme.arrays())
+        if isinstance(scheme, Doubled):
+            self._constants.append(float(omega))
+        self._constants += [H.parameters[parameter] for parameter in H.parameter_names]
+
+    @property
+    def states(self) -> np.ndarray:
+        """Where the trajectories are, shape (n, dim)."""
+        return self._states[:, : self._dim]
+
+    def turn_back(self) -> None:
+        """From here on, step towards where the trajectories came from."""
+        self._starts = self._starts + self._sizes * self._first
+        self._sizes = -self._sizes
+        self._first = 0
+
+    def advance(self, saves: int, save_every: int = 1, *, show: bool | None = None) -> Stepping:
+        """Do saves*save_every steps and keep the states after every save_every of them."""
+        count = len(self._states)
+        before = self._done.copy()
+        out = np.full((count, saves, self._dim), np.nan)
+        interrupted = False
+        work = count * self._dim * self.scheme.stages
+        cores = min(_cores(), count) if work * saves * save_every > _WORTH_THREADS else 1
+        with stepping_progress(saves * save_every, show) as progress:
+            pool = ThreadPoolExecutor(cores) if cores > 1 else None
+            try:
+                for save, part, every in _pieces(saves, save_every, max(1, _PIECE // work)):
+                    out[:, save : save + part] = self._run(pool, cores, part, every)
+                    progress(part * every)
+                    if not np.isfinite(self._states).all(axis=1).any():
+                        break
+            except KeyboardInterrupt:
+                interrupted = True
+            finally:
+                if pool is not None:
+                    pool.shutdown()
+        moved = self._done - before
+        if moved[:, 1].any():  # counted, since it depends on the iterations
+            evaluations = int(moved[:, 1].sum())
+        else:
+            evaluations = int(moved[:, 0].sum()) * self.scheme.stages
+        return Stepping(out, moved[:, 0], evaluations, interrupted)
+
+    def _run(
+        self, pool: ThreadPoolExecutor | None, cores: int, saves: int, every: int
+    ) -> np.ndarray:
+        out = np.full((len(self._states), saves, self._dim), np.nan)
+        before = self._done[:, 0].copy()
+        edges = np.linspace(0, len(self._states), cores + 1).astype(int)
+        futures = []
+        for group in map(slice, edges[:-1], edges[1:]):
+            arguments = (
+                self._states[group],
+                self._low[group],
+                self.tangents[group],
+                out[group],
+                self._done[group],
+                self._starts[group],
+                self._sizes[group],
+                self._first,
+                saves,
+                every,
+                *self._constants,
+            )
+            if pool is None:
+                self._loop(*arguments)
+            else:
+                futures.append(pool.submit(self._loop, *arguments))
+        for future in futures:
+            future.result()
+        self._first += saves * every
+        # Where a step could not be solved there is nothing to go on from.
+        self._states[self._done[:, 0] - before < saves * every] = np.nan
+        return out
+
+
+def _loop(
+    H: Hamiltonian, scheme: Scheme, name: str, count: int, compensated: bool, tangent: bool
+) -> Callable[..., None]:
+    # H.compile("numba") would compile more than this loop.
+    loops = codegen.load(H.source("numba"), "numba", H.names).step_loops
+    if isinstance(scheme, RungeKutta):
+        return loops["implicit"]
+    if isinstance(scheme, Doubled):
+        return loops["doubled"]
+    if H.is_separable:
+        if tangent:
+            return loops["splitting_tangent"]
+        ensemble = "_ensemble" if count >= _ENSEMBLE else ""
+        return loops[f"splitting{ensemble}{'_compensated' if compensated else ''}"]
+    if name in loops:
+        return loops[name]
+    raise InputError(
+        f"{name} needs H = T(p) + V(q), and this H is not separable; choose a method for any H, "
+        "such as gauss4, implicit_midpoint or tao4"
+    )
+
+
+def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[int, int, int]]:
+    """(first save, saves, steps each); a save that takes several pieces is written by each."""
+    if save_every <= piece:
+        together = piece // save_every
+        for save in range(0, saves, together):
+            yield save, min(together, saves - save), save_every
+        return
+    for save in range(saves):
+        for step in range(0, save_every, piece):
+            yield save, 1, min(piece, save_every - step)
+
+
+def _cores() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not every system can say
+        return os.cpu_count() or 1
