@@ -29,22 +29,29 @@ if TYPE_CHECKING:
     from hamsym.archive import load
     from hamsym.comparison import Comparison, compare
     from hamsym.integrators import Trajectory, integrate
+    from hamsym.sections import Section, section
     from hamsym.solution import Solution
     from hamsym.solving import solve
     from hamsym.training import Regularizer
+    from hamsym.variational import LyapunovExponents, lyapunov, monodromy
 
 __all__ = [
     "Comparison",
     "Hamiltonian",
     "HamsymError",
     "InputError",
+    "LyapunovExponents",
     "Regularizer",
+    "Section",
     "Solution",
     "System",
     "Trajectory",
     "compare",
     "integrate",
     "load",
+    "lyapunov",
+    "monodromy",
+    "section",
     "solve",
     "systems",
 ]
@@ -54,12 +61,17 @@ __version__ = version("hamsym")
 # Deriving and generating must not wait for torch and scipy to be imported.
 _LAZY = {
     "Comparison": "hamsym.comparison",
+    "LyapunovExponents": "hamsym.variational",
     "Regularizer": "hamsym.training",
+    "Section": "hamsym.sections",
     "Solution": "hamsym.solution",
     "Trajectory": "hamsym.integrators",
     "compare": "hamsym.comparison",
     "integrate": "hamsym.integrators",
     "load": "hamsym.archive",
+    "lyapunov": "hamsym.variational",
+    "monodromy": "hamsym.variational",
+    "section": "hamsym.sections",
     "solve": "hamsym.solving",
 }
 

@@ -1,4 +1,4 @@
-"""The command line: derive, source, solve, integrate, compare.
+"""The command line: derive, source, solve, integrate, lyapunov, section, compare.
 
 Results go to standard output, progress and complaints to standard error. The exit status is 0 if
 all went well, 1 if a solution was found wanting, 2 on bad input, with one line that says why.
@@ -121,6 +121,66 @@ def _span_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
+def _starts_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """As :func:`_span_options`, with any number of starts."""
+
+    @click.option(
+        "--z0",
+        "starts",
+        required=True,
+        multiple=True,
+        metavar="STATE",
+        help="Such as x=1.3,p=1; again for each further trajectory.",
+    )
+    @click.option("--t-start", default="0", metavar="TIME", show_default=True)
+    @click.option("--t-end", required=True, metavar="TIME", help='Such as 20 or "4*pi".')
+    @functools.wraps(command)
+    def wrapped(
+        H: Hamiltonian, starts: tuple[str, ...], t_start: str, t_end: str, **options: Any
+    ) -> Any:
+        span = (parse_number(t_start), parse_number(t_end))
+        energy = options.pop("energy", None)
+        states: list[Any] = [_state(start) for start in starts]
+        if energy is not None:
+            states = [
+                H.state_at_energy(parse_number(energy), _by_name(state), span[0])
+                for state in states
+            ]
+        arrays = [H.state_from(state) for state in states]
+        return command(H, arrays[0] if len(arrays) == 1 else np.array(arrays), span, **options)
+
+    return wrapped
+
+
+def _by_name(state: Any) -> dict[str, float]:
+    if not isinstance(state, dict):
+        raise InputError("with --energy a start is given by name, such as x=0,y=0.1,p_y=0")
+    return state
+
+
+def _step_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    @click.option("--steps", type=int, help="Number of equal steps.")
+    @click.option("--dt", metavar="TIME", help="In place of it, the largest step.")
+    @functools.wraps(command)
+    def wrapped(*arguments: Any, dt: str | None, **options: Any) -> Any:
+        return command(*arguments, dt=None if dt is None else parse_number(dt), **options)
+
+    return wrapped
+
+
+_figure_option = click.option(
+    "--plot", "figure", type=click.Path(), metavar="FILE", help="Draw a figure."
+)
+
+
+def _show_methods(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if wanted:
+        from hamsym.integrators import listing
+
+        click.echo(listing())
+        context.exit()
+
+
 def _solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Options of the methods; what is not given is left to the method's own default."""
     choice = click.Choice
@@ -152,7 +212,7 @@ def _solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--checkpoint", type=click.Path(), metavar="FILE", help="Go on from there."),
         click.option("--dtype", type=choice(["float64", "float32"]), help="[float64]"),
         click.option("--seed", default=0, show_default=True),
-        click.option("--plot", "figure", type=click.Path(), metavar="FILE", help="Draw a figure."),
+        _figure_option,
     )
 
     @functools.wraps(command)
@@ -281,56 +341,194 @@ def solve(
     return 0 if solution.success else 1
 
 
+_METHODS = "hamsym integrate --list shows the methods."
+
+
 @cli.command()
+@click.option(
+    "--list",
+    is_eager=True,
+    is_flag=True,
+    expose_value=False,
+    callback=_show_methods,
+    help="Show the methods and exit.",
+)
 @_hamiltonian_options
-@_span_options
+@_starts_options
 @click.option("--method", default="symplectic_euler", show_default=True, metavar="NAME")
-@click.option("--steps", default=20_000, show_default=True)
+@_step_options
 @click.option("--save-every", default=1, show_default=True, help="Keep every so many steps.")
+@click.option("--compensated", is_flag=True, help="Carry round-off from step to step.")
+@click.option("--omega", type=float, help="Coupling of tao2 and tao4.")
+@click.option("--rtol", type=float, help="Of dop853 and odeint  [1e-13]")
+@click.option("--atol", type=float, help="Of dop853 and odeint  [1e-13]")
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="States as .csv or .npz.")
+@_figure_option
 def integrate(
-    H: Hamiltonian, z0: Any, span: tuple[float, float], output: str | None, **options: Any
+    H: Hamiltonian,
+    z0: Any,
+    span: tuple[float, float],
+    output: str | None,
+    figure: str | None,
+    **options: Any,
 ) -> int:
     """Integrate with a time-stepping method; exit 1 if it had to stop early."""
     from hamsym.integrators import integrate as run
 
-    if output is not None and Path(output).suffix not in (".csv", ".npz"):
-        raise InputError(f"'{output}' is neither .csv nor .npz; choose one of these endings")
+    _check_table(output)
+    _check_figure(figure)
     trajectory = run(H, z0, span, **options)
-    drift = float(np.abs(trajectory.energy - trajectory.energy[0]).max())
     click.echo(trajectory.message)
+    ensemble = trajectory.z.ndim == 3
+    z, energy = (
+        (trajectory.z[0], trajectory.energy[0]) if ensemble else (trajectory.z, trajectory.energy)
+    )
+    if ensemble:
+        click.echo(f"{len(trajectory.z):,} trajectories, the first of them:")
     click.echo(f"{'':<12}{'start':>24}{'end':>24}")
-    rows = [("t", trajectory.t), *zip(H.names, trajectory.z.T, strict=True)]
-    for name, values in [*rows, ("H", trajectory.energy)]:
+    for name, values in [("t", trajectory.t), *zip(H.names, z.T, strict=True), ("H", energy)]:
         click.echo(f"{name:<12}{values[0]:>24.15g}{values[-1]:>24.15g}")
+    drift = np.nanmax(np.abs(trajectory.energy - trajectory.energy[..., :1]))
     click.echo(f"largest change of H: {drift:.3e}")
+    click.echo(f"{trajectory.evaluations:,} evaluations, {trajectory.seconds:.3g} s")
     if output is not None:
-        _write_states(output, trajectory)
-        click.echo(f"wrote {output}")
+        count = len(trajectory.z) if ensemble else 1
+        columns = {"t": np.tile(trajectory.t, count)}
+        if ensemble:
+            columns = {"trajectory": np.repeat(np.arange(count), len(trajectory.t)), **columns}
+        states = trajectory.z.reshape(-1, H.dim)
+        columns |= dict(zip(H.names, states.T, strict=True)) | {"H": trajectory.energy.ravel()}
+        arrays = {"t": trajectory.t, "z": trajectory.z, "energy": trajectory.energy}
+        _write_table(output, columns, arrays)
+    if figure is not None:
+        _save_figure(trajectory.plot(), figure)
     return 0 if trajectory.success else 1
+
+
+@cli.command(epilog=_METHODS)
+@_hamiltonian_options
+@_span_options
+@click.option("--method", metavar="NAME", help="[blanes_moan6, or gauss6 if not separable]")
+@_step_options
+@click.option("--count", default=1, show_default=True, help="How many exponents.")
+@click.option("--seed", default=0, show_default=True)
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="History, .csv or .npz.")
+@_figure_option
+def lyapunov(
+    H: Hamiltonian,
+    z0: Any,
+    span: tuple[float, float],
+    output: str | None,
+    figure: str | None,
+    **options: Any,
+) -> int:
+    """Lyapunov exponents, and what a finite time says of them."""
+    from hamsym.variational import lyapunov as run
+
+    _check_table(output)
+    _check_figure(figure)
+    found = run(H, z0, span, **options)
+    _echo_wrapped("", found.statement)
+    names = [f"exponent {k + 1}" for k in range(found.exponents.shape[1])]
+    if len(names) > 1:
+        click.echo("at the end: " + ", ".join(f"{value:.4g}" for value in found.exponents[-1]))
+    click.echo(f"\n{'t':>14}" + "".join(f"{name:>14}" for name in names[:4]))
+    shown = np.unique(np.searchsorted(np.abs(found.t - found.start), _decades(found)))
+    for row in shown[shown < len(found.t)]:
+        values = "".join(f"{value:>14.4e}" for value in found.exponents[row, :4])
+        click.echo(f"{found.t[row]:>14.6g}{values}")
+    if H.time is None:
+        click.echo(f"largest change of H: {found.energy_error:.1e}")
+    click.echo(f"{found.message}, {found.seconds:.2g} s")
+    if output is not None:
+        columns = {"t": found.t, **dict(zip(names, found.exponents.T, strict=True))}
+        _write_table(output, columns, {"t": found.t, "exponents": found.exponents})
+    if figure is not None:
+        _save_figure(found.plot(), figure)
+    return 0 if found.success else 1
+
+
+def _decades(found: Any) -> np.ndarray:
+    """Times at which the table has a line: ten in each tenfold of time at most, and the end."""
+    end = abs(found.t[-1] - found.start)
+    return np.append(end * 10.0 ** np.arange(-3, 0, 0.5), end * (1 - 1e-12))
+
+
+@cli.command("section", epilog=_METHODS)
+@_hamiltonian_options
+@_starts_options
+@click.option("--at", "surface", required=True, metavar="SURFACE", help='"x = 0, p_x > 0"')
+@click.option("--energy", metavar="NUMBER", help="Of starts that lack one component.")
+@click.option("--method", metavar="NAME", help="[blanes_moan6, or gauss6 if not separable]")
+@_step_options
+@click.option("--crossings", type=int, help="Stop when each trajectory has so many.")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Crossings, .csv or .npz.")
+@_figure_option
+def section_command(
+    H: Hamiltonian,
+    z0: Any,
+    span: tuple[float, float],
+    output: str | None,
+    figure: str | None,
+    **options: Any,
+) -> int:
+    """A Poincare section: where trajectories cross a surface, to round-off."""
+    from hamsym.sections import section as run
+
+    _check_table(output)
+    _check_figure(figure)
+    found = run(H, z0, span, **options)
+    click.echo(found.message)
+    if H.time is None and len(found.t):
+        click.echo(f"largest change of H: {found.energy_error:.1e}")
+    click.echo("".join(f"{name:>13}" for name in ("trajectory", "t", *H.names[:4])))
+    for number, t, z in list(zip(found.trajectory, found.t, found.z, strict=True))[:5]:
+        click.echo(f"{number:>13}{t:>13.6g}" + "".join(f"{value:>13.5g}" for value in z[:4]))
+    if len(found.t) > 5:
+        click.echo(f"{'...':>13}")
+    if output is not None:
+        columns = {"trajectory": found.trajectory, "t": found.t}
+        columns |= dict(zip(H.names, found.z.T, strict=True))
+        arrays = {"trajectory": found.trajectory, "t": found.t, "z": found.z}
+        _write_table(output, columns, arrays)
+    if figure is not None:
+        _save_figure(found.plot(), figure)
+    return 0 if found.success else 1
 
 
 @cli.command()
 @_hamiltonian_options
 @_span_options
 @_solver_options
-@click.option("--max-steps", default=100_000_000, show_default=True, help="Of Euler's search.")
+@click.option(
+    "--with",
+    "methods",
+    metavar="NAMES",
+    default="symplectic_euler",
+    show_default=True,
+    help="Integrators, such as yoshida4,gauss6,dop853.",
+)
+@click.option("--max-steps", default=100_000_000, show_default=True, help="Of the search.")
 def compare(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
+    methods: str,
     max_steps: int,
     figure: str | None = None,
     **options: Any,
 ) -> int:
-    """Solve, and compare with symplectic Euler at K, 10 K and 100 K steps."""
+    """Solve, and compare with integrators at K, 10 K and 100 K steps."""
     from hamsym.comparison import compare as run_comparison
+    from hamsym.integrators import usable_method
     from hamsym.solving import solve as run
 
     _check_figure(figure)
+    for name in _names(methods):
+        usable_method(H, name)
     solution = run(H, z0, span, **options)
     _report(solution)
-    comparison = run_comparison(solution, max_steps=max_steps)
+    comparison = run_comparison(solution, _names(methods), max_steps=max_steps)
     click.echo(f"\n{comparison}")
     if figure is not None:
         _save_figure(comparison.plot(), figure)
@@ -420,17 +618,25 @@ def _save_figure(figure: Any, path: str) -> None:
     click.echo(f"wrote {path}")
 
 
-def _write_states(path: str, trajectory: Any) -> None:
+def _check_table(path: str | None) -> None:
+    if path is not None and Path(path).suffix not in (".csv", ".npz"):
+        raise InputError(f"'{path}' is neither .csv nor .npz; choose one of these endings")
+    _check_folder(path)
+
+
+def _write_table(path: str, columns: dict[str, np.ndarray], arrays: dict[str, np.ndarray]) -> None:
+    """Columns as .csv, or arrays as .npz."""
     import io
 
     buffer = io.BytesIO()
     if Path(path).suffix == ".npz":
-        np.savez(buffer, t=trajectory.t, z=trajectory.z, energy=trajectory.energy)
+        np.savez(buffer, allow_pickle=False, **arrays)
     else:
-        table = np.column_stack((trajectory.t, trajectory.z, trajectory.energy))
-        header = ",".join(["t", *trajectory.names, "H"])
+        table = np.column_stack(list(columns.values()))
+        header = ",".join(columns)
         np.savetxt(buffer, table, fmt="%.17g", delimiter=",", header=header, comments="")
     write_atomically(Path(path), buffer.getvalue())
+    click.echo(f"wrote {path}")
 
 
 if __name__ == "__main__":

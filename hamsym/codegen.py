@@ -123,7 +123,7 @@ def generate(form: RealForm, backend: str) -> str:
             bound=_bound(names),
             passed="".join([", t" for _ in time] + [f", {n}={n}" for n in parameter_names]),
             textbook=textbook,
-            separable=not bodies.mixed_indices,
+            separable=form.is_separable if backend == "numba" else None,
             squares=[f"({row})**2" for row in bodies.residual],
             component_targets=[f", {i}" for i in range(dim)],
             hessian_indices=indices,
@@ -246,8 +246,6 @@ class _Bodies:
         self.vector_field = self._body(form.vector_field)
         self.hessian = self._body(list(form.hessian.values()))
         self.residual = self._residual_rows(form.vector_field)
-        mixed = {(i - d, j): entry for (i, j), entry in form.hessian.items() if j < d <= i}
-        self.mixed_indices = list(mixed)
         if backend != "numba":
             return
         # The step loops: dH/dp and dH/dq, by themselves and with what their derivatives need.
@@ -255,13 +253,17 @@ class _Bodies:
             (i - d, j - d): entry for (i, j), entry in form.hessian.items() if min(i, j) >= d
         }
         potential = {index: entry for index, entry in form.hessian.items() if max(index) < d}
+        mixed = {(i - d, j): entry for (i, j), entry in form.hessian.items() if j < d <= i}
         self.kinetic_indices, self.potential_indices = list(kinetic), list(potential)
+        self.mixed_indices = list(mixed)
         self.velocity = self._body(gradient[d:])
         self.force = self._body(gradient[:d])
-        self.velocity_jacobian = self._body([*gradient[d:], *mixed.values()])
-        self.force_jacobian = self._body([*gradient[:d], *mixed.values()])
-        self.velocity_curvature = self._body([*gradient[d:], *kinetic.values()])
-        self.force_curvature = self._body([*gradient[:d], *potential.values()])
+        if form.is_separable:
+            self.velocity_curvature = self._body([*gradient[d:], *kinetic.values()])
+            self.force_curvature = self._body([*gradient[:d], *potential.values()])
+        else:
+            self.velocity_jacobian = self._body([*gradient[d:], *mixed.values()])
+            self.force_jacobian = self._body([*gradient[:d], *mixed.values()])
 
     def by_name(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if not name.startswith("_")}

@@ -1,25 +1,28 @@
-"""The network beside symplectic Euler: the table that says how many steps a network is worth."""
+"""The network beside time stepping: how many steps of which method a network is worth."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.integrators import Trajectory, integrate, reference
+from hamsym.integrators import INTEGRATORS, Trajectory, integrate, reference, usable_method
 from hamsym.solution import Solution
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "Row", "StepsToMatch", "compare"]
+__all__ = ["Comparison", "Match", "Row", "compare"]
 
 MAX_STEPS = 100_000_000
 _SAMPLES = 4_000  # intervals at which errors are measured, at most
+_FACTORS = (1, 10, 100)  # times K, as in the paper
+_TOLERANCES = (1e-3, 1e-6, 1e-9)  # at which adaptive methods are shown
+_RUN_LIMIT = 10.0  # seconds that one run of the search may take, as predicted from those before
 
 
 @dataclass(frozen=True)
@@ -29,8 +32,12 @@ class Row:
     Attributes
     ----------
     label : str
+        "network", or the name of an integrator.
     points : int
-        Collocation points of the network, steps of an integrator.
+        Collocation points of the network, steps of an integrator (outputs of an adaptive one).
+    evaluations : int
+        Evaluations of the vector field at a point, or of the force or gradient if that is all that
+        a method needs.
     error : float
         max_t |delta z|, the 2-norm.
     component_errors : numpy.ndarray
@@ -39,56 +46,71 @@ class Row:
         max_t |H(z(t)) - H(exact(t))|.
     seconds : float
         Training time of the network, stepping time of an integrator once compiled.
+    tolerance : float, optional
+        rtol and atol of an adaptive method.
     """
 
     label: str
     points: int
+    evaluations: int
     error: float
     component_errors: np.ndarray = field(repr=False)
     energy_error: float
     seconds: float
+    tolerance: float | None = None
 
 
 @dataclass(frozen=True)
-class StepsToMatch:
-    """How many Euler steps reach the network's error.
+class Match:
+    """What a method needs for the network's error.
 
     Attributes
     ----------
     steps : int, optional
-        Found by search, to 1 %; None if more than the limit would be needed.
+        Found by search, to 1 %; None if it was not reached. For an adaptive method the number of
+        steps is its own, and this is None too.
+    evaluations : int
     error : float
-        Euler's error at these steps, or at the most steps that were tried.
+        At what was found, or the smallest that was.
+    seconds : float
+    tolerance : float, optional
+        For an adaptive method, to a factor of 1.8 the largest that suffices.
     extrapolated : float, optional
-        Beyond the limit: steps extrapolated from there, the error falling as 1/steps.
-    limit : int
-        The most steps that were allowed.
+        Steps extrapolated beyond the most that were tried, the error falling with the order.
+    reason : str
+        Why it was not reached; "" if it was.
     """
 
     steps: int | None
+    evaluations: int
     error: float
+    seconds: float
+    tolerance: float | None = None
     extrapolated: float | None = None
-    limit: int = MAX_STEPS
+    reason: str = ""
 
     def __str__(self) -> str:
-        if self.steps is not None:
-            return f"{self.steps:,}"
-        limit = f"{self.limit:.0e}".replace("e+0", "e")
-        return f"> {limit} (extrapolated: {self.extrapolated:.1e})"
+        if self.reason:
+            far = "" if self.extrapolated is None else f" (extrapolated: {self.extrapolated:.1e})"
+            return f"{self.reason}{far}"
+        if self.tolerance is not None:
+            return f"rtol {self.tolerance:.0e}"
+        return f"{self.steps:,}"
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What :func:`compare` found; printing it shows the table.
+    """What :func:`compare` found; printing it shows the tables.
 
     Attributes
     ----------
     rows : tuple of Row
-        The network, then symplectic Euler with K, 10 K and 100 K steps.
-    steps_to_match : StepsToMatch
+        The network, then each integrator with K, 10 K and 100 K steps, or at three tolerances.
+    matches : mapping
+        Name of an integrator -> :class:`Match`.
     solution : Solution
     trajectories : tuple of Trajectory
-        The Euler trajectories behind the rows.
+        Those behind the rows after the first.
     reference : callable
         t -> states, what the errors are measured against.
     reference_error : float
@@ -96,27 +118,37 @@ class Comparison:
     """
 
     rows: tuple[Row, ...]
-    steps_to_match: StepsToMatch
+    matches: Mapping[str, Match]
     solution: Solution = field(repr=False)
     trajectories: tuple[Trajectory, ...] = field(repr=False)
     reference: Callable[[np.ndarray], np.ndarray] = field(repr=False)
     reference_error: float = 0.0
 
     def __str__(self) -> str:
-        header = f"{'method':<20}{'points':>12}{'max |dz|':>12}{'max |dE|':>12}{'time s':>10}"
+        width = max(18, *(len(name) for name in self.matches))
+        header = (
+            f"{'method':<{width}}{'points':>10}{'evaluations':>13}"
+            f"{'max |dz|':>11}{'max |dE|':>11}{'time s':>10}"
+        )
         lines = [header, "-" * len(header)]
-        lines += [
-            f"{row.label:<20}{row.points:>12,}{row.error:>12.2e}{row.energy_error:>12.2e}"
-            f"{row.seconds:>10.2g}"
-            for row in self.rows
-        ]
+        for row in self.rows:
+            points = f"{row.points:,}" if row.tolerance is None else f"rtol {row.tolerance:.0e}"
+            lines.append(
+                f"{row.label:<{width}}{points:>10}{row.evaluations:>13,}"
+                f"{row.error:>11.2e}{row.energy_error:>11.2e}{row.seconds:>10.2g}"
+            )
         if self.reference_error > 0.01 * self.rows[0].error:
             lines.append(f"reference: DOP853, itself good to about {self.reference_error:.0e}")
-        lines.append(f"Euler steps for the network's error: {self.steps_to_match}")
+        lines += ["", f"for the network's error, {self.rows[0].error:.2e}:"]
+        for name, match in self.matches.items():
+            line = f"{name:<{width}}{match!s:>10}"
+            if not match.reason:
+                line += f"{match.evaluations:>13,}{match.error:>11.2e}{match.seconds:>21.2g}"
+            lines.append(line)
         return "\n".join(lines)
 
     def plot(self) -> Figure:
-        """Errors and energies of the network and of symplectic Euler, as a figure."""
+        """Errors and energies of the network and of the integrators, as a figure."""
         from hamsym.plotting import plot_comparison  # matplotlib is slow to import
 
         return plot_comparison(self)
@@ -124,20 +156,24 @@ class Comparison:
 
 def compare(
     solution: Solution,
+    methods: str | Sequence[str] = ("symplectic_euler",),
     *,
     points: int | None = None,
     exact: Callable[[np.ndarray], np.ndarray] | None = None,
     max_steps: int = MAX_STEPS,
 ) -> Comparison:
-    """Compare a network with symplectic Euler at K, 10 K and 100 K steps (the paper's tables).
+    """Compare a network with integrators at K, 10 K and 100 K steps (the paper's tables).
 
     Errors are 2-norms against the exact solution, or against DOP853 at tolerance 1e-13, at up to
-    4,001 times over the span. The steps that Euler needs for the network's error are searched
-    for up to ``max_steps``; beyond that they are extrapolated, and called so.
+    4,001 times over the span. The steps that each method needs for the network's error are searched
+    for up to ``max_steps``, or to what ten seconds allow; beyond that they are extrapolated, and
+    called so.
 
     Parameters
     ----------
     solution : Solution
+    methods : str or sequence of str
+        Names in :data:`hamsym.integrators.INTEGRATORS`.
     points : int, optional
         K; by default the network's collocation points.
     exact : callable, optional
@@ -147,11 +183,22 @@ def compare(
     Returns
     -------
     Comparison
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or a method cannot be used for this H.
     """
     if not isinstance(solution, Solution):
         raise InputError(
             f"compare takes a Solution, not {type(solution).__name__}; call solve first"
         )
+    given = [methods] if isinstance(methods, str) else methods
+    names = list(dict.fromkeys(usable_method(solution.H, method) for method in given))
+    if not names:
+        raise InputError("methods is empty; name at least one integrator")
+    for name in names:  # compiles, so that the times are those of stepping
+        integrate(solution.H, solution.z0, solution.span, name, steps=1)
     H, z0, span = solution.H, solution.z0, solution.span
     count = solution.points if points is None else points
     truth = exact or reference(H, z0, span)
@@ -160,26 +207,23 @@ def compare(
     if exact is None:
         second = reference(H, z0, span, tolerance=1e-12)
         doubt = float(np.linalg.norm(second(times) - truth(times), axis=-1).max())
-    rows = [_row("network", solution.points, times, solution(times), truth, solution, None)]
-    integrate(H, z0, span, steps=1)  # compiles, so that the times are those of stepping
-    trajectories = []
-    for factor in (1, 10, 100):
-        trajectory = _euler(solution, factor * count)
-        trajectories.append(trajectory)
-        rows.append(
-            _row(
-                "symplectic Euler",
-                trajectory.steps,
-                trajectory.t,
-                trajectory.z,
-                truth,
-                solution,
-                trajectory.seconds,
+    network = _row("network", times, solution(times), truth, solution)
+    rows, trajectories, matches = [network], [], {}
+    for name in names:
+        adaptive = INTEGRATORS[name].adaptive
+        for amount in _TOLERANCES if adaptive else [factor * count for factor in _FACTORS]:
+            trajectory = _run(solution, name, amount)
+            trajectories.append(trajectory)
+            rows.append(_trajectory_row(trajectory, truth, solution, amount if adaptive else None))
+        if adaptive:
+            matches[name] = _tolerance_to_match(solution, name, network.error, truth)
+        else:
+            matches[name] = _steps_to_match(
+                solution, name, network.error, trajectories[-1], truth, max_steps
             )
-        )
     return Comparison(
         rows=tuple(rows),
-        steps_to_match=_steps_to_match(solution, rows[0].error, rows[-1], truth, max_steps),
+        matches=matches,
         solution=solution,
         trajectories=tuple(trajectories),
         reference=truth,
@@ -187,80 +231,136 @@ def compare(
     )
 
 
-def _euler(solution: Solution, steps: int) -> Trajectory:
+def _run(solution: Solution, name: str, amount: float) -> Trajectory:
+    """A trajectory with so many steps, or of an adaptive method with this tolerance."""
+    H, z0, span = solution.H, solution.z0, solution.span
+    if INTEGRATORS[name].adaptive:
+        return integrate(H, z0, span, name, steps=_SAMPLES, rtol=amount, atol=amount)
     # At most _SAMPLES states are kept; where no divisor is near, a few steps more are taken.
+    steps = int(amount)
     fewest = math.ceil(steps / _SAMPLES)
     divisors = (n for n in range(fewest, 2 * fewest) if steps % n == 0)
     save_every = next(divisors, fewest)
     steps = math.ceil(steps / save_every) * save_every
-    return integrate(solution.H, solution.z0, solution.span, steps=steps, save_every=save_every)
+    return integrate(H, z0, span, name, steps=steps, save_every=save_every)
 
 
-def _error(
-    t: np.ndarray, z: np.ndarray, truth: Callable[[np.ndarray], np.ndarray], complete: bool = True
-) -> float:
+def _error(trajectory: Trajectory, truth: Callable[[np.ndarray], np.ndarray]) -> float:
     """max |z - truth|, infinite for a trajectory that broke off."""
-    return float(np.linalg.norm(z - truth(t), axis=-1).max()) if complete else math.inf
+    if not trajectory.success:
+        return math.inf
+    return float(np.linalg.norm(trajectory.z - truth(trajectory.t), axis=-1).max())
 
 
 def _row(
     label: str,
-    points: int,
     t: np.ndarray,
     z: np.ndarray,
     truth: Callable[[np.ndarray], np.ndarray],
     solution: Solution,
-    seconds: float | None,
+    **more: Any,
 ) -> Row:
     system = solution.H.compile("numpy")
     right = truth(t)
     energies = system.energy(*system.arguments(z, t))
     energy_error = np.abs(energies - system.energy(*system.arguments(right, t))).max()
     reached = t[-1] == solution.span[1]
+    settings: dict[str, Any] = {
+        "points": solution.points,
+        "evaluations": solution.evaluations,
+        "seconds": solution.training.seconds,
+    }
     return Row(
         label,
-        points,
-        _error(t, z, truth, reached),
-        np.abs(z - right).max(axis=0),
-        float(energy_error) if reached else math.inf,
-        solution.training.seconds if seconds is None else seconds,
+        error=float(np.linalg.norm(z - right, axis=-1).max()) if reached else math.inf,
+        component_errors=np.abs(z - right).max(axis=0),
+        energy_error=float(energy_error) if reached else math.inf,
+        **(settings | more),
     )
+
+
+def _trajectory_row(
+    trajectory: Trajectory,
+    truth: Callable[[np.ndarray], np.ndarray],
+    solution: Solution,
+    tolerance: float | None,
+) -> Row:
+    return _row(
+        trajectory.method,
+        trajectory.t,
+        trajectory.z,
+        truth,
+        solution,
+        points=trajectory.steps,
+        evaluations=trajectory.evaluations,
+        seconds=trajectory.seconds,
+        tolerance=tolerance,
+    )
+
+
+def _tolerance_to_match(
+    solution: Solution, name: str, target: float, truth: Callable[[np.ndarray], np.ndarray]
+) -> Match:
+    best = math.inf
+    for quarter in range(8, 55):
+        tolerance = max(10 ** (-quarter / 4), 2.3e-14)
+        trajectory = _run(solution, name, tolerance)
+        error = _error(trajectory, truth)
+        best = min(best, error)
+        if error <= target:
+            return Match(
+                None, trajectory.evaluations, error, trajectory.seconds, tolerance=tolerance
+            )
+    return Match(None, 0, best, 0.0, reason=f"not reached, {best:.1e} at best")
 
 
 def _steps_to_match(
     solution: Solution,
+    name: str,
     target: float,
-    known: Row,
+    start: Trajectory,
     truth: Callable[[np.ndarray], np.ndarray],
     max_steps: int,
-) -> StepsToMatch:
+) -> Match:
     """The smallest number of steps, to 1 %, whose error is at most the target.
 
-    The error of a first-order method falls as 1/steps once steps are small, so each guess is
-    scaled by error/target, kept inside the bracket found so far.
+    The error falls as steps**-order once steps are small, so each guess is scaled by that, kept
+    inside the bracket found so far.
     """
-
-    def error_at(steps: int) -> float:
-        trajectory = _euler(solution, steps)
-        return _error(trajectory.t, trajectory.z, truth, trajectory.success)
-
-    too_few, enough = 1, None
-    steps, error = known.points, known.error
-    error_enough = math.inf
-    for _ in range(60):
+    order = INTEGRATORS[name].order
+    too_few, enough, best = 1, None, math.inf
+    trajectory = start
+    for attempt in range(100):
+        steps, error = trajectory.steps, _error(trajectory, truth)
         if error <= target:
-            enough, error_enough = steps, error
+            enough, error_enough = trajectory, error
+        elif steps >= max_steps:
+            return _beyond(steps, error, target, order, f"> {_short(max_steps)} steps")
+        elif enough is None and steps > 2 * too_few and error > 0.9 * best:
+            return Match(None, 0, best, 0.0, reason=f"not reached: round-off leaves {best:.1e}")
         else:
-            too_few = steps
-            if steps >= max_steps:
-                return StepsToMatch(None, error, steps * error / target, max_steps)
-        if enough is not None and enough <= max(1.01 * too_few, too_few + 1):
-            break
-        guess = steps * min(error / target, 1e4) if math.isfinite(error) else 10.0 * steps
+            too_few = max(too_few, steps)
+        best = min(best, error)
+        if enough is not None and enough.steps <= max(1.01 * too_few, too_few + 1):
+            return Match(enough.steps, enough.evaluations, error_enough, enough.seconds)
+        usable = math.isfinite(error) and target > 0
+        ratio = (error / target) ** (1 / order) if usable else 10.0
         # Aim a little to the side that closes the bracket.
-        guess *= 1.004 if error > target else 0.998
-        if enough is not None and not too_few < guess < enough:
-            guess = math.sqrt(too_few * enough)
-        steps = min(max(math.ceil(guess), too_few + 1), max_steps)
-        error = error_at(steps)
-    return StepsToMatch(enough, error_enough)
+        guess = steps * min(ratio, 1e4) * (1.004 if error > target else 0.998)
+        if enough is not None and (attempt % 2 or not too_few < guess < enough.steps):
+            guess = math.sqrt(too_few * enough.steps)  # where round-off hides the order
+        more = min(max(math.ceil(guess), too_few + 1), max_steps)
+        if enough is None and max(trajectory.seconds, 1e-4) * more / steps > _RUN_LIMIT:
+            return _beyond(steps, error, target, order, f"> {_short(steps)} steps")
+        trajectory = _run(solution, name, more)
+    return _beyond(steps, error, target, order, f"> {_short(too_few)} steps")
+
+
+def _beyond(steps: int, error: float, target: float, order: int, reason: str) -> Match:
+    usable = math.isfinite(error) and target > 0
+    far = steps * (error / target) ** (1 / order) if usable else None
+    return Match(None, 0, error, 0.0, extrapolated=far, reason=reason)
+
+
+def _short(steps: int) -> str:
+    return f"{steps:.0e}".replace("e+0", "e") if steps >= 10**6 else f"{steps:,}"

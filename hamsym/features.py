@@ -237,10 +237,12 @@ class March:
     seconds: float
     cpu_seconds: float
 
+    points_per_window = _NODES
+
     @property
     def points(self) -> int:
         """Collocation points of all windows."""
-        return _NODES * len(self.readouts)
+        return self.points_per_window * len(self.readouts)
 
 
 def march(

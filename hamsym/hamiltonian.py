@@ -28,6 +28,7 @@ from hamsym.symbols import (
     check_state,
     checked_expression,
     checked_values,
+    name_of,
     state_array,
     state_symbol,
     states_array,
@@ -272,6 +273,66 @@ class Hamiltonian:
         """
         return states_array(z0, self.names)
 
+    def state_at_energy(self, energy: float, z0: Mapping[Any, float], t: float = 0.0) -> np.ndarray:
+        """The state with a given energy, from all components but one.
+
+        Parameters
+        ----------
+        energy : float
+        z0 : mapping
+            All components by name but one, which is the smallest number from 0 on that gives H
+            this value.
+        t : float
+            The time, where H depends on it.
+
+        Returns
+        -------
+        numpy.ndarray
+            Shape (dim,).
+
+        Raises
+        ------
+        VariableError
+            If not just one component is missing, or no number gives this energy.
+
+        Examples
+        --------
+        >>> H = Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3")
+        >>> H.state_at_energy(1 / 6, {"x": 0, "y": -0.15, "p_y": 0}).round(6)
+        array([ 0.      , -0.15    ,  0.555503,  0.      ])
+        """
+        from scipy.optimize import brentq  # slow to import, and deriving does without it
+
+        self.require_parameters()
+        given = {canonical_name(name_of(name)) for name in z0}
+        missing = [name for name in self.names if canonical_name(name) not in given]
+        if len(missing) != 1:
+            listed = ", ".join(missing) or "none"
+            raise VariableError(f"leave out one component of z0 for the energy; missing: {listed}")
+        state, where = self.state_from({**z0, missing[0]: 0.0}), self.names.index(missing[0])
+        system = self.compile("numpy")
+
+        def excess(value: np.ndarray) -> np.ndarray:
+            states = np.repeat(state[None], len(value), axis=0)
+            states[:, where] = value
+            with np.errstate(all="ignore"):
+                return np.asarray(system.energy(*system.arguments(states, t))) - energy
+
+        scan = np.concatenate(([0.0], np.geomspace(1e-9, 1e9, 4_001)))
+        sign = np.sign(excess(scan))
+        crossed = np.flatnonzero(sign[1:] * sign[0] <= 0)
+        if not np.isfinite(energy) or not len(crossed):
+            least = float(excess(scan[:1])[0] + energy)
+            raise VariableError(
+                f"no {missing[0]} gives the energy {energy:g}; at {missing[0]} = 0 it is {least:g}"
+            )
+        if sign[0] != 0:
+            low, high = scan[crossed[0]], scan[crossed[0] + 1]
+            state[where] = brentq(
+                lambda value: excess(np.array([value]))[0], low, high, xtol=1e-300
+            )
+        return state
+
     # -- what follows from H -----------------------------------------------------------------
 
     @cached_property
@@ -322,11 +383,10 @@ class Hamiltonian:
             for component, rate in zip(self.z, self.vector_field, strict=True)
         ]
 
-    @cached_property
+    @property
     def is_separable(self) -> bool:
         """Whether H = T(p) + V(q), that is all mixed second derivatives vanish identically."""
-        mixed = [entry for (i, j), entry in self._real.hessian.items() if i < self.dof <= j]
-        return all(derivatives.vanishes(entry) for entry in mixed)
+        return self._real.is_separable
 
     @cached_property
     def _split(self) -> tuple[sympy.Expr, sympy.Expr] | None:
@@ -408,6 +468,62 @@ class Hamiltonian:
         z, d = self._real.z, self.dof
         of_f, of_g = derivatives.gradient(f, z), derivatives.gradient(g, z)
         return sympy.Add(*(of_f[i] * of_g[d + i] - of_f[d + i] * of_g[i] for i in range(d)))
+
+    def observable(self, f: str | sympy.Expr) -> Callable[..., np.ndarray]:
+        """A function of the state, compiled with numpy as H itself is.
+
+        Parameters
+        ----------
+        f : str or sympy.Expr
+            In the components of z, the parameters of H and the time.
+
+        Returns
+        -------
+        callable
+            (z, t=0.0) of shapes (..., dim) and (...) -> (...).
+
+        Raises
+        ------
+        VariableError
+            If f has a symbol that does not occur in H.
+        ParameterError
+            If f has a parameter without a value.
+
+        Examples
+        --------
+        >>> H = Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
+        >>> H.observable("x*p_y - y*p_x")([0.4, 0.0, 0.0, 2.0])
+        np.float64(0.8)
+        """
+        expr = self._observable(f)
+        used = {symbol.name for symbol in expr.free_symbols}
+        values = {name: value for name, value in self.parameters.items() if name in used}
+        q, p = self.names[: self.dof], self.names[self.dof :]
+        own = Hamiltonian(expr, q=q, p=p, parameters=values)
+        own.require_parameters()
+        system = own.compile("numpy")
+        return lambda z, t=0.0: np.asarray(system.energy(*system.arguments(z, t)))
+
+    @cached_property
+    def variational_equations(self) -> list[sympy.Eq]:
+        """How a small difference of two trajectories moves, d(delta)/dt = J Hess(z) delta.
+
+        Examples
+        --------
+        >>> Hamiltonian("p**2/2 + x**2/2 + x**4/4").variational_equations[1]
+        Eq(Derivative(delta_p, t), delta_x*(-3*x**2 - 1))
+        """
+        taken = {symbol.name for symbol in self.expr.free_symbols} | set(self.names)
+        mark = "delta_"
+        while any(mark + name in taken for name in self.names):
+            mark = "d" + mark
+        delta = sympy.Matrix([sympy.Symbol(mark + name, real=True) for name in self.names])
+        time = self.equations[0].lhs.args[1][0]
+        rates = self.poisson_matrix * self.hessian * delta
+        return [
+            sympy.Eq(sympy.Derivative(entry, time, evaluate=False), rate, evaluate=False)
+            for entry, rate in zip(delta, rates, strict=True)
+        ]
 
     @cached_property
     def sigma_min(self) -> sympy.Expr | None:

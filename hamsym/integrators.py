@@ -23,7 +23,7 @@ from hamsym.adaptive import Adaptive, reference, run_dop853, run_odeint
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.schemes import Doubled, RungeKutta, Scheme, Splitting
-from hamsym.stepping import Stepper
+from hamsym.stepping import NOT_ONLY_SEPARABLE, Stepper
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,6 +39,8 @@ __all__ = [
     "integrate",
     "listing",
     "reference",
+    "usable_method",
+    "usual_method",
 ]
 
 
@@ -69,17 +71,29 @@ class Integrator:
         return self.scheme.is_symplectic
 
     @property
+    def kind(self) -> str:
+        """splitting (for separable H), implicit, doubled (any H) or adaptive (any H)."""
+        return _KINDS[type(self.scheme)]
+
+    @property
     def stages(self) -> int | None:
         """Evaluations of the force or the gradient in a step; implicit methods repeat them."""
         return None if isinstance(self.scheme, Adaptive) else self.scheme.stages
 
+
+_KINDS: dict[type, str] = {
+    Splitting: "splitting",
+    RungeKutta: "implicit",
+    Doubled: "doubled",
+    Adaptive: "adaptive",
+}
 
 #: Every integrator by name.
 INTEGRATORS: dict[str, Integrator] = {
     "symplectic_euler": Integrator(
         1,
         "q first with p_n, then p with q_n+1; implicit for non-separable H",
-        "the paper's eqs. EulerScheme; de Vogelaere 1956",
+        "de Vogelaere 1956; the paper",
         schemes.SYMPLECTIC_EULER,
     ),
     "symplectic_euler_p": Integrator(
@@ -115,7 +129,7 @@ INTEGRATORS: dict[str, Integrator] = {
     "implicit_midpoint": Integrator(
         2,
         "implicit, any H",
-        "Feng Kang 1985; Hairer, Lubich & Wanner 2006, II.1",
+        "Hairer, Lubich & Wanner 2006, II.1",
         schemes.IMPLICIT_MIDPOINT,
     ),
     "gauss4": Integrator(
@@ -147,11 +161,11 @@ ALIASES = {"yoshida4": "forest_ruth"}
 
 
 def listing() -> str:
-    """The table of integrators as text, a line each."""
-    lines = [f"{'method':<20}{'order':>5}{'stages':>7}  {'what it is; source'}"]
+    """The table of integrators as text, a line of at most 80 columns for each."""
+    lines = [f"{'method':<18}{'order':>6}{'stages':>8}  {'kind':<11}source"]
     for name, row in INTEGRATORS.items():
         stages = "-" if row.stages is None else str(row.stages)
-        lines.append(f"{name:<20}{row.order:>5}{stages:>7}  {row.summary}; {row.source}")
+        lines.append(f"{name:<18}{row.order:>6}{stages:>8}  {row.kind:<11}{row.source}")
     return "\n".join(lines)
 
 
@@ -273,7 +287,7 @@ def integrate(
     >>> integrate(H, {"x": np.linspace(0, 1, 5), "p": 0.0}, (0, 1), "gauss4", dt=0.1).z.shape
     (5, 11, 2)
     """
-    name, integrator = _row(method)
+    name = usable_method(H, method)
     H.require_parameters()
     states = H.states_from(z0)
     start, end = checked_span(span)
@@ -281,7 +295,7 @@ def integrate(
     _require_whole("save_every", save_every)
     if steps % save_every:
         raise InputError(f"save_every={save_every} does not divide steps={steps}; choose a divisor")
-    scheme = integrator.scheme
+    scheme = INTEGRATORS[name].scheme
     if compensated and not isinstance(scheme, Splitting | RungeKutta):
         raise InputError(f"compensated has no meaning for {method}; leave it out")
     if omega is not None and not isinstance(scheme, Doubled):
@@ -357,17 +371,18 @@ def fixed_step(
     InputError
         If the method is unknown, chooses its own steps, or cannot be used for this H.
     """
-    name, integrator = _row(method)
-    if isinstance(integrator.scheme, Adaptive):
+    name = usable_method(H, method)
+    scheme = INTEGRATORS[name].scheme
+    if isinstance(scheme, Adaptive):
         fixed = ", ".join(key for key, row in INTEGRATORS.items() if not row.adaptive)
         raise InputError(f"{method} chooses its own steps; choose one of {fixed}")
     if omega is None:
-        omega = _coupling(H, states, starts) if isinstance(integrator.scheme, Doubled) else 0.0
+        omega = _coupling(H, states, starts) if isinstance(scheme, Doubled) else 0.0
     elif not (math.isfinite(omega) and omega >= 0):
         raise InputError(f"omega={omega!r} cannot be used; give a number from 0")
     return Stepper(
         H,
-        integrator.scheme,
+        scheme,
         name,
         states,
         starts,
@@ -376,6 +391,31 @@ def fixed_step(
         tangents=tangents,
         omega=omega,
     )
+
+
+def usable_method(H: Hamiltonian, method: str) -> str:
+    """The name under which a method is in the table, if it can be used for this H.
+
+    Raises
+    ------
+    InputError
+        If it is not there, or splits H and H is not separable.
+    """
+    name = ALIASES.get(method, method)
+    if name not in INTEGRATORS:
+        raise InputError(f"'{method}' is not a method; choose one of {', '.join(INTEGRATORS)}")
+    split = isinstance(INTEGRATORS[name].scheme, Splitting) and name not in NOT_ONLY_SEPARABLE
+    if split and not H.is_separable:
+        raise InputError(
+            f"{method} needs H = T(p) + V(q), and this H is not separable; choose a method for any "
+            "H, such as gauss4, implicit_midpoint or tao4"
+        )
+    return name
+
+
+def usual_method(H: Hamiltonian) -> str:
+    """An accurate symplectic method for this H: splitting where H is separable."""
+    return "blanes_moan6" if H.is_separable else "gauss6"
 
 
 def checked_span(span: tuple[float, float]) -> tuple[float, float]:
@@ -419,13 +459,6 @@ def checked_steps(length: float, steps: int | None, dt: float | None, default: i
         raise InputError(f"dt={dt!r} cannot be used; give a number above 0")
     # A dt that divides the span but for round-off is meant to.
     return max(1, math.ceil(count * (1 - 1e-12)))
-
-
-def _row(method: str) -> tuple[str, Integrator]:
-    name = ALIASES.get(method, method)
-    if name not in INTEGRATORS:
-        raise InputError(f"'{method}' is not a method; choose one of {', '.join(INTEGRATORS)}")
-    return name, INTEGRATORS[name]
 
 
 def _run_adaptive(

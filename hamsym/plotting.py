@@ -10,11 +10,19 @@ from matplotlib.figure import Figure
 from hamsym.features import March
 
 if TYPE_CHECKING:
-    from hamsym.comparison import Comparison
+    from hamsym.comparison import Comparison, Row
     from hamsym.integrators import Trajectory
+    from hamsym.sections import Section
     from hamsym.solution import Solution
+    from hamsym.variational import LyapunovExponents
 
-__all__ = ["plot_comparison", "plot_solution", "plot_trajectory"]
+__all__ = [
+    "plot_comparison",
+    "plot_lyapunov",
+    "plot_section",
+    "plot_solution",
+    "plot_trajectory",
+]
 
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito
 _SAMPLES = 2_001
@@ -99,22 +107,54 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
     return figure
 
 
+def plot_section(section: Section, x: str, y: str) -> Figure:
+    """Crossings of a surface, a colour for each trajectory."""
+    figure = Figure(figsize=(7, 6), layout="constrained")
+    axis = figure.subplots()
+    i, j = section.names.index(x), section.names.index(y)
+    for number in np.unique(section.trajectory):
+        points = section.z[section.trajectory == number]
+        axis.plot(points[:, i], points[:, j], ".", color=_color(number), markersize=1.5)
+    axis.set(title=f"{section.surface}: {len(section.t):,} crossings", xlabel=x, ylabel=y)
+    axis.grid(alpha=0.25)
+    return figure
+
+
+def plot_lyapunov(found: LyapunovExponents) -> Figure:
+    """Finite-time exponents over time, beside the fall of a regular trajectory."""
+    figure = Figure(figsize=(7, 5), layout="constrained")
+    axis = figure.subplots()
+    t = np.abs(found.t - found.start)
+    for k in range(found.exponents.shape[1]):
+        label = "finite-time exponent" if k == 0 else f"exponent {k + 1}"
+        positive = found.exponents[:, k] > 0
+        axis.loglog(t[positive], found.exponents[positive, k], color=_color(k), label=label)
+    late = t > max(1e-3 * t[-1], np.e)
+    if late.any():
+        fall = np.log(t[late]) / t[late]
+        middle = np.exp(np.mean(np.log(np.abs(found.exponents[late, 0]) / fall)))
+        axis.loglog(t[late], middle * fall, "--", color="0.5", linewidth=1, label="log(t)/t")
+    axis.set(title=found.title, xlabel="t", ylabel="exponent")
+    axis.legend(fontsize=9)
+    axis.grid(alpha=0.25)
+    return figure
+
+
 def plot_comparison(comparison: Comparison) -> Figure:
-    """Size of the error and energies over time; the error in phase space; error against steps."""
+    """Size of the error and energies over time; the error in phase space; error against work."""
     solution = comparison.solution
     figure, axes = _panels(f"H = {solution.H.formula}")
     t = np.linspace(*solution.span, _SAMPLES)
     names, d = solution.H.names, solution.H.dof
     system = solution.H.compile("numpy")
-    curves: list[tuple[str, np.ndarray, np.ndarray]] = [
-        (f"Euler, {trajectory.steps:,} steps", trajectory.t, trajectory.z)
-        for trajectory in comparison.trajectories
+    curves = [("network", t, solution(t), _color(0))]
+    curves += [
+        (f"{row.label}, {_amount(row)}", path.t, path.z, color)
+        for row, path, color in _shown(comparison)
     ]
-    curves.append(("network", t, solution(t)))
-    for i, (label, times, z) in enumerate(curves):
+    for i, (label, times, z, color) in enumerate(curves):
         right = comparison.reference(times)
         error = z - right
-        color = _color(0) if label == "network" else _color(1 + i)
         style: dict[str, Any] = {"color": color, "label": label, "linewidth": 1.1}
         axes[0, 0].semilogy(times[1:], _positive(np.linalg.norm(error, axis=-1))[1:], **style)
         energy = np.abs(
@@ -122,23 +162,38 @@ def plot_comparison(comparison: Comparison) -> Figure:
             - system.energy(*system.arguments(right, times))
         )
         axes[0, 1].semilogy(times[1:], _positive(energy)[1:], **style)
-        if i >= len(curves) - 2:  # with fewer steps Euler would dwarf the others
+        if i in (0, len(curves) - 1):  # others may dwarf these
             axes[1, 0].plot(error[:, 0], error[:, d], **style)
     axes[0, 0].set(title=r"Error $|\delta z|$", xlabel="t")
     axes[0, 1].set(title="Energy error", xlabel="t")
     x, p = names[0], names[d]
     axes[1, 0].set(title="Error in phase space", xlabel=f"error of {x}", ylabel=f"error of {p}")
     axes[1, 0].ticklabel_format(style="sci", scilimits=(-2, 2))
-    network, *eulers = comparison.rows
-    steps = [row.points for row in eulers]
-    axes[1, 1].loglog(steps, [row.error for row in eulers], "o-", color="0.4", label="Euler")
-    axes[1, 1].loglog(network.points, network.error, "s", color=_color(0), label="network")
+    network = comparison.rows[0]
+    for i, name in enumerate(comparison.matches):
+        own = [row for row in comparison.rows if row.label == name and np.isfinite(row.error)]
+        work, errors = [row.evaluations for row in own], [row.error for row in own]
+        axes[1, 1].loglog(work, errors, "o-", color=_color(i + 1), markersize=4, label=name)
+    axes[1, 1].loglog(network.evaluations, network.error, "s", color=_color(0), label="network")
     axes[1, 1].axhline(network.error, color=_color(0), linewidth=0.8, linestyle=":")
-    axes[1, 1].set(title="Error against points or steps", xlabel="points or steps")
+    axes[1, 1].set(title="Error against evaluations", xlabel="evaluations of the vector field")
     axes[1, 1].legend(fontsize=8)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9)
     return figure
+
+
+def _shown(comparison: Comparison) -> list[tuple[Row, Trajectory, str]]:
+    """Of one integrator all its trajectories, of several the middle one of each."""
+    pairs = list(zip(comparison.rows[1:], comparison.trajectories, strict=True))
+    if len(comparison.matches) == 1:
+        return [(*pair, _color(1 + i)) for i, pair in enumerate(pairs)]
+    middle = [[pair for pair in pairs if pair[0].label == name][1] for name in comparison.matches]
+    return [(*pair, _color(1 + i)) for i, pair in enumerate(middle)]
+
+
+def _amount(row: Row) -> str:
+    return f"{row.points:,} steps" if row.tolerance is None else f"rtol {row.tolerance:.0e}"
 
 
 def _panels(title: str) -> tuple[Figure, Any]:

@@ -45,3 +45,8 @@ class RealForm:
     @cached_property
     def vector_field(self) -> list[sympy.Expr]:
         return [*self.gradient[self.dof :], *(-slope for slope in self.gradient[: self.dof])]
+
+    @cached_property
+    def is_separable(self) -> bool:
+        mixed = [entry for (i, j), entry in self.hessian.items() if i < self.dof <= j]
+        return all(derivatives.vanishes(entry) for entry in mixed)

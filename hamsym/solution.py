@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
@@ -17,6 +17,7 @@ from torch import Tensor
 
 from hamsym.errors import InputError, VacuousBoundWarning
 from hamsym.estimates import MarchError
+from hamsym.events import Event, Events, find_events
 from hamsym.features import FeatureTrial, March
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.tangent import TangentMaps, generators
@@ -94,6 +95,13 @@ class Solution:
     def points(self) -> int:
         """Collocation points K of the training."""
         return self.training.points
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of the vector field, each at one point, of the march or of the training."""
+        if isinstance(self.training, Training):
+            return self.training.iterations * self.training.points
+        return self.training.evaluations * self.training.points_per_window
 
     @property
     def history(self) -> History | March:
@@ -449,6 +457,36 @@ class Solution:
             )
             best = max(best, -float(found.fun))
         return best
+
+    def events(self, events: Event | Sequence[Event]) -> Events:
+        """Times and states at which something happens, located to round-off.
+
+        Parameters
+        ----------
+        events : str, callable, or a sequence of them
+            A surface such as ``"x = 0, p_x > 0"``, or a function as scipy's ``solve_ivp`` takes
+            it: called with (t, z), z of shape (dim,), it is zero at the event; its attribute
+            ``direction`` asks for rising (above zero) or falling zeros, and ``terminal`` (True or
+            a number) ends the search for all events after so many of this one.
+
+        Returns
+        -------
+        Events
+            With ``t_events`` and ``y_events``, a list with an array for each event.
+
+        Raises
+        ------
+        InputError
+            If an event cannot be used.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve(hamsym.Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 10))
+        >>> (solution.events("x = 0, p > 0").t_events[0] / np.pi).round(9)
+        array([1.5])
+        """
+        return find_events(self, events, self._scan_times)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything into one file, from which :func:`hamsym.load` makes it again.

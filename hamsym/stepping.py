@@ -19,12 +19,14 @@ from typing import Any
 import numpy as np
 
 from hamsym import codegen
-from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.progress import stepping_progress
 from hamsym.schemes import Doubled, RungeKutta, Scheme, Splitting
 
-__all__ = ["Stepper", "Stepping"]
+__all__ = ["NOT_ONLY_SEPARABLE", "Stepper", "Stepping"]
+
+#: Splitting methods that have a loop of their own, with an implicit half, for any other H.
+NOT_ONLY_SEPARABLE = ("symplectic_euler", "symplectic_euler_p")
 
 # Component updates in a piece, and from where on a second core pays.
 _PIECE, _WORTH_THREADS = 20_000_000, 200_000
@@ -64,7 +66,8 @@ class Stepper:
         With a value for every parameter.
     scheme : Scheme
     name : str
-        What the method is called in errors.
+        The method's; where H is not separable a splitting scheme must be one of
+        :data:`NOT_ONLY_SEPARABLE`.
     states : numpy.ndarray
         Shape (n, dim).
     starts, sizes : numpy.ndarray
@@ -76,11 +79,6 @@ class Stepper:
         dim (for a :class:`Doubled` scheme 2 dim).
     omega : float
         Coupling of a :class:`Doubled` scheme.
-
-    Raises
-    ------
-    InputError
-        If the scheme splits H and H is not separable.
     """
 
     def __init__(
@@ -124,6 +122,10 @@ class Stepper:
         self._starts = self._starts + self._sizes * self._first
         self._sizes = -self._sizes
         self._first = 0
+
+    def step(self, count: int) -> np.ndarray:
+        """Do so many steps at once, and nothing else; the states then, shape (n, dim)."""
+        return self._run(None, 1, 1, count)[:, 0]
 
     def advance(self, saves: int, save_every: int = 1, *, show: bool | None = None) -> Stepping:
         """Do saves*save_every steps and keep the states after every save_every of them."""
@@ -200,12 +202,7 @@ def _loop(
             return loops["splitting_tangent"]
         ensemble = "_ensemble" if count >= _ENSEMBLE else ""
         return loops[f"splitting{ensemble}{'_compensated' if compensated else ''}"]
-    if name in loops:
-        return loops[name]
-    raise InputError(
-        f"{name} needs H = T(p) + V(q), and this H is not separable; choose a method for any H, "
-        "such as gauss4, implicit_midpoint or tao4"
-    )
+    return loops[name]
 
 
 def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[int, int, int]]:

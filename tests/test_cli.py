@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import hamsym
-from hamsym import Hamiltonian
+from hamsym import Hamiltonian, stepping
 from hamsym.cli import main
+from hamsym.integrators import listing
 
 OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
 HENON_HEILES = "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
@@ -137,10 +138,18 @@ def test_compare_prints_the_table(capsys: Captured, tmp_path: Path) -> None:
     figure = tmp_path / "c.svg"
     status, out, _ = run(capsys, "compare", *SOLVE, *QUICK, "--plot", str(figure))
     assert status == 1
-    assert "symplectic Euler           2,000" in out
-    assert "Euler steps for the network's error" in out
+    assert "symplectic_euler       2,000        2,000" in out
+    assert "for the network's error" in out
     assert max(map(len, out.splitlines()[:-1])) <= 80
     assert b"<svg" in figure.read_bytes()
+
+
+def test_compare_with_any_integrators(capsys: Captured) -> None:
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "5", "--tol", "1e-6"]
+    status, out, _ = run(capsys, "compare", *arguments, "--with", "yoshida4,gauss6,dop853")
+    assert status == 0
+    assert out.count("gauss6") == out.count("forest_ruth") == out.count("dop853") == 4
+    assert max(map(len, out.splitlines())) <= 80
 
 
 @pytest.mark.parametrize("method", ["symplectic_euler", "dop853"])
@@ -163,6 +172,73 @@ def test_integrate_prints_ends_and_writes_states(
             table = np.column_stack((stored["t"], stored["z"], stored["energy"]))
         assert table.shape == (11, 4)
         assert table[0].tolist() == [0.0, 1.3, 1.0, 2.059025]
+
+
+def test_integrate_lists_its_methods(capsys: Captured) -> None:
+    status, out, _ = run(capsys, "integrate", "--list")
+    assert status == 0
+    assert out.strip() == listing()
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_integrate_an_ensemble(capsys: Captured, tmp_path: Path) -> None:
+    path, figure = tmp_path / "many.csv", tmp_path / "many.png"
+    arguments = [OSCILLATOR, "--z0", "x=1.3,p=1", "--z0", "x=0.5,p=0", "--t-end", "1"]
+    arguments += ["--method", "yoshida4", "--dt", "pi/100", "--compensated"]
+    status, out, _ = run(capsys, "integrate", *arguments, "-o", str(path), "--plot", str(figure))
+    assert status == 0
+    assert "2 trajectories, the first of them" in out
+    assert path.read_text().splitlines()[0] == "trajectory,t,x,p,H"
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    assert table.shape == (2 * 33, 5)
+    assert figure.read_bytes()[1:4] == b"PNG"
+
+
+def test_lyapunov_says_what_it_found(capsys: Captured, tmp_path: Path) -> None:
+    path, figure = tmp_path / "history.csv", tmp_path / "history.png"
+    arguments = [HENON_HEILES, "--z0", "0.3,-0.3,0.3,0.15", "--t-end", "1e4", "--count", "2"]
+    status, out, _ = run(capsys, "lyapunov", *arguments, "-o", str(path), "--plot", str(figure))
+    assert status == 0
+    assert "falling like log(t)/t" in " ".join(out.split())
+    assert "blanes_moan6: " in out
+    assert max(map(len, out.splitlines()[:-2])) <= 80
+    assert path.read_text().splitlines()[0] == "t,exponent 1,exponent 2"
+    assert np.loadtxt(path, delimiter=",", skiprows=1)[-1, 0] == 1e4
+    assert figure.read_bytes()[1:4] == b"PNG"
+
+
+def test_section_of_an_ensemble(capsys: Captured, tmp_path: Path) -> None:
+    path, figure = tmp_path / "section.npz", tmp_path / "section.png"
+    arguments = [HENON_HEILES, "--z0", "x=0,y=-0.15,p_y=0", "--z0", "x=0,y=0.1,p_y=0"]
+    arguments += ["--energy", "1/8", "--t-end", "1e4", "--dt", "0.1", "--crossings", "50"]
+    arguments += ["--at", "x = 0, p_x > 0", "-o", str(path), "--plot", str(figure)]
+    status, out, _ = run(capsys, "section", *arguments)
+    assert status == 0
+    assert out.startswith("100 crossings of x = 0, p_x > 0, blanes_moan6 with dt = 0.1")
+    stored = np.load(path)
+    assert stored["z"].shape == (100, 4)
+    assert np.abs(stored["z"][:, 0]).max() < 1e-15
+    energy = Hamiltonian(HENON_HEILES).compile("numpy").energy(stored["z"])
+    np.testing.assert_allclose(energy, 1 / 8, atol=1e-10)
+    assert figure.read_bytes()[1:4] == b"PNG"
+
+
+def test_ctrl_c_prints_what_was_done(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    original, calls = stepping.Stepper._run, []
+
+    def interrupted(self: object, *arguments: object) -> object:
+        calls.append(1)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return original(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(stepping, "_PIECE", 1_000)
+    monkeypatch.setattr(stepping.Stepper, "_run", interrupted)
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "10", "--steps", "5000"]
+    status, out, _ = run(capsys, "integrate", *arguments)
+    assert status == 1
+    assert out.startswith("stopped after t = 3: interrupted")
+    assert "largest change of H" in out
 
 
 def test_integrate_that_breaks_off(capsys: Captured) -> None:
@@ -213,6 +289,27 @@ BAD = [
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--method", "rk4"], "'rk4'"),
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "-o", "x.txt"], "neither .csv"),
     (["integrate", "p**2/m", "--q", "x", "--p", "p", "--z0", "1,1", "--t-end", "1"], "m has no"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--z0", "1", "--t-end", "1"], "shape"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--dt", "0"], "dt=0.0"),
+    (["integrate", "x*p", "--z0", "1,1", "--t-end", "1", "--method", "ruth3"], "not separable"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "9", "--steps", "9" * 14], "save_every"),
+    (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--count", "3"], "count=3"),
+    (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "-o", "h.txt"], "neither .csv"),
+    (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1"], "Missing option '--at'"),
+    (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--at", "x == 0"], "is no equation"),
+    (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--at", "y = 0"], "'y' does not occ"),
+    (
+        ["section", OSCILLATOR, "--z0", "1", "--t-end", "1", "--at", "x = 0", "--energy", "1"],
+        "with --energy a start is given by name",
+    ),
+    (
+        ["section", OSCILLATOR, "--z0", "x=9", "--t-end", "1", "--at", "x = 0", "--energy", "1"],
+        "no p gives the energy 1",
+    ),
+    (
+        ["compare", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--with", "rk4"],
+        "'rk4' is not a method",
+    ),
     (
         ["compare", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--method", "adam", "--tol", "1"],
         "'tol'",
@@ -232,7 +329,9 @@ def test_bad_input_gets_one_line_and_status_2(
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["derive", "source", "solve", "integrate", "compare"])
+@pytest.mark.parametrize(
+    "command", ["derive", "source", "solve", "integrate", "lyapunov", "section", "compare"]
+)
 def test_every_command_has_help(capsys: Captured, command: str) -> None:
     status, out, _ = run(capsys, command, "--help")
     assert status == 0

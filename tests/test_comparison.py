@@ -9,8 +9,8 @@ import pytest
 
 import hamsym
 from hamsym import Comparison, Solution
-from hamsym.comparison import StepsToMatch
-from hamsym.systems import Problem, charged_particle, harmonic_oscillator
+from hamsym.comparison import Match
+from hamsym.systems import Problem, charged_particle, harmonic_oscillator, nonlinear_oscillator
 
 
 def quick(problem: Problem, epochs: int = 1500) -> Solution:
@@ -35,7 +35,7 @@ def comparison() -> Comparison:
 
 
 def test_rows_are_network_and_euler_at_k_10k_100k(comparison: Comparison) -> None:
-    assert [row.label for row in comparison.rows] == ["network"] + 3 * ["symplectic Euler"]
+    assert [row.label for row in comparison.rows] == ["network"] + 3 * ["symplectic_euler"]
     assert [row.points for row in comparison.rows] == [30, 30, 300, 3000]
 
 
@@ -52,7 +52,7 @@ def test_errors_are_those_of_the_trajectories(comparison: Comparison) -> None:
 
 
 def test_steps_to_match_are_just_enough(comparison: Comparison) -> None:
-    steps, target = comparison.steps_to_match.steps, comparison.rows[0].error
+    steps, target = comparison.matches["symplectic_euler"].steps, comparison.rows[0].error
     assert steps is not None
     problem = harmonic_oscillator()
 
@@ -62,26 +62,104 @@ def test_steps_to_match_are_just_enough(comparison: Comparison) -> None:
 
     assert error(steps) <= target * (1 + 1e-6)
     assert error(int(steps / 1.03) - 1) > target
-    assert comparison.steps_to_match.error <= target
+    assert comparison.matches["symplectic_euler"].error <= target
 
 
 def test_beyond_the_limit_is_an_extrapolation_and_says_so() -> None:
     problem = harmonic_oscillator()
     solution = quick(problem)
-    full = hamsym.compare(solution, exact=problem.exact).steps_to_match.steps
+    euler = "symplectic_euler"
+    full = hamsym.compare(solution, exact=problem.exact).matches[euler].steps
     assert full is not None
-    limited = hamsym.compare(solution, exact=problem.exact, max_steps=full // 10).steps_to_match
+    limited = hamsym.compare(solution, exact=problem.exact, max_steps=full // 10).matches[euler]
     assert limited.steps is None
     assert limited.extrapolated == pytest.approx(full, rel=0.05)
     assert "extrapolated" in str(limited)
     assert str(limited).startswith("> ")
 
 
-def test_how_steps_to_match_are_written() -> None:
-    assert str(StepsToMatch(1234, 1e-3, None)) == "1,234"
-    beyond = StepsToMatch(None, 1e-7, 2.5e9)
-    assert str(beyond) == "> 1e8 (extrapolated: 2.5e+09)"
-    assert str(StepsToMatch(None, 1e-7, 2.5e9, limit=10**6)).startswith("> 1e6 (extrap")
+def test_a_search_that_would_take_long_is_extrapolated(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = harmonic_oscillator()
+    solution = quick(problem)
+    full = hamsym.compare(solution, exact=problem.exact).matches["symplectic_euler"].steps
+    assert full is not None
+    assert full > 300
+    monkeypatch.setattr("hamsym.comparison._RUN_LIMIT", 1e-9)
+    found = hamsym.compare(solution, points=3, exact=problem.exact)
+    match = found.matches["symplectic_euler"]
+    assert match.reason == "> 300 steps"
+    assert match.extrapolated == pytest.approx(full, rel=0.1)
+
+
+METHODS = ["stormer_verlet", "yoshida4", "blanes_moan6", "yoshida8", "gauss4", "tao2", "dop853"]
+
+
+@pytest.fixture(scope="module")
+def several() -> Comparison:
+    problem = nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 10), tol=1e-6)
+    return hamsym.compare(solution, METHODS, points=50, exact=problem.exact)
+
+
+def test_any_integrators_are_compared(several: Comparison) -> None:
+    names = [name if name != "yoshida4" else "forest_ruth" for name in METHODS]
+    assert list(several.matches) == names
+    assert [row.label for row in several.rows[1:]] == [name for name in names for _ in range(3)]
+    for row in several.rows:
+        assert row.evaluations > 0
+        assert row.error > 0
+    tolerances = [row.tolerance for row in several.rows if row.label == "dop853"]
+    assert tolerances == [1e-3, 1e-6, 1e-9]
+
+
+def test_every_match_is_just_enough(several: Comparison) -> None:
+    problem, target = nonlinear_oscillator(), several.rows[0].error
+
+    def error(**options: object) -> float:
+        found = hamsym.integrate(problem.H, problem.z0, (0, 10), **options)
+        return float(np.linalg.norm(found.z - problem.exact(found.t), axis=1).max())
+
+    for name, match in several.matches.items():
+        assert match.error <= target
+        if name == "dop853":
+            assert match.tolerance is not None
+            wider = 2 * match.tolerance
+            assert error(method=name, steps=4000, rtol=wider, atol=wider) > target
+        else:
+            assert match.steps is not None
+            assert error(method=name, steps=match.steps) <= target * 1.05
+            assert error(method=name, steps=int(0.95 * match.steps)) > target
+
+
+def test_round_off_is_named_where_it_is_the_limit() -> None:
+    """Against itself the network has no error, which no integrator can reach."""
+    problem = nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 2), tol=1e-11)
+    methods = ["yoshida8", "dop853", "symplectic_euler"]
+    comparison = hamsym.compare(solution, methods, points=50, exact=solution, max_steps=10**6)
+    reasons = [match.reason for match in comparison.matches.values()]
+    assert reasons[0].startswith("not reached: round-off leaves")
+    assert reasons[1].startswith("not reached, ")
+    assert reasons[2] == "> 1e6 steps"
+    assert "not reached: round-off leaves" in str(comparison)
+
+
+def test_integrators_that_cannot_be_compared() -> None:
+    problem = charged_particle()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 1), tol=1e-6)
+    with pytest.raises(hamsym.InputError, match="stormer_verlet needs H = "):
+        hamsym.compare(solution, "stormer_verlet")
+    with pytest.raises(hamsym.InputError, match="'rk4' is not a method"):
+        hamsym.compare(solution, ["gauss4", "rk4"])
+    with pytest.raises(hamsym.InputError, match="methods is empty"):
+        hamsym.compare(solution, [])
+
+
+def test_how_matches_are_written() -> None:
+    assert str(Match(1234, 1, 1e-3, 0.1)) == "1,234"
+    assert str(Match(None, 1, 1e-3, 0.1, tolerance=1e-9)) == "rtol 1e-09"
+    beyond = Match(None, 0, 1e-7, 0.0, extrapolated=2.5e9, reason="> 1e8 steps")
+    assert str(beyond) == "> 1e8 steps (extrapolated: 2.5e+09)"
 
 
 def test_where_the_reference_dominates_it_is_said() -> None:
@@ -100,15 +178,20 @@ def test_only_solutions_are_compared() -> None:
 def test_table_fits_eighty_columns(comparison: Comparison) -> None:
     lines = str(comparison).splitlines()
     assert max(map(len, lines)) <= 80
-    assert lines[0].split() == ["method", "points", "max", "|dz|", "max", "|dE|", "time", "s"]
-    assert lines[-1].startswith("Euler steps for the network's error: ")
+    assert lines[0].split()[:3] == ["method", "points", "evaluations"]
+    assert lines[-2].startswith("for the network's error, ")
+    assert lines[-1].startswith("symplectic_euler")
+
+
+def test_table_of_many_fits_too(several: Comparison) -> None:
+    assert max(map(len, str(several).splitlines())) <= 80
 
 
 def test_non_separable_systems_are_compared_too() -> None:
     problem = charged_particle()
     comparison = hamsym.compare(quick(problem, epochs=300))
     assert all(math.isfinite(row.error) for row in comparison.rows)
-    assert comparison.steps_to_match.steps is not None
+    assert comparison.matches["symplectic_euler"].steps is not None
 
 
 def test_coarse_euler_that_breaks_off_counts_as_infinitely_wrong() -> None:
@@ -131,3 +214,9 @@ def test_figure(comparison: Comparison) -> None:
     figure = comparison.plot()
     assert len(figure.axes) == 4
     assert all(axis.lines for axis in figure.axes)
+    assert [len(axis.lines) for axis in figure.axes] == [4, 4, 2, 3]
+
+
+def test_figure_of_many(several: Comparison) -> None:
+    axes = several.plot().axes
+    assert len(axes[0].lines) == 1 + len(METHODS)

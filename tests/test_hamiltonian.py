@@ -327,3 +327,52 @@ def test_states_by_name_and_by_order() -> None:
 def test_unusable_states(z0: object, message: str) -> None:
     with pytest.raises(VariableError, match=message):
         Hamiltonian(OSCILLATOR).state_from(z0)  # type: ignore[arg-type]
+
+
+# -- functions of the state ----------------------------------------------------------------------
+
+
+def test_observables_are_compiled() -> None:
+    H = Hamiltonian("p**2/(2*m) + k*x**2/2 - x*cos(t)", parameters={"m": 2.0, "k": 3.0})
+    z = np.array([[1.0, 2.0], [0.5, -1.0]])
+    np.testing.assert_allclose(H.observable("p/m + x*k")(z), [4.0, 1.0])
+    np.testing.assert_allclose(H.observable("x*t")(z, np.array([2.0, 4.0])), [2.0, 2.0])
+    x = sympy.Symbol("x", positive=True)
+    np.testing.assert_allclose(H.observable(x**2)(z), [1.0, 0.25])
+    assert H.observable("7")(z).tolist() == [7.0, 7.0]
+
+
+def test_observables_that_cannot_be_compiled() -> None:
+    H = Hamiltonian("p**2/(2*m) + x**2/2")
+    with pytest.raises(VariableError, match="'v' does not occur in H"):
+        H.observable("v")
+    with pytest.raises(ParameterError, match="m has no value"):
+        H.observable("p/m")
+
+
+def test_state_at_energy() -> None:
+    H = Hamiltonian("p_x**2/(2*m) + p_y**2/2 + x**4/4 + y**2/2", parameters={"m": 2.0})
+    state = H.state_at_energy(3.0, {"x": 1.0, "p_y": 0.5, "y": 0.25})
+    assert H.compile("numpy").energy(state) == pytest.approx(3.0, rel=1e-15)
+    assert state[2] > 0
+    state = H.state_at_energy(0.25, {"p_x": 0, "p_y": 0, "y": 0})
+    np.testing.assert_allclose(state, [1, 0, 0, 0])
+    assert H.state_at_energy(0.0, {"p_x": 0, "p_y": 0, "y": 0}).tolist() == [0, 0, 0, 0]
+    driven = Hamiltonian("p**2/2 + x*t")
+    assert driven.state_at_energy(3.5, {"x": 1.0}, t=1.5).tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("energy", "start", "message"),
+    [
+        (1.0, {"x": 0, "p_x": 0}, "missing: y, p_y"),
+        (1.0, {"x": 0, "p_x": 0, "y": 0, "p_y": 0}, "missing: none"),
+        (-1.0, {"x": 0, "p_x": 0, "y": 0}, "no p_y gives the energy -1; at p_y = 0 it is 0"),
+        (float("nan"), {"x": 0, "p_x": 0, "y": 0}, "no p_y gives the energy nan"),
+        (1.0, {"x": 0, "p_x": 0, "q": 0}, "leave out one|not a component"),
+    ],
+)
+def test_states_that_no_energy_gives(energy: float, start: dict, message: str) -> None:
+    H = Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2")
+    with pytest.raises(VariableError, match=message):
+        H.state_at_energy(energy, start)

@@ -1,0 +1,252 @@
+"""Poincare sections: where trajectories of an ensemble cross a surface, located to round-off.
+
+Input:  a Hamiltonian, initial states, a surface such as "x = 0, p_x > 0".
+Output: a :class:`Section` with the states of all crossings.
+
+The trajectories are stepped with a generated loop. Between two steps with different signs a
+crossing is found by taking part of a step: the point is on the curve that the method itself draws.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.integrators import checked_span, checked_steps, fixed_step, usual_method
+from hamsym.progress import stepping_progress
+from hamsym.schemes import Doubled
+from hamsym.surfaces import Surface, parse_surface, refine, sign_changes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Section", "section"]
+
+_HELD = 2_000_000  # numbers held at once while crossings are looked for
+
+
+@dataclass(frozen=True)
+class Section:
+    """Crossings of a surface, ordered by trajectory and then as they happened.
+
+    Attributes
+    ----------
+    surface : str
+    names : tuple of str
+        Components of z.
+    t : numpy.ndarray
+        Times of the crossings, shape (n,).
+    z : numpy.ndarray
+        States there, shape (n, dim).
+    trajectory : numpy.ndarray
+        Number of the trajectory that each belongs to, shape (n,).
+    energy_error : float
+        Largest change of H at the crossings, nan if H depends on time.
+    method : str
+    dt : float
+        Length of the steps.
+    seconds : float
+    success : bool
+    message : str
+        What happened, in words.
+    """
+
+    surface: str
+    names: tuple[str, ...]
+    t: np.ndarray = field(repr=False)
+    z: np.ndarray = field(repr=False)
+    trajectory: np.ndarray = field(repr=False)
+    energy_error: float
+    method: str
+    dt: float
+    seconds: float
+    success: bool
+    message: str
+    axes: tuple[str, str] = field(repr=False)
+
+    def plot(self, x: str | None = None, y: str | None = None) -> Figure:
+        """The crossings in a plane, by default that of a pair that the surface leaves free."""
+        from hamsym.plotting import plot_section  # matplotlib is slow to import
+
+        for name in (x, y):
+            if name is not None and name not in self.names:
+                raise InputError(
+                    f"'{name}' is not a component of z; choose one of {', '.join(self.names)}"
+                )
+        return plot_section(self, x or self.axes[0], y or self.axes[1])
+
+
+def section(
+    H: Hamiltonian,
+    z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
+    span: tuple[float, float],
+    surface: str,
+    *,
+    method: str | None = None,
+    steps: int | None = None,
+    dt: float | None = None,
+    direction: float = 0.0,
+    crossings: int | None = None,
+    progress: bool | None = None,
+) -> Section:
+    """Crossings of a surface by one trajectory or by each of an ensemble.
+
+    A trajectory that crosses twice within one step is not seen to cross; take smaller steps if
+    that may be. A start on the surface is no crossing.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+    z0 : sequence, mapping or array
+        As in :func:`hamsym.integrate`, shape (dim,) or (batch, dim).
+    span : (float, float)
+    surface : str
+        An equation, and inequalities that the crossing must satisfy, such as
+        ``"x = 0, p_x > 0"``; both sides may be any formula.
+    method : str, optional
+        A fixed-step method of :data:`hamsym.integrators.INTEGRATORS`; by default ``blanes_moan6``
+        for a separable H, otherwise ``gauss6``.
+    steps : int, optional
+        Number of steps, 20,000 unless given.
+    dt : float, optional
+        In place of ``steps``, the largest step.
+    direction : float
+        Above zero only crossings at which left side minus right side rises, below zero falls.
+    crossings : int, optional
+        Stop as soon as every trajectory has so many, and keep no more.
+    progress : bool, optional
+        Show how far it is; by default on a terminal, after a second.
+
+    Returns
+    -------
+    Section
+
+    Raises
+    ------
+    InputError
+        If the surface or an option cannot be used.
+
+    Examples
+    --------
+    >>> H = Hamiltonian("(p_x**2 + p_y**2)/2 + x**2/2 + y**2")
+    >>> found = section(H, {"x": 0, "y": 0.1, "p_x": 1, "p_y": 0}, (0, 50), "x = 0, p_x > 0")
+    >>> len(found.t), (found.t / (2 * np.pi)).round(9)
+    (7, array([1., 2., 3., 4., 5., 6., 7.]))
+    """
+    H.require_parameters()
+    states = np.atleast_2d(H.states_from(z0))
+    start, end = checked_span(span)
+    steps = checked_steps(end - start, steps, dt)
+    if crossings is not None and (not isinstance(crossings, int) or crossings < 1):
+        raise InputError(f"crossings={crossings!r} cannot be used; give a whole number from 1")
+    where = parse_surface(H, surface)
+    method = method or usual_method(H)
+    count, size = len(states), (end - start) / steps
+    stepper = fixed_step(H, method, states, np.full(count, start), np.full(count, size))
+    if isinstance(stepper.scheme, Doubled):
+        raise InputError(f"{method} cannot take part of a step; choose another one, such as gauss4")
+    began = time.perf_counter()
+    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    numbers = np.zeros(count, dtype=int)
+    piece = max(1, _HELD // (count * H.dim))
+    message, done, last = "", 0, states
+    with stepping_progress(steps, progress) as report:
+        while done < steps:
+            moved = stepper.advance(min(piece, steps - done), show=False)
+            path = np.concatenate((last[:, None], moved.states), axis=1)
+            times = start + size * np.arange(done, done + path.shape[1])
+            found.append(_crossings(H, method, where, direction, path, times, size))
+            numbers += np.bincount(found[-1][2], minlength=count)
+            done, last = done + path.shape[1] - 1, path[:, -1]
+            report(path.shape[1] - 1)
+            if moved.interrupted:
+                message = "interrupted"
+                break
+            if not np.isfinite(last).any() or (crossings and numbers.min() >= crossings):
+                break
+    t, z, trajectory = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    order = np.lexsort((np.sign(size) * t, trajectory))
+    if crossings is not None:
+        first = np.searchsorted(trajectory[order], trajectory[order])
+        order = order[np.arange(len(order)) - first < crossings]
+    t, z, trajectory = t[order], z[order], trajectory[order]
+    lost = ~np.isfinite(last).all(axis=-1)
+    if message:
+        message = f"stopped after t = {start + size * done:.6g}: {message}"
+    elif lost.any():
+        message = (
+            f"{lost.sum()} of {count:,} trajectories, such as number {int(np.argmax(lost))}, left "
+            "the range of numbers or came to a step that could not be solved"
+        )
+    elif crossings is not None and numbers.min() < crossings:
+        message = (
+            f"trajectory {int(np.argmin(numbers))} has only {numbers.min()} of {crossings} "
+            f"crossings by t = {end:.6g}"
+        )
+    return Section(
+        surface=surface,
+        names=H.names,
+        t=t,
+        z=z,
+        trajectory=trajectory,
+        energy_error=_energy_error(H, states, z, trajectory),
+        method=method,
+        dt=size,
+        seconds=time.perf_counter() - began,
+        success=not message,
+        message=message or f"{len(t):,} crossings of {surface}, {method} with dt = {size:.3g}",
+        axes=_free_pair(H, where),
+    )
+
+
+def _crossings(
+    H: Hamiltonian,
+    method: str,
+    where: Surface,
+    direction: float,
+    path: np.ndarray,
+    times: np.ndarray,
+    size: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, states and trajectories of the crossings on paths of shape (n, steps + 1, dim)."""
+    with np.errstate(all="ignore"):  # where a trajectory has escaped
+        values = where.value(path, np.broadcast_to(times, path.shape[:2]))
+    trajectory, step = sign_changes(values, direction)
+    before, since = path[trajectory, step], times[step]
+
+    def part_of_a_step(share: np.ndarray, index: np.ndarray) -> np.ndarray:
+        stepper = fixed_step(H, method, before[index], since[index], share * size)
+        stepper.advance(1, show=False)
+        # No step at all is the state itself, also where a method divides by the step.
+        return np.where(share[:, None] == 0, before[index], stepper.states)
+
+    def value(share: np.ndarray, index: np.ndarray) -> np.ndarray:
+        return where.value(part_of_a_step(share, index), since[index] + share * size)
+
+    share = refine(value, np.zeros(len(step)), np.ones(len(step)))
+    z = part_of_a_step(share, np.arange(len(step))) if len(step) else before
+    t = since + share * size
+    holds = where.holds(z, t)
+    return t[holds], z[holds], trajectory[holds]
+
+
+def _energy_error(
+    H: Hamiltonian, starts: np.ndarray, z: np.ndarray, trajectory: np.ndarray
+) -> float:
+    if H.time is not None:
+        return float("nan")
+    energy = H.compile("numpy").energy
+    return float(np.abs(energy(z) - energy(starts)[trajectory]).max(initial=0.0))
+
+
+def _free_pair(H: Hamiltonian, where: Surface) -> tuple[str, str]:
+    """The first coordinate, with its momentum, of which the surface fixes nothing."""
+    pairs = list(zip(H.names[: H.dof], H.names[H.dof :], strict=True))
+    free = [pair for pair in pairs if not where.names & set(pair)]
+    return free[0] if free else pairs[0]

@@ -1,0 +1,129 @@
+"""Surfaces in phase space, from text such as "x = 0, p_x > 0"."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import elementwise
+
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.parsing import canonical_name, parse_expression
+
+__all__ = ["Surface", "parse_surface", "refine", "sign_changes"]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Where a function of the state and the time is zero, and others are positive.
+
+    Attributes
+    ----------
+    text : str
+    names : frozenset of str
+        Components of z that occur in the equation.
+    value : callable
+        (z, t) -> what is zero on the surface, shape (...).
+    conditions : tuple of callable
+        (z, t) -> what is positive, shape (...).
+    """
+
+    text: str
+    names: frozenset[str]
+    value: Callable[..., np.ndarray] = field(repr=False)
+    conditions: tuple[Callable[..., np.ndarray], ...] = field(repr=False)
+
+    def holds(self, z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Which states, shape (n, dim), satisfy the conditions."""
+        found = np.ones(len(z), dtype=bool)
+        for condition in self.conditions:
+            found &= condition(z, t) > 0
+        return found
+
+
+def parse_surface(H: Hamiltonian, text: str) -> Surface:
+    """An equation, and any number of inequalities, separated by commas.
+
+    Raises
+    ------
+    InputError
+        If there is not one equation, or a comparison is none of ``=``, ``<`` and ``>``.
+    ParseError, VariableError
+        If a side of it cannot be read, or has a symbol that H does not have.
+
+    Examples
+    --------
+    >>> surface = parse_surface(Hamiltonian("p_x**2 + p_y**2 + x*y"), "x = 1, p_x > p_y")
+    >>> surface.value([[1.5, 0, 0, 0]], 0.0)
+    array([0.5])
+    """
+    if not isinstance(text, str):
+        raise InputError(f"a surface is a str such as 'x = 0, p_x > 0', not {type(text).__name__}")
+    equations, conditions = [], []
+    for part in _parts(text):
+        left, sign, right = _comparison(part)
+        if sign == "=":
+            equations.append(parse_expression(left) - parse_expression(right))
+        else:
+            larger, smaller = (left, right) if sign == ">" else (right, left)
+            conditions.append(parse_expression(larger) - parse_expression(smaller))
+    if len(equations) != 1:
+        number = "no equation" if not equations else "two equations"
+        raise InputError(f"'{text}' has {number}; write one such as x = 0, and others as p_x > 0")
+    expr = equations[0]
+    symbols = {canonical_name(symbol.name) for symbol in expr.free_symbols}
+    value = H.observable(expr)  # refuses what H does not have
+    names = frozenset(name for name in H.names if canonical_name(name) in symbols)
+    if not names and "t" not in symbols:
+        raise InputError(f"'{text}' holds everywhere or nowhere; name a component of z in it")
+    return Surface(text, names, value, tuple(H.observable(condition) for condition in conditions))
+
+
+def _parts(text: str) -> list[str]:
+    """Pieces between the commas that are not inside parentheses."""
+    depth, start, parts = 0, 0, []
+    for i, character in enumerate(text):
+        depth += (character == "(") - (character == ")")
+        if character == "," and depth == 0:
+            parts.append(text[start:i])
+            start = i + 1
+    return [*parts, text[start:]]
+
+
+def _comparison(part: str) -> tuple[str, str, str]:
+    pieces = re.split("([<>=!]+)", part)
+    if len(pieces) != 3 or pieces[1] not in ("=", "<", ">"):
+        raise InputError(
+            f"'{part.strip()}' is no equation and no inequality; write such as x = 0, p_x > 0"
+        )
+    return pieces[0].strip(), pieces[1], pieces[2].strip()
+
+
+def sign_changes(values: np.ndarray, direction: float = 0.0) -> tuple[np.ndarray, ...]:
+    """Indices (..., i) where values, shape (..., n), change their sign from i to i + 1.
+
+    A zero belongs to the interval that ends there, so that none is counted twice. A direction above
+    zero asks for those that rise, below zero for those that fall.
+    """
+    before, after = values[..., :-1], values[..., 1:]
+    rising, falling = (before < 0) & (after >= 0), (before > 0) & (after <= 0)
+    if direction > 0:
+        return np.nonzero(rising)
+    return np.nonzero(falling if direction < 0 else rising | falling)
+
+
+def refine(
+    function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Zeros to round-off, all at once, of function(x, index) between low and high, shape (n,).
+
+    By Chandrupatla's method, as scipy has it.
+    """
+    if not len(low):
+        return np.empty(0)
+    # The limit is met where rounding, not the step towards the zero, is what is left.
+    result = elementwise.find_root(function, (low, high), args=(np.arange(len(low)),))
+    return np.asarray(result.x)
