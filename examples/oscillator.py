@@ -1,4 +1,4 @@
-"""The paper's nonlinear oscillator: from the formula to neural trajectories, beside Euler.
+"""The paper's nonlinear oscillator: from the formula to neural trajectories, beside integrators.
 
 Mattheakis, Sondak, Dogra & Protopapas, "Hamiltonian neural networks for solving equations of
 motion", section III.A: H = p^2/2 + x^2/2 + x^4/4 from (1.3, 1) over [0, 4 pi]. First to a
@@ -53,7 +53,8 @@ solution = hamsym.solve(H, problem.z0, problem.span, method=arguments.method, se
 print(solution.message)
 print(f"ell_max / sigma_min = {solution.error_bound:.2e} (the paper's bound, a heuristic)\n")
 
-comparison = hamsym.compare(solution, exact=problem.exact)
+rivals = ("symplectic_euler", "stormer_verlet", "yoshida4", "gauss6", "dop853")
+comparison = hamsym.compare(solution, rivals, exact=problem.exact)
 print(comparison)
 
 arguments.out.mkdir(parents=True, exist_ok=True)

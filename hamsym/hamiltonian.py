@@ -502,7 +502,7 @@ class Hamiltonian:
         own = Hamiltonian(expr, q=q, p=p, parameters=values)
         own.require_parameters()
         system = own.compile("numpy")
-        return lambda z, t=0.0: np.asarray(system.energy(*system.arguments(z, t)))
+        return lambda z, t=0.0: system.energy(*system.arguments(z, t))
 
     @cached_property
     def variational_equations(self) -> list[sympy.Eq]:

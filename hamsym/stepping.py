@@ -138,8 +138,10 @@ class Stepper:
         with stepping_progress(saves * save_every, show) as progress:
             pool = ThreadPoolExecutor(cores) if cores > 1 else None
             try:
-                for save, part, every in _pieces(saves, save_every, max(1, _PIECE // work)):
-                    out[:, save : save + part] = self._run(pool, cores, part, every)
+                for rows, part, every in _pieces(saves, save_every, max(1, _PIECE // work)):
+                    moved = self._run(pool, cores, part, every)
+                    if rows is not None:
+                        out[:, rows] = moved
                     progress(part * every)
                     if not np.isfinite(self._states).all(axis=1).any():
                         break
@@ -148,12 +150,10 @@ class Stepper:
             finally:
                 if pool is not None:
                     pool.shutdown()
-        moved = self._done - before
-        if moved[:, 1].any():  # counted, since it depends on the iterations
-            evaluations = int(moved[:, 1].sum())
-        else:
-            evaluations = int(moved[:, 0].sum()) * self.scheme.stages
-        return Stepping(out, moved[:, 0], evaluations, interrupted)
+        steps, counted = (self._done - before).T
+        # Where the number depends on iterations it was counted.
+        evaluations = counted.sum() if counted.any() else steps.sum() * self.scheme.stages
+        return Stepping(out, steps, int(evaluations), interrupted)
 
     def _run(
         self, pool: ThreadPoolExecutor | None, cores: int, saves: int, every: int
@@ -205,16 +205,18 @@ def _loop(
     return loops[name]
 
 
-def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[int, int, int]]:
-    """(first save, saves, steps each); a save that takes several pieces is written by each."""
+def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[slice | None, int, int]]:
+    """(rows of the output, saves, steps each); no rows on the way to a save of several pieces."""
     if save_every <= piece:
         together = piece // save_every
         for save in range(0, saves, together):
-            yield save, min(together, saves - save), save_every
+            count = min(together, saves - save)
+            yield slice(save, save + count), count, save_every
         return
     for save in range(saves):
         for step in range(0, save_every, piece):
-            yield save, 1, min(piece, save_every - step)
+            last = step + piece >= save_every
+            yield slice(save, save + 1) if last else None, 1, min(piece, save_every - step)
 
 
 def _cores() -> int:

@@ -49,6 +49,16 @@ EXACT = [name for name, make in ALL.items() if make().exact]
 CONSERVING = [name for name, make in ALL.items() if make().conserved]
 
 
+@pytest.fixture(
+    params=[
+        pytest.param(name, marks=pytest.mark.slow if name == "three_bodies" else ())
+        for name in CATALOGUE
+    ]
+)
+def problem(request: pytest.FixtureRequest) -> Problem:
+    return CATALOGUE[request.param]()
+
+
 def test_starts_fit(problem: Problem) -> None:
     assert problem.H.unbound_parameters == ()
     assert problem.H.state_from(problem.z0).shape == (problem.H.dim,)
