@@ -35,7 +35,7 @@ lint: $(VENV)/installed ## Check style, formatting and types
 
 bench: $(VENV)/installed ## Print the benchmarks' ratios (twenty minutes)
 	$(BIN)/python tests/benchmarks/derivation.py
-	$(BIN)/python tests/benchmarks/euler_loop.py
+	$(BIN)/python tests/benchmarks/integrators.py
 	$(BIN)/python tests/benchmarks/training_epoch.py
 	$(BIN)/python tests/benchmarks/growth.py
 	$(BIN)/python tests/benchmarks/work_precision.py

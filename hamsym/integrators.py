@@ -483,6 +483,8 @@ def _run_adaptive(
 
 def _reached(z: np.ndarray, times: np.ndarray, message: str) -> tuple[np.ndarray, np.ndarray, str]:
     """Trajectories up to the last of them that still has a state, and what to say of it."""
+    if not message and np.isfinite(z).all():
+        return z, times, message
     finite = np.logical_and.accumulate(np.isfinite(z).all(axis=-1), axis=1)
     z[~finite] = np.nan
     counts = finite.sum(axis=1)

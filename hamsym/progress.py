@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -60,8 +61,7 @@ def stepping_progress(steps: int, show: bool | None = None) -> Iterator[Callable
     show : bool, optional
         By default only where standard error is a terminal.
     """
-    console = Console(stderr=True, force_terminal=show)
-    if not (console.is_terminal if show is None else show):
+    if not (sys.stderr.isatty() if show is None else show):
         yield lambda _: None
         return
     columns = (
@@ -70,6 +70,7 @@ def stepping_progress(steps: int, show: bool | None = None) -> Iterator[Callable
         TaskProgressColumn(),
         TimeRemainingColumn(),
     )
+    console = Console(stderr=True, force_terminal=show)
     progress = Progress(*columns, console=console, transient=True)
     task = progress.add_task("", total=steps)
     began = time.monotonic()

@@ -61,6 +61,7 @@ class Splitting:
                 for (kind, size), (other, mirrored) in zip(flows, flows[::-1], strict=True)
             )
 
+    @functools.cached_property
     def arrays(self) -> tuple[np.ndarray, ...]:
         """Rows (a_i, b_i, time of the drift, time of the kick), in units of a step."""
         a, b = (np.array(side, dtype=float) for side in (self.drifts, self.kicks))
@@ -106,6 +107,7 @@ class RungeKutta:
                 abs(b[i] * a[i][j] + b[j] * a[j][i] - b[i] * b[j]) < _SMALL for i, j in pairs
             )
 
+    @functools.cached_property
     def arrays(self) -> tuple[np.ndarray, ...]:
         """a, b, c, and the matrix that continues rates at one step's nodes to the next one's."""
         nodes = np.array(self.nodes, dtype=float)
@@ -146,6 +148,7 @@ class Doubled:
     is_symmetric = True
     is_symplectic = False  # it is, but in the doubled phase space
 
+    @functools.cached_property
     def arrays(self) -> tuple[np.ndarray, ...]:
         """The weights."""
         return (np.array(self.weights, dtype=float),)

@@ -107,7 +107,7 @@ class Stepper:
         self._starts, self._sizes = np.ascontiguousarray(starts), np.ascontiguousarray(sizes)
         self._first = 0
         implicit_euler = isinstance(scheme, Splitting) and not H.is_separable
-        self._constants: list[Any] = [] if implicit_euler else list(scheme.arrays())
+        self._constants: list[Any] = [] if implicit_euler else list(scheme.arrays)
         if isinstance(scheme, Doubled):
             self._constants.append(float(omega))
         self._constants += [H.parameters[parameter] for parameter in H.parameter_names]

@@ -34,6 +34,7 @@ _STEPS_PER_RADIAN = 5  # of the fastest linear motion at the start
 # and several vectors would become parallel to round-off before.
 _GROWTH_OF_ONE, _GROWTH_OF_SEVERAL = 200.0, 5.0
 _KEPT = 2_000  # points of the history
+_COARSE = 0.01  # of the scale of H; steps that change it by more draw another system
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,8 @@ class LyapunovExponents:
     dt : float
     seconds : float
     success : bool
-        Whether the trajectory reached the end; not whether the exponent has converged.
+        Whether the trajectory reached the end and kept H to 1 % of its scale; not whether the
+        exponent has converged.
     message : str
     """
 
@@ -351,14 +353,14 @@ def lyapunov(
         raise InputError(f"the trajectory breaks off at its start: {message or 'no step was done'}")
     if message:
         message = f"stopped after t = {times[-1]:.6g}: {message}"
-    states = np.array(path[: len(history) + 1])
-    system = H.compile("numpy")
-    energy = system.energy(*system.arguments(states, np.array([start, *times])))
+    energy_error, share = _energy_errors(H, np.array(path[: len(history) + 1]))
+    if share > _COARSE and not message:
+        message = f"H changed by {energy_error:.1e}, {share:.0%} of its scale: take a smaller dt"
     return LyapunovExponents(
         t=np.array(times),
         exponents=np.array(history),
         start=start,
-        energy_error=float(np.abs(energy - energy[0]).max()) if H.time is None else math.nan,
+        energy_error=energy_error,
         method=method,
         dt=size,
         seconds=time.perf_counter() - began,
@@ -366,6 +368,17 @@ def lyapunov(
         message=message or f"{method}: {steps:,} steps to t = {end:.6g}",
         title=H.formula,
     )
+
+
+def _energy_errors(H: Hamiltonian, states: np.ndarray) -> tuple[float, float]:
+    """Largest change of H, and its share of max |z . grad H|; nan if H depends on time."""
+    if H.time is not None:
+        return math.nan, math.nan
+    system = H.compile("numpy")
+    energy = system.energy(states)
+    error = float(np.abs(energy - energy[0]).max())
+    scale = float(np.abs(np.sum(states * system.gradient(states), axis=-1)).max())
+    return error, error / scale if scale > 0 else 0.0
 
 
 def _tangent_stepper(

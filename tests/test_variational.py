@@ -191,6 +191,13 @@ def test_backward_time_and_explicit_time_have_exponents() -> None:
     assert math.isnan(found.energy_error)
 
 
+def test_steps_that_are_too_long_are_no_success() -> None:
+    problem = henon_heiles()
+    found = hamsym.lyapunov(problem.H, problem.z0, (0, 1e3), method="symplectic_euler", dt=0.3)
+    assert not found.success
+    assert "of its scale: take a smaller dt" in found.message
+
+
 def test_an_escape_keeps_what_was_done() -> None:
     H = Hamiltonian("p**2/2 - x**4/4")
     found = hamsym.lyapunov(H, [0.5, 0.5], (0, 20), dt=1e-3)
