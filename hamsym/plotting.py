@@ -152,6 +152,9 @@ def plot_comparison(comparison: Comparison) -> Figure:
         (f"{row.label}, {_amount(row)}", path.t, path.z, color)
         for row, path, color in _shown(comparison)
     ]
+    sizes = [np.abs(z - comparison.reference(times)).max() for _, times, z, _ in curves]
+    orders = np.log(_positive(np.nan_to_num(np.array(sizes), nan=np.inf)))
+    nearest = 1 + int(np.argmin(np.abs(orders[1:] - orders[0])))
     for i, (label, times, z, color) in enumerate(curves):
         right = comparison.reference(times)
         error = z - right
@@ -162,7 +165,7 @@ def plot_comparison(comparison: Comparison) -> Figure:
             - system.energy(*system.arguments(right, times))
         )
         axes[0, 1].semilogy(times[1:], _positive(energy)[1:], **style)
-        if i in (0, len(curves) - 1):  # others may dwarf these
+        if i in (0, nearest):  # others would dwarf the network's, or be dwarfed
             axes[1, 0].plot(error[:, 0], error[:, d], **style)
     axes[0, 0].set(title=r"Error $|\delta z|$", xlabel="t")
     axes[0, 1].set(title="Energy error", xlabel="t")
