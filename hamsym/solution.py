@@ -10,11 +10,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-import scipy.integrate
-import scipy.optimize
 import torch
 from torch import Tensor
 
+from hamsym.analysis import Analysis
+from hamsym.error_equation import integrated_error
 from hamsym.errors import InputError, VacuousBoundWarning
 from hamsym.estimates import MarchError
 from hamsym.events import Event, Events, find_events
@@ -30,13 +30,8 @@ if TYPE_CHECKING:
 __all__ = ["Solution"]
 
 _CHUNK = 4_096  # points evaluated at once, to bound the memory of the hidden layers
-_ERROR_CALLS = 20_000  # evaluations for the equation of the error, at most
 _TANGENT_WINDOWS = 1_024  # for which tangent maps are held at once
 _SCAN = 4_001  # points of the scan that precedes the search for an extremum over time
-
-
-class _TooManyCalls(Exception):  # noqa: N818
-    pass
 
 
 class Solution:
@@ -148,7 +143,7 @@ class Solution:
     def derivative(self, t: Any, *, extrapolate: bool = False) -> np.ndarray: ...
     def derivative(self, t: Any, *, extrapolate: bool = False) -> Any:
         """dz^/dt at times t, exact for the network; shapes as for the state."""
-        return self._evaluate(t, extrapolate)[1]
+        return self.evaluate(t, extrapolate=extrapolate)[1]
 
     @overload
     def sensitivity(self, t: Tensor) -> Tensor: ...
@@ -204,20 +199,21 @@ class Solution:
 
     def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
         """ell(t) = dz^/dt - J grad H(z^), shaped as the state (the paper's eq. partial_loss)."""
-        z, dz = self._evaluate(t, extrapolate)
+        z, dz = self.evaluate(t, extrapolate=extrapolate)
         system = self.H.compile("torch") if isinstance(t, Tensor) else self._system
         return system.residual(z, *system.arguments(dz, t))
 
     def energy(self, t: Any, *, extrapolate: bool = False) -> Any:
         """H along the trajectory; shape (n,), or a scalar for a scalar t."""
-        z, _ = self._evaluate(t, extrapolate)
+        z, _ = self.evaluate(t, extrapolate=extrapolate)
         system = self.H.compile("torch") if isinstance(t, Tensor) else self._system
         return system.energy(*system.arguments(z, t))
 
     def _state(self, t: Any, extrapolate: bool) -> Any:
         return self._apply(lambda times: (self.trial.value(times),), t, extrapolate)[0]
 
-    def _evaluate(self, t: Any, extrapolate: bool) -> tuple[Any, Any]:
+    def evaluate(self, t: Any, *, extrapolate: bool = False) -> tuple[Any, Any]:
+        """The state and its time derivative together, as from :meth:`derivative`."""
         z, dz = self._apply(self.trial, t, extrapolate)
         return z, dz
 
@@ -257,40 +253,27 @@ class Solution:
     @cached_property
     def scale(self) -> np.ndarray:
         """s_i = max_t |z^_i(t)| of each component, shape (dim,)."""
-        return np.abs(self(self._scan_times)).max(axis=0)
+        return np.abs(self(self.scan_times)).max(axis=0)
 
     @cached_property
+    def analysis(self) -> Analysis:
+        """The paper's error analysis: ell(t), sigma_min, det Hess, and what follows from them."""
+        return Analysis(self)
+
+    @property
     def ell_max(self) -> float:
         """max_t |ell(t)|, the 2-norm, over continuous time and without the energy term."""
-        return self._largest(lambda t: np.linalg.norm(self.residual(t), axis=-1))
+        return self.analysis.ell_max
 
-    @cached_property
+    @property
     def ell_max_regularized(self) -> float:
         """The paper's ell_max with its energy term, sqrt(max_t |ell|^2 + lambda (H - E0)^2)."""
-        if not self.energy_weight:
-            return self.ell_max
-        energy_0 = float(self.energy(self.span[0]))
+        return self.analysis.ell_max_regularized
 
-        def size(t: np.ndarray) -> np.ndarray:
-            ell = np.linalg.norm(self.residual(t), axis=-1)
-            return np.sqrt(ell**2 + self.energy_weight * (self.energy(t) - energy_0) ** 2)
-
-        return self._largest(size)
-
-    @cached_property
+    @property
     def sigma_min(self) -> float:
-        """Smallest singular value of the Hessian along the trajectory.
-
-        Zero where an eigenvalue changes its sign on the way, between the points of any grid.
-        """
-        # Singular values of a symmetric matrix are the magnitudes of its eigenvalues.
-        eigenvalues = self._hessian_eigenvalues(self._scan_times)
-        negative = (eigenvalues < 0).sum(axis=1)
-        largest = np.abs(eigenvalues).max()
-        if np.any(negative != negative[0]) or largest == 0:
-            return 0.0
-        smallest = -self._largest(lambda t: -np.abs(self._hessian_eigenvalues(t)).min(axis=-1))
-        return smallest if smallest > 1e-12 * largest else 0.0
+        """Smallest singular value of the Hessian along the trajectory; zero if it is singular."""
+        return self.analysis.sigma_min
 
     @overload
     def error_estimate(self, t: Tensor) -> Tensor: ...
@@ -321,7 +304,7 @@ class Solution:
         """max_t of the estimated error of each component, round-off included, shape (dim,)."""
         if self.march_error is not None:
             return self.march_error.largest
-        return np.asarray(np.abs(self.error_estimate(self._scan_times)).max(axis=0))
+        return np.asarray(np.abs(self.error_estimate(self.scan_times)).max(axis=0))
 
     @property
     def relative_error_estimate(self) -> float:
@@ -337,36 +320,7 @@ class Solution:
 
     @cached_property
     def _error(self) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
-        """Until when the equation of the error was solved, and its solution, (dim, ...)."""
-        size = self.ell_max or 1.0  # errors are measured in units of ell_max
-
-        calls = 0
-
-        def rate(t: float, error: np.ndarray) -> np.ndarray:
-            nonlocal calls
-            calls += 1
-            if calls > _ERROR_CALLS:
-                raise _TooManyCalls
-            z, dz = self._evaluate(t, extrapolate=True)
-            flow = self._system.vector_field(*self._system.arguments(z + size * error, t))
-            return np.asarray((flow - dz) / size)
-
-        start, end = self.span
-        with np.errstate(all="ignore"):
-            try:
-                result = scipy.integrate.solve_ivp(
-                    rate,
-                    self.span,
-                    np.zeros(self.H.dim),
-                    method="DOP853",
-                    dense_output=True,
-                    rtol=1e-6,
-                    atol=1e-7 * abs(end - start),
-                    max_step=abs(end - start) / 50,
-                )
-            except _TooManyCalls:  # a network this wild is no solution
-                return start, lambda t: np.zeros((self.H.dim, *np.shape(t)))
-        return float(result.t[-1]), lambda t: size * result.sol(t)
+        return integrated_error(self)
 
     # -- how nearby solutions move -------------------------------------------------------------
 
@@ -382,7 +336,7 @@ class Solution:
         if isinstance(self.training, March):
             return self.training.edges
         start, end = self.span
-        matrices, dof = self._hessians(self._scan_times), self.H.dof
+        matrices, dof = self.hessians(self.scan_times), self.H.dof
         # J Hess in units of the scales has the size of the rates at which nearby states part.
         units = np.repeat(self._half_scales, dof)
         sizes = np.abs(matrices * units * np.roll(units, dof)[:, None] ** -1.0)
@@ -405,7 +359,7 @@ class Solution:
         edges, dim = self._tangent_edges, self.H.dim
         lengths = np.diff(edges)[windows]
         times = edges[windows, None] + lengths[:, None] * TangentMaps.nodes
-        hessians = self._hessians(times.ravel()).reshape(*times.shape, dim, dim)
+        hessians = self.hessians(times.ravel()).reshape(*times.shape, dim, dim)
         units = np.repeat(self._half_scales, self.H.dof)
         return TangentMaps(generators(hessians), lengths, units)
 
@@ -419,7 +373,7 @@ class Solution:
         the trajectory, as for every system with a cyclic coordinate.
         """
         if self.sigma_min > 0:
-            return self.ell_max_regularized / self.sigma_min
+            return self.analysis.bound
         warnings.warn(
             "the bound ell_max/sigma_min is infinite: the Hessian is singular on the trajectory",
             VacuousBoundWarning,
@@ -427,36 +381,19 @@ class Solution:
         )
         return math.inf
 
-    def _hessian_eigenvalues(self, t: np.ndarray) -> np.ndarray:
-        return np.linalg.eigvalsh(self._hessians(t))
-
-    def _hessians(self, t: np.ndarray) -> np.ndarray:
+    def hessians(self, t: np.ndarray) -> np.ndarray:
+        """The Hessian of H along the trajectory, shape (*t.shape, dim, dim)."""
         matrices = self._system.hessian(*self._system.arguments(self(t), t))
         return np.asarray(matrices, dtype=float)
 
     @cached_property
-    def _scan_times(self) -> np.ndarray:
+    def scan_times(self) -> np.ndarray:
+        """Times close enough to see what happens in between: thousands, more with more windows."""
         if not isinstance(self.training, March):
             return np.linspace(*self.span, _SCAN)
         edges = self.training.edges
         inside = np.linspace(0, 1, max(9, _SCAN // len(edges)), endpoint=False)
         return np.append((edges[:-1, None] + np.diff(edges)[:, None] * inside).ravel(), edges[-1])
-
-    def _largest(self, function: Callable[[np.ndarray], np.ndarray]) -> float:
-        """max of a function of time: a fine scan, then a search around its highest peaks."""
-        times = self._scan_times
-        values = function(times)
-        best = float(values.max())
-        for index in np.argsort(values)[-3:]:
-            ends = times[max(index - 1, 0)], times[min(index + 1, len(times) - 1)]
-            found = scipy.optimize.minimize_scalar(
-                lambda t: -float(function(np.array([t]))[0]),
-                bounds=sorted(ends),
-                method="bounded",
-                options={"xatol": 1e-6 * abs(ends[1] - ends[0])},
-            )
-            best = max(best, -float(found.fun))
-        return best
 
     def events(self, events: Event | Sequence[Event]) -> Events:
         """Times and states at which something happens, located to round-off.
@@ -486,7 +423,7 @@ class Solution:
         >>> (solution.events("x = 0, p > 0").t_events[0] / np.pi).round(9)
         array([1.5])
         """
-        return find_events(self, events, self._scan_times)
+        return find_events(self, events, self.scan_times)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything into one file, from which :func:`hamsym.load` makes it again.

@@ -1,0 +1,142 @@
+"""The paper's error analysis: what it says, and the two ways in which it fails."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+import hamsym
+from hamsym import Hamiltonian, Solution
+from hamsym.error_equation import integrated_error
+from hamsym.errors import VacuousBoundWarning
+from hamsym.systems import harmonic_oscillator, henon_heiles, nonlinear_oscillator
+
+
+class Resonant(torch.nn.Module):
+    """z^ = (1 + eps t) (cos t, -sin t), whose residual is in resonance with the motion."""
+
+    def __init__(self, eps: float) -> None:
+        super().__init__()
+        self.register_buffer("eps", torch.tensor(eps, dtype=torch.float64))
+
+    def forward(self, t: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        right = torch.stack((torch.cos(t), -torch.sin(t)), dim=-1)
+        rate = torch.stack((-torch.sin(t), -torch.cos(t)), dim=-1)
+        grown = (1 + self.eps * t)[:, None]
+        return grown * right, grown * rate + self.eps * right
+
+    def value(self, t: torch.Tensor) -> torch.Tensor:
+        return self(t)[0]
+
+
+@cache
+def trained(name: str) -> Solution:
+    problem = {"oscillator": nonlinear_oscillator, "henon_heiles": henon_heiles}[name]()
+    return hamsym.solve(
+        problem.H, problem.z0, (0, 6), method="levenberg-marquardt", target_error=1e-3
+    )
+
+
+def resonant(eps: float, end: float) -> Solution:
+    problem = harmonic_oscillator()
+    like = hamsym.solve(problem.H, problem.z0, (0, end), method="adam", epochs=2)
+    return Solution(
+        problem.H,
+        like.z0,
+        (0.0, end),
+        Resonant(eps),  # type: ignore[arg-type]
+        method="adam",
+        training=like.training,
+    )
+
+
+def test_bound_is_violated_by_a_resonant_residual() -> None:
+    """ell = eps (cos t, -sin t) has size eps all along, and the error grows to eps T."""
+    solution = resonant(1e-3, 4 * math.pi)
+    analysis = solution.analysis
+    assert analysis.sigma_min == pytest.approx(1.0)
+    assert analysis.ell_max == pytest.approx(1e-3, rel=1e-12)
+    t = np.linspace(0, 4 * math.pi, 2001)
+    error = np.abs(solution(t) - harmonic_oscillator().exact(t)).max()
+    assert error > 12 * analysis.bound
+    # The equation of the error knows, and so does the whole inequality.
+    assert np.abs(solution.error_estimate(t)).max() == pytest.approx(error, rel=1e-4)
+    sizes = np.linalg.norm(analysis.linearized_error(t), axis=1)
+    assert np.all(sizes <= analysis.inequality(t) * (1 + 1e-6) + 1e-12)
+
+
+def test_bound_is_vacuous_where_det_hess_changes_its_sign() -> None:
+    problem = henon_heiles()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    analysis = solution.analysis
+    x, y = solution(analysis.singular_times).T[:2]
+    assert len(x) == 6
+    np.testing.assert_allclose(x**2 + y**2, 0.25, atol=1e-13)
+    assert not analysis.is_always_singular
+    assert analysis.sigma_min == 0
+    assert analysis.bound == math.inf
+    assert np.all(np.isinf(analysis.inequality(np.array([1.0, 2.0]))))
+    with pytest.warns(VacuousBoundWarning):
+        assert solution.error_bound == math.inf
+    # The number that a grid gives depends on the grid.
+    sampled = [np.abs(analysis.eigenvalues(np.linspace(0, 18, n))).min() for n in (100, 10_000)]
+    assert sampled[0] > 3 * sampled[1] > 0
+
+
+@pytest.mark.parametrize(
+    ("H", "z0"),
+    [
+        ("p_r**2/2 + p_phi**2/(2*r**2) - 1/r", [0.0, 1.0, 1.1, 0.1]),
+        ("p1**2/2 + p2**2/2 + exp(q1 - q2)", [0.0, 1.0, 0.5, 0.0]),
+    ],
+    ids=["cyclic", "translation"],
+)
+def test_bound_is_vacuous_with_a_symmetry(H: str, z0: list[float]) -> None:
+    analysis = hamsym.solve(Hamiltonian(H), z0, (0, 3), tol=1e-8).analysis
+    assert analysis.is_always_singular
+    assert analysis.sigma_min == 0
+    assert len(analysis.singular_times) == 0
+    assert analysis.bound == math.inf
+
+
+@pytest.mark.parametrize("name", ["oscillator", "henon_heiles"])
+def test_linearised_error_is_the_error_to_first_order(name: str) -> None:
+    solution = trained(name)
+    t = np.linspace(0, 6, 301)
+    full, linear = solution.error_estimate(t), solution.analysis.linearized_error(t)
+    size = np.abs(full).max()
+    assert 1e-7 < size < 1e-2
+    assert np.abs(full - linear).max() < 10 * size**2 + 1e-5 * size
+    assert np.abs(full - linear).max() > 0
+
+
+def test_inequality_holds_for_the_linearised_error() -> None:
+    solution = trained("oscillator")
+    t = np.linspace(0, 6, 601)
+    sizes = np.linalg.norm(solution.analysis.linearized_error(t), axis=1)
+    right = solution.analysis.inequality(t)
+    assert np.all(sizes <= right * (1 + 1e-9))
+    # With the rate of the error it is wider than ell_max/sigma_min, which it contains.
+    assert np.all(right >= solution.ell_max / solution.sigma_min * (1 - 1e-9))
+
+
+def test_extrema_are_over_continuous_time() -> None:
+    analysis = trained("oscillator").analysis
+    t = np.linspace(0, 6, 100_001)
+    assert analysis.ell_max >= analysis.ell(t).max() * (1 - 1e-9)
+    assert analysis.ell(np.array([analysis.ell_max_time]))[0] == analysis.ell_max
+    smallest = np.abs(analysis.eigenvalues(t)).min()
+    assert analysis.sigma_min == pytest.approx(smallest, rel=1e-6)
+    assert analysis.sigma_min <= smallest * (1 + 1e-12)
+
+
+def test_a_finer_resolution_agrees() -> None:
+    solution = trained("oscillator")
+    t = np.linspace(0, 6, 301)
+    coarse, fine = (integrated_error(solution, resolution=r)[1](t) for r in (0, 1))
+    assert np.abs(coarse - fine).max() < 1e-4 * np.abs(fine).max()
+    assert np.abs(coarse - fine).max() > 0
