@@ -20,9 +20,11 @@ from numpy.polynomial import chebyshev
 from hamsym.features import FeatureBasis, Flow, March
 from hamsym.tangent import Collocation, TangentMaps, collocation, poisson
 
-__all__ = ["MarchError", "estimate_error"]
+__all__ = ["RESOLUTIONS", "MarchError", "estimate_error"]
 
-_NODES = 48  # twice those of the march
+#: Nodes for the residual, twice those of the march or thrice, and for the tangent maps: of the
+#: estimate, and of its check.
+RESOLUTIONS = ((48, 28), (72, 40))
 _PERTURBATIONS = 4  # random vectors that stand for round-off
 _ROUND_OFF = 2 * np.finfo(float).eps  # of a window, relative to the state and its change there
 _ACCURACY = 1e-5  # of the maps of all windows together
@@ -74,16 +76,23 @@ class MarchError:
         return window, (t - self.edges[window]) / np.diff(self.edges)[window]
 
 
-def estimate_error(windows: March, basis: FeatureBasis, flow: Flow) -> MarchError:
-    """The error of a march with this basis, from the equations once more."""
-    return _Estimation(windows, basis, flow).result
+def estimate_error(
+    windows: March, basis: FeatureBasis, flow: Flow, resolution: int = 0
+) -> MarchError:
+    """The error of a march with this basis, from the equations once more.
+
+    ``resolution`` is an index of :data:`RESOLUTIONS`.
+    """
+    return _Estimation(windows, basis, flow, *RESOLUTIONS[resolution]).result
 
 
 class _Estimation:
     """The errors of one run of windows after the other, carried from joint to joint."""
 
-    def __init__(self, windows: March, basis: FeatureBasis, flow: Flow) -> None:
-        self._rule = collocation(_NODES)
+    def __init__(
+        self, windows: March, basis: FeatureBasis, flow: Flow, nodes: int, tangent_nodes: int
+    ) -> None:
+        self._rule, self._tangent_rule = collocation(nodes), collocation(tangent_nodes)
         self._windows, self._basis, self._flow = windows, basis, flow
         self._lengths = np.diff(windows.edges)
         count, _, dim = windows.readouts.shape
@@ -96,11 +105,11 @@ class _Estimation:
         self._jumps = np.asarray(jumps - windows.states[1:], dtype=float) / self._scale
         self._generator = np.random.default_rng(0)
         self.result = MarchError(
-            windows.edges, np.empty((count, _NODES, dim)), np.empty((count, dim)), np.zeros(dim)
+            windows.edges, np.empty((count, nodes, dim)), np.empty((count, dim)), np.zeros(dim)
         )
         # Column 0 is the error, the others are perturbations of the size of round-off.
         joint = np.zeros((dim, 1 + _PERTURBATIONS))
-        step = max(1, _CHUNK // (_NODES * dim * dim))
+        step = max(1, _CHUNK // (nodes * dim * dim))
         for first in range(0, count, step):
             joint = self._across(slice(first, min(first + step, count)), joint)
 
@@ -109,7 +118,7 @@ class _Estimation:
         lengths, count, dim = self._lengths[part], part.stop - part.start, len(self._scale)
         z, dz, times = self._sampled(part, self._rule)
         residual = dz - self._flow.vector_field(z.reshape(-1, dim), times.ravel()).reshape(z.shape)
-        z_coarse, _, times_coarse = self._sampled(part, TangentMaps.rule)
+        z_coarse, _, times_coarse = self._sampled(part, self._tangent_rule)
         jacobians = self._flow.jacobian(z_coarse.reshape(-1, dim), times_coarse.ravel())
         maps = TangentMaps(
             jacobians.reshape(*z_coarse.shape, dim), lengths, self._scale, self._accuracy
@@ -140,7 +149,7 @@ class _Estimation:
         floors = 3 * self._scale * deviations
         self.result.series[part], self.result.floors[part] = series, floors
         # A scan this fine misses a few percent of a peak at most.
-        between = 1.05 * np.abs(_dense() @ series).max(axis=1)
+        between = 1.05 * np.abs(_dense(series.shape[1]) @ series).max(axis=1)
         np.maximum(self.result.largest, (between + floors).max(axis=0), out=self.result.largest)
         return joint
 
@@ -159,6 +168,6 @@ def _columns(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @functools.cache
-def _dense() -> np.ndarray:
-    """A Chebyshev series -> values at points dense enough to show its peaks."""
-    return chebyshev.chebvander(np.linspace(-1, 1, 4 * _NODES), _NODES - 1)
+def _dense(count: int) -> np.ndarray:
+    """A Chebyshev series of so many terms -> values at points dense enough to show its peaks."""
+    return chebyshev.chebvander(np.linspace(-1, 1, 4 * count), count - 1)

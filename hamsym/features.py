@@ -48,6 +48,8 @@ class FeatureBasis:
 
     Attributes
     ----------
+    seed : int
+        What a and b were drawn with.
     inner, shift : numpy.ndarray
         a and b, shape (M,).
     mixing : numpy.ndarray
@@ -69,6 +71,7 @@ class FeatureBasis:
         are the same functions to the last bit or two, without the cancellation in that product.
     """
 
+    seed: int
     inner: np.ndarray
     shift: np.ndarray
     mixing: np.ndarray
@@ -126,6 +129,7 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
     to_between, rates_between = (c.astype(float) for c in _columns(inner, shift, mixing, between))
     series, rate_series = _series(inner, shift, mixing)
     return FeatureBasis(
+        seed=seed,
         inner=inner,
         shift=shift,
         mixing=mixing,
@@ -223,6 +227,8 @@ class March:
     scale : numpy.ndarray
         Largest magnitude of each component, shape (dim,).
     seconds, cpu_seconds : float
+    seed : int
+        Of the basis.
     """
 
     edges: np.ndarray = field(repr=False)
@@ -236,6 +242,7 @@ class March:
     scale: np.ndarray = field(repr=False)
     seconds: float
     cpu_seconds: float
+    seed: int
 
     points_per_window = _NODES
 
@@ -347,6 +354,7 @@ def march(
         scale=sizes,
         seconds=time.perf_counter() - began,
         cpu_seconds=time.process_time() - cpu_began,
+        seed=basis.seed,
     )
 
 

@@ -23,7 +23,7 @@ from hamsym.problem import InitialValueProblem
 from hamsym.solution import Solution
 from hamsym.tangent import generators
 
-__all__ = ["FeatureOptions", "solve_by_features"]
+__all__ = ["FeatureOptions", "flow_of", "solve_by_features"]
 
 _SMALLEST_TOL = 1e-12  # below it float64 cannot hold the answer
 _SMALLEST_LOCAL = 1e-13  # residuals cannot be told from round-off below
@@ -52,7 +52,7 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
     longest = _checked_window(options.max_window, problem.span)
     stops = _checked_breakpoints(options.breakpoints, problem.span)
     basis = feature_basis(problem.seed)
-    flow = _flow(H)
+    flow = flow_of(H)
     windows, error, allowed, excess = None, None, absolute, math.inf
     # The cost grows as the 18th root of the accuracy: a margin is cheaper than a second march.
     local = max(0.1 * tol, _SMALLEST_LOCAL)
@@ -129,7 +129,7 @@ def _first_jump(H: Hamiltonian, solution: Solution, windows: March) -> float | N
     return first
 
 
-def _flow(H: Hamiltonian) -> Flow:
+def flow_of(H: Hamiltonian) -> Flow:
     """The equations, with compiled code where that is there."""
     system = H.compile("numpy")
 

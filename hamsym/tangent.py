@@ -67,7 +67,8 @@ class TangentMaps:
     Parameters
     ----------
     jacobians : numpy.ndarray
-        J Hess at ``TangentMaps.nodes`` of every window, shape (windows, nodes, dim, dim).
+        J Hess at the nodes of ``collocation(nodes)`` in every window, shape (windows, nodes, dim,
+        dim); ``TangentMaps.nodes`` are as many as usual.
     lengths : numpy.ndarray
         Of the windows, shape (windows,); negative backwards in time.
     scale : numpy.ndarray
@@ -84,8 +85,7 @@ class TangentMaps:
         Shape (windows, dim, dim).
     """
 
-    rule = collocation(_NODES)
-    nodes = rule.nodes
+    nodes = collocation(_NODES).nodes
 
     def __init__(
         self,
@@ -95,7 +95,8 @@ class TangentMaps:
         accuracy: float = 1e-12,
     ) -> None:
         scaled = jacobians * (lengths[:, None, None, None] * (scale / scale[:, None]))
-        dim, windows = len(scale), len(lengths)
+        dim, windows, nodes = len(scale), len(lengths), jacobians.shape[1]
+        self.rule = collocation(nodes)
         # H couples few components: products with the entries that are not zero, one by one.
         entries = {
             (i, j): np.ascontiguousarray(scaled[:, :, i, j].T)
@@ -103,7 +104,7 @@ class TangentMaps:
         }
         unit = np.eye(dim)[:, None, :, None]
         integration = self.rule.integration
-        maps = np.broadcast_to(unit, (dim, _NODES, dim, windows))
+        maps = np.broadcast_to(unit, (dim, nodes, dim, windows))
         open_ = np.ones(windows, dtype=bool)
         for count in range(_ITERATIONS):
             moved = _integrated(integration[:-1], _rates(entries, maps))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,6 @@ import torch
 
 import hamsym
 from hamsym import Hamiltonian, Solution
-from hamsym.error_equation import integrated_error
 from hamsym.errors import VacuousBoundWarning
 from hamsym.systems import harmonic_oscillator, henon_heiles, nonlinear_oscillator
 
@@ -135,8 +135,34 @@ def test_extrema_are_over_continuous_time() -> None:
 
 
 def test_a_finer_resolution_agrees() -> None:
-    solution = trained("oscillator")
+    """Of both kinds of estimate, far below the error; and it is another computation."""
+    problem = nonlinear_oscillator()
+    marched = hamsym.solve(problem.H, problem.z0, (0, 6), tol=1e-6)
+    for solution, share in ((trained("oscillator"), 1e-4), (marched, 1e-3)):
+        t = np.linspace(0, 6, 301)
+        estimate, check = solution.error_estimate(t), solution.error_estimate_check(t)
+        assert check.shape == estimate.shape
+        assert 0 < check.max() < share * np.abs(estimate).max()
+
+
+def test_the_check_outlives_a_file(tmp_path: Path) -> None:
+    problem = henon_heiles()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 6), tol=1e-7, seed=3)
+    solution.save(tmp_path / "orbit.hamsym")
+    again = hamsym.load(tmp_path / "orbit.hamsym")
+    t = np.linspace(0, 6, 50)
+    np.testing.assert_array_equal(again.error_estimate_check(t), solution.error_estimate_check(t))
+
+
+def test_the_check_doubts_an_estimate_that_was_not_resolved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With too few nodes for the residual the estimate is wrong, and the check says by how much."""
+    monkeypatch.setattr("hamsym.estimates.RESOLUTIONS", ((4, 28), (72, 40)))
+    problem = nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 6), tol=1e-4)
     t = np.linspace(0, 6, 301)
-    coarse, fine = (integrated_error(solution, resolution=r)[1](t) for r in (0, 1))
-    assert np.abs(coarse - fine).max() < 1e-4 * np.abs(fine).max()
-    assert np.abs(coarse - fine).max() > 0
+    estimate, check = solution.error_estimate(t), solution.error_estimate_check(t)
+    wrong = np.abs(problem.exact(t) - solution(t) - estimate).max()
+    assert wrong > 0.05 * np.abs(estimate).max()
+    assert check.max() == pytest.approx(wrong, rel=1e-3)

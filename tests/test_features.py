@@ -12,7 +12,7 @@ import hamsym
 from hamsym import Hamiltonian, InputError, march_loop, systems
 from hamsym.features import _newton, feature_basis, march
 from hamsym.integrators import reference
-from hamsym.marching import _flow
+from hamsym.marching import flow_of
 from hamsym.systems import CATALOGUE, Problem
 
 EXACT = [name for name in CATALOGUE if CATALOGUE[name]().exact is not None]
@@ -168,7 +168,7 @@ def test_same_seed_same_solution_other_features_agree() -> None:
 
 def test_newton_and_fixed_point_solve_the_same_equation() -> None:
     problem = systems.nonlinear_oscillator()
-    flow, basis, z0 = _flow(problem.H), feature_basis(0), np.array(problem.z0)
+    flow, basis, z0 = flow_of(problem.H), feature_basis(0), np.array(problem.z0)
     marched = march(flow, z0, (0.0, 0.5), 1e-12, basis)
     assert marched.newton_windows == 0
     end, clock = marched.edges[1], np.array([0.0, marched.edges[1]])
@@ -349,7 +349,7 @@ def test_chaos_beyond_double_precision_is_reported() -> None:
 
 
 def test_too_many_windows_is_reported() -> None:
-    flow = _flow(systems.harmonic_oscillator().H)
+    flow = flow_of(systems.harmonic_oscillator().H)
     z0, span = np.array([1.0, 0.0]), (0.0, 1_000.0)
     windows = march(flow, z0, span, 1e-9, feature_basis(0), max_windows=20)
     assert windows.reason == "more than 20 windows"
