@@ -24,7 +24,7 @@ class Adaptive:
     ----------
     run : callable
         (H, z0, times, rtol, atol) -> (states, evaluations, message); fewer states than times, and
-        a message, if it had to stop early.
+        a message, if it had to stop early. Without atol it is rtol times the size of the motion.
     """
 
     run: Callable[..., tuple[np.ndarray, int, str]]
@@ -48,7 +48,7 @@ def reference(
         If the solution does not exist over the whole span.
     """
     H.require_parameters()
-    result = _dop853(H, H.state_from(z0), span, tolerance, tolerance, dense_output=True)
+    result = _dop853(H, H.state_from(z0), span, tolerance, None, dense_output=True)
     if not result.success or not np.all(np.isfinite(result.y)):
         raise InputError(
             f"no solution beyond t = {result.t[-1]:.6g}: {result.message} End the span before it"
@@ -57,17 +57,20 @@ def reference(
 
 
 def run_dop853(
-    H: Hamiltonian, z0: np.ndarray, times: np.ndarray, rtol: float, atol: float
+    H: Hamiltonian, z0: np.ndarray, times: np.ndarray, rtol: float, atol: float | None
 ) -> tuple[np.ndarray, int, str]:
     """scipy's DOP853 at the given times."""
     result = _dop853(H, z0, (times[0], times[-1]), rtol, atol, t_eval=times)
-    return result.y.T, result.nfev, "" if result.success else result.message
+    # Where the first step fails scipy has a list with nothing in it.
+    states = np.array(result.y, dtype=float).reshape(H.dim, -1).T
+    return states, result.nfev, "" if result.success else result.message
 
 
 def run_odeint(
-    H: Hamiltonian, z0: np.ndarray, times: np.ndarray, rtol: float, atol: float
+    H: Hamiltonian, z0: np.ndarray, times: np.ndarray, rtol: float, atol: float | None
 ) -> tuple[np.ndarray, int, str]:
     """scipy's LSODA at the given times."""
+    absolute = rtol * _sizes(H, z0, (times[0], times[-1])) if atol is None else atol
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", scipy.integrate.ODEintWarning)  # the report says it too
         states, report = scipy.integrate.odeint(
@@ -75,7 +78,7 @@ def run_odeint(
             z0,
             times,
             rtol=rtol,
-            atol=atol,
+            atol=absolute,
             mxstep=100_000,
             full_output=True,
             tfirst=True,
@@ -95,14 +98,32 @@ def _rates(H: Hamiltonian) -> Callable[[float, np.ndarray], np.ndarray]:
     return lambda t, z: np.asarray(system.vector_field(*system.arguments(z, t)))
 
 
+def _sizes(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float]) -> np.ndarray:
+    """The usual magnitudes of coordinates and momenta, shape (dim,), from a rough trajectory.
+
+    The median, so that an escape at the end does not set the scale of what came before.
+    """
+    halves = np.abs(z0).reshape(2, -1).max(axis=1)
+    # What is zero at the start is as large as its rate makes it on the way.
+    rates = np.abs(_rates(H)(span[0], z0)).reshape(2, -1).max(axis=1) * abs(span[1] - span[0])
+    guess = np.where(halves > 0, halves, np.where(rates > 0, rates, 1.0)).repeat(H.dof)
+    rough = _dop853(H, z0, span, 1e-3, 1e-3 * guess)
+    states = np.array(rough.y, dtype=float).reshape(2, H.dof, -1)
+    found = np.median(np.abs(states).max(axis=1), axis=1) if states.size else halves
+    usable = np.isfinite(found) & (found > 0)
+    return np.asarray(np.where(usable, found, guess[:: H.dof]).repeat(H.dof))
+
+
 def _dop853(
     H: Hamiltonian,
     z0: np.ndarray,
     span: tuple[float, float],
     rtol: float,
-    atol: float,
+    atol: Any,
     **output: Any,
 ) -> Any:
+    if atol is None:
+        atol = rtol * _sizes(H, z0, span)
     with np.errstate(all="ignore"):
         return scipy.integrate.solve_ivp(
             _rates(H), span, z0, method="DOP853", rtol=rtol, atol=atol, **output

@@ -393,11 +393,11 @@ def integrate(
     click.echo(f"{trajectory.evaluations:,} evaluations, {trajectory.seconds:.3g} s")
     if output is not None:
         count = len(trajectory.z) if ensemble else 1
-        columns = {"t": np.tile(trajectory.t, count)}
-        if ensemble:
-            columns = {"trajectory": np.repeat(np.arange(count), len(trajectory.t)), **columns}
         states = trajectory.z.reshape(-1, H.dim)
-        columns |= dict(zip(H.names, states.T, strict=True)) | {"H": trajectory.energy.ravel()}
+        columns = [("t", np.tile(trajectory.t, count)), *zip(H.names, states.T, strict=True)]
+        columns.append(("H", trajectory.energy.ravel()))
+        if ensemble:
+            columns.insert(0, ("trajectory", np.repeat(np.arange(count), len(trajectory.t))))
         arrays = {"t": trajectory.t, "z": trajectory.z, "energy": trajectory.energy}
         _write_table(output, columns, arrays)
     if figure is not None:
@@ -441,7 +441,7 @@ def lyapunov(
         click.echo(f"largest change of H: {found.energy_error:.1e}")
     click.echo(f"{found.message}, {found.seconds:.2g} s")
     if output is not None:
-        columns = {"t": found.t, **dict(zip(names, found.exponents.T, strict=True))}
+        columns = [("t", found.t), *zip(names, found.exponents.T, strict=True)]
         _write_table(output, columns, {"t": found.t, "exponents": found.exponents})
     if figure is not None:
         _save_figure(found.plot(), figure)
@@ -487,8 +487,8 @@ def section_command(
     if len(found.t) > 5:
         click.echo(f"{'...':>13}")
     if output is not None:
-        columns = {"trajectory": found.trajectory, "t": found.t}
-        columns |= dict(zip(H.names, found.z.T, strict=True))
+        columns = [("trajectory", found.trajectory), ("t", found.t)]
+        columns += zip(H.names, found.z.T, strict=True)
         arrays = {"trajectory": found.trajectory, "t": found.t, "z": found.z}
         _write_table(output, columns, arrays)
     if figure is not None:
@@ -624,16 +624,23 @@ def _check_table(path: str | None) -> None:
     _check_folder(path)
 
 
-def _write_table(path: str, columns: dict[str, np.ndarray], arrays: dict[str, np.ndarray]) -> None:
-    """Columns as .csv, or arrays as .npz."""
+def _write_table(
+    path: str, columns: list[tuple[str, np.ndarray]], arrays: dict[str, np.ndarray]
+) -> None:
+    """Columns as .csv, or arrays as .npz; of two columns with one name the second gets a mark."""
     import io
 
     buffer = io.BytesIO()
     if Path(path).suffix == ".npz":
         np.savez(buffer, allow_pickle=False, **arrays)
     else:
-        table = np.column_stack(list(columns.values()))
-        header = ",".join(columns)
+        table = np.column_stack([values for _, values in columns])
+        names: list[str] = []
+        for name, _ in columns:
+            while name in names:
+                name += "_"
+            names.append(name)
+        header = ",".join(names)
         np.savetxt(buffer, table, fmt="%.17g", delimiter=",", header=header, comments="")
     write_atomically(Path(path), buffer.getvalue())
     click.echo(f"wrote {path}")

@@ -61,7 +61,7 @@ _TEMPLATE_NAMES = frozenset(
     """
     torch np math njit z dz t z0 out value matrix entries positions rows zero point points times
     energy_0 energy_weight energy_error rates states
-    low columns done starts sizes first saves save_every stages trajectory save step step_size
+    low columns done starts sizes first saves save_every stages terms trajectory save step step_size
     elapsed stage drift kick kicks change moved lanes low_lanes base count lane component curvature
     column row size pivot pivots old correction attempt previous scale converged between second
     right left entry factor block tangents coefficients weights weight nodes continued increments

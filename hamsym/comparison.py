@@ -11,6 +11,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.integrators import INTEGRATORS, Trajectory, integrate, reference, usable_method
+from hamsym.settings import require_whole
 from hamsym.solution import Solution
 
 if TYPE_CHECKING:
@@ -197,8 +198,12 @@ def compare(
     names = list(dict.fromkeys(usable_method(solution.H, method) for method in given))
     if not names:
         raise InputError("methods is empty; name at least one integrator")
+    require_whole("max_steps", max_steps)
+    if points is not None:
+        require_whole("points", points)
     for name in names:  # compiles, so that the times are those of stepping
-        integrate(solution.H, solution.z0, solution.span, name, steps=1)
+        if not INTEGRATORS[name].adaptive:
+            integrate(solution.H, solution.z0, solution.span, name, steps=1)
     H, z0, span = solution.H, solution.z0, solution.span
     count = solution.points if points is None else points
     truth = exact or reference(H, z0, span)
@@ -235,14 +240,20 @@ def _run(solution: Solution, name: str, amount: float) -> Trajectory:
     """A trajectory with so many steps, or of an adaptive method with this tolerance."""
     H, z0, span = solution.H, solution.z0, solution.span
     if INTEGRATORS[name].adaptive:
-        return integrate(H, z0, span, name, steps=_SAMPLES, rtol=amount, atol=amount)
+        return _finished(integrate(H, z0, span, name, steps=_SAMPLES, rtol=amount))
     # At most _SAMPLES states are kept; where no divisor is near, a few steps more are taken.
     steps = int(amount)
     fewest = math.ceil(steps / _SAMPLES)
     divisors = (n for n in range(fewest, 2 * fewest) if steps % n == 0)
     save_every = next(divisors, fewest)
     steps = math.ceil(steps / save_every) * save_every
-    return integrate(H, z0, span, name, steps=steps, save_every=save_every)
+    return _finished(integrate(H, z0, span, name, steps=steps, save_every=save_every))
+
+
+def _finished(trajectory: Trajectory) -> Trajectory:
+    if trajectory.interrupted:  # a search that went on would be none
+        raise KeyboardInterrupt
+    return trajectory
 
 
 def _error(trajectory: Trajectory, truth: Callable[[np.ndarray], np.ndarray]) -> float:
@@ -311,6 +322,8 @@ def _tolerance_to_match(
             return Match(
                 None, trajectory.evaluations, error, trajectory.seconds, tolerance=tolerance
             )
+        if trajectory.seconds > _RUN_LIMIT:
+            break
     return Match(None, 0, best, 0.0, reason=f"not reached, {best:.1e} at best")
 
 
@@ -328,6 +341,8 @@ def _steps_to_match(
     inside the bracket found so far.
     """
     order = INTEGRATORS[name].order
+    # Above it, an error that no longer falls is not yet one of round-off.
+    round_off = 1e-8 * float(np.linalg.norm(solution.scale))
     too_few, enough, best = 1, None, math.inf
     trajectory = start
     for attempt in range(100):
@@ -336,7 +351,7 @@ def _steps_to_match(
             enough, error_enough = trajectory, error
         elif steps >= max_steps:
             return _beyond(steps, error, target, order, f"> {_short(max_steps)} steps")
-        elif enough is None and steps > 2 * too_few and error > 0.9 * best:
+        elif enough is None and steps > 2 * too_few and 0.9 * best < error < round_off:
             return Match(None, 0, best, 0.0, reason=f"not reached: round-off leaves {best:.1e}")
         else:
             too_few = max(too_few, steps)

@@ -24,6 +24,7 @@ from hamsym.levenberg_marquardt import LevenbergMarquardt
 from hamsym.optimizers import LBFGS, Adam
 from hamsym.problem import InitialValueProblem
 from hamsym.progress import training_progress
+from hamsym.settings import is_positive, require_positive, require_whole
 from hamsym.solution import Solution
 from hamsym.training import (
     Checkpoint,
@@ -35,9 +36,6 @@ from hamsym.training import (
     Stages,
     Stopping,
     Training,
-    is_positive,
-    require_positive,
-    require_whole,
     train,
 )
 from hamsym.trial import ComponentNetworks, Network, TrialSolution

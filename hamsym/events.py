@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hamsym.errors import InputError
+from hamsym.settings import is_positive, require
 from hamsym.surfaces import parse_surface, refine, sign_changes
 
 if TYPE_CHECKING:
@@ -45,20 +46,17 @@ def find_events(solution: Solution, events: Event | Sequence[Event], times: np.n
         if limit and len(t) >= limit:
             end = min(end, -t[limit - 1] if backward else t[limit - 1])
     found = [t[(-t if backward else t) <= end] for t in found]
-    return Events(found, [solution(t) for t in found])
+    dim = solution.H.dim
+    return Events(found, [solution(t) if len(t) else np.empty((0, dim)) for t in found])
 
 
 def _terminal(event: Event) -> int:
     """After how many of them an event ends the search; 0 for never."""
     terminal = getattr(event, "terminal", False)
-    if terminal is None or terminal is False:
-        return 0
-    if terminal is True:
-        return 1
-    if not isinstance(terminal, (int, float)) or terminal < 1 or terminal != int(terminal):
-        raise InputError(
-            f"terminal={terminal!r} cannot be used; give True or a whole number from 1"
-        )
+    if terminal is None or isinstance(terminal, (bool, np.bool_)):
+        return int(bool(terminal))
+    whole = float(terminal).is_integer() if is_positive(terminal) else False
+    require(whole, "terminal", terminal, "True or a whole number from 1")
     return int(terminal)
 
 
@@ -81,7 +79,8 @@ def _zeros(solution: Solution, event: Event, times: np.ndarray) -> np.ndarray:
         raise InputError(f"{event!r} is not an event; give a text such as 'x = 0' or a function")
     step = sign_changes(value(times), getattr(event, "direction", 0.0) or 0.0)[0]
     t = refine(lambda t, _: value(t), times[step], times[step + 1])
-    return t if conditions is None else t[conditions(solution(t), t)]
+    t = t[np.isfinite(t)]
+    return t if conditions is None or not len(t) else t[conditions(solution(t), t)]
 
 
 def _number(value: Any) -> float:

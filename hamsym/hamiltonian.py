@@ -22,6 +22,7 @@ from hamsym.pairing import find_pairs, natural_order
 from hamsym.parsing import canonical_name, parse_expression
 from hamsym.printing import FormulaPrinter
 from hamsym.realform import RealForm
+from hamsym.settings import require_number
 from hamsym.symbols import (
     as_list,
     by_name,
@@ -294,6 +295,8 @@ class Hamiltonian:
         ------
         VariableError
             If not just one component is missing, or no number gives this energy.
+        InputError
+            If the energy is not a finite number.
 
         Examples
         --------
@@ -309,6 +312,7 @@ class Hamiltonian:
         if len(missing) != 1:
             listed = ", ".join(missing) or "none"
             raise VariableError(f"leave out one component of z0 for the energy; missing: {listed}")
+        require_number("energy", energy)
         state, where = self.state_from({**z0, missing[0]: 0.0}), self.names.index(missing[0])
         system = self.compile("numpy")
 
@@ -318,20 +322,23 @@ class Hamiltonian:
             with np.errstate(all="ignore"):
                 return np.asarray(system.energy(*system.arguments(states, t))) - energy
 
-        scan = np.concatenate(([0.0], np.geomspace(1e-9, 1e9, 4_001)))
-        sign = np.sign(excess(scan))
-        crossed = np.flatnonzero(sign[1:] * sign[0] <= 0)
-        if not np.isfinite(energy) or not len(crossed):
-            least = float(excess(scan[:1])[0] + energy)
-            raise VariableError(
-                f"no {missing[0]} gives the energy {energy:g}; at {missing[0]} = 0 it is {least:g}"
-            )
-        if sign[0] != 0:
-            low, high = scan[crossed[0]], scan[crossed[0] + 1]
-            state[where] = brentq(
-                lambda value: excess(np.array([value]))[0], low, high, xtol=1e-300
-            )
-        return state
+        # Fine where people's units are, coarse to the ends of the range of numbers.
+        scan = np.concatenate(
+            ([0.0], np.geomspace(1e-300, 1e-9, 300), np.geomspace(1e-9, 1e9, 4_001)[1:],
+             np.geomspace(1e9, 1e300, 300)[1:])
+        )  # fmt: skip
+        values = excess(scan)
+        values[~np.isfinite(values)] = np.nan
+        sign = np.sign(values)
+        for k in np.flatnonzero(sign[:-1] * sign[1:] <= 0):  # never where a value is not a number
+            low, high = scan[k], scan[k + 1]
+            if values[k] != 0:
+                low = brentq(lambda value: excess(np.array([value]))[0], low, high, xtol=1e-300)
+            # At a pole the sign changes too.
+            if abs(excess(np.array([low]))[0]) <= max(abs(values[k]), abs(values[k + 1])):
+                state[where] = low
+                return state
+        raise VariableError(f"no {missing[0]} from 0 on gives the energy {energy:g}")
 
     # -- what follows from H -----------------------------------------------------------------
 

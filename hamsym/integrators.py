@@ -20,10 +20,12 @@ import numpy as np
 
 from hamsym import schemes
 from hamsym.adaptive import Adaptive, reference, run_dop853, run_odeint
-from hamsym.errors import InputError
+from hamsym.errors import InputError, SeparabilityError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.schemes import Doubled, RungeKutta, Scheme, Splitting
+from hamsym.settings import require_number, require_positive, require_whole
 from hamsym.stepping import NOT_ONLY_SEPARABLE, Stepper
+from hamsym.tangent import generators
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,6 +37,7 @@ __all__ = [
     "Trajectory",
     "checked_span",
     "checked_steps",
+    "fastest_rate",
     "fixed_step",
     "integrate",
     "listing",
@@ -156,6 +159,10 @@ INTEGRATORS: dict[str, Integrator] = {
     ),
 }
 
+#: Steps in one call, at most; numbers beyond are no longer whole.
+MAX_STEPS = 2**53
+_INTERRUPTED = "interrupted"
+
 #: Other names of the same coefficients.
 ALIASES = {"yoshida4": "forest_ruth"}
 
@@ -193,6 +200,8 @@ class Trajectory:
     seconds : float
         Wall time of the stepping, compilation included.
     success : bool
+    interrupted : bool
+        Whether Ctrl-C ended it.
     message : str
         What happened, in words. A trajectory that had to stop ends there; in an ensemble its
         later states are nan.
@@ -209,6 +218,7 @@ class Trajectory:
     seconds: float
     success: bool
     message: str
+    interrupted: bool = False
 
     def plot(self) -> Figure:
         """Components, phase space and the change of H, as a figure."""
@@ -262,7 +272,8 @@ def integrate(
         Coupling of ``tao2`` and ``tao4``, per unit of time; by default twice the spectral radius
         of J Hess at the start.
     rtol, atol : float, optional
-        Tolerances of an adaptive method, 1e-13 each unless given.
+        Tolerances of an adaptive method. Unless given, rtol is 1e-13 and atol is rtol times the
+        usual size of the coordinates for a coordinate, of the momenta for a momentum.
     progress : bool, optional
         Show how far it is; by default on a terminal, after a second.
 
@@ -292,7 +303,7 @@ def integrate(
     states = H.states_from(z0)
     start, end = checked_span(span)
     steps = checked_steps(end - start, steps, dt)
-    _require_whole("save_every", save_every)
+    require_whole("save_every", save_every)
     if steps % save_every:
         raise InputError(f"save_every={save_every} does not divide steps={steps}; choose a divisor")
     scheme = INTEGRATORS[name].scheme
@@ -328,7 +339,7 @@ def integrate(
             H.is_separable or isinstance(scheme, Doubled)
         )
         if done.interrupted:
-            message = "interrupted"
+            message = _INTERRUPTED
         elif implicit and done.steps.min() < steps:
             message = "the implicit step could not be solved; take more steps"
     seconds = time.perf_counter() - began
@@ -350,6 +361,7 @@ def integrate(
         seconds=seconds,
         success=not message,
         message=message or f"{name}: {steps:,} steps to t = {end:.6g}",
+        interrupted=message.endswith(_INTERRUPTED),
     )
 
 
@@ -378,8 +390,7 @@ def fixed_step(
         raise InputError(f"{method} chooses its own steps; choose one of {fixed}")
     if omega is None:
         omega = _coupling(H, states, starts) if isinstance(scheme, Doubled) else 0.0
-    elif not (math.isfinite(omega) and omega >= 0):
-        raise InputError(f"omega={omega!r} cannot be used; give a number from 0")
+    require_number("omega", omega, 0)
     return Stepper(
         H,
         scheme,
@@ -399,14 +410,16 @@ def usable_method(H: Hamiltonian, method: str) -> str:
     Raises
     ------
     InputError
-        If it is not there, or splits H and H is not separable.
+        If it is not there.
+    SeparabilityError
+        If it splits H and H is not separable.
     """
-    name = ALIASES.get(method, method)
+    name = ALIASES.get(method, method) if isinstance(method, str) else ""
     if name not in INTEGRATORS:
         raise InputError(f"'{method}' is not a method; choose one of {', '.join(INTEGRATORS)}")
     split = isinstance(INTEGRATORS[name].scheme, Splitting) and name not in NOT_ONLY_SEPARABLE
     if split and not H.is_separable:
-        raise InputError(
+        raise SeparabilityError(
             f"{method} needs H = T(p) + V(q), and this H is not separable; choose a method for any "
             "H, such as gauss4, implicit_midpoint or tao4"
         )
@@ -447,16 +460,14 @@ def checked_steps(length: float, steps: int | None, dt: float | None, default: i
     """
     if dt is None:
         steps = default if steps is None else steps
-        _require_whole("steps", steps)
-        return steps
+        require_whole("steps", steps, 1, MAX_STEPS)
+        return int(steps)
     if steps is not None:
         raise InputError(f"steps={steps!r} and dt={dt!r} say the same thing; give one of them")
-    try:
-        count = abs(length) / float(dt)
-    except (TypeError, ValueError, ZeroDivisionError):
-        count = math.nan
-    if not (math.isfinite(count) and count > 0):
-        raise InputError(f"dt={dt!r} cannot be used; give a number above 0")
+    require_positive("dt", dt)
+    count = abs(length) / float(dt)
+    if not count <= MAX_STEPS:
+        raise InputError(f"dt={dt!r} would take {count:.0e} steps; give a larger one")
     # A dt that divides the span but for round-off is meant to.
     return max(1, math.ceil(count * (1 - 1e-12)))
 
@@ -466,15 +477,16 @@ def _run_adaptive(
     scheme: Adaptive,
     ensemble: np.ndarray,
     times: np.ndarray,
-    tolerances: tuple[float, float],
+    tolerances: tuple[float, float | None],
 ) -> tuple[np.ndarray, int, str]:
     z = np.full((len(ensemble), len(times), H.dim), np.nan)
+    z[:, 0] = ensemble
     evaluations, message = 0, ""
     for i, state in enumerate(ensemble):
         try:
             states, count, problem = scheme.run(H, state, times, *tolerances)
         except KeyboardInterrupt:
-            return z, evaluations, "interrupted"
+            return z, evaluations, _INTERRUPTED
         z[i, : len(states)] = states
         evaluations += count
         message = message or problem
@@ -503,25 +515,32 @@ def _reached(z: np.ndarray, times: np.ndarray, message: str) -> tuple[np.ndarray
     return z[:, :end], times[:end], message
 
 
-def _coupling(H: Hamiltonian, states: np.ndarray, starts: np.ndarray) -> float:
+def fastest_rate(H: Hamiltonian, states: np.ndarray, times: np.ndarray | float) -> float:
+    """Largest spectral radius of J Hess at states of shape (n, dim), per unit of time.
+
+    Infinite where the Hessian is not finite.
+    """
     system = H.compile("numpy")
-    hessian = system.hessian(*system.arguments(states, starts))
-    J = np.array(H.poisson_matrix, dtype=float)
-    radius = float(np.abs(np.linalg.eigvals(J @ hessian)).max())
-    return 2 * radius if radius > 0 else 1.0
+    with np.errstate(all="ignore"):
+        matrices = generators(system.hessian(*system.arguments(states, times)))
+    if not np.isfinite(matrices).all():
+        return math.inf
+    return float(np.abs(np.linalg.eigvals(matrices)).max())
 
 
-def _tolerances(rtol: float | None, atol: float | None) -> tuple[float, float]:
-    values = [1e-13 if value is None else value for value in (rtol, atol)]
-    for name, value in zip(("rtol", "atol"), values, strict=True):
-        if not (math.isfinite(value) and value >= 2.3e-14):
-            raise InputError(f"{name}={value!r} cannot be used; give a number from 2.3e-14")
-    return values[0], values[1]
+def _coupling(H: Hamiltonian, states: np.ndarray, starts: np.ndarray) -> float:
+    rate = fastest_rate(H, states, starts)
+    if not math.isfinite(rate):
+        raise InputError("the Hessian of H is not finite at z0; give omega")
+    return 2 * rate if rate > 0 else 1.0
 
 
-def _require_whole(name: str, value: int) -> None:
-    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < 1:
-        raise InputError(f"{name}={value!r} cannot be used; give a whole number from 1")
+def _tolerances(rtol: float | None, atol: float | None) -> tuple[float, float | None]:
+    rtol = 1e-13 if rtol is None else rtol
+    require_number("rtol", rtol, 2.3e-14)
+    if atol is not None:
+        require_number("atol", atol, 0)
+    return rtol, atol
 
 
 def _require_memory(saves: int, dim: int, batch: int) -> None:

@@ -22,7 +22,8 @@ from torch import Tensor
 
 from hamsym.errors import InputError
 from hamsym.optimizers import fresh_points, points_between
-from hamsym.training import Objective, require_whole
+from hamsym.settings import require_whole
+from hamsym.training import Objective
 from hamsym.trial import ACTIVATIONS, ComponentNetworks, Network, TrialSolution
 
 __all__ = ["LevenbergMarquardt"]

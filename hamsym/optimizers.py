@@ -8,7 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from hamsym.training import Objective, is_positive, require, require_positive, require_whole
+from hamsym.settings import is_positive, require, require_positive, require_whole
+from hamsym.training import Objective
 
 __all__ = ["LBFGS", "Adam", "fresh_points", "midpoints", "points_between"]
 

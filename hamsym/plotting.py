@@ -112,9 +112,9 @@ def plot_section(section: Section, x: str, y: str) -> Figure:
     figure = Figure(figsize=(7, 6), layout="constrained")
     axis = figure.subplots()
     i, j = section.names.index(x), section.names.index(y)
-    for number in np.unique(section.trajectory):
-        points = section.z[section.trajectory == number]
-        axis.plot(points[:, i], points[:, j], ".", color=_color(number), markersize=1.5)
+    for k, color in enumerate(_COLORS):  # one artist a colour, however many trajectories
+        points = section.z[section.trajectory % len(_COLORS) == k]
+        axis.plot(points[:, i], points[:, j], ".", color=color, markersize=1.5)
     axis.set(title=f"{section.surface}: {len(section.t):,} crossings", xlabel=x, ylabel=y)
     axis.grid(alpha=0.25)
     return figure

@@ -12,6 +12,7 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators import checked_span
+from hamsym.settings import require_whole
 
 __all__ = ["InitialValueProblem"]
 
@@ -59,7 +60,8 @@ class InitialValueProblem:
         state = H.state_from(z0)
         times = checked_span(span)
         energy_0 = _initial_energy(H, state, times[0])
-        return cls(H, state, times, energy_0, _checked_seed(seed), progress)
+        require_whole("seed", seed, 0)
+        return cls(H, state, times, energy_0, int(seed), progress)
 
 
 def _initial_energy(H: Hamiltonian, state: np.ndarray, start: float) -> float:
@@ -70,9 +72,3 @@ def _initial_energy(H: Hamiltonian, state: np.ndarray, start: float) -> float:
     if not (math.isfinite(energy) and np.all(np.isfinite(rates))):
         raise InputError("H or its gradient is not finite at z0; start elsewhere")
     return energy
-
-
-def _checked_seed(seed: int) -> int:
-    if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or not 0 <= seed < 2**63:
-        raise InputError(f"seed={seed!r} cannot be used; give a whole number from 0")
-    return int(seed)

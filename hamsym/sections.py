@@ -21,6 +21,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators import checked_span, checked_steps, fixed_step, usual_method
 from hamsym.progress import stepping_progress
 from hamsym.schemes import Doubled
+from hamsym.settings import require_number, require_whole
 from hamsym.surfaces import Surface, parse_surface, refine, sign_changes
 
 if TYPE_CHECKING:
@@ -143,8 +144,9 @@ def section(
     states = np.atleast_2d(H.states_from(z0))
     start, end = checked_span(span)
     steps = checked_steps(end - start, steps, dt)
-    if crossings is not None and (not isinstance(crossings, int) or crossings < 1):
-        raise InputError(f"crossings={crossings!r} cannot be used; give a whole number from 1")
+    if crossings is not None:
+        require_whole("crossings", crossings)
+    require_number("direction", direction)
     where = parse_surface(H, surface)
     method = method or usual_method(H)
     count, size = len(states), (end - start) / steps
@@ -152,24 +154,27 @@ def section(
     if isinstance(stepper.scheme, Doubled):
         raise InputError(f"{method} cannot take part of a step; choose another one, such as gauss4")
     began = time.perf_counter()
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    nothing = np.empty(0), np.empty((0, H.dim)), np.empty(0, dtype=int)
+    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = [nothing]
     numbers = np.zeros(count, dtype=int)
     piece = max(1, _HELD // (count * H.dim))
     message, done, last = "", 0, states
     with stepping_progress(steps, progress) as report:
-        while done < steps:
-            moved = stepper.advance(min(piece, steps - done), show=False)
-            path = np.concatenate((last[:, None], moved.states), axis=1)
-            times = start + size * np.arange(done, done + path.shape[1])
-            found.append(_crossings(H, method, where, direction, path, times, size))
-            numbers += np.bincount(found[-1][2], minlength=count)
-            done, last = done + path.shape[1] - 1, path[:, -1]
-            report(path.shape[1] - 1)
-            if moved.interrupted:
-                message = "interrupted"
-                break
-            if not np.isfinite(last).any() or (crossings and numbers.min() >= crossings):
-                break
+        try:
+            while done < steps:
+                moved = stepper.advance(min(piece, steps - done), show=False)
+                if moved.interrupted:
+                    raise KeyboardInterrupt
+                path = np.concatenate((last[:, None], moved.states), axis=1)
+                times = start + size * np.arange(done, done + path.shape[1])
+                found.append(_crossings(H, method, where, direction, path, times, size))
+                numbers += np.bincount(found[-1][2], minlength=count)
+                done, last = done + path.shape[1] - 1, path[:, -1]
+                report(path.shape[1] - 1)
+                if not np.isfinite(last).any() or (crossings and numbers.min() >= crossings):
+                    break
+        except KeyboardInterrupt:  # what was done before this piece counts
+            message = "interrupted"
     t, z, trajectory = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.lexsort((np.sign(size) * t, trajectory))
     if crossings is not None:
@@ -221,19 +226,20 @@ def _crossings(
     before, since = path[trajectory, step], times[step]
 
     def part_of_a_step(share: np.ndarray, index: np.ndarray) -> np.ndarray:
-        stepper = fixed_step(H, method, before[index], since[index], share * size)
-        stepper.advance(1, show=False)
+        moved = fixed_step(H, method, before[index], since[index], share * size).step(1)
         # No step at all is the state itself, also where a method divides by the step.
-        return np.where(share[:, None] == 0, before[index], stepper.states)
+        return np.where(share[:, None] == 0, before[index], moved)
 
     def value(share: np.ndarray, index: np.ndarray) -> np.ndarray:
         return where.value(part_of_a_step(share, index), since[index] + share * size)
 
     share = refine(value, np.zeros(len(step)), np.ones(len(step)))
-    z = part_of_a_step(share, np.arange(len(step))) if len(step) else before
-    t = since + share * size
+    zeros = np.isfinite(share)
+    index, share = np.flatnonzero(zeros), share[zeros]
+    z = part_of_a_step(share, index) if len(index) else before[:0]
+    t = since[index] + share * size
     holds = where.holds(z, t)
-    return t[holds], z[holds], trajectory[holds]
+    return t[holds], z[holds], trajectory[index][holds]
 
 
 def _energy_error(

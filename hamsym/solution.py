@@ -437,7 +437,8 @@ class Solution:
             A surface such as ``"x = 0, p_x > 0"``, or a function as scipy's ``solve_ivp`` takes
             it: called with (t, z), z of shape (dim,), it is zero at the event; its attribute
             ``direction`` asks for rising (above zero) or falling zeros, and ``terminal`` (True or
-            a number) ends the search for all events after so many of this one.
+            a number) ends the search for all events after so many of this one. A zero at the very
+            start is no event, unlike there.
 
         Returns
         -------

@@ -75,8 +75,8 @@ class Stepper:
     compensated : bool
         Whether round-off is carried from step to step.
     tangents : numpy.ndarray, optional
-        Vectors to be moved by the derivative of the steps, shape (n, width, k), where width is
-        dim (for a :class:`Doubled` scheme 2 dim).
+        Vectors to be moved, in place, by the derivative of the steps, shape (n, width, k), where
+        width is dim (for a :class:`Doubled` scheme 2 dim).
     omega : float
         Coupling of a :class:`Doubled` scheme.
     """

@@ -120,10 +120,14 @@ def refine(
 ) -> np.ndarray:
     """Zeros to round-off, all at once, of function(x, index) between low and high, shape (n,).
 
-    By Chandrupatla's method, as scipy has it.
+    By Chandrupatla's method, as scipy has it; nan where the sign changes at a pole.
     """
     if not len(low):
         return np.empty(0)
-    # The limit is met where rounding, not the step towards the zero, is what is left.
-    result = elementwise.find_root(function, (low, high), args=(np.arange(len(low)),))
-    return np.asarray(result.x)
+    index = np.arange(len(low))
+    with np.errstate(all="ignore"):
+        found = elementwise.find_root(function, (low, high), args=(index,)).x
+        ends = np.abs([function(low, index), function(high, index)])
+        # A zero at an end may have the other sign by round-off when it is computed again.
+        found = np.where(np.isfinite(found), found, np.where(ends[0] < ends[1], low, high))
+        return np.where(np.abs(function(found, index)) <= ends.max(axis=0), found, np.nan)

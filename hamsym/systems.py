@@ -19,6 +19,7 @@ from sympy.polys.matrices import DomainMatrix
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.settings import require_whole
 
 __all__ = [
     "CATALOGUE",
@@ -96,8 +97,7 @@ def _listed(function: Callable[..., Problem]) -> Callable[..., Problem]:
 
 
 def _check_count(n: int, fewest: int) -> None:
-    if not isinstance(n, (int, np.integer)) or isinstance(n, bool) or n < fewest:
-        raise InputError(f"n={n!r} cannot be used; give a whole number from {fewest}")
+    require_whole("n", n, fewest)
 
 
 def _check_positive(**values: float) -> None:

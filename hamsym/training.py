@@ -23,6 +23,7 @@ from torch import Tensor
 
 from hamsym.errors import FileError, InputError
 from hamsym.files import read_tensors, write_tensors
+from hamsym.settings import require_positive, require_whole
 from hamsym.trial import Network
 
 __all__ = [
@@ -606,27 +607,3 @@ class _Run:
             name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)
         }
         self.optimizer.restore(own, values["optimizer"])
-
-
-def require_positive(name: str, value: object) -> None:
-    """Refuse what is not a finite number above 0."""
-    require(is_positive(value), name, value, "above 0")
-
-
-def require_whole(name: str, value: object, least: int) -> None:
-    """Refuse what is not a whole number from ``least``."""
-    number = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    whole = number and value >= least  # type: ignore[operator]
-    require(whole, name, value, f"{least} or more")
-
-
-def is_positive(value: object) -> bool:
-    """Whether a value is a finite number above 0."""
-    number = isinstance(value, (int, float, np.integer, np.floating))
-    return number and math.isfinite(value) and value > 0  # type: ignore[arg-type, operator]
-
-
-def require(holds: bool, name: str, value: object, wanted: str) -> None:
-    """Refuse a setting, unless it holds."""
-    if not holds:
-        raise InputError(f"{name}={value!r} cannot be used; give {wanted}")

@@ -20,9 +20,16 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.integrators import checked_span, checked_steps, fixed_step, usual_method
+from hamsym.integrators import (
+    checked_span,
+    checked_steps,
+    fastest_rate,
+    fixed_step,
+    usual_method,
+)
 from hamsym.progress import stepping_progress
 from hamsym.schemes import Doubled
+from hamsym.settings import require_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,6 +41,8 @@ _STEPS_PER_RADIAN = 5  # of the fastest linear motion at the start
 # and several vectors would become parallel to round-off before.
 _GROWTH_OF_ONE, _GROWTH_OF_SEVERAL = 200.0, 5.0
 _KEPT = 2_000  # points of the history
+_PARALLEL = 30.0  # e-folds by which one vector may outgrow another before they are one to round-off
+_PILOT_STEPS, _PILOTS = 1_000, 8
 _COARSE = 0.01  # of the scale of H; steps that change it by more draw another system
 
 
@@ -116,6 +125,8 @@ def tangent_map(
     method, state = method or usual_method(H), H.state_from(z0)
     stepper = _tangent_stepper(H, method, state, start, (end - start) / steps, np.eye(H.dim))
     done = stepper.advance(1, steps, show=progress)
+    if done.interrupted:
+        raise KeyboardInterrupt
     if not np.isfinite(done.states).all() or not np.isfinite(stepper.tangents).all():
         raise InputError(f"the trajectory does not reach t = {end:.6g}; end the span before it")
     return TangentMap(state, done.states[0, -1], stepper.tangents[0], method)
@@ -195,6 +206,8 @@ class LyapunovExponents:
         Whether the trajectory reached the end and kept H to 1 % of its scale; not whether the
         exponent has converged.
     message : str
+    is_integrable : bool
+        Whether H has one degree of freedom and no explicit time, which excludes chaos.
     """
 
     t: np.ndarray = field(repr=False)
@@ -207,6 +220,7 @@ class LyapunovExponents:
     success: bool
     message: str
     title: str = field(repr=False, default="")
+    is_integrable: bool = False
 
     @property
     def maximal(self) -> float:
@@ -237,12 +251,17 @@ class LyapunovExponents:
                 "this time nothing tells the trajectory from a regular one; chaos that is weaker "
                 f"than about {max(self.maximal, 1 / end):.1g}, or sets in later, is not excluded."
             )
-        elif self.trend > -0.2:
+        elif abs(self.trend) < 0.2 and self.maximal > 0:
             verdict = (
                 "and hardly changed over the last tenfold of time: nearby trajectories separate "
-                f"by a factor of e in about {1 / self.maximal:.3g}. That is chaos over this time; "
-                "a trajectory may still stick to a regular region later, and the limit is not "
-                "proved."
+                f"by a factor of e in about {1 / self.maximal:.3g}. "
+                + (
+                    "With one degree of freedom and no explicit time this is no chaos."
+                    if self.is_integrable
+                    else "That is chaos over this time, if the motion is bounded and comes back; a "
+                    "trajectory may still stick to a regular region later, and the limit is not "
+                    "proved."
+                )
             )
         else:
             verdict = (
@@ -287,7 +306,7 @@ def lyapunov(
         Number of steps.
     dt : float, optional
         In place of ``steps``, the largest step. Without both a fifth of a radian of the fastest
-        linear motion at the start; look at ``energy_error`` then.
+        linear motion at the beginning of the trajectory.
     count : int
         How many exponents, up to dim.
     seed : int
@@ -316,17 +335,19 @@ def lyapunov(
     start, end = checked_span(span)
     state = H.state_from(z0)
     method = method or usual_method(H)
-    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= H.dim:
-        raise InputError(f"count={count!r} cannot be used; give a whole number from 1 to {H.dim}")
-    rate = _fastest_rate(H, state, start)
-    if steps is None and dt is None:
+    require_whole("count", count, 1, H.dim)
+    require_whole("seed", seed, 0)
+    rate = _fastest_rate(H, method, state, start, end)
+    usual = steps is None and dt is None
+    if usual:
         dt = 1 / (_STEPS_PER_RADIAN * rate) if rate > 0 else abs(end - start) / 20_000
     steps = checked_steps(end - start, steps, dt)
     size = (end - start) / steps
     vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(H.dim, count)))[0]
     stepper = _tangent_stepper(H, method, state, start, size, vectors)
     growth_limit = _GROWTH_OF_ONE if count == 1 else _GROWTH_OF_SEVERAL
-    between = max(1, min(steps // _KEPT, int(growth_limit / max(rate * abs(size), 1e-9))))
+    each = max(rate * abs(size), 1e-3)
+    between = max(1, min(steps // _KEPT, int(growth_limit / each)))
     rows = np.unique(np.geomspace(1, max(steps // between, 1), _KEPT).astype(int))
     began = time.perf_counter()
     growth, times, history, path = np.zeros(count), [], [], [state]
@@ -341,6 +362,9 @@ def lyapunov(
                     message = "the trajectory left the range of numbers, or a step was not solved"
                     break
                 stepper.tangents[0], grown = _orthonormal(stepper.tangents[0])
+                if not np.isfinite(grown).all() or np.ptp(grown) > _PARALLEL:
+                    message = "nearby trajectories separate too fast for these steps; give a dt"
+                    break
                 growth = growth + grown
                 if done == steps or block in rows:
                     times.append(start + size * done)
@@ -353,9 +377,13 @@ def lyapunov(
         raise InputError(f"the trajectory breaks off at its start: {message or 'no step was done'}")
     if message:
         message = f"stopped after t = {times[-1]:.6g}: {message}"
-    energy_error, share = _energy_errors(H, np.array(path[: len(history) + 1]))
+    states = np.array(path[: len(history) + 1])
+    energy_error, share = _energy_errors(H, states)
+    fastest = fastest_rate(H, states, np.array([start, *times]))
     if share > _COARSE and not message:
         message = f"H changed by {energy_error:.1e}, {share:.0%} of its scale: take a smaller dt"
+    elif usual and not message and fastest > 3 * max(rate, 1 / abs(size)):
+        message = f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
     return LyapunovExponents(
         t=np.array(times),
         exponents=np.array(history),
@@ -367,6 +395,7 @@ def lyapunov(
         success=not message,
         message=message or f"{method}: {steps:,} steps to t = {end:.6g}",
         title=H.formula,
+        is_integrable=H.dof == 1 and H.time is None,
     )
 
 
@@ -406,11 +435,29 @@ def _orthonormal(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return q * np.sign(diagonal), np.log(np.abs(diagonal))
 
 
-def _fastest_rate(H: Hamiltonian, state: np.ndarray, start: float) -> float:
-    """Spectral radius of J Hess at the start, per unit of time."""
-    system = H.compile("numpy")
-    J = np.array(H.poisson_matrix, dtype=float)
-    generator = J @ system.hessian(*system.arguments(state, start))
-    return (
-        float(np.abs(np.linalg.eigvals(generator)).max()) if np.isfinite(generator).all() else 0.0
-    )
+def _fastest_rate(
+    H: Hamiltonian, method: str, state: np.ndarray, start: float, end: float
+) -> float:
+    """Spectral radius of J Hess along the beginning of the trajectory, per unit of time.
+
+    Each pilot run uses steps by what the one before it found, so that a start where little happens
+    does not set the steps for the rest.
+    """
+    rate = fastest_rate(H, state[None], start)
+    if not math.isfinite(rate):
+        raise InputError("the Hessian of H is not finite at z0; start elsewhere")
+    whole = abs(end - start)
+    length = whole / 1_000 if rate == 0 else min(whole, _PILOT_STEPS / (_STEPS_PER_RADIAN * rate))
+    for _ in range(_PILOTS):
+        size = math.copysign(length / _PILOT_STEPS, end - start)
+        stepper = fixed_step(H, method, state[None], np.array([start]), np.array([size]))
+        path = stepper.advance(_PILOT_STEPS, show=False).states[0]
+        if not np.isfinite(path).all():
+            length /= 30
+            continue
+        found = fastest_rate(H, path, start + size * np.arange(1, len(path) + 1))
+        if not rate * 1.5 < found < math.inf:
+            return rate if math.isinf(found) else max(rate, found)
+        rate = found
+        length = min(length, _PILOT_STEPS / (_STEPS_PER_RADIAN * rate))
+    return rate

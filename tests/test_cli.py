@@ -194,6 +194,14 @@ def test_integrate_an_ensemble(capsys: Captured, tmp_path: Path) -> None:
     assert figure.read_bytes()[1:4] == b"PNG"
 
 
+def test_columns_of_one_name_are_told_apart(capsys: Captured, tmp_path: Path) -> None:
+    path = tmp_path / "states.csv"
+    arguments = ["H**2/2 + t**2/2", "--q", "t", "--p", "H", "--z0", "1,2", "--t-end", "1"]
+    assert run(capsys, "integrate", *arguments, "--steps", "4", "-o", str(path))[0] == 0
+    assert path.read_text().splitlines()[0] == "t,t_,H,H_"
+    assert np.loadtxt(path, delimiter=",", skiprows=1)[0].tolist() == [0.0, 1.0, 2.0, 2.5]
+
+
 def test_lyapunov_says_what_it_found(capsys: Captured, tmp_path: Path) -> None:
     path, figure = tmp_path / "history.csv", tmp_path / "history.png"
     arguments = [HENON_HEILES, "--z0", "0.3,-0.3,0.3,0.15", "--t-end", "1e4", "--count", "2"]
@@ -295,6 +303,8 @@ BAD = [
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "9", "--steps", "9" * 14], "save_every"),
     (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--count", "3"], "count=3"),
     (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "-o", "h.txt"], "neither .csv"),
+    (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--seed", "-1"], "seed=-1"),
+    (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--dt", "1e-30"], "would take"),
     (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1"], "Missing option '--at'"),
     (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--at", "x == 0"], "is no equation"),
     (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--at", "y = 0"], "'y' does not occ"),
@@ -304,7 +314,7 @@ BAD = [
     ),
     (
         ["section", OSCILLATOR, "--z0", "x=9", "--t-end", "1", "--at", "x = 0", "--energy", "1"],
-        "no p gives the energy 1",
+        "no p from 0 on gives the energy 1",
     ),
     (
         ["compare", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--with", "rk4"],

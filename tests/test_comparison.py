@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hamsym
-from hamsym import Comparison, Solution
+from hamsym import Comparison, Solution, stepping
 from hamsym.comparison import Match
 from hamsym.systems import Problem, charged_particle, harmonic_oscillator, nonlinear_oscillator
 
@@ -142,6 +142,62 @@ def test_round_off_is_named_where_it_is_the_limit() -> None:
     assert reasons[1].startswith("not reached, ")
     assert reasons[2] == "> 1e6 steps"
     assert "not reached: round-off leaves" in str(comparison)
+
+
+def test_an_error_as_large_as_the_motion_is_not_round_off() -> None:
+    """It no longer falls because it cannot grow."""
+    H = hamsym.Hamiltonian("p**2/2 - cos(x) - cos(x - t)")
+    solution = hamsym.solve(H, [1.0, 0.5], (0, 60), tol=1e-6)
+    comparison = hamsym.compare(solution, "implicit_midpoint", points=3, max_steps=100_000)
+    match = comparison.matches["implicit_midpoint"]
+    assert "round-off" not in match.reason
+
+
+def test_masses_of_an_electron_are_compared_as_any_other() -> None:
+    m, w = 9.1e-31, 1e15
+    H = hamsym.Hamiltonian("p**2/(2*m) + m*w**2*x**2/2", parameters={"m": m, "w": w})
+    solution = hamsym.solve(H, [1e-10, 0.0], (0, 6e-15), tol=1e-9)
+    comparison = hamsym.compare(solution, ["yoshida8", "dop853"])
+
+    def exact(t: np.ndarray) -> np.ndarray:
+        return 1e-10 * np.stack((np.cos(w * t), -m * w * np.sin(w * t)), axis=-1)
+
+    right = hamsym.compare(solution, ["yoshida8", "dop853"], exact=exact)
+    for found, wanted in zip(comparison.rows[:4], right.rows[:4], strict=True):
+        assert found.error == pytest.approx(wanted.error, rel=0.5, abs=1e-22)
+
+
+def test_ctrl_c_ends_a_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = harmonic_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 5), tol=1e-6)
+    original, calls = stepping.Stepper._run, []
+
+    def interrupted(self: stepping.Stepper, *arguments: object) -> np.ndarray:
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return original(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(stepping.Stepper, "_run", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        hamsym.compare(solution, "yoshida4")
+    assert len(calls) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"max_steps": 0}, "max_steps=0"),
+        ({"points": 0}, "points=0"),
+        ({"points": -3}, "points=-3"),
+        ({"max_steps": "a"}, "max_steps='a'"),
+    ],
+)
+def test_settings_of_a_comparison_that_cannot_be_used(
+    comparison: Comparison, options: dict[str, object], message: str
+) -> None:
+    with pytest.raises(hamsym.InputError, match=message):
+        hamsym.compare(comparison.solution, **options)  # type: ignore[arg-type]
 
 
 def test_integrators_that_cannot_be_compared() -> None:

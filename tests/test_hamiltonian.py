@@ -367,8 +367,7 @@ def test_state_at_energy() -> None:
     [
         (1.0, {"x": 0, "p_x": 0}, "missing: y, p_y"),
         (1.0, {"x": 0, "p_x": 0, "y": 0, "p_y": 0}, "missing: none"),
-        (-1.0, {"x": 0, "p_x": 0, "y": 0}, "no p_y gives the energy -1; at p_y = 0 it is 0"),
-        (float("nan"), {"x": 0, "p_x": 0, "y": 0}, "no p_y gives the energy nan"),
+        (-1.0, {"x": 0, "p_x": 0, "y": 0}, "no p_y from 0 on gives the energy -1"),
         (1.0, {"x": 0, "p_x": 0, "q": 0}, "leave out one|not a component"),
     ],
 )
@@ -376,3 +375,17 @@ def test_states_that_no_energy_gives(energy: float, start: dict, message: str) -
     H = Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2")
     with pytest.raises(VariableError, match=message):
         H.state_at_energy(energy, start)
+
+
+def test_state_at_energy_looks_everywhere_but_at_poles() -> None:
+    assert Hamiltonian("p**2/2 + 1/(x - 1)").state_at_energy(0.5, {"p": 0}).tolist() == [3.0, 0.0]
+    oscillator = Hamiltonian("p**2/2 + x**2/2")
+    assert oscillator.state_at_energy(1e20, {"x": 0})[1] == pytest.approx(2**0.5 * 1e10)
+    assert oscillator.state_at_energy(1e-40, {"x": 0})[1] == pytest.approx(2**0.5 * 1e-20)
+    polar = Hamiltonian("p_r**2/2 + p_phi**2/(2*r**2) - 1/r")
+    state = polar.state_at_energy(-0.3, {"phi": 0, "p_phi": 1, "p_r": 0})
+    assert polar.compile("numpy").energy(state) == pytest.approx(-0.3, rel=1e-12)
+    with pytest.raises(InputError, match="energy='a' cannot be used"):
+        oscillator.state_at_energy("a", {"x": 0})
+    with pytest.raises(InputError, match="energy=nan cannot be used"):
+        oscillator.state_at_energy(float("nan"), {"x": 0})

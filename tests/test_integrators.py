@@ -7,9 +7,11 @@ import signal
 
 import numpy as np
 import pytest
+import scipy.optimize
 
 import hamsym
 from hamsym import Hamiltonian, InputError, stepping
+from hamsym.errors import SeparabilityError
 from hamsym.integrators import ALIASES, INTEGRATORS, fixed_step, listing, reference
 from hamsym.schemes import Doubled, RungeKutta, Splitting
 from hamsym.systems import (
@@ -431,7 +433,9 @@ def test_listing_has_a_line_for_each_row() -> None:
 @pytest.mark.parametrize("method", [m for m in FIXED if m not in ANY_H])
 def test_splitting_is_refused_by_name_where_h_is_not_separable(method: str) -> None:
     problem = double_pendulum()
-    with pytest.raises(InputError, match=f"{method} needs H = T.p. . V.q., and this H is not sep"):
+    with pytest.raises(
+        SeparabilityError, match=f"{method} needs H = T.p. . V.q., and this H is not sep"
+    ):
         hamsym.integrate(problem.H, problem.z0, (0, 1), method)
 
 
@@ -480,6 +484,11 @@ def test_progress_is_drawn_where_asked(capsys: pytest.CaptureFixture[str]) -> No
         ({"rtol": 1e-9}, "rtol has no meaning for symplectic_euler"),
         ({"omega": 1.0}, "omega has no meaning for symplectic_euler; it is for tao2 and tao4"),
         ({"method": "tao2", "omega": -1.0}, "omega=-1.0"),
+        ({"method": "tao2", "omega": "2"}, "omega='2'"),
+        ({"method": "dop853", "rtol": "a"}, "rtol='a'"),
+        ({"method": ["yoshida4"]}, "is not a method"),
+        ({"dt": 1e-30}, "dt=1e-30 would take .* steps; give a larger one"),
+        ({"steps": 10**20}, "steps=100000000000000000000 cannot be used; give a whole number"),
         ({"method": "tao2", "compensated": True}, "compensated has no meaning for tao2"),
         ({"method": "dop853", "rtol": -1.0}, "rtol=-1.0"),
         ({"steps": 10**13}, "GiB; keep fewer of them with save_every"),
@@ -499,3 +508,84 @@ def test_unusable_settings(arguments: dict[str, object], message: str) -> None:
 def test_reference_refuses_a_span_without_solution() -> None:
     with pytest.raises(InputError, match="no solution beyond t = "):
         reference(Hamiltonian("p**2/2 - x**4/4"), np.array([1.0, 1.0]), (0.0, 5.0))
+
+
+# -- where it could go wrong -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unit", [1e-27, 1e27])
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_adaptive_methods_do_not_mind_the_units(method: str, unit: float) -> None:
+    """Also from a start at rest, where the momentum has no size yet."""
+    plain = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+    H = Hamiltonian(
+        "a*b*((p/b)**2/2 + (x/a)**2/2 + (x/a)**4/4)", parameters={"a": unit, "b": 1e3 * unit}
+    )
+    for start in ([1.3, 1.0], [1.3, 0.0]):
+        right = hamsym.integrate(plain, start, (0, 12), "yoshida8", steps=12_000, save_every=120).z
+        scaled = np.array(start) * [unit, 1e3 * unit]
+        found = hamsym.integrate(H, scaled, (0, 12), method, steps=100)
+        assert found.success
+        np.testing.assert_allclose(found.z / [unit, 1e3 * unit], right, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["implicit_midpoint", "gauss4", "gauss6"])
+@pytest.mark.parametrize(
+    ("formula", "start"),
+    [("p**2/2 + x**3/3 - 2*x", 2**0.5), ("p**2/2 + 1/x + x**2", 0.5 ** (1 / 3))],
+)
+def test_implicit_methods_rest_at_an_equilibrium(method: str, formula: str, start: float) -> None:
+    """There the momenta are nothing but what cancellation leaves of the force."""
+    found = hamsym.integrate(Hamiltonian(formula), [start, 0.0], (0, 1000), method, dt=0.1)
+    assert found.success
+    assert np.abs(found.z - [start, 0.0]).max() < 1e-11
+
+
+def test_implicit_euler_rests_at_an_equilibrium() -> None:
+    H = Hamiltonian("p**2*(1 + x**2)/2 + x**3/3 - 2*x + x*p/3")
+    gradient = H.compile("numpy").gradient
+    root = scipy.optimize.fsolve(gradient, [1.4, -0.1], xtol=1e-15)
+    for method in ("symplectic_euler", "symplectic_euler_p"):
+        found = hamsym.integrate(H, root, (0, 1000), method, dt=0.1)
+        assert found.success
+        assert np.abs(found.z - root).max() < 1e-10
+
+
+def test_a_start_from_which_no_step_can_be_done() -> None:
+    H = Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
+    for method in ADAPTIVE:
+        found = hamsym.integrate(H, [0.0, 0, 0, 0], (0, 1), method)
+        assert not found.success
+        assert found.z.tolist() == [[0.0, 0, 0, 0]]
+
+
+def test_ctrl_c_in_an_adaptive_method_leaves_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hamsym.adaptive.scipy.integrate.solve_ivp", interrupted)
+    problem = nonlinear_oscillator()
+    found = hamsym.integrate(problem.H, problem.z0, problem.span, "dop853")
+    assert found.interrupted
+    assert found.message == "stopped after t = 0: interrupted"
+    assert found.z.tolist() == [[1.3, 1.0]]
+
+
+def test_a_hessian_that_is_not_finite_asks_for_omega() -> None:
+    H = Hamiltonian("p**2/2 + abs(x)**1.5")
+    with pytest.raises(InputError, match="the Hessian of H is not finite at z0; give omega"):
+        hamsym.integrate(H, [0.0, 1.0], (0, 1), "tao2")
+    assert hamsym.integrate(H, [0.0, 1.0], (0, 1), "tao2", omega=5.0).success
+
+
+def test_parameters_may_have_any_name() -> None:
+    """Names that the loops use themselves, as parameters and as coordinates."""
+    names = "omega coupling drift kick kicks states low size count stage weights nodes terms half"
+    for name in names.split():
+        H = Hamiltonian(f"p**2/2 + {name}*x**2/2", parameters={name: 4.0})
+        for method in ("forest_ruth", "gauss4", "tao4"):
+            z = hamsym.integrate(H, [1.0, 0.0], (0, np.pi), method, steps=300).z[-1]
+            np.testing.assert_allclose(z, [1.0, 0.0], atol=1e-3)
+    H = Hamiltonian("low**2/2 + states**2/2", q=["states"], p=["low"])
+    z = hamsym.integrate(H, [1.0, 0.0], (0, 2 * np.pi), "forest_ruth", steps=300).z[-1]
+    np.testing.assert_allclose(z, [1.0, 0.0], atol=1e-5)

@@ -7,7 +7,7 @@ import pytest
 import scipy.integrate
 
 import hamsym
-from hamsym import Hamiltonian, InputError
+from hamsym import Hamiltonian, InputError, sections, stepping
 from hamsym.surfaces import parse_surface, sign_changes
 from hamsym.systems import double_pendulum, harmonic_oscillator, henon_heiles, kepler
 
@@ -251,3 +251,77 @@ def test_terminal_that_cannot_be_used(orbit: hamsym.Solution) -> None:
     event.terminal = 0.5  # type: ignore[attr-defined]
     with pytest.raises(InputError, match="terminal=0.5 cannot be used"):
         orbit.events(event)
+
+
+# -- where it could go wrong -------------------------------------------------------------------
+
+
+def test_crossings_at_the_very_steps_are_not_lost() -> None:
+    """A stroboscopic section whose period is a whole number of steps."""
+    H = Hamiltonian("p**2/2 + x**2/2 + x**4/4 - x*cos(w*t)/2", parameters={"w": 1.3})
+    period = 2 * np.pi / 1.3
+    found = hamsym.section(H, [0.5, 0], (0, 200 * period), "sin(w*t/2) = 0", steps=200 * 64)
+    assert len(found.t) >= 199
+    np.testing.assert_allclose(found.t, period * np.arange(1, len(found.t) + 1), rtol=1e-12)
+    assert np.isfinite(found.z).all()
+    kept = hamsym.section(
+        H, [0.5, 0], (0, 200 * period), "sin(w*t/2) = 0, p > -100", steps=200 * 64
+    )
+    np.testing.assert_array_equal(kept.t, found.t)
+
+
+def test_poles_are_no_crossings(orbit: hamsym.Solution) -> None:
+    problem = harmonic_oscillator()
+    found = hamsym.section(problem.H, problem.z0, (0, 20), "tan(2*x) = 1", dt=0.01)
+    assert len(found.t) == 19 - 13
+    np.testing.assert_allclose(np.tan(2 * found.z[:, 0]), 1, atol=1e-12)
+    assert len(hamsym.section(problem.H, problem.z0, (0, 20), "1/x = 0", dt=0.01).t) == 0
+    assert len(orbit.events("1/y = 0").t_events[0]) == 0
+
+
+def test_a_zero_at_the_start_is_no_event() -> None:
+    problem = harmonic_oscillator()
+    solution = hamsym.solve(problem.H, [0.0, 1.0], (0, 10), tol=1e-9)
+    np.testing.assert_allclose(solution.events("x = 0").t_events[0], np.pi * np.arange(1, 4))
+    found = hamsym.section(problem.H, [0.0, 1.0], (0, 10), "x = 0")
+    np.testing.assert_allclose(found.t, np.pi * np.arange(1, 4), atol=1e-9)
+
+
+def test_ctrl_c_keeps_the_crossings_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = harmonic_oscillator()
+    full = hamsym.section(problem.H, problem.z0, (0, 100), "x = 0", dt=0.1)
+    monkeypatch.setattr(sections, "_HELD", 400)
+    calls = []
+    original = stepping.Stepper.step
+
+    def interrupted(self: stepping.Stepper, count: int) -> np.ndarray:
+        calls.append(1)
+        if len(calls) > 30:  # in the midst of locating a crossing
+            raise KeyboardInterrupt
+        return original(self, count)
+
+    monkeypatch.setattr(stepping.Stepper, "step", interrupted)
+    found = hamsym.section(problem.H, problem.z0, (0, 100), "x = 0", dt=0.1)
+    assert not found.success
+    assert found.message.endswith("interrupted")
+    assert 0 < len(found.t) < len(full.t)
+    np.testing.assert_array_equal(found.t, full.t[: len(found.t)])
+
+
+def test_numbers_from_numpy_are_numbers() -> None:
+    problem = harmonic_oscillator()
+    found = hamsym.section(problem.H, problem.z0, (0, 50), "x = 0", crossings=np.int64(2))
+    assert len(found.t) == 2
+    solution = hamsym.solve(problem.H, problem.z0, (0, 20), tol=1e-6)
+
+    def event(t: float, z: np.ndarray) -> float:
+        return z[0]
+
+    event.terminal = np.int64(2)  # type: ignore[attr-defined]
+    assert len(solution.events(event).t_events[0]) == 2
+    event.terminal = np.True_  # type: ignore[attr-defined]
+    assert len(solution.events(event).t_events[0]) == 1
+    with pytest.raises(InputError, match="direction='up'"):
+        hamsym.section(problem.H, problem.z0, (0, 50), "x = 0", direction="up")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="would take .* steps; give a larger one"):
+        hamsym.section(problem.H, problem.z0, (0, 50), "x = 0", dt=1e-300)

@@ -129,7 +129,29 @@ def test_exponents_of_a_saddle_are_its_rates() -> None:
     np.testing.assert_allclose(found.exponents[-1], [3, 1, -1, -3], atol=0.03)
     assert found.exponents.shape[1] == 4
     assert abs(found.trend) < 0.2
-    assert "chaos over this time" in found.statement
+    assert "if the motion is bounded and comes back" in found.statement
+
+
+def test_one_degree_of_freedom_is_never_called_chaotic() -> None:
+    saddle = hamsym.lyapunov(Hamiltonian("p**2/2 - x**2/2"), [1e-200, 0], (0, 100))
+    assert saddle.maximal == pytest.approx(1, abs=0.05)
+    assert "this is no chaos" in saddle.statement
+    # Leaving the pendulum's unstable equilibrium the exponent rises.
+    rising = hamsym.lyapunov(pendulum().H, [math.pi, 0.0], (0, 30))
+    assert "chaos over" not in rising.statement
+
+
+def test_a_start_where_little_happens_does_not_set_the_steps() -> None:
+    """The Hessian at the start is far smaller than on the way, also with explicit time."""
+    driven = Hamiltonian("p**2/2 - (1 + sin(t)/2)*cos(x)")
+    found = hamsym.lyapunov(driven, [math.pi / 2, 0.0], (0, 1e4))
+    assert found.dt < 0.3
+    assert 1e-3 < found.maximal < 2e-2  # 3.5e-3 with steps of 0.02
+    quartic = Hamiltonian("(p_x**2 + p_y**2)/2 + x**2*y**2/2 + (x**4 + y**4)/400")
+    found = hamsym.lyapunov(quartic, [0.0, 0.0, 1.0, 0.5], (0, 1e5), count=4)
+    assert found.success
+    assert abs(found.exponents[-1].sum()) < 1e-3
+    assert found.maximal == pytest.approx(0.34, abs=0.02)
 
 
 @pytest.mark.parametrize("method", [None, "gauss4", "stormer_verlet"])
@@ -215,6 +237,9 @@ def test_an_escape_keeps_what_was_done() -> None:
         ({"method": "dop853"}, "dop853 chooses its own steps"),
         ({"method": "tao2"}, "doubled phase space"),
         ({"dt": -1}, "dt=-1"),
+        ({"dt": 1e-30}, "dt=1e-30 would take"),
+        ({"seed": -1}, "seed=-1 cannot be used; give a whole number from 0"),
+        ({"count": True}, "count=True"),
     ],
 )
 def test_exponents_that_cannot_be_had(options: dict[str, object], message: str) -> None:

@@ -1,0 +1,46 @@
+"""What callers give, checked: numbers that can be used, or one clear sentence."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hamsym.errors import InputError
+
+__all__ = ["is_positive", "require", "require_number", "require_positive", "require_whole"]
+
+
+def require(holds: bool, name: str, value: object, wanted: str) -> None:
+    """Refuse a setting, unless it holds."""
+    if not holds:
+        raise InputError(f"{name}={value!r} cannot be used; give {wanted}")
+
+
+def require_whole(name: str, value: object, least: int = 1, most: int = 2**63 - 1) -> None:
+    """Refuse what is not a whole number from ``least`` to ``most``."""
+    number = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    whole = number and least <= value <= most  # type: ignore[operator]
+    limit = "" if most == 2**63 - 1 else f" to {most}"
+    require(whole, name, value, f"a whole number from {least}{limit}")
+
+
+def require_number(name: str, value: object, least: float = -math.inf) -> None:
+    """Refuse what is not a finite number from ``least``."""
+    number = _is_finite(value) and value >= least  # type: ignore[operator]
+    require(number, name, value, "a number" if least == -math.inf else f"a number from {least:g}")
+
+
+def require_positive(name: str, value: object) -> None:
+    """Refuse what is not a finite number above 0."""
+    require(is_positive(value), name, value, "a number above 0")
+
+
+def is_positive(value: object) -> bool:
+    """Whether a value is a finite number above 0."""
+    return _is_finite(value) and value > 0  # type: ignore[operator]
+
+
+def _is_finite(value: object) -> bool:
+    number = isinstance(value, (int, float, np.integer, np.floating))
+    return number and math.isfinite(value)  # type: ignore[arg-type]
