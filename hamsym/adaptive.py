@@ -24,7 +24,8 @@ class Adaptive:
     ----------
     run : callable
         (H, z0, times, rtol, atol) -> (states, evaluations, message); fewer states than times, and
-        a message, if it had to stop early. Without atol it is rtol times the size of the motion.
+        a message, if it had to stop early. Without atol it is a hundredth of rtol times the size of
+        the motion.
     """
 
     run: Callable[..., tuple[np.ndarray, int, str]]
@@ -70,7 +71,7 @@ def run_odeint(
     H: Hamiltonian, z0: np.ndarray, times: np.ndarray, rtol: float, atol: float | None
 ) -> tuple[np.ndarray, int, str]:
     """scipy's LSODA at the given times."""
-    absolute = rtol * _sizes(H, z0, (times[0], times[-1])) if atol is None else atol
+    absolute = _absolute(H, z0, (times[0], times[-1]), rtol) if atol is None else atol
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", scipy.integrate.ODEintWarning)  # the report says it too
         states, report = scipy.integrate.odeint(
@@ -98,6 +99,11 @@ def _rates(H: Hamiltonian) -> Callable[[float, np.ndarray], np.ndarray]:
     return lambda t, z: np.asarray(system.vector_field(*system.arguments(z, t)))
 
 
+def _absolute(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], rtol: float) -> np.ndarray:
+    """An absolute tolerance that matters only where a component passes zero, shape (dim,)."""
+    return 0.01 * rtol * _sizes(H, z0, span)
+
+
 def _sizes(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float]) -> np.ndarray:
     """The usual magnitudes of coordinates and momenta, shape (dim,), from a rough trajectory.
 
@@ -105,7 +111,9 @@ def _sizes(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float]) -> np.ndar
     """
     halves = np.abs(z0).reshape(2, -1).max(axis=1)
     # What is zero at the start is as large as its rate makes it on the way.
-    rates = np.abs(_rates(H)(span[0], z0)).reshape(2, -1).max(axis=1) * abs(span[1] - span[0])
+    with np.errstate(all="ignore"):
+        slopes = np.abs(_rates(H)(span[0], z0)).reshape(2, -1).max(axis=1)
+    rates = slopes * abs(span[1] - span[0])
     guess = np.where(halves > 0, halves, np.where(rates > 0, rates, 1.0)).repeat(H.dof)
     rough = _dop853(H, z0, span, 1e-3, 1e-3 * guess)
     states = np.array(rough.y, dtype=float).reshape(2, H.dof, -1)
@@ -123,7 +131,7 @@ def _dop853(
     **output: Any,
 ) -> Any:
     if atol is None:
-        atol = rtol * _sizes(H, z0, span)
+        atol = _absolute(H, z0, span, rtol)
     with np.errstate(all="ignore"):
         return scipy.integrate.solve_ivp(
             _rates(H), span, z0, method="DOP853", rtol=rtol, atol=atol, **output

@@ -272,8 +272,9 @@ def integrate(
         Coupling of ``tao2`` and ``tao4``, per unit of time; by default twice the spectral radius
         of J Hess at the start.
     rtol, atol : float, optional
-        Tolerances of an adaptive method. Unless given, rtol is 1e-13 and atol is rtol times the
-        usual size of the coordinates for a coordinate, of the momenta for a momentum.
+        Tolerances of an adaptive method. Unless given, rtol is 1e-13 and atol a hundredth of
+        rtol times the usual size of the coordinates for a coordinate, of the momenta for a
+        momentum.
     progress : bool, optional
         Show how far it is; by default on a terminal, after a second.
 
