@@ -23,7 +23,7 @@ import math
 import os
 import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from itertools import pairwise
@@ -46,7 +46,7 @@ from hamsym.validated import Deadline, PrecisionError, Reference, validated_refe
 __all__ = ["Certificate", "certify", "verify"]
 
 _KIND, _VERSION = "hamsym certificate", 1
-_FEWEST_BITS, _MOST_BITS = 64, 8_192
+_FEWEST_BITS, _MOST_BITS = 64, 2_048
 _ACCURACY = 2.0**-58  # of the reference, in units of the components: finer than float64
 _FLOOR = 2.0**-56  # of a bound, in the same units: nothing below it is of interest
 _TICKS = 1_000  # of progress
@@ -353,14 +353,26 @@ def _verify_pieces(
     claims: Certificate,
     proof: _Proof,
 ) -> None:
-    edges = [proof.elapsed(edge) for edge in claims.edges]
     ordered = sorted(comparison.leaves(norm, leaves), key=lambda leaf: leaf.centre)
-    for (low, high), claimed in zip(pairwise(edges), claims.piece_bounds, strict=True):
-        inside = [leaf for leaf in ordered if leaf.start < high and leaf.end > low]
-        if not inside:
-            continue
-        cut = comparison.cut(norm, inside, low, high)
-        _implied(comparison, norm, cut, (claimed, 0.0))
+    intervals = list(pairwise([proof.elapsed(edge) for edge in claims.edges]))
+    parts = _within(ordered, intervals)
+    for (low, high), inside, claimed in zip(intervals, parts, claims.piece_bounds, strict=True):
+        if cut := comparison.cut(norm, inside, low, high):
+            _implied(comparison, norm, cut, (claimed, 0.0))
+
+
+def _within(
+    ordered: list[Leaf], intervals: Iterable[tuple[Fraction, Fraction]]
+) -> Iterator[list[Leaf]]:
+    """For intervals that follow each other, the leaves that have more than an end in them."""
+    first = 0
+    for low, high in intervals:
+        while first < len(ordered) and ordered[first].end <= low:
+            first += 1
+        last = first
+        while last < len(ordered) and ordered[last].start < high:
+            last += 1
+        yield ordered[first:last]
 
 
 class _Proof:
@@ -378,7 +390,7 @@ class _Proof:
     @property
     def floors(self) -> dict[str, np.ndarray]:
         return {
-            "error": _FLOOR * np.array(self._scout.units),
+            "error": _FLOOR * np.array(self._scout.scales),
             "energy": np.array(_FLOOR * self._scout.energy_scale),
             "ell": np.array(_FLOOR * self._scout.rate_scale),
         }
@@ -389,17 +401,9 @@ class _Proof:
         joints = [self._start + self._direction * place for place in joints_of(leaves)]
         edges = (start, *(float(joint) for joint in joints), end)
         ordered = sorted(leaves, key=lambda leaf: leaf.centre)
-        found, first = [], 0
-        for low, high in pairwise([self.elapsed(edge) for edge in edges]):
-            # Edges are rounded to floats: a sliver of the next piece may belong to this one.
-            while ordered[first].end <= low:
-                first += 1
-            largest, place = 0.0, first
-            while place < len(ordered) and ordered[place].start < high:
-                largest = max(largest, ordered[place].upper)
-                place += 1
-            found.append(largest)
-        return edges, found
+        # Edges are rounded to floats: a sliver of the next piece may belong to this one.
+        intervals = pairwise([self.elapsed(edge) for edge in edges])
+        return edges, [max(leaf.upper for leaf in part) for part in _within(ordered, intervals)]
 
     def elapsed(self, t: float) -> Fraction:
         return self._direction * (Fraction(t) - self._start)
@@ -418,7 +422,7 @@ class _Proof:
                 )
             try:
                 reference = self._reference(used)
-                if reference.radius > accuracy:
+                if not reference.accuracy(self._scout.scales) <= accuracy:
                     raise PrecisionError
                 comparison = Comparison(
                     self._enclosures, self._z0, self._parts, reference, self._deadline

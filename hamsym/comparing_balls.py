@@ -137,8 +137,8 @@ class Expansion:
         """|H(z) - H(y)| at most."""
         if not self._comparison.H.time_dependent:
             return arb(0)
-        reference, H = self._comparison.reference, self._comparison.H
-        widths = [unit * self.step.radius for unit in reference.units]
+        H = self._comparison.H
+        widths = self.step.widths
         state = [
             polynomial[0] + width * arb(0, 1)
             for polynomial, width in zip(self._true_around, widths, strict=True)
@@ -189,6 +189,7 @@ class Leaf:
         polynomial: arb_poly | None,
     ) -> None:
         self.expansion, self.centre, self.half = expansion, centre, half
+        self.start, self.end = centre - half, centre + half
         self.polynomial = polynomial
         self.upper, self.lower, self.middle = math.inf, 0.0, math.inf
         if polynomial is None:
@@ -207,14 +208,6 @@ class Leaf:
 
     def __lt__(self, other: Leaf) -> bool:
         return self.upper > other.upper
-
-    @property
-    def start(self) -> Fraction:
-        return self.centre - self.half
-
-    @property
-    def end(self) -> Fraction:
-        return self.centre + self.half
 
 
 @dataclass(frozen=True)
@@ -324,25 +317,23 @@ class Comparison:
         floors : dict
             "error" of shape (dim,), "energy" and "ell" of shape ().
         """
-        units = self.reference.units
-        largest = max(units, key=above)
         found = [
             Quantity(
                 "norm",
                 lambda e: _squares(e.errors),
-                lambda e: largest * e.step.radius,
+                lambda e: max(e.step.widths, key=above),
                 squared=True,
                 floor=float(floors["error"].max()),
             )
         ]
-        for i, unit in enumerate(units):
+        for i, floor in enumerate(floors["error"]):
             found.append(
                 Quantity(
                     f"component {i}",
                     lambda e, i=i: e.errors[i],  # type: ignore[misc]
-                    lambda e, unit=unit: unit * e.step.radius,  # type: ignore[misc]
+                    lambda e, i=i: e.step.widths[i],  # type: ignore[misc]
                     squared=False,
-                    floor=float(floors["error"][i]),
+                    floor=float(floor),
                 )
             )
         found.append(

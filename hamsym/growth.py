@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy.integrate
@@ -21,6 +22,8 @@ _CALLS = 60_000  # of the vector field
 _SWEEPS = 6
 _FINEST = 96  # bits, with which everything starts
 _COARSEST = 32  # steps of the precision
+_CALM = 7.0  # growth, as a natural logarithm, below which one set of units serves
+_MOST_PARTS = 300  # of the time, with units of their own
 
 
 class _TooManyCalls(Exception):  # noqa: N818
@@ -33,15 +36,20 @@ class Scout:
 
     Attributes
     ----------
-    units : tuple of float
-        Sizes of the components, powers of two, in which the logarithmic norm grows slowly.
+    scales : tuple of float
+        Sizes of the components, powers of two.
+    units : tuple of (float, tuple of float)
+        From which elapsed time on errors are best measured in which units, powers of two: those in
+        which the logarithmic norm is small.
     growth : float
-        log2 of the growth of errors over the span by the logarithmic norm, about.
+        log2 of the growth of errors over the span by the logarithmic norm and by changes of units,
+        about.
     energy_scale, rate_scale : float
         Sizes of changes of H across the motion, and of the vector field (2-norm).
     """
 
-    units: tuple[float, ...]
+    scales: tuple[float, ...]
+    units: tuple[tuple[float, tuple[float, ...]], ...]
     growth: float
     energy_scale: float
     rate_scale: float
@@ -75,17 +83,50 @@ def scout(
         usable = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(rates).all(axis=1)
         times, matrices, rates = times[usable], matrices[usable], rates[usable]
         exponents = _exponents(np.abs(states[usable]).max(axis=0, initial=0.0))
+        scales = 2.0**exponents
         if len(times) < 2:
-            return Scout(tuple(2.0**exponents), 0.0, 1.0, 1.0)
-        exponents, growth = _calmest(times, matrices, exponents)
-        units = 2.0**exponents
+            return Scout(_numbers(scales), ((0.0, _numbers(scales)),), 0.0, 1.0, 1.0)
+        schedule, growth = _schedule(np.abs(times - span[0]), matrices, exponents)
         slopes = np.roll(np.abs(rates), H.dof, axis=1)
     return Scout(
-        units=tuple(float(unit) for unit in units),
+        scales=_numbers(scales),
+        units=schedule,
         growth=growth / math.log(2),
-        energy_scale=float((slopes * units).sum(axis=1).max()),
+        energy_scale=float((slopes * scales).sum(axis=1).max()),
         rate_scale=float(np.linalg.norm(rates, axis=1).max()),
     )
+
+
+def _numbers(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
+
+
+def _schedule(
+    times: np.ndarray, matrices: np.ndarray, exponents: np.ndarray
+) -> tuple[tuple[tuple[float, tuple[float, ...]], ...], float]:
+    """Units for parts of the time, and the growth in all.
+
+    Larger units make errors smaller numbers, and cost nothing; going back to smaller ones costs
+    the ratio. Near a close encounter that is far less than what fixed units cost.
+    """
+    units, total = _calmest(times, matrices, exponents)
+    fixed = ((0.0, _numbers(2.0**units)),), total
+    if total < _CALM:
+        return fixed
+    steps = np.diff(times)
+    rates = _norms(matrices, units)
+    growth = np.concatenate(([0.0], np.cumsum(steps * (rates[1:] + rates[:-1]) / 2)))
+    count = int(min(total / _CALM * 2, _MOST_PARTS))
+    joints = np.unique(np.searchsorted(growth, np.linspace(0, total, count + 1)[1:-1]))
+    joints = np.concatenate(([0], joints[(joints > 0) & (joints < len(times) - 1)], [len(times) - 1]))
+    found, changing, current = [], 0.0, None
+    for first, last in pairwise(joints):
+        part = slice(first, last + 1)
+        start = units if current is None else current
+        current, cost = _calmest(times[part], matrices[part], start, current)
+        changing += cost
+        found.append((float(times[first]), _numbers(2.0**current)))
+    return (tuple(found), changing) if changing < 0.8 * total else fixed
 
 
 def _trajectory(
@@ -129,29 +170,40 @@ def _exponents(sizes: np.ndarray) -> np.ndarray:
     return np.asarray(np.ceil(np.log2(known)).ravel())
 
 
+def _norms(matrices: np.ndarray, exponents: np.ndarray) -> np.ndarray:
+    """Gershgorin's bound on the logarithmic norm of each matrix, in units 2**exponents."""
+    units = 2.0**exponents
+    scaled = matrices * (units / units[:, None])
+    symmetric = (scaled + scaled.transpose(0, 2, 1)) / 2
+    own = np.einsum("nii->ni", symmetric)
+    circles = own + np.abs(symmetric).sum(axis=2) - np.abs(own)
+    return np.asarray(np.maximum(circles.max(axis=1), 0))
+
+
 def _calmest(
-    times: np.ndarray, matrices: np.ndarray, exponents: np.ndarray
+    times: np.ndarray,
+    matrices: np.ndarray,
+    exponents: np.ndarray,
+    previous: np.ndarray | None = None,
 ) -> tuple[np.ndarray, float]:
-    """Units in which the logarithmic norm integrates to little, and to how much."""
-    steps = np.abs(np.diff(times))
+    """Units in which the logarithmic norm integrates to little, and what that costs."""
+    steps = np.diff(times)
 
-    def integral(exponents: np.ndarray) -> float:
-        units = 2.0**exponents
-        scaled = matrices * (units / units[:, None])
-        symmetric = (scaled + scaled.transpose(0, 2, 1)) / 2
-        own = np.einsum("nii->ni", symmetric)
-        circles = own + np.abs(symmetric).sum(axis=2) - np.abs(own)
-        norms = np.maximum(circles.max(axis=1), 0)
-        return float((steps * (norms[1:] + norms[:-1])).sum() / 2)
+    def cost(exponents: np.ndarray) -> float:
+        norms = _norms(matrices, exponents)
+        total = float((steps * (norms[1:] + norms[:-1])).sum() / 2)
+        if previous is not None:
+            total += math.log(2) * max(0.0, float((previous - exponents).max()))
+        return total
 
-    best = integral(exponents)
+    best = cost(exponents)
     dim = len(exponents)
     # All coordinates against all momenta first, then each component alone.
-    moves = [np.repeat([1.0, 0.0], dim // 2), *np.eye(dim)]
+    moves = [np.repeat([1.0, 0.0], dim // 2), np.repeat([0.0, 1.0], dim // 2), *np.eye(dim)]
     for _ in range(_SWEEPS):
         before = best
         for move, sign in ((move, sign) for move in moves for sign in (1, -1)):
-            while (found := integral(exponents + sign * move)) < 0.999 * best:
+            while (found := cost(exponents + sign * move)) < 0.999 * best:
                 exponents, best = exponents + sign * move, found
         if best >= 0.99 * before:
             break

@@ -6,7 +6,7 @@ span, so that the equation is dz/ds = G(s, z) = sigma J grad H(z, t).
 
 **The claim.** On each step [a, a + h] there are polynomials y with exact binary coefficients and a
 number eps such that the solution z exists there and |z(s) - y(s - a)| <= eps, in the norm
-|v|^2 = sum_i (v_i / u_i)^2 with fixed powers of two u_i, the units.
+|v|^2 = sum_i (v_i / u_i)^2 with powers of two u_i, the units, that are the same throughout a step.
 
 **The proof of a step.** Suppose |z(a) - y(0)| <= eps_0.
 
@@ -38,7 +38,8 @@ number eps such that the solution z exists there and |z(s) - y(s - a)| <= eps, i
    time with |e| = rho the bound would still hold, a contradiction. The same bound keeps z in a
    compact set on which G is smooth, so that z exists until the end of the step.
 5. *Next start.* y(0) of the next step is the middle of a ball that holds y(h); eps_0 there is the
-   last eps_j plus the distance of that middle.
+   last eps_j plus the distance of that middle. In new units u' a vector is at most
+   max_i u_i / u'_i times as long as before, and so is eps_0.
 
 The largest eps of a step is used for all of it. Where eps grows beyond rho more precision is the
 remedy: a system whose errors grow by 2^k needs k bits more, and bits are cheap. So they are what
@@ -123,13 +124,21 @@ class ReferenceStep:
     polynomials : tuple of arb_poly
         One for each component, in the time since the start of the step; exact coefficients.
     radius : arb
-        Bound on the distance of the solution, in units of the components (2-norm); exact.
+        Bound on the distance of the solution, in the units (2-norm); exact.
+    units : tuple of arb
+        Powers of two.
     """
 
     start: Fraction
     length: Fraction
     polynomials: tuple[arb_poly, ...]
     radius: arb
+    units: tuple[arb, ...]
+
+    @property
+    def widths(self) -> list[arb]:
+        """Bounds on the distance of the solution in each component."""
+        return [(unit * self.radius).upper() for unit in self.units]
 
     @property
     def end(self) -> Fraction:
@@ -144,8 +153,6 @@ class Reference:
     ----------
     steps : tuple of ReferenceStep
         Without gaps.
-    units : tuple of arb
-        Powers of two.
     bits : int
     start : float
         t of elapsed time 0.
@@ -154,15 +161,17 @@ class Reference:
     """
 
     steps: tuple[ReferenceStep, ...]
-    units: tuple[arb, ...]
     bits: int
     start: float
     direction: int
 
-    @property
-    def radius(self) -> float:
-        """Largest bound of all steps, in units of the components."""
-        return max(above(step.radius) for step in self.steps)
+    def accuracy(self, scales: Sequence[float]) -> float:
+        """The largest bound on the distance of the solution, relative to scales of components."""
+        return max(
+            above(width) / scale
+            for step in self.steps
+            for width, scale in zip(step.widths, scales, strict=True)
+        )
 
     def __call__(self, t: float) -> list[arb]:
         """Balls that hold the true state at time t, dim of them."""
@@ -173,8 +182,8 @@ class Reference:
         with working(self.bits):
             s = ball(elapsed - step.start)
             return [
-                polynomial(s) + unit * step.radius * arb(0, 1)
-                for polynomial, unit in zip(step.polynomials, self.units, strict=True)
+                polynomial(s) + width * arb(0, 1)
+                for polynomial, width in zip(step.polynomials, step.widths, strict=True)
             ]
 
 
@@ -182,7 +191,7 @@ def validated_reference(
     H: Enclosures,
     z0: np.ndarray,
     span: tuple[float, float],
-    units: Sequence[float],
+    units: Sequence[tuple[float, Sequence[float]]],
     bits: int,
     deadline: Deadline,
     progress: Callable[[float], None] | None = None,
@@ -196,8 +205,9 @@ def validated_reference(
         Shape (dim,); taken as exact.
     span : (float, float)
         Taken as exact.
-    units : sequence of float
-        Sizes of the components, powers of two.
+    units : sequence of (float, sequence of float)
+        From which elapsed time on errors are measured in which units, powers of two; the first
+        from 0 on.
     bits : int
         Working precision.
     deadline : Deadline
@@ -223,22 +233,26 @@ def validated_reference(
             elapsed = step.end
             if progress:
                 progress(float(elapsed / total))
-    exact_units = tuple(arb(unit) for unit in units)
-    return Reference(tuple(steps), exact_units, bits, span[0], marcher.direction)
+    return Reference(tuple(steps), bits, span[0], marcher.direction)
 
 
 class _March:
     """Steps of the validated reference."""
 
     def __init__(
-        self, H: Enclosures, span: tuple[float, float], units: Sequence[float], bits: int
+        self,
+        H: Enclosures,
+        span: tuple[float, float],
+        units: Sequence[tuple[float, Sequence[float]]],
+        bits: int,
     ) -> None:
         self._H, self._bits = H, bits
         start, end = (Fraction(float(time)) for time in span)
         self._start, self.total = start, abs(end - start)
         self.direction = 1 if end > start else -1
         self.order = max(24, round(0.3 * (bits - 16)))
-        self._units = [arb(unit) for unit in units]
+        self._schedule = [(since, [arb(unit) for unit in sizes]) for since, sizes in units]
+        self._units = self._schedule.pop(0)[1]
         self._tube = arb(2) ** _TUBE
         self._previous: Fraction | None = None
 
@@ -249,6 +263,10 @@ class _March:
         self, elapsed: Fraction, start: list[arb], radius: arb
     ) -> tuple[ReferenceStep, list[arb], arb]:
         """One step, the exact start of the next, and its distance from the solution."""
+        while self._schedule and self._schedule[0][0] <= elapsed:
+            before, self._units = self._units, self._schedule.pop(0)[1]
+            ratios = [old / new for old, new in zip(before, self._units, strict=True)]
+            radius = (radius * max(ratios, key=above)).upper()
         try:
             coefficients, defects = self._coefficients(elapsed, start)
         except SingularityError as error:
@@ -414,7 +432,7 @@ class _March:
             arb(0),
         )
         self._previous = length
-        step = ReferenceStep(elapsed, length, polynomials, radius)
+        step = ReferenceStep(elapsed, length, polynomials, radius, tuple(self._units))
         return step, start, (radius + moved.upper().sqrt()).upper()
 
 
