@@ -49,6 +49,8 @@ _KIND, _VERSION = "hamsym certificate", 1
 _FEWEST_BITS, _MOST_BITS = 64, 2_048
 _ACCURACY = 2.0**-58  # of the reference, in units of the components: finer than float64
 _FLOOR = 2.0**-56  # of a bound, in the same units: nothing below it is of interest
+_PROGRESS = Fraction(1, 1_000)  # of the span, that half as many bits again have to bring
+_SPARE_BITS = 4
 _TICKS = 1_000  # of progress
 
 _Found = TypeVar("_Found")
@@ -180,7 +182,9 @@ class Certificate:
                 raise ValueError("it is something else")
             if values["version"] != _VERSION:
                 raise ValueError(f"it is of version {values['version']}")
-            known = {name: _numbers(values[name]) for name in (*_UPPER, *_LOWER, "edges")}
+            known: dict[str, Any] = {
+                name: _numbers(values[name]) for name in (*_UPPER, *_LOWER, "edges")
+            }
             known |= {name: float(values[name]) for name in ("rtol", "seconds")}
             certificate = cls(**known, bits=int(values["bits"]), digest=str(values["digest"]))
             certificate._check()
@@ -243,7 +247,9 @@ def certify(
     goal = Goal(rtol)
 
     def attempt(comparison: Comparison) -> tuple[list[Range], list[Leaf]]:
-        found, leaves, kept = [], None, []
+        found: list[Range] = []
+        kept: list[Leaf] = []
+        leaves: list[Leaf] | None = None
         for quantity in comparison.quantities(proof.floors):
             found.append(comparison.refine(quantity, comparison.leaves(quantity, leaves), goal))
             leaves = found[-1].leaves
@@ -386,6 +392,7 @@ class _Proof:
         self._scout: Scout = scout(solution.H, self._z0, solution.span, solution.scale)
         start, end = (Fraction(float(edge)) for edge in solution.span)
         self._start, self._direction = start, 1 if end > start else -1
+        self._total = abs(end - start)
 
     @property
     def floors(self) -> dict[str, np.ndarray]:
@@ -413,27 +420,42 @@ class _Proof:
     ) -> tuple[int, _Found]:
         """The result of an attempt at a precision that is high enough, and that precision."""
         used = self._scout.bits if bits is None else bits
+        reached = Fraction(-1)
         while True:
             if used > _MOST_BITS:
-                raise CertificationError(
-                    f"more than {_MOST_BITS} bits would be needed, because nearby solutions part "
-                    f"by a factor of about 2**{self._scout.growth:.0f} as far as can be bounded; "
-                    "prove a shorter span"
-                )
+                raise self._too_wild(self._scout.until(_MOST_BITS))
             try:
                 reference = self._reference(used)
-                if not reference.accuracy(self._scout.scales) <= accuracy:
-                    raise PrecisionError
+                reached_accuracy = reference.accuracy(self._scout.scales)
+                if not reached_accuracy <= accuracy:
+                    raise PrecisionError(missing=math.log2(reached_accuracy / accuracy))
                 comparison = Comparison(
                     self._enclosures, self._z0, self._parts, reference, self._deadline
                 )
                 return used, attempt(comparison)
-            except PrecisionError:
+            except PrecisionError as error:
                 if bits is not None:
                     raise CertificationError(
                         f"{bits} bits are not enough; leave out bits, or give more"
                     ) from None
-            used += 32 * math.ceil(used / 64)
+                if error.elapsed is not None:
+                    # As many bits again bring no progress: so near a singularity none will.
+                    if error.elapsed - reached < _PROGRESS * self._total:
+                        raise self._too_wild(float(error.elapsed)) from None
+                    reached = error.elapsed
+                missing = used / 2 if error.missing is None else error.missing + _SPARE_BITS
+            used += 32 * math.ceil(missing / 32)
+
+    def _too_wild(self, elapsed: float) -> CertificationError:
+        t = self.time(Fraction(elapsed))
+        return CertificationError(
+            f"nothing can be proven beyond about t = {t:.6g}: nearby solutions part too fast there "
+            f"for {_MOST_BITS:,} bits, as in chaos, near a collision or an escape to infinity; end "
+            "the span before"
+        )
+
+    def time(self, elapsed: Fraction) -> float:
+        return float(self._start + self._direction * elapsed)
 
     def _reference(self, bits: int) -> Reference:
         with stepping_progress(_TICKS, self._progress) as advance:

@@ -8,9 +8,9 @@ part of z^ and in one step of y:
 
        z^(c + s) = sum_k<m a_k s^k + A s^m,
 
-   where a_k is the Taylor coefficient at c and A some m-th coefficient at a point of the piece. Both
-   come from :class:`~hamsym.trial_enclosures.Segment`, a_k on the ball {c} and A on the ball of the
-   whole piece. The same for y, by shifting the polynomial to c and to the ball. Their difference
+   where a_k is the Taylor coefficient at c and A some m-th coefficient at a point of the piece.
+   Both come from :class:`~hamsym.trial_enclosures.Segment`, a_k on the ball {c} and A on the ball
+   of the whole piece. The same for y, by shifting the polynomial to c and to the ball. Their difference
    is E(s) = sum_k<m e_k s^k + e_m s^m, a polynomial whose coefficients are balls: for every s there
    are numbers in these balls that give z^ - y at c + s. (The one in e_m depends on s.) Likewise
    z^' - G(z^) for the residual, and H(z^) - H, from the series of the formulas along z^.

@@ -297,7 +297,7 @@ class Formulas:
     ) -> None:
         target = -1
         try:
-            for function, target, first, second in steps:  # noqa: B007
+            for function, target, first, second in steps:
                 registers[target] = function(registers[first], registers[second])
         except (SingularityError, ZeroDivisionError, ValueError):
             text = str(self._texts.get(target, "a term"))
@@ -498,9 +498,7 @@ class Enclosures:
                 raise _refusal(kind.__name__)
         time = form.time or sympy.Dummy("t")
         variables = (*form.z, time)
-        values = {
-            symbol: value for symbol, value in form.parameters.values() if value is not None
-        }
+        values = {symbol: value for symbol, value in form.parameters.values() if value is not None}
         self.dim, self.time_dependent = H.dim, H.time is not None
         self._energy = Formulas([form.expr], variables, values)
         self._vector_field = Formulas(form.vector_field, variables, values)

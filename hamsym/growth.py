@@ -6,7 +6,7 @@ Nothing here is proven and nothing has to be: a bad guess makes a proof slower, 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -41,29 +41,32 @@ class Scout:
     units : tuple of (float, tuple of float)
         From which elapsed time on errors are best measured in which units, powers of two: those in
         which the logarithmic norm is small.
-    growth : float
-        log2 of the growth of errors over the span by the logarithmic norm and by changes of units,
-        about.
+    times, growths : numpy.ndarray
+        Elapsed times, and log2 of the growth of errors until then, by the logarithmic norm and by
+        changes of units, about; shape (n,).
     energy_scale, rate_scale : float
         Sizes of changes of H across the motion, and of the vector field (2-norm).
     """
 
     scales: tuple[float, ...]
     units: tuple[tuple[float, tuple[float, ...]], ...]
-    growth: float
+    times: np.ndarray = field(repr=False)
+    growths: np.ndarray = field(repr=False)
     energy_scale: float
     rate_scale: float
 
     @property
     def bits(self) -> int:
         """Precision at which the reference is likely to be accurate enough."""
-        needed = _FINEST + max(0.0, 1.1 * self.growth - 14)
+        needed = _FINEST + max(0.0, 1.1 * float(self.growths[-1]) - 14)
         return _COARSEST * math.ceil(min(needed, 1e6) / _COARSEST)
 
+    def until(self, bits: int) -> float:
+        """The elapsed time for which that precision is likely to do."""
+        return float(self.times[np.searchsorted(self.growths, bits - _FINEST, side="right") - 1])
 
-def scout(
-    H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.ndarray
-) -> Scout:
+
+def scout(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.ndarray) -> Scout:
     """Follow the trajectory roughly.
 
     Parameters
@@ -85,13 +88,15 @@ def scout(
         exponents = _exponents(np.abs(states[usable]).max(axis=0, initial=0.0))
         scales = 2.0**exponents
         if len(times) < 2:
-            return Scout(_numbers(scales), ((0.0, _numbers(scales)),), 0.0, 1.0, 1.0)
-        schedule, growth = _schedule(np.abs(times - span[0]), matrices, exponents)
+            nothing = np.zeros(1)
+            return Scout(_numbers(scales), ((0.0, _numbers(scales)),), nothing, nothing, 1.0, 1.0)
+        schedule, known, growths = _schedule(np.abs(times - span[0]), matrices, exponents)
         slopes = np.roll(np.abs(rates), H.dof, axis=1)
     return Scout(
         scales=_numbers(scales),
         units=schedule,
-        growth=growth / math.log(2),
+        times=known,
+        growths=growths / math.log(2),
         energy_scale=float((slopes * scales).sum(axis=1).max()),
         rate_scale=float(np.linalg.norm(rates, axis=1).max()),
     )
@@ -103,30 +108,33 @@ def _numbers(values: np.ndarray) -> tuple[float, ...]:
 
 def _schedule(
     times: np.ndarray, matrices: np.ndarray, exponents: np.ndarray
-) -> tuple[tuple[tuple[float, tuple[float, ...]], ...], float]:
-    """Units for parts of the time, and the growth in all.
+) -> tuple[tuple[tuple[float, tuple[float, ...]], ...], np.ndarray, np.ndarray]:
+    """Units for parts of the time, and the growth until certain times.
 
     Larger units make errors smaller numbers, and cost nothing; going back to smaller ones costs
     the ratio. Near a close encounter that is far less than what fixed units cost.
     """
     units, total = _calmest(times, matrices, exponents)
-    fixed = ((0.0, _numbers(2.0**units)),), total
+    rates = _norms(matrices, units)
+    growth = np.concatenate(([0.0], np.cumsum(np.diff(times) * (rates[1:] + rates[:-1]) / 2)))
+    fixed = ((0.0, _numbers(2.0**units)),), times, growth
     if total < _CALM:
         return fixed
-    steps = np.diff(times)
-    rates = _norms(matrices, units)
-    growth = np.concatenate(([0.0], np.cumsum(steps * (rates[1:] + rates[:-1]) / 2)))
     count = int(min(total / _CALM * 2, _MOST_PARTS))
     joints = np.unique(np.searchsorted(growth, np.linspace(0, total, count + 1)[1:-1]))
-    joints = np.concatenate(([0], joints[(joints > 0) & (joints < len(times) - 1)], [len(times) - 1]))
-    found, changing, current = [], 0.0, None
+    joints = np.concatenate(
+        ([0], joints[(joints > 0) & (joints < len(times) - 1)], [len(times) - 1])
+    )
+    found, changing, current = [], [0.0], None
     for first, last in pairwise(joints):
         part = slice(first, last + 1)
         start = units if current is None else current
         current, cost = _calmest(times[part], matrices[part], start, current)
-        changing += cost
+        changing.append(changing[-1] + cost)
         found.append((float(times[first]), _numbers(2.0**current)))
-    return (tuple(found), changing) if changing < 0.8 * total else fixed
+    if changing[-1] < 0.8 * total:
+        return tuple(found), times[joints], np.array(changing)
+    return fixed
 
 
 def _trajectory(
@@ -135,7 +143,10 @@ def _trajectory(
     """Times and states, shapes (n,) and (n, dim), as far as it goes."""
     system, calls = H.compile("numpy"), 0
     found = [(span[0], z0)]
-    unit = 2.0 ** _exponents(np.maximum(np.abs(z0), guess))
+    # Before an escape the largest sizes say nothing of the start; at rest the start says nothing.
+    at_rest = ~np.abs(z0).reshape(2, -1).any(axis=1).repeat(H.dof)
+    own, largest = _exponents(np.abs(z0)), _exponents(guess)
+    unit = 2.0 ** np.where(at_rest, largest, np.minimum(own, largest))
 
     def rate(t: float, y: np.ndarray) -> np.ndarray:
         nonlocal calls
@@ -144,9 +155,7 @@ def _trajectory(
             raise _TooManyCalls
         return np.asarray(system.vector_field(*system.arguments(y * unit, t))) / unit
 
-    solver = scipy.integrate.DOP853(
-        rate, span[0], z0 / unit, span[1], rtol=1e-8, atol=1e-10
-    )
+    solver = scipy.integrate.DOP853(rate, span[0], z0 / unit, span[1], rtol=1e-8, atol=1e-12)
     try:
         while solver.status == "running":
             solver.step()

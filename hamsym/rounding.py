@@ -64,8 +64,7 @@ def interval(low: Fraction, high: Fraction) -> arb:
 
 def exact(number: arb) -> Fraction:
     """The value of a ball without radius, or the middle of another."""
-    mantissa, exponent = number.mid().man_exp()
-    mantissa, exponent = int(mantissa), int(exponent)
+    mantissa, exponent = (int(part) for part in number.mid().man_exp())
     return Fraction(mantissa << exponent) if exponent >= 0 else Fraction(mantissa, 1 << -exponent)
 
 

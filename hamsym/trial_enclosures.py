@@ -62,9 +62,7 @@ class Segment:
     series: Series
 
 
-def segments(
-    trial: TrialSolution | FeatureTrial, span: tuple[float, float]
-) -> list[Segment]:
+def segments(trial: TrialSolution | FeatureTrial, span: tuple[float, float]) -> list[Segment]:
     """The smooth parts of a trial solution over a span, in its direction.
 
     Raises
@@ -170,7 +168,8 @@ def _exact(tensor: Tensor) -> list[arb]:
 
 
 def _matrix(tensor: Tensor) -> arb_mat:
-    return arb_mat(*tensor.shape, _exact(tensor.reshape(-1)))
+    rows, columns = tensor.shape
+    return arb_mat(rows, columns, _exact(tensor.reshape(-1)))
 
 
 # -- features -----------------------------------------------------------------------------------

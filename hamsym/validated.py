@@ -70,14 +70,26 @@ from hamsym.rounding import above, ball, binary_logarithm, interval, working
 __all__ = ["Deadline", "PrecisionError", "Reference", "ReferenceStep", "validated_reference"]
 
 _TUBE = -40  # log2 of the radius rho in units of the components
-_PARTS = 4  # of a step, on which remainder and growth are bounded one after the other
+_PARTS, _FINE_PARTS = 4, 8  # of a step, on which the remainder, and the growth, are bounded
 _ESCAPED = 2.0**20  # units: the trajectory has left what was expected of it
 _SHORTEST = 2.0**-44  # step, relative to the span
 _TRIES = 60  # lengths of one step
 
 
 class PrecisionError(ArithmeticError):
-    """The working precision is too low; more bits help."""
+    """The working precision is too low; more bits help.
+
+    Attributes
+    ----------
+    elapsed : fractions.Fraction, optional
+        How far the validated reference came.
+    missing : float, optional
+        How many bits more.
+    """
+
+    def __init__(self, elapsed: Fraction | None = None, missing: float | None = None) -> None:
+        self.elapsed, self.missing = elapsed, missing
+        super().__init__("more bits are needed")
 
 
 @dataclass(frozen=True)
@@ -292,7 +304,7 @@ class _March:
                 "is proven beyond; end the span before"
             )
         if crowded and not reason:
-            raise PrecisionError
+            raise PrecisionError(elapsed)
         raise self._singular(elapsed, reason)
 
     def _singular(self, elapsed: Fraction, reason: str) -> CertificationError:
@@ -307,9 +319,7 @@ class _March:
         )
 
     def _size(self, state: Sequence[arb]) -> float:
-        return max(
-            above(abs(value) / unit) for value, unit in zip(state, self._units, strict=True)
-        )
+        return max(above(abs(value) / unit) for value, unit in zip(state, self._units, strict=True))
 
     def _clock(self, elapsed: arb) -> arb:
         return ball(self._start) + self.direction * elapsed
@@ -383,10 +393,10 @@ class _March:
         radius: arb,
     ) -> arb:
         """The distance from the solution after the step, if it stays in the tube."""
-        part = length / _PARTS
+        part = length / _FINE_PARTS
         duration = ball(part)
         polynomials = [arb_poly(known) for known in coefficients]
-        for j in range(_PARTS):
+        for j in range(_FINE_PARTS):
             middle, half = ball((2 * j + 1) * part / 2), ball(part / 2) * arb(0, 1)
             around = arb_poly([middle, 1])
             state = [
@@ -422,7 +432,7 @@ class _March:
         polynomials = tuple(arb_poly(known) for known in coefficients)
         reached = [polynomial(ball(length)) for polynomial in polynomials]
         if not all(value.is_finite() for value in reached):
-            raise PrecisionError
+            raise PrecisionError(elapsed)
         start = [value.mid() for value in reached]
         moved = sum(
             (
