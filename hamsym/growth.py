@@ -24,6 +24,11 @@ _FINEST = 96  # bits, with which everything starts
 _COARSEST = 32  # steps of the precision
 _CALM = 7.0  # growth, as a natural logarithm, below which one set of units serves
 _MOST_PARTS = 300  # of the time, with units of their own
+_ROUNDS = 6  # of choosing those parts
+
+
+#: (elapsed time from which on, units of the components), one after the other
+Schedule = tuple[tuple[float, tuple[float, ...]], ...]
 
 
 class _TooManyCalls(Exception):  # noqa: N818
@@ -49,7 +54,7 @@ class Scout:
     """
 
     scales: tuple[float, ...]
-    units: tuple[tuple[float, tuple[float, ...]], ...]
+    units: Schedule
     times: np.ndarray = field(repr=False)
     growths: np.ndarray = field(repr=False)
     energy_scale: float
@@ -90,12 +95,13 @@ def scout(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.n
         if len(times) < 2:
             nothing = np.zeros(1)
             return Scout(_numbers(scales), ((0.0, _numbers(scales)),), nothing, nothing, 1.0, 1.0)
-        schedule, known, growths = _schedule(np.abs(times - span[0]), matrices, exponents)
+        elapsed = np.abs(times - span[0])
+        schedule, growths = _schedule(elapsed, matrices, exponents)
         slopes = np.roll(np.abs(rates), H.dof, axis=1)
     return Scout(
         scales=_numbers(scales),
         units=schedule,
-        times=known,
+        times=elapsed,
         growths=growths / math.log(2),
         energy_scale=float((slopes * scales).sum(axis=1).max()),
         rate_scale=float(np.linalg.norm(rates, axis=1).max()),
@@ -108,8 +114,8 @@ def _numbers(values: np.ndarray) -> tuple[float, ...]:
 
 def _schedule(
     times: np.ndarray, matrices: np.ndarray, exponents: np.ndarray
-) -> tuple[tuple[tuple[float, tuple[float, ...]], ...], np.ndarray, np.ndarray]:
-    """Units for parts of the time, and the growth until certain times.
+) -> tuple[Schedule, np.ndarray]:
+    """Units for parts of the time, and the growth until each time.
 
     Larger units make errors smaller numbers, and cost nothing; going back to smaller ones costs
     the ratio. Near a close encounter that is far less than what fixed units cost.
@@ -117,24 +123,39 @@ def _schedule(
     units, total = _calmest(times, matrices, exponents)
     rates = _norms(matrices, units)
     growth = np.concatenate(([0.0], np.cumsum(np.diff(times) * (rates[1:] + rates[:-1]) / 2)))
-    fixed = ((0.0, _numbers(2.0**units)),), times, growth
+    best: tuple[Schedule, np.ndarray] = ((0.0, _numbers(2.0**units)),), growth
     if total < _CALM:
-        return fixed
+        return best
+    for _ in range(_ROUNDS):
+        found, growth = _parts(times, matrices, units, growth)
+        if not growth[-1] < 0.8 * best[1][-1]:
+            break
+        best = found, growth
+    return best
+
+
+def _parts(
+    times: np.ndarray, matrices: np.ndarray, units: np.ndarray, growth: np.ndarray
+) -> tuple[Schedule, np.ndarray]:
+    """Units for parts of the time in each of which errors grow alike, and the growth then."""
+    total = float(growth[-1])
     count = int(min(total / _CALM * 2, _MOST_PARTS))
-    joints = np.unique(np.searchsorted(growth, np.linspace(0, total, count + 1)[1:-1]))
-    joints = np.concatenate(
-        ([0], joints[(joints > 0) & (joints < len(times) - 1)], [len(times) - 1])
-    )
-    found, changing, current = [], [0.0], None
+    joints = np.searchsorted(growth, np.linspace(0, total, count + 1)[1:-1])
+    end = len(times) - 1
+    joints = np.unique(np.concatenate(([0], np.clip(joints, 0, end), [end])))
+    found: list[tuple[float, tuple[float, ...]]] = []
+    costs, current = np.zeros(len(times)), None
     for first, last in pairwise(joints):
         part = slice(first, last + 1)
         start = units if current is None else current
-        current, cost = _calmest(times[part], matrices[part], start, current)
-        changing.append(changing[-1] + cost)
+        chosen, _ = _calmest(times[part], matrices[part], start, current)
+        rates = _norms(matrices[part], chosen)
+        costs[first + 1 : last + 1] = np.diff(times[part]) * (rates[1:] + rates[:-1]) / 2
+        if current is not None:
+            costs[first + 1] += math.log(2) * max(0.0, float((current - chosen).max()))
+        current = chosen
         found.append((float(times[first]), _numbers(2.0**current)))
-    if changing[-1] < 0.8 * total:
-        return tuple(found), times[joints], np.array(changing)
-    return fixed
+    return tuple(found), np.cumsum(costs)
 
 
 def _trajectory(

@@ -69,7 +69,7 @@ from hamsym.rounding import above, ball, binary_logarithm, interval, working
 
 __all__ = ["Deadline", "PrecisionError", "Reference", "ReferenceStep", "validated_reference"]
 
-_TUBE = -40  # log2 of the radius rho in units of the components
+_TUBE = -40  # log2 of the largest radius rho, in units
 _PARTS, _FINE_PARTS = 4, 8  # of a step, on which the remainder, and the growth, are bounded
 _ESCAPED = 2.0**20  # units: the trajectory has left what was expected of it
 _SHORTEST = 2.0**-44  # step, relative to the span
@@ -265,7 +265,6 @@ class _March:
         self.order = max(24, round(0.3 * (bits - 16)))
         self._schedule = [(since, [arb(unit) for unit in sizes]) for since, sizes in units]
         self._units = self._schedule.pop(0)[1]
-        self._tube = arb(2) ** _TUBE
         self._previous: Fraction | None = None
 
     def time(self, elapsed: Fraction) -> float:
@@ -291,8 +290,9 @@ class _March:
                 defect = self._defect(elapsed, length, coefficients, defects)
                 if defect * ball(length) < arb(2) ** (36 - self._bits):
                     # Rounding inside the middle of the next start is far below this.
-                    grown = self._growth(elapsed, length, coefficients, defect, radius)
-                    if grown < self._tube:
+                    tube = self._tube(ball(length) * defect + radius)
+                    grown = self._growth(elapsed, length, coefficients, defect, radius, tube)
+                    if grown < tube:
                         return self._accepted(elapsed, length, coefficients, grown)
                     crowded = True
             except SingularityError as error:
@@ -384,6 +384,14 @@ class _March:
             total += _square(bound.upper() / unit)
         return total.upper().sqrt().upper()
 
+    def _tube(self, radius: arb) -> arb:
+        """rho: room for a growth by 2^8 in one step, but never much beyond what the units resolve.
+
+        Not zero even where nothing is wrong yet, because errors have to stay below it.
+        """
+        room = (radius * 2**8).upper() + arb(2) ** (-2 * self._bits)
+        return room.min(arb(2) ** _TUBE).mid()
+
     def _growth(
         self,
         elapsed: Fraction,
@@ -391,6 +399,7 @@ class _March:
         coefficients: list[list[arb]],
         defect: arb,
         radius: arb,
+        tube: arb,
     ) -> arb:
         """The distance from the solution after the step, if it stays in the tube."""
         part = length / _FINE_PARTS
@@ -400,7 +409,7 @@ class _March:
             middle, half = ball((2 * j + 1) * part / 2), ball(part / 2) * arb(0, 1)
             around = arb_poly([middle, 1])
             state = [
-                polynomial(around)(half) + self._tube * unit * arb(0, 1)
+                polynomial(around)(half) + tube * unit * arb(0, 1)
                 for polynomial, unit in zip(polynomials, self._units, strict=True)
             ]
             rate = self._logarithmic_norm(state, self._clock(ball(elapsed) + middle + half))
