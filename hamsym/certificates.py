@@ -449,9 +449,8 @@ class _Proof:
     def _too_wild(self, elapsed: float) -> CertificationError:
         t = self.time(Fraction(elapsed))
         return CertificationError(
-            f"nothing can be proven beyond about t = {t:.6g}: nearby solutions part too fast there "
-            f"for {_MOST_BITS:,} bits, as in chaos, near a collision or an escape to infinity; end "
-            "the span before"
+            f"nothing can be proven beyond about t = {t:.6g}: nearby solutions part too fast there, "
+            "as near a collision, in an escape to infinity or in long chaos; end the span before"
         )
 
     def time(self, elapsed: Fraction) -> float:

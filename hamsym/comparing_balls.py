@@ -10,10 +10,11 @@ part of z^ and in one step of y:
 
    where a_k is the Taylor coefficient at c and A some m-th coefficient at a point of the piece.
    Both come from :class:`~hamsym.trial_enclosures.Segment`, a_k on the ball {c} and A on the ball
-   of the whole piece. The same for y, by shifting the polynomial to c and to the ball. Their difference
-   is E(s) = sum_k<m e_k s^k + e_m s^m, a polynomial whose coefficients are balls: for every s there
-   are numbers in these balls that give z^ - y at c + s. (The one in e_m depends on s.) Likewise
-   z^' - G(z^) for the residual, and H(z^) - H, from the series of the formulas along z^.
+   of the whole piece. The same for y, by shifting the polynomial to c and to the ball. Their
+   difference is E(s) = sum_k<m e_k s^k + e_m s^m, a polynomial whose coefficients are balls: for
+   every s there are numbers in these balls that give z^ - y at c + s. (The one in e_m depends on
+   s.) Likewise z^' - G(z^) for the residual, and H(z^) - H, from the series of the formulas along
+   z^.
 2. *Shifting.* If numbers in the balls of P(s) = sum_k p_k s^k give a value at s, then those of
    P(b + x), multiplied out in ball arithmetic, give it at x = s - b: for a fixed s all is an
    identity between numbers. So a piece can be halved without a new expansion.

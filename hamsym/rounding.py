@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
 
 from flint import arb, ctx, fmpq
@@ -30,6 +31,7 @@ __all__ = [
 ]
 
 _DIGITS = 9  # of the decimals in certificates
+_UPWARD = Context(prec=_DIGITS, rounding=ROUND_CEILING)
 
 
 @contextmanager
@@ -99,19 +101,15 @@ def decimal_above(value: float) -> str:
     >>> decimal_above(0.1), decimal_above(1 / 3)
     ('0.100000001', '0.333333334')
     """
-    if not math.isfinite(value) or value == 0:
+    if not math.isfinite(value):
         return repr(value)
-    text = f"{value:.{_DIGITS - 1}e}"
-    if Fraction(text) < Fraction(value):
-        step = Fraction(10) ** (int(text.split("e")[1]) - _DIGITS + 1)
-        text = f"{float(Fraction(text) + step):.{_DIGITS - 1}e}"
-    return decimal(float(text))
+    return decimal(float(_UPWARD.plus(Decimal(value))))
 
 
 def decimal_below(value: float) -> str:
     """The largest decimal of nine digits that is not above a float64."""
     text = decimal_above(-value)
-    return text[1:] if text.startswith("-") else "-" + text if value else "0.0"
+    return text[1:] if text.startswith("-") else "-" + text if value else "0"
 
 
 def decimal(value: float) -> str:
