@@ -47,8 +47,10 @@ __all__ = ["Certificate", "certify", "verify"]
 
 _KIND, _VERSION = "hamsym certificate", 1
 _FEWEST_BITS, _MOST_BITS = 64, 2_048
-_ACCURACY = 2.0**-58  # of the reference, in units of the components: finer than float64
-_FLOOR = 2.0**-56  # of a bound, in the same units: nothing below it is of interest
+_ACCURACY = 2.0**-62  # of the reference, in units of the components: finer than float64
+# What bounds may differ by in any case, in the same units: nothing below it is of interest.
+_FLOOR = 2.0**-60
+_FLOOR_WITHOUT_REFERENCE = 2.0**-70  # the same of what the reference does not take part in
 _PROGRESS = Fraction(1, 1_000)  # of the span, that half as many bits again have to bring
 _SPARE_BITS = 4
 _TICKS = 1_000  # of progress
@@ -396,10 +398,12 @@ class _Proof:
 
     @property
     def floors(self) -> dict[str, np.ndarray]:
+        """Differences of bounds that do not matter, in the units of each quantity."""
+        energy = _FLOOR if self._enclosures.time_dependent else _FLOOR_WITHOUT_REFERENCE
         return {
             "error": _FLOOR * np.array(self._scout.scales),
-            "energy": np.array(_FLOOR * self._scout.energy_scale),
-            "ell": np.array(_FLOOR * self._scout.rate_scale),
+            "energy": np.array(energy * self._scout.energy_scale),
+            "ell": np.array(_FLOOR_WITHOUT_REFERENCE * self._scout.rate_scale),
         }
 
     def profile(self, leaves: list[Leaf]) -> tuple[tuple[float, ...], list[float]]:
@@ -449,8 +453,9 @@ class _Proof:
     def _too_wild(self, elapsed: float) -> CertificationError:
         t = self.time(Fraction(elapsed))
         return CertificationError(
-            f"nothing can be proven beyond about t = {t:.6g}: nearby solutions part too fast there, "
-            "as near a collision, in an escape to infinity or in long chaos; end the span before"
+            f"nothing can be proven beyond about t = {t:.6g}: nearby solutions part too fast "
+            "there, as near a collision, in an escape to infinity or in long chaos; end the span "
+            "before"
         )
 
     def time(self, elapsed: Fraction) -> float:

@@ -63,7 +63,7 @@ class Scout:
     @property
     def bits(self) -> int:
         """Precision at which the reference is likely to be accurate enough."""
-        needed = _FINEST + max(0.0, 1.1 * float(self.growths[-1]) - 14)
+        needed = _FINEST + max(0.0, 1.1 * float(self.growths[-1]) - 10)
         return _COARSEST * math.ceil(min(needed, 1e6) / _COARSEST)
 
     def until(self, bits: int) -> float:

@@ -72,7 +72,7 @@ __all__ = ["Deadline", "PrecisionError", "Reference", "ReferenceStep", "validate
 _TUBE = -40  # log2 of the largest radius rho, in units
 _PARTS, _FINE_PARTS = 4, 8  # of a step, on which the remainder, and the growth, are bounded
 _ESCAPED = 2.0**20  # units: the trajectory has left what was expected of it
-_SHORTEST = 2.0**-44  # step, relative to the span
+_SHORTEST = 2.0**-36  # step, relative to the span
 _TRIES = 60  # lengths of one step
 
 
@@ -266,6 +266,7 @@ class _March:
         self._schedule = [(since, [arb(unit) for unit in sizes]) for since, sizes in units]
         self._units = self._schedule.pop(0)[1]
         self._previous: Fraction | None = None
+        self._met = ""  # the singularity that a step last came across
 
     def time(self, elapsed: Fraction) -> float:
         return float(self._start + self.direction * elapsed)
@@ -296,7 +297,7 @@ class _March:
                         return self._accepted(elapsed, length, coefficients, grown)
                     crowded = True
             except SingularityError as error:
-                reason = str(error)
+                reason = self._met = str(error)
             length = _short(length * Fraction(3, 5))
         if self._size(start) > _ESCAPED:
             raise CertificationError(
@@ -305,7 +306,7 @@ class _March:
             )
         if crowded and not reason:
             raise PrecisionError(elapsed)
-        raise self._singular(elapsed, reason)
+        raise self._singular(elapsed, self._met)
 
     def _singular(self, elapsed: Fraction, reason: str) -> CertificationError:
         found = (

@@ -330,9 +330,9 @@ def test_bounds_outside_the_span_are_refused(case):
 @pytest.mark.parametrize(
     ("formula", "reason"),
     [
-        ("p**2/2 - x**4/4", "beyond about t = 1.85.*escape to infinity"),
+        ("p**2/2 - x**4/4", "beyond.* t = 1.85.*escape to infinity"),
         ("p**2/2 + abs(x)", "'abs'"),
-        ("p**2/2 + x**(5/2)", r"beyond t = 1\.0.*sqrt\(x\)"),
+        ("p**2/2 + x**(5/2)", r"beyond t = 1\.0.*'(sqrt\(x\)|x.*3/2.*)'.*not smooth"),
     ],
 )
 def test_what_cannot_be_proven_is_refused_with_the_reason(formula, reason):

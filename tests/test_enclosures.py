@@ -1,6 +1,7 @@
 """Formulas in ball arithmetic contain what mpmath computes to fifty digits."""
 
 import math
+from decimal import Decimal
 from fractions import Fraction
 
 import mpmath
@@ -49,9 +50,9 @@ FORMULAS = {
         for name, low, high in (
             *((name, -5, 5) for name in "sin cos atan sinh cosh tanh asinh erf sech".split()),
             *((name, 0.2, 1.3) for name in "tan cot sec csc coth csch acot".split()),
-            *((name, -0.9, 0.9) for name in "asin acos atanh".split()),
+            *((name, -0.85, 0.85) for name in "asin acos atanh".split()),
             *((name, 1.2, 5) for name in "acosh log acoth acsc asec acsch".split()),
-            ("asech", 0.1, 0.9),
+            ("asech", 0.2, 0.85),
         )
     },
     "atan2": (sympy.atan2(y, x), 0.1, 5),
@@ -92,7 +93,7 @@ def _exact_floats(formula):
     return dict.fromkeys(formula.atoms(sympy.Float), tenth)
 
 
-def _holds(enclosure, number, slack=mpmath.mpf(0)):
+def _holds(enclosure, number, slack=0):
     """Whether a number is in a ball, up to how well it is known itself."""
     assert enclosure.is_finite()
     with mpmath.workdps(50):
@@ -182,10 +183,12 @@ def test_conversions_are_directed(value, parts):
     assert below(enclosed) <= number <= above(enclosed)
     assert math.nextafter(above(enclosed), 0) <= number * (1 + Fraction(1, 2**50))
     for sign in (1, -1):
-        assert Fraction(decimal_above(sign * value)) >= Fraction(sign * value)
-        assert Fraction(decimal_below(sign * value)) <= Fraction(sign * value)
         text = decimal_above(sign * value)
+        assert Decimal(text) >= Decimal(sign * value)
+        assert Decimal(decimal_below(sign * value)) <= Decimal(sign * value)
         assert decimal(float(text)) == text or math.isinf(float(text))
+        if math.isinf(float(text)):
+            continue
         assert Fraction(at_most(float(text))) <= Fraction(decimal(float(text)))
         assert Fraction(at_least(float(text))) >= Fraction(decimal(float(text)))
 
