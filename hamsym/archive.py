@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from dataclasses import fields
 from typing import Any
@@ -22,7 +24,7 @@ from hamsym.solution import Solution
 from hamsym.training import History, Training
 from hamsym.trial import ComponentNetworks, Network, TrialSolution
 
-__all__ = ["load", "save"]
+__all__ = ["digest", "load", "save"]
 
 _KIND = "solution"
 
@@ -99,6 +101,26 @@ def _solution(tensors: dict[str, Tensor], values: dict[str, Any]) -> Solution:
         raise ValueError("its parts are of different dimensions")
     solution.success, solution.message = bool(values["success"]), str(values["message"])
     return solution
+
+
+def digest(solution: Solution) -> str:
+    """SHA-256 of what defines a solution as a function: H, z0, the span and the trial solution.
+
+    How it was found, when, and what it said of itself are not part of it.
+    """
+    values = {
+        "H": _hamiltonian_values(solution.H),
+        "span": [float(time).hex() for time in solution.span],
+        "trial": _trial_values(solution.trial),
+    }
+    text = json.dumps(values, sort_keys=True)
+    found = hashlib.sha256(text.encode())
+    tensors = {"z0": torch.from_numpy(solution.z0), **solution.trial.state_dict()}
+    for name, tensor in sorted(tensors.items()):
+        shape = list(tensor.shape)
+        found.update(f"{name} {tensor.dtype} {shape} ".encode())
+        found.update(tensor.detach().contiguous().numpy().astype(">f8").tobytes())
+    return found.hexdigest()
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -7,6 +7,7 @@ sentence that names the offending token and says what to write instead.
 from __future__ import annotations
 
 __all__ = [
+    "CertificationError",
     "CodeGenerationError",
     "HamsymError",
     "InputError",
@@ -59,6 +60,10 @@ class SeparabilityError(InputError):
 
 class CodeGenerationError(InputError):
     """The Hamiltonian contains a function that a backend cannot evaluate."""
+
+
+class CertificationError(HamsymError):
+    """Nothing could be proven about a solution; the message says where, why and what may help."""
 
 
 class FileError(HamsymError):

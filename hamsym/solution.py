@@ -27,6 +27,8 @@ from hamsym.trial import TrialSolution
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from hamsym.certificates import Certificate
+
 __all__ = ["Solution"]
 
 _CHUNK = 4_096  # points evaluated at once, to bound the memory of the hidden layers
@@ -483,6 +485,51 @@ class Solution:
         from hamsym.archive import save
 
         save(self, path)
+
+    def certify(
+        self,
+        rtol: float = 0.02,
+        time_limit: float | None = None,
+        bits: int | None = None,
+        progress: bool | None = None,
+    ) -> Certificate:
+        """Prove how large the error is, from both sides, or say why that cannot be done.
+
+        The equation is solved once more for it, in ball arithmetic, where every rounding is
+        accounted for (:mod:`hamsym.certificates`).
+
+        Parameters
+        ----------
+        rtol : float
+            How close upper and lower bounds are to come, relative to the lower ones.
+        time_limit : float, optional
+            Seconds.
+        bits : int, optional
+            Working precision; by default what the growth of errors along the motion asks for.
+        progress : bool, optional
+            Draw progress on standard error; by default where that is a terminal.
+
+        Returns
+        -------
+        Certificate
+
+        Raises
+        ------
+        CertificationError
+            If nothing can be proven: the trajectory escapes or collides, H is not smooth along it,
+            or the time limit is reached. The message says when and what may help.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve(hamsym.Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 5))
+        >>> certificate = solution.certify()
+        >>> certificate.lower <= certificate.bound < 1e-9
+        True
+        """
+        from hamsym.certificates import certify  # which needs this module
+
+        return certify(self, rtol, time_limit, bits, progress)
 
     def plot(self) -> Figure:
         """A figure of the trajectory, its residual, its energy and the training.

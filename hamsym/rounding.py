@@ -1,0 +1,147 @@
+"""Balls of real numbers to floats, fractions and decimals, and back, every rounding outward.
+
+``float(ball)`` rounds to nearest, which is no bound; nor is the decimal that ``repr`` prints. What
+is here compares exact fractions instead and moves on to the next number where rounding went the
+wrong way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from decimal import ROUND_CEILING, Context, Decimal
+from fractions import Fraction
+
+from flint import arb, ctx, fmpq
+
+__all__ = [
+    "above",
+    "at_least",
+    "at_most",
+    "ball",
+    "below",
+    "binary_logarithm",
+    "decimal",
+    "decimal_above",
+    "decimal_below",
+    "exact",
+    "interval",
+    "working",
+]
+
+_DIGITS = 9  # of the decimals in certificates
+_UPWARD = Context(prec=_DIGITS, rounding=ROUND_CEILING)
+
+
+@contextmanager
+def working(bits: int, terms: int = 2) -> Iterator[None]:
+    """Precision and series length of Arb, which are global, for the time being.
+
+    Parameters
+    ----------
+    bits : int
+        Precision.
+    terms : int
+        Coefficients that a series keeps.
+    """
+    before = ctx.prec, ctx.cap
+    try:
+        ctx.prec, ctx.cap = bits, terms
+        yield
+    finally:
+        ctx.prec, ctx.cap = before
+
+
+def ball(value: Fraction | float | int) -> arb:
+    """A ball around a number; exact if the number is binary and the precision holds it."""
+    fraction = Fraction(value)
+    return arb(fmpq(fraction.numerator, fraction.denominator))
+
+
+def interval(low: Fraction, high: Fraction) -> arb:
+    """A ball that holds all numbers from low to high."""
+    return ball(low).union(ball(high))
+
+
+def exact(number: arb) -> Fraction:
+    """The value of a ball without radius, or the middle of another."""
+    mantissa, exponent = (int(part) for part in number.mid().man_exp())
+    return Fraction(mantissa << exponent) if exponent >= 0 else Fraction(mantissa, 1 << -exponent)
+
+
+def above(number: arb) -> float:
+    """The smallest float64 that is known not to be below any number in the ball.
+
+    Infinite where the ball is not finite or beyond float64.
+    """
+    if not number.is_finite():
+        return math.inf
+    return _float_above(exact(number.upper()))
+
+
+def below(number: arb) -> float:
+    """The largest float64 that is known not to be above any number in the ball."""
+    return -above(-number)
+
+
+def _float_above(value: Fraction) -> float:
+    try:
+        nearest = float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.nextafter(math.inf, 0)
+    return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)
+
+
+def decimal_above(value: float) -> str:
+    """The shortest decimal of nine digits that is not below a float64.
+
+    Examples
+    --------
+    >>> decimal_above(0.1), decimal_above(1 / 3)
+    ('0.100000001', '0.333333334')
+    """
+    if not math.isfinite(value):
+        return repr(value)
+    return decimal(float(_UPWARD.plus(Decimal(value))))
+
+
+def decimal_below(value: float) -> str:
+    """The largest decimal of nine digits that is not above a float64."""
+    text = decimal_above(-value)
+    return text[1:] if text.startswith("-") else "-" + text if value else "0"
+
+
+def decimal(value: float) -> str:
+    """The decimal of nine digits that a float64 is nearest to: what it was read from, if it was.
+
+    Examples
+    --------
+    >>> decimal(0.1), decimal(float("2.68374571e-12"))
+    ('0.1', '2.68374571e-12')
+    """
+    return f"{value:.{_DIGITS}g}"
+
+
+def at_most(value: float) -> float:
+    """The largest float64 that is not above the decimal of another."""
+    if not math.isfinite(value):
+        return value
+    return -_float_above(-Fraction(decimal(value)))
+
+
+def at_least(value: float) -> float:
+    """The smallest float64 that is not below the decimal of another."""
+    return -at_most(-value)
+
+
+def binary_logarithm(number: arb) -> float:
+    """log2 of the magnitude of the middle of a ball, roughly; for guesses, not for proofs."""
+    if not number.is_finite():
+        return math.inf
+    mantissa, exponent = number.mid().man_exp()
+    bits = abs(int(mantissa)).bit_length()
+    if not bits:
+        return -math.inf
+    shift = max(bits - 53, 0)
+    return math.log2(abs(int(mantissa)) >> shift) + shift + int(exponent)
