@@ -20,13 +20,14 @@ import importlib
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from hamsym.errors import HamsymError, InputError
+from hamsym.errors import CertificationError, HamsymError, InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.system import System
 
 if TYPE_CHECKING:
     from hamsym import systems
     from hamsym.archive import load
+    from hamsym.certificates import Certificate, verify
     from hamsym.comparison import Comparison, compare
     from hamsym.integrators import Trajectory, integrate
     from hamsym.sections import Section, section
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
     from hamsym.variational import LyapunovExponents, lyapunov, monodromy
 
 __all__ = [
+    "Certificate",
+    "CertificationError",
     "Comparison",
     "Hamiltonian",
     "HamsymError",
@@ -54,12 +57,14 @@ __all__ = [
     "section",
     "solve",
     "systems",
+    "verify",
 ]
 
 __version__ = version("hamsym")
 
 # Deriving and generating must not wait for torch and scipy to be imported.
 _LAZY = {
+    "Certificate": "hamsym.certificates",
     "Comparison": "hamsym.comparison",
     "LyapunovExponents": "hamsym.variational",
     "Regularizer": "hamsym.training",
@@ -73,6 +78,7 @@ _LAZY = {
     "monodromy": "hamsym.variational",
     "section": "hamsym.sections",
     "solve": "hamsym.solving",
+    "verify": "hamsym.certificates",
 }
 
 

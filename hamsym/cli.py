@@ -1,7 +1,8 @@
-"""The command line: derive, source, solve, integrate, lyapunov, section, compare.
+"""The command line: derive, source, solve, integrate, ..., certify, verify.
 
 Results go to standard output, progress and complaints to standard error. The exit status is 0 if
-all went well, 1 if a solution was found wanting, 2 on bad input, with one line that says why.
+all went well, 1 if a solution was found wanting or a proof refused, 2 on bad input, with one line
+that says why.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import click
 import numpy as np
 
 from hamsym.atomic import write_atomically
-from hamsym.errors import HamsymError, InputError
+from hamsym.errors import CertificationError, HamsymError, InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.parsing import parse_number
 from hamsym.printing import FormulaPrinter
@@ -26,6 +27,7 @@ from hamsym.printing import FormulaPrinter
 __all__ = ["main"]
 
 _WIDTH = 80
+_CERTIFICATE = ".certificate"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -46,6 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(status or 0)
     except click.ClickException as error:
         return _complain(error.format_message(), 2)
+    except CertificationError as error:
+        return _complain(str(error), 1)
     except HamsymError as error:
         return _complain(str(error), 2)
     except (click.Abort, KeyboardInterrupt):
@@ -533,6 +537,52 @@ def compare(
     if figure is not None:
         _save_figure(comparison.plot(), figure)
     return 0 if solution.success else 1
+
+
+@cli.command()
+@click.argument("file", type=click.Path())
+@click.option("--rtol", default=0.02, show_default=True, help="How close the bounds come.")
+@click.option("--bits", type=int, help="Working precision  [as much as it takes]")
+@click.option("--time-limit", type=float, metavar="SECONDS", help="Refuse after so much time.")
+@click.option("-o", "--output", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate]")
+def certify(file: str, output: str | None, **options: Any) -> None:
+    """Prove how wrong a saved solution is, and write the certificate beside it.
+
+    FILE is what `hamsym solve -o FILE` wrote. Exit 1 if nothing could be proven.
+    """
+    from hamsym.archive import load
+
+    _check_folder(output)
+    solution = load(file)
+    found = solution.certify(**options)
+    _echo_wrapped("", found.statement)
+    names = ["|z|", *solution.H.names, "H", "ell_max"]
+    lowers = [found.lower, *found.component_lowers, found.energy_lower, found.ell_max_lower]
+    bounds = [found.bound, *found.component_bounds, found.energy_bound, found.ell_max_bound]
+    width = max(map(len, names))
+    click.echo(f"\n{'error of':<{max(width, 8)}}{'at least':>16}{'at most':>16}")
+    for name, lower, bound in zip(names, lowers, bounds, strict=True):
+        click.echo(f"{name:<{max(width, 8)}}{lower:>16.8e}{bound:>16.8e}")
+    click.echo(f"proven in {found.seconds:.2f} s")
+    path = output or f"{file}{_CERTIFICATE}"
+    write_atomically(Path(path), found.to_json().encode())
+    click.echo(f"wrote {path}")
+
+
+@cli.command()
+@click.argument("file", type=click.Path())
+@click.option("--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate]")
+@click.option("--time-limit", type=float, metavar="SECONDS", help="Refuse after so much time.")
+def verify(file: str, certificate: str | None, time_limit: float | None) -> None:
+    """Run the whole proof of a certificate again, from the saved solution alone.
+
+    Exit 1 if the certificate claims what is not proven.
+    """
+    from hamsym.certificates import verify as run
+
+    path = Path(certificate or f"{file}{_CERTIFICATE}")
+    run(path.read_text(encoding="utf-8"), file, time_limit)
+    click.echo("verified: every bound of the certificate is proven")
 
 
 # -- reading and writing -------------------------------------------------------------------------

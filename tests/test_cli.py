@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -231,6 +232,43 @@ def test_section_of_an_ensemble(capsys: Captured, tmp_path: Path) -> None:
     assert figure.read_bytes()[1:4] == b"PNG"
 
 
+def test_certify_and_verify(capsys: Captured, tmp_path: Path) -> None:
+    path = str(tmp_path / "orbit.hamsym")
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "3", "--tol", "1e-6", "-o", path]
+    assert run(capsys, "solve", *arguments)[0] == 0
+    status, out, _ = run(capsys, "certify", path)
+    assert status == 0
+    assert out.startswith("Proven: the largest |z^(t) - z(t)|")
+    rows = {line.split()[0]: line.split()[1:] for line in out.splitlines() if "e-" in line}
+    lower, upper = map(float, rows["|z|"])
+    assert 0.98 * upper < lower < upper < 1e-6
+    assert set(rows) >= {"x", "p", "H", "ell_max"}
+    certificate = tmp_path / "orbit.hamsym.certificate"
+    status, out, _ = run(capsys, "verify", path)
+    assert (status, out) == (0, "verified: every bound of the certificate is proven\n")
+    values = json.loads(certificate.read_text())
+    values["bound"] = str(lower)  # a little less than what was proven
+    certificate.write_text(json.dumps(values))
+    status, out, err = run(capsys, "verify", path)
+    assert (status, out) == (1, "")
+    assert "does not hold" in err
+    certificate.write_text("{}")
+    status, _, err = run(capsys, "verify", path)
+    assert status == 2
+    assert "not a certificate" in err
+
+
+def test_refusals_to_prove_exit_with_1(capsys: Captured, tmp_path: Path) -> None:
+    path = str(tmp_path / "kink.hamsym")
+    arguments = ["p**2/2 + abs(x)", "--z0", "2,0", "--t-end", "1", "-o", path]
+    assert run(capsys, "solve", *arguments)[0] == 0
+    status, out, err = run(capsys, "certify", path)
+    assert (status, out) == (1, "")
+    assert "abs" in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "kink.hamsym.certificate").exists()
+
+
 def test_ctrl_c_prints_what_was_done(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
     original, calls = stepping.Stepper._run, []
 
@@ -301,6 +339,8 @@ BAD = [
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--dt", "0"], "dt=0.0"),
     (["integrate", "x*p", "--z0", "1,1", "--t-end", "1", "--method", "ruth3"], "not separable"),
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "9", "--steps", "9" * 14], "save_every"),
+    (["certify", "no/such/file"], "no/such/file"),
+    (["verify", "no/such/file"], "no/such/file"),
     (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--count", "3"], "count=3"),
     (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "-o", "h.txt"], "neither .csv"),
     (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--seed", "-1"], "seed=-1"),
@@ -340,7 +380,8 @@ def test_bad_input_gets_one_line_and_status_2(
 
 
 @pytest.mark.parametrize(
-    "command", ["derive", "source", "solve", "integrate", "lyapunov", "section", "compare"]
+    "command",
+    "derive source solve integrate lyapunov section compare certify verify".split(),
 )
 def test_every_command_has_help(capsys: Captured, command: str) -> None:
     status, out, _ = run(capsys, command, "--help")
