@@ -27,6 +27,7 @@ from hamsym.system import System
 if TYPE_CHECKING:
     from hamsym import systems
     from hamsym.archive import load
+    from hamsym.certificates import Certificate, verify
     from hamsym.comparison import Comparison, compare
     from hamsym.integrators import Trajectory, integrate
     from hamsym.sections import Section, section
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from hamsym.variational import LyapunovExponents, lyapunov, monodromy
 
 __all__ = [
+    "Certificate",
     "Comparison",
     "Hamiltonian",
     "HamsymError",
@@ -54,12 +56,14 @@ __all__ = [
     "section",
     "solve",
     "systems",
+    "verify",
 ]
 
 __version__ = version("hamsym")
 
 # Deriving and generating must not wait for torch and scipy to be imported.
 _LAZY = {
+    "Certificate": "hamsym.certificates",
     "Comparison": "hamsym.comparison",
     "LyapunovExponents": "hamsym.variational",
     "Regularizer": "hamsym.training",
@@ -73,6 +77,7 @@ _LAZY = {
     "monodromy": "hamsym.variational",
     "section": "hamsym.sections",
     "solve": "hamsym.solving",
+    "verify": "hamsym.certificates",
 }
 
 
