@@ -286,10 +286,11 @@ class Comparison:
             if not H.time_dependent:
                 start = ball(Fraction(reference.start))
                 self.energy_0 = H.energy([arb(float(value)) for value in z0], start)
-            self._pieces = [
-                Expansion(self, segment, step, (low + high) / 2, (high - low) / 2)
-                for segment, step, low, high in self._overlaps(parts)
-            ]
+            self._pieces = []
+            for segment, step, low, high in self._overlaps(parts):
+                deadline.check("the solution was enclosed")
+                middle, half = (low + high) / 2, (high - low) / 2
+                self._pieces.append(Expansion(self, segment, step, middle, half))
 
     def _overlaps(
         self, parts: list[Segment]
@@ -395,24 +396,22 @@ class Comparison:
         """
         heap, lower = list(leaves), max(leaf.lower for leaf in leaves)
         heapq.heapify(heap)
-        finished: list[Leaf] = []
         narrowest = self._total * Fraction(_NARROWEST)
         with working(self.reference.bits, _ORDER + 2):
             while True:
                 top = heap[0]
-                upper = max(top.upper, max((leaf.upper for leaf in finished), default=0.0))
-                if goal.met(upper, lower, quantity.floor):
+                if goal.met(top.upper, lower, quantity.floor):
                     break
                 if top.half < narrowest or len(heap) > _MOST_LEAVES:
                     if top.polynomial is None:  # no bound at all: H is singular along z^
-                        return Range(math.inf, lower, [*heap, *finished])
+                        return Range(math.inf, lower, heap)
                     raise PrecisionError
                 self._deadline.check(f"the {quantity.name} was bounded")
                 heapq.heappop(heap)
                 for leaf in self._halves(quantity, top, goal.allowed(lower, quantity.floor)):
                     lower = max(lower, leaf.lower)
                     heapq.heappush(heap, leaf)
-        return Range(upper, lower, [*heap, *finished])
+        return Range(top.upper, lower, heap)
 
     def _halves(self, quantity: Quantity, leaf: Leaf, allowed: float) -> list[Leaf]:
         half = leaf.half / 2

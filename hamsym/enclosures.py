@@ -148,10 +148,8 @@ def _hyperbolic_parts(x: arb_series) -> tuple[arb, arb_series, arb_series]:
 
 
 def _without_head(x: arb_series) -> arb_series:
-    coefficients = x.coeffs()
-    if coefficients:
-        coefficients[0] = arb(0)
-    return arb_series(coefficients, x.prec)
+    # Its integral begins with an exact zero, which a difference of balls would not.
+    return x.derivative().integral()
 
 
 def hyperbolic_tangent(x: Enclosed, _: Enclosed = None) -> Enclosed:

@@ -71,6 +71,7 @@ __all__ = ["Deadline", "PrecisionError", "Reference", "ReferenceStep", "validate
 
 _TUBE = -40  # log2 of the largest radius rho, in units
 _PARTS, _FINE_PARTS = 4, 8  # of a step, on which the remainder, and the growth, are bounded
+_NEARBY = -10  # log2 of how far to look for a singularity that may explain a failure, in units
 _ESCAPED = 2.0**20  # units: the trajectory has left what was expected of it
 _SHORTEST = 2.0**-36  # step, relative to the span
 _TRIES = 60  # lengths of one step
@@ -266,7 +267,6 @@ class _March:
         self._schedule = [(since, [arb(unit) for unit in sizes]) for since, sizes in units]
         self._units = self._schedule.pop(0)[1]
         self._previous: Fraction | None = None
-        self._met = ""  # the singularity that a step last came across
 
     def time(self, elapsed: Fraction) -> float:
         return float(self._start + self.direction * elapsed)
@@ -297,7 +297,7 @@ class _March:
                         return self._accepted(elapsed, length, coefficients, grown)
                     crowded = True
             except SingularityError as error:
-                reason = self._met = str(error)
+                reason = str(error)
             length = _short(length * Fraction(3, 5))
         if self._size(start) > _ESCAPED:
             raise CertificationError(
@@ -306,7 +306,18 @@ class _March:
             )
         if crowded and not reason:
             raise PrecisionError(elapsed)
-        raise self._singular(elapsed, self._met)
+        raise self._singular(elapsed, reason or self._nearby(elapsed, start))
+
+    def _nearby(self, elapsed: Fraction, start: list[arb]) -> str:
+        """A subexpression that is not smooth at some point near the state, if there is one."""
+        for size in range(-40, _NEARBY):
+            width = arb(2) ** size * arb(0, 1)
+            state = [value + width * unit for value, unit in zip(start, self._units, strict=True)]
+            try:
+                self._H.hessian(state, self._clock(ball(elapsed)))
+            except SingularityError as error:
+                return str(error)
+        return ""
 
     def _singular(self, elapsed: Fraction, reason: str) -> CertificationError:
         found = (
