@@ -39,6 +39,7 @@ bench: $(VENV)/installed ## Print the benchmarks' ratios (twenty minutes)
 	$(BIN)/python tests/benchmarks/training_epoch.py
 	$(BIN)/python tests/benchmarks/growth.py
 	$(BIN)/python tests/benchmarks/work_precision.py
+	$(BIN)/python tests/benchmarks/certificates.py
 
 clean: ## Remove the environment and everything built
 	rm -rf $(VENV) build dist output *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -356,3 +356,20 @@ def test_too_few_bits_are_refused():
 def test_settings_are_checked(options):
     with pytest.raises(InputError, match=next(iter(options))):
         solved("tanh").certify(**options)
+
+
+def test_the_papers_bound_is_proven_false_for_a_resonant_residual():
+    """z^ = (1 + eps t)(cos t, -sin t), as the solution of another system, marched."""
+    end = 4 * math.pi
+    forced = hamsym.Hamiltonian(
+        "p**2/2 + x**2/2 + eps*(p*cos(t) + x*sin(t))", parameters={"eps": 1e-3}
+    )
+    other = hamsym.solve(forced, [1.0, 0.0], (0, end), tol=1e-10)
+    H = systems.harmonic_oscillator().H
+    solution = hamsym.Solution(
+        H, other.z0, (0.0, end), other.trial, method="features", training=other.training
+    )
+    certificate = solution.certify()
+    assert certificate.ell_max_bound < 1.02e-3
+    # sigma_min is 1, exactly, for this Hessian.
+    assert max(certificate.component_lowers) > 12 * certificate.ell_max_bound / 1.0
