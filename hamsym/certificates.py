@@ -179,17 +179,20 @@ class Certificate:
             If the text is no certificate, or one of a later version.
         """
         try:
-            values = json.loads(text)
+            values = json.loads(text, object_pairs_hook=_without_repetition)
             if values["kind"] != _KIND:
                 raise ValueError("it is something else")
             if values["version"] != _VERSION:
                 raise ValueError(f"it is of version {values['version']}")
-            known: dict[str, Any] = {
-                name: _numbers(values[name]) for name in (*_UPPER, *_LOWER, "edges")
-            }
+            known: dict[str, Any] = {name: _numbers(values[name]) for name in (*_UPPER, *_LOWER)}
+            known["edges"] = tuple(float(edge) for edge in values["edges"])
             known |= {name: float(values[name]) for name in ("rtol", "seconds")}
             certificate = cls(**known, bits=int(values["bits"]), digest=str(values["digest"]))
             certificate._check()
+            if set(values) != {*json.loads(certificate.to_json())}:
+                raise ValueError("it holds what no certificate has")
+            if values["statement"] != certificate.statement:
+                raise ValueError("its statement is not what its numbers say")
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             raise FileError(f"this text is not a certificate that hamsym reads: {error}") from None
         return certificate
@@ -208,6 +211,13 @@ class Certificate:
             raise ValueError("its precision is out of range")
         if len(self.component_bounds) != len(self.component_lowers):
             raise ValueError("its components do not fit together")
+        lowers = (self.lower, *self.component_lowers, self.energy_lower, self.ell_max_lower)
+        uppers = (self.bound, *self.component_bounds, self.energy_bound, self.ell_max_bound)
+        if not all(
+            0 <= low <= high and math.isfinite(low)
+            for low, high in zip(lowers, uppers, strict=True)
+        ):
+            raise ValueError("its bounds are not in order")
 
 
 _UPPER = ("bound", "component_bounds", "energy_bound", "ell_max_bound", "piece_bounds")
@@ -220,7 +230,21 @@ def _texts(value: float | tuple[float, ...]) -> Any:
 
 
 def _numbers(value: Any) -> float | tuple[float, ...]:
-    return tuple(float(number) for number in value) if isinstance(value, list) else float(value)
+    return tuple(map(_number, value)) if isinstance(value, list) else _number(value)
+
+
+def _number(text: str) -> float:
+    """A number as it is written; more digits than are written would claim more than is checked."""
+    value = float(text)
+    if decimal(value) != text:
+        raise ValueError(f"'{text}' is not a decimal as certificates have them")
+    return value
+
+
+def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(dict(pairs)) != len(pairs):
+        raise ValueError("a name occurs twice")
+    return dict(pairs)
 
 
 # -- proving ------------------------------------------------------------------------------------
@@ -310,7 +334,10 @@ def verify(
     if not isinstance(solution, Solution):
         solution = load(Path(solution))
     claims = certificate
-    claims._check()
+    try:
+        claims._check()
+    except (ValueError, TypeError, AttributeError) as error:
+        raise CertificationError(f"this is no certificate: {error}") from None
     if digest(solution) != claims.digest:
         raise CertificationError("the certificate is of another solution: the digests differ")
     if (claims.edges[0], claims.edges[-1]) != tuple(float(edge) for edge in solution.span):
@@ -342,9 +369,12 @@ def _implied(
     comparison: Comparison, quantity: Quantity, leaves: list[Leaf], pair: tuple[float, float]
 ) -> Range:
     """Bounds at least as good as those claimed."""
-    goal = Goal(0.0, (at_most(pair[0]), at_least(pair[1])))
+    upper, lower = at_most(pair[0]), at_least(pair[1])
     try:
-        return comparison.refine(quantity, leaves, goal)
+        found = comparison.refine(quantity, leaves, Goal(0.0, (upper, lower)))
+        if not (found.upper <= upper and found.lower >= lower):  # as where H is singular along z^
+            raise CertificationError("refuted")
+        return found
     except (CertificationError, PrecisionError) as error:
         if isinstance(error, CertificationError) and str(error) != "refuted":
             raise
@@ -414,7 +444,10 @@ class _Proof:
         ordered = sorted(leaves, key=lambda leaf: leaf.centre)
         # Edges are rounded to floats: a sliver of the next piece may belong to this one.
         intervals = pairwise([self.elapsed(edge) for edge in edges])
-        return edges, [max(leaf.upper for leaf in part) for part in _within(ordered, intervals)]
+        # Between two edges that are one float there is nothing.
+        return edges, [
+            max((leaf.upper for leaf in part), default=0.0) for part in _within(ordered, intervals)
+        ]
 
     def elapsed(self, t: float) -> Fraction:
         return self._direction * (Fraction(t) - self._start)

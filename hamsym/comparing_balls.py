@@ -34,6 +34,7 @@ part of z^ and in one step of y:
 
 from __future__ import annotations
 
+import functools
 import heapq
 import math
 from collections.abc import Callable, Sequence
@@ -144,6 +145,7 @@ class Expansion:
             polynomial[0] + width * arb(0, 1)
             for polynomial, width in zip(self._true_around, widths, strict=True)
         ]
+        H.energy(state, self._clock_around[0])  # a ball: H does not jump between z and y
         slopes = H.vector_field(state, self._clock_around[0])
         # J grad H has the slopes in p first, then minus those in q.
         dof = len(slopes) // 2
@@ -323,7 +325,7 @@ class Comparison:
             Quantity(
                 "norm",
                 lambda e: _squares(e.errors),
-                lambda e: max(e.step.widths, key=above),
+                lambda e: functools.reduce(arb.max, e.step.widths),
                 squared=True,
                 floor=float(floors["error"].max()),
             )

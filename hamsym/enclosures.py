@@ -22,6 +22,7 @@ from typing import Any
 import sympy
 from flint import arb, arb_series, ctx, fmpq
 
+from hamsym import derivatives
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.printing import Printer
@@ -447,6 +448,11 @@ def _of_float(number: sympy.Float) -> Fraction:
     return -value if sign else value
 
 
+def _fraction(number: sympy.Float) -> sympy.Rational:
+    value = _of_float(number)
+    return sympy.Rational(value.numerator, value.denominator)
+
+
 def _rational(value: float) -> sympy.Rational:
     return sympy.Rational(*Fraction(value).as_integer_ratio())
 
@@ -494,14 +500,20 @@ class Enclosures:
         for kind in _NOT_SMOOTH:  # whose derivatives may have lost it
             if form.expr.has(kind):
                 raise _refusal(kind.__name__)
+        # Differentiating would round floating-point numbers; as fractions they stay what they are.
+        floats = {number: _fraction(number) for number in form.expr.atoms(sympy.Float)}
+        expr = form.expr.xreplace(floats) if floats else form.expr
+        slopes = derivatives.gradient(expr, form.z)
+        second = derivatives.hessian(slopes, form.z)
+        rates = [*slopes[form.dof :], *(-slope for slope in slopes[: form.dof])]
         time = form.time or sympy.Dummy("t")
         variables = (*form.z, time)
         values = {symbol: value for symbol, value in form.parameters.values() if value is not None}
         self.dim, self.time_dependent = H.dim, H.time is not None
-        self._energy = Formulas([form.expr], variables, values)
-        self._vector_field = Formulas(form.vector_field, variables, values)
-        self._places = [index for index in form.hessian if index[0] <= index[1]]
-        self._hessian = Formulas([form.hessian[index] for index in self._places], variables, values)
+        self._energy = Formulas([expr], variables, values)
+        self._vector_field = Formulas(rates, variables, values)
+        self._places = [index for index in second if index[0] <= index[1]]
+        self._hessian = Formulas([second[index] for index in self._places], variables, values)
 
     def energy(self, z: Sequence[Enclosed], t: Enclosed) -> Enclosed:
         """H at balls, or along series, of the components of z and of t."""

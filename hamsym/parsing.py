@@ -250,7 +250,7 @@ class _Visitor:
                 raise self._error(node, "is too large a number", "stay below 1e308")
             if value == 0 and re.search(r"[1-9]", self._text_of(node).lower().split("e")[0]):
                 raise self._error(node, "is too small a number", "stay above 1e-308")
-            return sympy.Rational(repr(value))
+            return sympy.Rational(self._text_of(node).replace("_", ""))
         if isinstance(value, complex):
             raise self._error(node, "is a complex number", "a Hamiltonian is real")
         if isinstance(value, (str, bytes)):

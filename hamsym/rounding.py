@@ -8,6 +8,7 @@ wrong way.
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from decimal import ROUND_CEILING, Context, Decimal
@@ -30,13 +31,16 @@ __all__ = [
     "working",
 ]
 
+_LOCK = threading.RLock()
 _DIGITS = 9  # of the decimals in certificates
 _UPWARD = Context(prec=_DIGITS, rounding=ROUND_CEILING)
 
 
 @contextmanager
 def working(bits: int, terms: int = 2) -> Iterator[None]:
-    """Precision and series length of Arb, which are global, for the time being.
+    """Precision and series length of Arb for the time being.
+
+    They are global to the process: other threads wait until they are given back.
 
     Parameters
     ----------
@@ -45,12 +49,13 @@ def working(bits: int, terms: int = 2) -> Iterator[None]:
     terms : int
         Coefficients that a series keeps.
     """
-    before = ctx.prec, ctx.cap
-    try:
-        ctx.prec, ctx.cap = bits, terms
-        yield
-    finally:
-        ctx.prec, ctx.cap = before
+    with _LOCK:
+        before = ctx.prec, ctx.cap
+        try:
+            ctx.prec, ctx.cap = bits, terms
+            yield
+        finally:
+            ctx.prec, ctx.cap = before
 
 
 def ball(value: Fraction | float | int) -> arb:

@@ -248,12 +248,12 @@ def _windows(
     edges = [direction * (Fraction(edge) - start) for edge in trial.edges.tolist()]
     if any(not low < high for low, high in pairwise(edges)):
         raise CertificationError("the windows of the solution are not in order; solve again")
+    if edges[0] > 0 or edges[-1] < total:
+        raise CertificationError("the windows do not cover the span; solve again")
     series = _matrix(trial.series)
     found = []
     for k, (low, high) in enumerate(pairwise(edges)):
-        # What is before the first or beyond the last edge belongs to that window, as in torch.
-        first = Fraction(0) if k == 0 else max(low, Fraction(0))
-        last = total if k == len(edges) - 2 else min(high, total)
+        first, last = max(low, Fraction(0)), min(high, total)
         if first < last:
             state, readout = _exact(trial.states[k]), trial.readouts[k]
             window = _Window(low, high - low, state, readout, series)

@@ -22,8 +22,10 @@ number eps such that the solution z exists there and |z(s) - y(s - a)| <= eps, i
    where R_i holds the n-th coefficients of the series of G along y(xi + s), xi each of a few balls
    that cover [0, h] (y' has none of this order). d = (sum_i (d_i / u_i)^2)^(1/2).
 3. *Tube.* Let rho > 0, and let B_j hold y(s) + v for all s in the j-th part of [0, h] and all
-   |v| <= rho: the range of y there, widened by rho u_i. Let m_j >= 0 bound the eigenvalues of the
-   symmetric part of U^-1 DG U over B_j, U = diag(u), by Gershgorin's circles:
+   |v| <= rho: the range of y there, widened by rho u_i. H, G and DG have finite balls over B_j; the
+   functions that have them are analytic where they do, so that none of the three jumps in B_j. Let
+   m_j >= 0 bound the eigenvalues of the symmetric part of U^-1 DG U over B_j, U = diag(u), by
+   Gershgorin's circles:
 
        m_j >= max_i ( A_ii + sum_k!=i |A_ik + A_ki| / 2 ),  A = U^-1 DG U over B_j, entry by entry.
 
@@ -54,6 +56,7 @@ Johansson 2017 (Arb).
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -278,7 +281,7 @@ class _March:
         while self._schedule and self._schedule[0][0] <= elapsed:
             before, self._units = self._units, self._schedule.pop(0)[1]
             ratios = [old / new for old, new in zip(before, self._units, strict=True)]
-            radius = (radius * max(ratios, key=above)).upper()
+            radius = (radius * functools.reduce(arb.max, ratios)).upper()
         try:
             coefficients, defects = self._coefficients(elapsed, start)
         except SingularityError as error:
@@ -424,7 +427,11 @@ class _March:
                 polynomial(around)(half) + tube * unit * arb(0, 1)
                 for polynomial, unit in zip(polynomials, self._units, strict=True)
             ]
-            rate = self._logarithmic_norm(state, self._clock(ball(elapsed) + middle + half))
+            clock = self._clock(ball(elapsed) + middle + half)
+            # That these are balls proves H and G smooth throughout, and not only DG.
+            self._H.energy(state, clock)
+            self._H.vector_field(state, clock)
+            rate = self._logarithmic_norm(state, clock)
             radius = ((rate * duration).exp() * (radius + duration * defect)).upper()
         return radius
 

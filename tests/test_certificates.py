@@ -1,13 +1,18 @@
 """Certificates hold for what was computed, follow what is damaged, and cannot be edited."""
 
 import copy
+import dataclasses
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
+from fractions import Fraction
 
 import mpmath
 import numpy as np
 import pytest
+import sympy
 import torch
+from flint import arb
 
 import hamsym
 from hamsym import systems
@@ -210,7 +215,6 @@ def test_the_bound_follows_damage(name, change):
 
 
 def test_series_of_a_trial_solution_contain_it_anywhere_on_the_ball():
-    from fractions import Fraction
 
     for name in ("levenberg-marquardt", "tanh", "features"):
         solution = solved(name)
@@ -268,13 +272,31 @@ def test_a_certificate_says_what_is_proven(case):
 )
 def test_an_edited_certificate_fails(case, field, factor):
     solution, certificate = case
-    values = json.loads(certificate.to_json())
-    if isinstance(values[field], list):
-        values[field][-1] = repr(float(values[field][-1]) * factor)
+    value = getattr(certificate, field)
+    if isinstance(value, tuple):
+        value = (*value[:-1], value[-1] * factor)
     else:
-        values[field] = repr(float(values[field]) * factor)
+        value *= factor
+    lowers = field.replace("bound", "lower")
+    if (
+        factor < 1 and lowers != field and hasattr(certificate, lowers)
+    ):  # all of a kind, forged well
+        low = getattr(certificate, lowers)
+        low = tuple(0.9 * entry for entry in low) if isinstance(low, tuple) else 0.9 * low
+        certificate = dataclasses.replace(certificate, **{lowers: low})
+    elif factor > 1:
+        uppers = field.replace("lower", "bound")
+        high = getattr(certificate, uppers)
+        high = tuple(1.1 * entry for entry in high) if isinstance(high, tuple) else 1.1 * high
+        certificate = dataclasses.replace(certificate, **{uppers: high})
+    forged = dataclasses.replace(certificate, **{field: value}).to_json()
     with pytest.raises(CertificationError, match="does not hold"):
-        verify(json.dumps(values), solution)
+        verify(forged, solution)
+    # Without the statement that belongs to its numbers the text is no certificate at all.
+    if field in ("bound", "lower"):
+        values = json.loads(forged) | {"statement": case[1].statement}
+        with pytest.raises(FileError, match="statement is not"):
+            verify(json.dumps(values), solution)
 
 
 def test_claims_that_are_no_numbers_fail(case):
@@ -288,15 +310,15 @@ def test_claims_that_are_no_numbers_fail(case):
     "change",
     [
         {"digest": "0" * 64},
-        {"edges": ["0.0", "3.0"], "piece_bounds": ["1.0"]},
-        {"component_bounds": ["1.0"], "component_lowers": ["0.0"]},
+        {"edges": (0.0, 3.0), "piece_bounds": (1.0,)},
+        {"component_bounds": (1.0,), "component_lowers": (0.0,)},
     ],
 )
 def test_a_certificate_of_something_else_fails(case, change):
     solution, certificate = case
-    values = json.loads(certificate.to_json()) | change
+    other = dataclasses.replace(certificate, **change)
     with pytest.raises(CertificationError, match="another"):
-        verify(json.dumps(values), solution)
+        verify(other.to_json(), solution)
 
 
 @pytest.mark.parametrize(
@@ -309,10 +331,11 @@ def test_what_is_no_certificate_is_refused(case, text):
 
 def test_looser_claims_are_implied(case):
     solution, certificate = case
-    values = json.loads(certificate.to_json())
-    values["bound"] = repr(certificate.bound * 2)
-    values["lower"] = repr(certificate.lower / 2)
-    verify(json.dumps(values), solution)
+    looser = dataclasses.replace(
+        certificate, bound=2 * certificate.bound, lower=certificate.lower / 2
+    )
+    verify(looser.to_json(), solution)
+    verify(looser, solution)
 
 
 def test_bounds_outside_the_span_are_refused(case):
@@ -373,3 +396,88 @@ def test_the_papers_bound_is_proven_false_for_a_resonant_residual():
     assert certificate.ell_max_bound < 1.02e-3
     # sigma_min is 1, exactly, for this Hessian.
     assert max(certificate.component_lowers) > 12 * certificate.ell_max_bound / 1.0
+
+
+# -- claims that were once believed ------------------------------------------------------------
+
+
+def test_nothing_is_verified_where_h_is_singular_along_the_solution():
+    """z^ crosses the pole of 1/x, which z does not: energy and ell have no bound there."""
+    free = hamsym.Hamiltonian("p**2/2 + 0*x", q=["x"], p=["p"])
+    through = hamsym.solve(free, [0.5, -1.0], (0.0, 0.6), tol=1e-6)
+    H = hamsym.Hamiltonian("p**2/2 + 1/x")
+    solution = hamsym.Solution(
+        H, through.z0, through.span, through.trial, method="features", training=through.training
+    )
+    honest = solution.certify()
+    assert honest.energy_bound == honest.ell_max_bound == math.inf
+    verify(honest, solution)
+    for change in ({"energy_bound": 1e11}, {"ell_max_bound": 1e22}, {"energy_lower": 1e300}):
+        with pytest.raises(CertificationError):
+            verify(dataclasses.replace(honest, **change), solution)
+
+
+def test_floats_of_sympy_are_the_numbers_that_they_are():
+    """Of three digits here: differentiating would round 3 times 0.1 to three digits again."""
+    x, p = sympy.symbols("x p", real=True)
+    number = sympy.Float("0.1", 3)
+    H = hamsym.Hamiltonian(p**2 / 2 + x**2 / 2 + number * x**3, q=[x], p=[p])
+    _, mantissa, exponent, _ = number._mpf_
+    exactly = sympy.Rational(int(mantissa)) * sympy.Integer(2) ** int(exponent)
+    twin = hamsym.Hamiltonian(p**2 / 2 + x**2 / 2 + exactly * x**3, q=[x], p=[p])
+    state, clock = [arb(1), arb(2)], arb(0)
+    for name in ("energy", "vector_field"):
+        mine, right = (getattr(Enclosures(h), name)(state, clock) for h in (H, twin))
+        pairs = zip(mine, right, strict=True) if isinstance(mine, list) else [(mine, right)]
+        assert all(abs(a - b).upper() < 1e-12 for a, b in pairs)
+
+
+def test_a_jump_of_h_with_smooth_derivatives_is_refused():
+    H = hamsym.Hamiltonian("p**2/2 + acot(x)")
+    solution = hamsym.solve(H, [-0.5, 0.6], (0.0, 2.0), tol=1e-6)
+    assert solution(2.0)[0] > 0.1
+    with pytest.raises(CertificationError, match="t = "):
+        solution.certify()
+
+
+def test_windows_that_do_not_cover_the_span_are_refused():
+    solution = solved("features")
+    longer = hamsym.Solution(
+        solution.H, solution.z0, (0.0, 4.01), solution.trial,
+        method="features", training=solution.training,
+    )  # fmt: skip
+    with pytest.raises(CertificationError, match="do not cover the span"):
+        longer.certify()
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda values: values.update(statement="Proven: at most 1e-30."),
+        lambda values: values.update(extra="1"),
+        lambda values: values.update(lower=values["lower"] + "1"),
+        lambda values: values.update(lower=values["bound"] + "1"),
+        lambda values: values.update(energy_lower="1e300"),
+    ],
+    ids=["statement", "more", "more digits", "a last digit", "out of order"],
+)
+def test_texts_that_say_more_than_their_numbers_are_refused(case, edit):
+    values = json.loads(case[1].to_json())
+    edit(values)
+    with pytest.raises(FileError):
+        Certificate.from_json(json.dumps(values))
+
+
+def test_a_name_twice_is_refused(case):
+    text = case[1].to_json().replace("{", '{"lower": "0",', 1)
+    with pytest.raises(FileError, match="occurs twice"):
+        Certificate.from_json(text)
+
+
+def test_threads_wait_for_each_other():
+    """Precision and series length are global to the process."""
+    solution = solved("features", span=(0.0, 1.0))
+    alone = solution.certify()
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(lambda _: solution.certify(), range(6)))
+    assert all(certificate == alone for certificate in found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 import hamsym
-from hamsym import Hamiltonian, stepping
+from hamsym import Certificate, Hamiltonian, stepping
 from hamsym.cli import main
 from hamsym.integrators import listing
 
@@ -246,12 +247,18 @@ def test_certify_and_verify(capsys: Captured, tmp_path: Path) -> None:
     certificate = tmp_path / "orbit.hamsym.certificate"
     status, out, _ = run(capsys, "verify", path)
     assert (status, out) == (0, "verified: every bound of the certificate is proven\n")
-    values = json.loads(certificate.read_text())
-    values["bound"] = str(lower)  # a little less than what was proven
-    certificate.write_text(json.dumps(values))
+    proven = Certificate.from_json(certificate.read_text())
+    # A little less than what was proven.
+    forged = dataclasses.replace(proven, bound=0.99 * lower, lower=0.5 * lower)
+    certificate.write_text(forged.to_json())
     status, out, err = run(capsys, "verify", path)
     assert (status, out) == (1, "")
     assert "does not hold" in err
+    values = json.loads(proven.to_json()) | {"bound": "1e-30"}
+    certificate.write_text(json.dumps(values))
+    status, _, err = run(capsys, "verify", path)
+    assert status == 2
+    assert "not a certificate" in err
     certificate.write_text("{}")
     status, _, err = run(capsys, "verify", path)
     assert status == 2
