@@ -481,3 +481,16 @@ def test_threads_wait_for_each_other():
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(lambda _: solution.certify(), range(6)))
     assert all(certificate == alone for certificate in found)
+
+
+@pytest.mark.parametrize("name", ["levenberg-marquardt", "tanh", "sigmoid", "linear", "apart"])
+def test_the_bound_holds_at_a_thousand_times(name):
+    """Of each piece too; the exact solution and its evaluation are good to 1e-13."""
+    solution = solved(name)
+    certificate = solution.certify()
+    t = np.random.default_rng(0).uniform(0.0, 4.0, 1_000)
+    error = np.linalg.norm(solution(t) - systems.nonlinear_oscillator().exact(t), axis=-1)
+    assert certificate.lower > 1e-9
+    assert np.all(error <= certificate.bound_at(t) + 1e-12)
+    assert error.max() <= certificate.bound + 1e-12
+    assert error.max() > 0.9 * certificate.lower
