@@ -177,6 +177,23 @@ _figure_option = click.option(
 )
 
 
+def _output_options(what: str) -> Callable[..., Any]:
+    """-o for a table and --plot, both refused before the work if they could not be written."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @click.option("-o", "--output", type=click.Path(), metavar="FILE", help=what)
+        @_figure_option
+        @functools.wraps(command)
+        def wrapped(*arguments: Any, output: str | None, figure: str | None, **options: Any) -> Any:
+            _check_table(output)
+            _check_figure(figure)
+            return command(*arguments, output=output, figure=figure, **options)
+
+        return wrapped
+
+    return decorate
+
+
 def _show_methods(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     if wanted:
         from hamsym.integrators import listing
@@ -366,8 +383,7 @@ _METHODS = "hamsym integrate --list shows the methods."
 @click.option("--omega", type=float, help="Coupling of tao2 and tao4.")
 @click.option("--rtol", type=float, help="Of dop853 and odeint  [1e-13]")
 @click.option("--atol", type=float, help="Of dop853 and odeint  [1e-13]")
-@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="States as .csv or .npz.")
-@_figure_option
+@_output_options("States as .csv or .npz.")
 def integrate(
     H: Hamiltonian,
     z0: Any,
@@ -379,8 +395,6 @@ def integrate(
     """Integrate with a time-stepping method; exit 1 if it had to stop early."""
     from hamsym.integrators import integrate as run
 
-    _check_table(output)
-    _check_figure(figure)
     trajectory = run(H, z0, span, **options)
     click.echo(trajectory.message)
     ensemble = trajectory.z.ndim == 3
@@ -416,8 +430,7 @@ def integrate(
 @_step_options
 @click.option("--count", default=1, show_default=True, help="How many exponents.")
 @click.option("--seed", default=0, show_default=True)
-@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="History, .csv or .npz.")
-@_figure_option
+@_output_options("History, .csv or .npz.")
 def lyapunov(
     H: Hamiltonian,
     z0: Any,
@@ -429,8 +442,6 @@ def lyapunov(
     """Lyapunov exponents, and what a finite time says of them."""
     from hamsym.variational import lyapunov as run
 
-    _check_table(output)
-    _check_figure(figure)
     found = run(H, z0, span, **options)
     _echo_wrapped("", found.statement)
     names = [f"exponent {k + 1}" for k in range(found.exponents.shape[1])]
@@ -466,8 +477,7 @@ def _decades(found: Any) -> np.ndarray:
 @click.option("--method", metavar="NAME", help="[blanes_moan6, or gauss6 if not separable]")
 @_step_options
 @click.option("--crossings", type=int, help="Stop when each trajectory has so many.")
-@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Crossings, .csv or .npz.")
-@_figure_option
+@_output_options("Crossings, .csv or .npz.")
 def section_command(
     H: Hamiltonian,
     z0: Any,
@@ -479,8 +489,6 @@ def section_command(
     """A Poincare section: where trajectories cross a surface, to round-off."""
     from hamsym.sections import section as run
 
-    _check_table(output)
-    _check_figure(figure)
     found = run(H, z0, span, **options)
     click.echo(found.message)
     if H.time is None and len(found.t):

@@ -26,17 +26,19 @@ def processor_time_limit(seconds: float) -> Iterator[None]:
     """
     end = time.thread_time() + seconds
     previous = sys.getprofile()
-    events = 0
+    events, exceeded = 0, False
 
     def look(*_: Any) -> None:
-        nonlocal events
+        nonlocal events, exceeded
         events += 1
         if events % _EVERY == 0 and time.thread_time() > end:
-            sys.setprofile(previous)
-            raise ProcessorTimeExceededError
+            exceeded = True
+            raise ProcessorTimeExceededError  # which also ends the profiling
 
     sys.setprofile(look)
     try:
         yield
     finally:
         sys.setprofile(previous)
+    if exceeded:  # and lost, as where the garbage collector was calling back
+        raise ProcessorTimeExceededError
