@@ -120,9 +120,10 @@ def _inverse_hyperbolic_cosine(x: Enclosed, _: Enclosed) -> Enclosed:
 def _inverse_hyperbolic_tangent(x: Enclosed, _: Enclosed) -> Enclosed:
     head = _head(x)
     _require(head > -1 and head < 1)
-    if isinstance(x, arb):
-        return x.atanh()
-    return _integrated(x, head.atanh(), 1 / ((1 - x) * (1 + x)))
+    # Both terms grow with x, so that their difference is finite wherever the ball is; arb.atanh
+    # takes the logarithm of a quotient, which of a wide ball need not be.
+    value = (head.log1p() - (-head).log1p()) / 2
+    return value if isinstance(x, arb) else _integrated(x, value, 1 / ((1 - x) * (1 + x)))
 
 
 def _hyperbolic_sine(x: Enclosed, _: Enclosed) -> Enclosed:
@@ -408,8 +409,9 @@ class Formulas:
             known = sympy.Rational(*_of_float(known).as_integer_ratio())
         if known.is_Integer:
             if known < 0:
-                below = self._integer_power(place, -int(known))
-                return self._call(_reciprocal, expression, below)
+                # The reciprocal first: a power of a wide ball may reach zero where it does not.
+                inverse = self._call(_reciprocal, expression, place)
+                return self._integer_power(inverse, -int(known))
             return self._integer_power(place, int(known))
         if known.is_Rational and known.q == 2:
             root = self._call(_root if known > 0 else _reciprocal_root, expression, place)

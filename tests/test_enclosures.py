@@ -55,7 +55,7 @@ FORMULAS = {
             ("asech", 0.2, 0.85),
         )
     },
-    "atan2": (sympy.atan2(y, x), 0.1, 5),
+    "atan2": (sympy.atan2(y, x), 0.2, 5),
 }
 
 
@@ -68,6 +68,19 @@ def test_a_formula_contains_its_values_and_its_taylor_coefficients(name, data):
     a, b = data.draw(number), data.draw(number)
     radius = data.draw(st.sampled_from([0.0, 1e-12, 1e-3, 0.05]))
     inside = data.draw(st.floats(-0.99, 0.99)) * radius
+    _check(formula, a, b, radius, inside)
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+@pytest.mark.parametrize("inside", [-0.0495, 0.0, 0.0495])
+def test_a_formula_is_finite_in_the_widest_balls_at_the_ends_of_where_it_is_smooth(name, inside):
+    formula, low, high = FORMULAS[name]
+    for a in (low, high):
+        _check(formula, a, a, 0.05, inside)
+
+
+def _check(formula, a, b, radius, inside):
+    """One value and its Taylor coefficients at (a, b) in balls that contain it."""
     enclosed = Formulas([formula], [x, y])
     with working(96, _TERMS):
         wide = [arb(a + inside, radius), arb(b, radius / 2)]
