@@ -160,13 +160,11 @@ class Analysis:
         march_error = self.solution.march_error
         if march_error is not None:  # which is the solution of this equation
             return march_error(times)
-        reached, error = self._linear
-        start, end = self.solution.span
-        known = np.sign(end - start) * (times - reached) <= 0
-        return np.where(known[..., None], error(np.where(known, times, reached)).T, np.nan)
+        error = self._linear(times)
+        return np.where(np.isinf(error), np.nan, error)
 
     @cached_property
-    def _linear(self) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
+    def _linear(self) -> Callable[[np.ndarray], np.ndarray]:
         return integrated_error(self.solution, linear=True)
 
     def inequality(self, t: np.ndarray) -> np.ndarray:

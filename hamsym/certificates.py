@@ -39,6 +39,7 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.growth import Scout, scout
 from hamsym.progress import stepping_progress
 from hamsym.rounding import at_least, at_most, decimal, decimal_above, decimal_below
+from hamsym.settings import require, require_number, require_positive, require_whole
 from hamsym.solution import Solution
 from hamsym.trial_enclosures import segments
 from hamsym.validated import Deadline, PrecisionError, Reference, validated_reference
@@ -258,16 +259,12 @@ def certify(
     progress: bool | None = None,
 ) -> Certificate:
     """Prove how large the error of a solution is; see :meth:`hamsym.Solution.certify`."""
-    if not (isinstance(rtol, (int, float)) and 1e-6 <= rtol <= 1e6):
-        raise InputError(f"rtol={rtol!r} cannot be used; give a number from 1e-6, such as 0.02")
-    if time_limit is not None and not (
-        isinstance(time_limit, (int, float)) and 0 < time_limit < math.inf
-    ):
-        raise InputError(f"time_limit={time_limit!r} cannot be used; give seconds above 0")
-    if bits is not None and not (isinstance(bits, int) and _FEWEST_BITS <= bits <= _MOST_BITS):
-        raise InputError(
-            f"bits={bits!r} cannot be used; give a whole number from {_FEWEST_BITS} to {_MOST_BITS}"
-        )
+    require_number("rtol", rtol, 1e-6)
+    require(rtol <= 1e6, "rtol", rtol, "a number such as 0.02")
+    if time_limit is not None:
+        require_positive("time_limit", time_limit)
+    if bits is not None:
+        require_whole("bits", bits, _FEWEST_BITS, _MOST_BITS)
     began = time.monotonic()
     proof = _Proof(solution, Deadline.after(time_limit), progress)
     goal = Goal(rtol)

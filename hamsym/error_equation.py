@@ -33,8 +33,8 @@ class _TooManyCalls(Exception):  # noqa: N818
 
 def integrated_error(
     solution: Solution, *, linear: bool = False, resolution: int = 0
-) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
-    """Until when the equation could be solved, with DOP853, and delta as a function of time.
+) -> Callable[[np.ndarray], np.ndarray]:
+    """delta as a function of time, by DOP853; infinite from where the equation has no solution.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def integrated_error(
 
     Returns
     -------
-    (float, callable)
-        t of shape (n,) -> delta of shape (dim, n).
+    callable
+        t -> delta, shape (*t.shape, dim).
     """
     H, system = solution.H, solution.H.compile("numpy")
     size = solution.ell_max or 1.0  # errors are measured in units of ell_max
@@ -80,6 +80,14 @@ def integrated_error(
                 atol=0.1 * rtol * abs(end - start),
                 max_step=share * abs(end - start),
             )
+            reached, found = float(result.t[-1]), result.sol
         except _TooManyCalls:  # a network this wild is no solution
-            return start, lambda t: np.zeros((H.dim, *np.shape(t)))
-    return float(result.t[-1]), lambda t: size * result.sol(t)
+            reached, found = start, lambda t: np.zeros((H.dim, *np.shape(t)))
+    sign = np.sign(end - start)
+
+    def error(t: np.ndarray) -> np.ndarray:
+        known = sign * t <= sign * reached
+        values = size * found(np.where(known, t, reached)).T
+        return np.asarray(np.where(known[..., None], values, np.inf))
+
+    return error

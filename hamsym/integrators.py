@@ -336,14 +336,11 @@ def integrate(
         done = stepper.advance(saves, save_every, show=progress)
         z = np.concatenate((ensemble[:, None], done.states), axis=1)
         evaluations, message = done.evaluations, ""
-        implicit = isinstance(scheme, RungeKutta) or not (
-            H.is_separable or isinstance(scheme, Doubled)
-        )
         if done.interrupted:
             message = _INTERRUPTED
-        elif implicit and done.steps.min() < steps:
+        elif stepper.is_implicit and done.steps.min() < steps:
             message = "the implicit step could not be solved; take more steps"
-    seconds = time.perf_counter() - began
+    seconds, interrupted = time.perf_counter() - began, message == _INTERRUPTED
     z, times, message = _reached(z, times, message)
     system = H.compile("numpy")
     with np.errstate(all="ignore"):  # the last state before an escape may be finite, its H not
@@ -362,7 +359,7 @@ def integrate(
         seconds=seconds,
         success=not message,
         message=message or f"{name}: {steps:,} steps to t = {end:.6g}",
-        interrupted=message.endswith(_INTERRUPTED),
+        interrupted=interrupted,
     )
 
 

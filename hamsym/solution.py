@@ -295,11 +295,7 @@ class Solution:
         self._check_times(times, extrapolate=False)
         if self.march_error is not None:
             return self.march_error(times)
-        reached, error = self._error
-        sign = np.sign(self.span[1] - self.span[0])
-        known = sign * times <= sign * reached
-        values = np.where(known[..., None], error(np.where(known, times, reached)).T, np.inf)
-        return np.asarray(values)
+        return self._error(times)
 
     def error_estimate_check(self, t: Any) -> np.ndarray:
         """By how much the estimate changes at a finer resolution, at times t, shape (n, dim).
@@ -330,9 +326,7 @@ class Solution:
 
             basis = feature_basis(self.training.seed)
             return estimate_error(self.training, basis, flow_of(self.H), resolution=1)
-        reached, error = integrated_error(self, resolution=1)
-        sign = np.sign(self.span[1] - self.span[0])
-        return lambda t: np.where((sign * t <= sign * reached)[..., None], error(t).T, np.inf)
+        return integrated_error(self, resolution=1)
 
     @cached_property
     def largest_error(self) -> np.ndarray:
@@ -354,7 +348,7 @@ class Solution:
         return float(ratios.max())
 
     @cached_property
-    def _error(self) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
+    def _error(self) -> Callable[[np.ndarray], np.ndarray]:
         return integrated_error(self)
 
     # -- how nearby solutions move -------------------------------------------------------------

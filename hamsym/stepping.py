@@ -107,6 +107,8 @@ class Stepper:
         self._starts, self._sizes = np.ascontiguousarray(starts), np.ascontiguousarray(sizes)
         self._first = 0
         implicit_euler = isinstance(scheme, Splitting) and not H.is_separable
+        #: Whether a step solves equations, which may have no solution.
+        self.is_implicit = implicit_euler or isinstance(scheme, RungeKutta)
         self._constants: list[Any] = [] if implicit_euler else list(scheme.arrays)
         if isinstance(scheme, Doubled):
             self._constants.append(float(omega))
