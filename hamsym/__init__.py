@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from hamsym.sections import Section, section
     from hamsym.solution import Solution
     from hamsym.solving import solve
+    from hamsym.sweeps import Sweep, sweep
     from hamsym.training import Regularizer
     from hamsym.variational import LyapunovExponents, lyapunov, monodromy
 
@@ -47,6 +48,7 @@ __all__ = [
     "Regularizer",
     "Section",
     "Solution",
+    "Sweep",
     "System",
     "Trajectory",
     "compare",
@@ -56,6 +58,7 @@ __all__ = [
     "monodromy",
     "section",
     "solve",
+    "sweep",
     "systems",
     "verify",
 ]
@@ -70,6 +73,7 @@ _LAZY = {
     "Regularizer": "hamsym.training",
     "Section": "hamsym.sections",
     "Solution": "hamsym.solution",
+    "Sweep": "hamsym.sweeps",
     "Trajectory": "hamsym.integrators",
     "compare": "hamsym.comparison",
     "integrate": "hamsym.integrators",
@@ -78,6 +82,7 @@ _LAZY = {
     "monodromy": "hamsym.variational",
     "section": "hamsym.sections",
     "solve": "hamsym.solving",
+    "sweep": "hamsym.sweeps",
     "verify": "hamsym.certificates",
 }
 

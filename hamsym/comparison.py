@@ -17,7 +17,7 @@ from hamsym.solution import Solution
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "Match", "Row", "compare"]
+__all__ = ["Comparison", "Match", "Row", "compare", "measure"]
 
 MAX_STEPS = 100_000_000
 _SAMPLES = 4_000  # intervals at which errors are measured, at most
@@ -212,7 +212,7 @@ def compare(
     if exact is None:
         second = reference(H, z0, span, tolerance=1e-12)
         doubt = float(np.linalg.norm(second(times) - truth(times), axis=-1).max())
-    network = _row("network", times, solution(times), truth, solution)
+    network = measure(solution, truth)
     rows, trajectories, matches = [network], [], {}
     for name in names:
         adaptive = INTEGRATORS[name].adaptive
@@ -234,6 +234,32 @@ def compare(
         reference=truth,
         reference_error=doubt,
     )
+
+
+def measure(
+    solution: Solution,
+    truth: Callable[[np.ndarray], np.ndarray],
+    label: str = "network",
+) -> Row:
+    """Errors of a solution against an exact solution or a reference, at 4,001 times.
+
+    Parameters
+    ----------
+    solution : Solution
+    truth : callable
+        t -> states of shape (len(t), dim).
+    label : str
+
+    Examples
+    --------
+    >>> import hamsym
+    >>> solution = hamsym.solve(hamsym.Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 6), tol=1e-9)
+    >>> row = measure(solution, lambda t: np.column_stack((np.cos(t), -np.sin(t))))
+    >>> row.error < 1e-8
+    True
+    """
+    times = np.linspace(*solution.span, _SAMPLES + 1)
+    return _row(label, times, solution(times), truth, solution)
 
 
 def _run(solution: Solution, name: str, amount: float) -> Trajectory:

@@ -11,13 +11,14 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from hamsym.archive import digest
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.levenberg_marquardt import LevenbergMarquardt
@@ -81,6 +82,7 @@ class DeepOptions:
     checkpoint: str | os.PathLike[str] | None = None
     checkpoint_every: float = 10.0
     dtype: str | torch.dtype = "float64"
+    initial: Solution | None = None
 
     method: ClassVar[str]
     unit: ClassVar[str] = "iterations"
@@ -182,6 +184,9 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
         envelope=options.envelope,
     )
 
+    if options.initial is not None:
+        _take_over(options.initial, trial)
+
     def solution(training: Training = _UNFINISHED) -> Solution:
         return Solution(
             H,
@@ -244,7 +249,13 @@ def _checkpoint(problem: InitialValueProblem, options: DeepOptions) -> Checkpoin
         raise InputError("regularizers are functions, which no file can hold; leave checkpoint out")
     ends = {"target_loss", "target_ell_max", "target_error", "accuracy", "patience", "time_limit"}
     apart = {*ends, "regularizers", "checkpoint", "checkpoint_every", "iterations"}
-    settings = {name: value for name, value in asdict(options).items() if name not in apart}
+    settings = {
+        entry.name: getattr(options, entry.name)
+        for entry in fields(options)
+        if entry.name not in apart
+    }
+    if options.initial is not None:
+        settings["initial"] = digest(options.initial)
     H = problem.H
     settings |= {
         "H": H.formula,
@@ -320,6 +331,28 @@ def _network(
     if options.shared_weights:
         return network(dim)
     return ComponentNetworks([network(1) for _ in range(dim)])
+
+
+@torch.no_grad()
+def _take_over(initial: Solution, trial: TrialSolution) -> None:
+    """Give the trial solution the weights of a solution that was trained before."""
+    if not isinstance(initial, Solution) or not isinstance(initial.trial, TrialSolution):
+        raise InputError(
+            "initial is not a trained network; give a Solution of a method that trains one"
+        )
+    theirs, own = initial.trial.network, trial.network
+    if _layout(theirs) != _layout(own):
+        raise InputError(
+            f"initial has {_layout(theirs)}, this training {_layout(own)}; "
+            "give the same hidden, activation and shared_weights"
+        )
+    own.load_state_dict(theirs.state_dict())
+
+
+def _layout(network: Any) -> str:
+    parts = getattr(network, "networks", [network])
+    sizes = " + ".join("-".join(map(str, part.sizes)) for part in parts)
+    return f"{sizes} {network.activation}"
 
 
 def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tuple[bool, str]:

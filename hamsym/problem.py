@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +30,7 @@ class InitialValueProblem:
     energy_0 : float
         H at z0 and the start of the span.
     seed : int
-    progress : bool, optional
+    progress : bool or callable, optional
     """
 
     H: Hamiltonian
@@ -38,7 +38,7 @@ class InitialValueProblem:
     span: tuple[float, float]
     energy_0: float
     seed: int
-    progress: bool | None
+    progress: bool | Callable[[Any], None] | None
 
     @classmethod
     def checked(
@@ -47,7 +47,7 @@ class InitialValueProblem:
         z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
         span: tuple[float, float],
         seed: int,
-        progress: bool | None,
+        progress: bool | Callable[[Any], None] | None,
     ) -> InitialValueProblem:
         """A problem from what the user gave.
 

@@ -19,16 +19,19 @@ __all__ = ["stepping_progress", "training_progress"]
 
 @contextmanager
 def training_progress(
-    iterations: int, show: bool | None = None
+    iterations: int, show: bool | Callable[[TrainingState], None] | None = None
 ) -> Iterator[list[Callable[[TrainingState], None]]]:
     """Callbacks that draw loss, ell_max and the time left on standard error.
 
     Parameters
     ----------
     iterations : int
-    show : bool, optional
-        By default only where standard error is a terminal.
+    show : bool or callable, optional
+        By default only where standard error is a terminal. A callable takes its place.
     """
+    if callable(show):
+        yield [show]
+        return
     console = Console(stderr=True, force_terminal=show)
     if not (console.is_terminal if show is None else show):
         yield []

@@ -19,6 +19,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.marching import FeatureOptions, solve_by_features
 from hamsym.problem import InitialValueProblem
 from hamsym.solution import Solution
+from hamsym.training import TrainingState
 
 __all__ = ["METHODS", "solve"]
 
@@ -47,7 +48,7 @@ def solve(
     *,
     method: str = "features",
     seed: int = 0,
-    progress: bool | None = None,
+    progress: bool | Callable[[TrainingState], None] | None = None,
     **options: Any,
 ) -> Solution:
     """A neural trajectory z^(t) that satisfies Hamilton's equations over a time span.
@@ -65,8 +66,9 @@ def solve(
         the optimiser of this name ("adam" as in the paper).
     seed : int
         Of all that is random: same seed, same machine, same result.
-    progress : bool, optional
-        Draw progress on standard error; by default where that is a terminal.
+    progress : bool or callable, optional
+        Draw progress on standard error; by default where that is a terminal. A callable is given
+        a :class:`~hamsym.training.TrainingState` now and then instead, by the methods that train.
     **options
         For ``"features"``:
 
@@ -125,6 +127,11 @@ def solve(
             A file that is written every ``checkpoint_every`` (10) seconds and at the end. Where
             it is there already, the training goes on from it, to the same weights to the last
             bit as if it had not been interrupted.
+
+        initial : Solution, optional
+            A trained solution whose weights the training begins with: on another span, of another
+            H, or with other settings, as in the paper's sequential training. The network and its
+            ``tau`` should be the same, whose default may depend on the span.
 
         For ``"levenberg-marquardt"``: ``iterations`` (1,000) and ``restarts`` (10), how often at
         most new weights are drawn when the training stalls. For ``"lbfgs"``: ``iterations``

@@ -241,3 +241,38 @@ def test_checkpoint_of_another_problem(tmp_path: Path) -> None:
         hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 1], (0, 1), **settings)
     longer = {**settings, "target_loss": 1e-9}  # rules of the end may change
     assert hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 1), **longer) is not None
+
+
+def test_training_begins_with_the_weights_of_another_solution():
+    H = Hamiltonian("p**2/2 + x**2/2")
+    options = {"method": "adam", "points": 20, "hidden": (6, 6)}
+    first = hamsym.solve(H, [1.0, 0.0], (0, 2), epochs=300, **options)
+    options |= {"epochs": 1, "learning_rate": 1e-9}
+    # One step from there, on another span and from another start, is a small one.
+    second = hamsym.solve(
+        H, [0.5, 0.0], (0, 3), epochs=1, learning_rate=1e-9, initial=first, **options
+    )
+    t = np.linspace(0, 2, 9)
+    assert np.abs(second(t) - [0.5, 0.0] - (first(t) - [1.0, 0.0])).max() < 1e-6
+    fresh = hamsym.solve(H, [0.5, 0.0], (0, 3), **options)
+    assert np.abs(second(t) - fresh(t)).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"hidden": (7, 6)}, "1-6-6-2 sin, this training 1-7-6-2 sin"),
+        ({"activation": "tanh"}, "this training 1-6-6-2 tanh"),
+        ({"shared_weights": False}, "1-6-6-1 . 1-6-6-1 sin"),
+    ],
+)
+def test_weights_of_another_network_are_refused(change, message):
+    H = Hamiltonian("p**2/2 + x**2/2")
+    options = {"method": "adam", "points": 20, "hidden": (6, 6), "epochs": 2}
+    first = hamsym.solve(H, [1.0, 0.0], (0, 2), **options)
+    with pytest.raises(InputError, match=message):
+        hamsym.solve(H, [1.0, 0.0], (0, 2), initial=first, **(options | change))
+    marched = hamsym.solve(H, [1.0, 0.0], (0, 2))
+    for other in (marched, "a file"):
+        with pytest.raises(InputError, match="initial is not a trained network"):
+            hamsym.solve(H, [1.0, 0.0], (0, 2), initial=other, **options)
