@@ -1,4 +1,4 @@
-"""The command line: derive, source, solve, integrate, ..., certify, verify.
+"""The command line: derive, source, solve, integrate, ..., certify, verify, reproduce.
 
 Results go to standard output, progress and complaints to standard error. The exit status is 0 if
 all went well, 1 if a solution was found wanting or a proof refused, 2 on bad input, with one line
@@ -11,6 +11,7 @@ import functools
 import os
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -231,6 +232,7 @@ def _solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--patience", type=int, help="Or nothing improved for so many iterations."),
         click.option("--time-limit", type=float, metavar="SECONDS", help="Or so much time."),
         click.option("--checkpoint", type=click.Path(), metavar="FILE", help="Go on from there."),
+        click.option("--initial", type=click.Path(), metavar="FILE", help="Its weights first."),
         click.option("--dtype", type=choice(["float64", "float32"]), help="[float64]"),
         click.option("--seed", default=0, show_default=True),
         _figure_option,
@@ -246,6 +248,10 @@ def _solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
             values["breakpoints"] = [parse_number(t) for t in _names(values["breakpoints"])]
         if "hidden" in values:
             values["hidden"] = tuple(_whole(w, "--hidden") for w in _names(values["hidden"]))
+        if "initial" in values:
+            from hamsym.archive import load
+
+            values["initial"] = load(values["initial"])
         return command(*arguments, **values)
 
     for option in reversed(options):
@@ -591,6 +597,41 @@ def verify(file: str, certificate: str | None, time_limit: float | None) -> None
     path = Path(certificate or f"{file}{_CERTIFICATE}")
     run(path.read_text(encoding="utf-8"), file, time_limit)
     click.echo("verified: every bound of the certificate is proven")
+
+
+_EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long")
+
+
+@cli.command()
+@click.argument("experiments", nargs=-1, type=click.Choice([*_EXPERIMENTS, "all"]))
+@click.option("--quick", is_flag=True, help="Few epochs: the same rows in minutes.")
+@click.option("--claims", is_flag=True, help="Test the paper's further claims too.")
+@click.option("--seed", default=0, show_default=True, help="The first seed.")
+@click.option("--seeds", default=3, show_default=True, help="How many seeds.")
+@click.option("--out", type=click.Path(), default="output/paper", show_default=True)
+def reproduce(
+    experiments: tuple[str, ...], quick: bool, claims: bool, seed: int, seeds: int, out: str
+) -> None:
+    """Reproduce the paper's experiments, and what it left out beside them.
+
+    Each writes its table, its figures and its results; page.md ties them together. What was
+    stopped goes on where it was; what is there already is not run again.
+    """
+    import importlib
+
+    if seed < 0 or seeds < 1:
+        raise InputError(f"--seed {seed} --seeds {seeds} cannot be used; give 0 or more, 1 or more")
+    chosen = [name for name in _EXPERIMENTS if not experiments or {name, "all"} & {*experiments}]
+    if claims:
+        chosen.append("claims")
+    Path(out).mkdir(parents=True, exist_ok=True)
+    options = [f"--seed={seed}", f"--seeds={seeds}", f"--out={out}"] + ["--quick"] * quick
+    began = time.monotonic()
+    for name in chosen:
+        script = importlib.import_module(f"hamsym.paper.{name.replace('-', '_')}")
+        script.main(options)
+    importlib.import_module("hamsym.paper.page").main([f"--out={out}"])
+    click.echo(f"{(time.monotonic() - began) / 60:.1f} minutes")
 
 
 # -- reading and writing -------------------------------------------------------------------------

@@ -441,3 +441,19 @@ def test_closed_pipe_is_no_error() -> None:
     command = f'"{sys.executable}" -m hamsym source "{OSCILLATOR}" | head -1'
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
     assert result.stderr == ""
+
+
+def test_training_begins_with_the_weights_in_a_file(tmp_path, capsys):
+    first, second = str(tmp_path / "first"), str(tmp_path / "second")
+    settings = ["--method", "adam", "--hidden", "6,6", "--points", "20", "--target-loss", "1e9"]
+    state = ["p**2/2 + x**2/2", "--z0", "x=1,p=0"]
+    assert main(["solve", *state, "--t-end", "2", *settings, "-o", first]) == 0
+    begun = ["solve", *state, "--t-end", "3", *settings, "--initial"]
+    assert main([*begun, first, "-o", second]) == 0
+    one, two = hamsym.load(first), hamsym.load(second)
+    assert one.trial.network.sizes == two.trial.network.sizes
+    capsys.readouterr()
+    assert main([*begun, first, "--hidden", "7,6"]) == 2
+    assert "initial has 1-6-6-2 sin" in capsys.readouterr().err
+    assert main([*begun, str(tmp_path / "none")]) == 2
+    assert "none" in capsys.readouterr().err

@@ -249,9 +249,7 @@ def test_training_begins_with_the_weights_of_another_solution():
     first = hamsym.solve(H, [1.0, 0.0], (0, 2), epochs=300, **options)
     options |= {"epochs": 1, "learning_rate": 1e-9}
     # One step from there, on another span and from another start, is a small one.
-    second = hamsym.solve(
-        H, [0.5, 0.0], (0, 3), epochs=1, learning_rate=1e-9, initial=first, **options
-    )
+    second = hamsym.solve(H, [0.5, 0.0], (0, 3), initial=first, **options)
     t = np.linspace(0, 2, 9)
     assert np.abs(second(t) - [0.5, 0.0] - (first(t) - [1.0, 0.0])).max() < 1e-6
     fresh = hamsym.solve(H, [0.5, 0.0], (0, 3), **options)

@@ -7,7 +7,7 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 # From a copy, so that neither build folders of the checkout get in nor new ones are left there.
 mkdir "$folder/source"
-(cd "$root" && tar -cf - pyproject.toml README.md LICENSE hamsym templates) | tar -xf - -C "$folder/source"
+(cd "$root" && tar -cf - pyproject.toml README.md LICENSE hamsym templates examples) | tar -xf - -C "$folder/source"
 "$VENV_BIN/python" -m build --wheel --outdir "$folder" "$folder/source" >"$folder/build.log" 2>&1 ||
     { cat "$folder/build.log"; exit 1; }
 "$PYTHON" -m venv "$folder/venv"

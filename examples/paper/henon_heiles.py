@@ -66,6 +66,14 @@ def main(arguments=None):
     judge_steps(experiment, comparison, "abstract", 100)
     judge_steps(experiment, comparison, "III.B", 10)
     judge_bound(experiment, found)
+    experiment.beside(
+        "B, lambda = 0",
+        2.7e-3,
+        written="as written: sin, 1 - exp(-t)",
+        authors=PAPERS,
+        cosine="cosine",
+        features="features, tol = 1e-12",
+    )
     experiment.write()
 
 

@@ -64,6 +64,14 @@ def main(arguments=None):
     comparison = experiment.add_integrators(network)
     draw(experiment, found, network, comparison)
     judge(experiment, found, rows, comparison)
+    experiment.beside(
+        "A-long, lambda = 1",
+        6.4e-3,
+        written="as written, lambda = 1",
+        authors=PAPERS,
+        cosine="cosine, lambda = 1",
+        features="features, tol = 1e-11",
+    )
     experiment.write()
 
 

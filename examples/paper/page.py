@@ -1,0 +1,118 @@
+"""One page of all that the experiments wrote: the tables, the figures, the claims.
+
+Run it with `python examples/paper/page.py`; `--out` is the folder of the experiments.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+from hamsym.paper import scheme
+from hamsym.paper.experiment import markdown_table, replace, seconds, short
+
+EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long", "claims")
+_COLUMNS = ("as written", "authors' settings", "cosine", "Levenberg-Marquardt", "features")
+
+
+def main(arguments=None):
+    """Write the page and all results as one file."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("output/paper"))
+    out = parser.parse_args(arguments).out
+    found = [
+        json.loads(file.read_text(encoding="utf-8"))
+        for file in (out / name / "results.json" for name in EXPERIMENTS)
+        if file.exists()
+    ]
+    if not found:
+        parser.error(f"'{out}' holds no results; run an experiment first")
+    scheme.main(["--out", str(out)])
+    replace(out / "results.json", json.dumps(found, indent=1))
+    replace(out / "page.md", page(found))
+    print(f"wrote {out / 'page.md'}")
+
+
+def page(found):
+    """The page as Markdown."""
+    parts = ["# The paper, reproduced", _INTRODUCTION]
+    if any(experiment["quick"] for experiment in found):
+        parts.append(
+            "**This is a quick look: a few hundred epochs. Its rows are those of the whole, its "
+            "numbers mean nothing.**"
+        )
+    parts += [f"![]({'scheme.png'})", f"*{scheme.CAPTION}*"]
+    if any("summary" in experiment for experiment in found):
+        parts += ["## In one table", summary_table(found), _SUMMARY]
+    claims = [(experiment, claim) for experiment in found for claim in experiment["claims"]]
+    parts += ["## What the paper says, and what was measured", claims_table(claims)]
+    for experiment in found:
+        parts += [f"## {experiment['title']}", markdown_table(experiment["rows"])]
+        if "matches" in experiment:
+            parts.append(matches(experiment["matches"]))
+        for figure in experiment["figures"]:
+            parts += [f"![]({experiment['name']}/{figure['file']})", f"*{figure['caption']}*"]
+    return "\n\n".join(parts) + "\n"
+
+
+_INTRODUCTION = """\
+Mattheakis, Sondak, Dogra & Protopapas, *Hamiltonian neural networks for solving equations of
+motion*, Physical Review E 105, 065305 (2022): every experiment, figure and claim, with what the
+paper left out beside it. Errors are the largest 2-norm |z^(t) - z(t)| over the span, at 4,001 times
+that were not trained on, against the exact solution (oscillator) or DOP853 at a tolerance of 1e-13
+(Henon-Heiles). Several seeds: median (least to greatest). A proven bound holds between these times
+too. "As written" is Adam with the text's settings; "authors' code" has what the authors' published
+scripts do instead: betas (0.999, 0.9999) and another size of the noise; "cosine" lets the learning
+rate fall. CPU seconds of networks are those of training, those of integrators without compiling."""
+
+_SUMMARY = """\
+The authors' figures: their published code run for 50,000 (A) and 30,000 (B) epochs, and for the
+long spans their published results and saved weights."""
+
+
+def summary_table(found):
+    """One line for each of the authors' own figures."""
+    heads = ("experiment", "authors' own", *_COLUMNS, "Euler, most steps")
+    lines = [f"| {' | '.join(heads)} |", "| --- " + "| ---: " * (len(heads) - 1) + "|"]
+    for experiment in found:
+        rows = {row["method"]: row for row in experiment["rows"]}
+        for line in experiment.get("summary", ()):
+            cells = [line["what"], short(line["published"])]
+            cells += [cell(rows.get(line["rows"].get(column))) for column in _COLUMNS]
+            euler = [row for name, row in rows.items() if name.startswith("symplectic_euler")]
+            cells.append(short(euler[-1]["error"]))
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def cell(row):
+    """Error and CPU time of one row."""
+    return "" if row is None else f"{short(row['error'])}; {seconds(row['CPU seconds'])} s"
+
+
+def claims_table(claims):
+    """All claims, with the experiment that tested each."""
+    lines = ["| where | what it says | measured | verdict |", "| --- | --- | --- | --- |"]
+    for experiment, claim in claims:
+        measured = claim["measured"].replace("|", "\\|")
+        where = f"{claim['where']} ({experiment['title'].split(':')[0]})"
+        says = claim["says"].replace("|", "\\|")
+        lines.append(f"| {where} | {says} | {measured} | {claim['verdict']} |")
+    return "\n".join(lines)
+
+
+def matches(found):
+    """What integrators need for the network's error, in a sentence."""
+    each = "; ".join(
+        f"{name} {steps}"
+        + (
+            f" ({found['evaluations'][name]:,} evaluations, {1e3 * found['seconds'][name]:.2g} ms)"
+            if found["evaluations"][name]
+            else ""
+        )
+        for name, steps in found["steps"].items()
+    )
+    return f"For an error of {short(found['error'])}, that of the network drawn below: {each}."
+
+
+if __name__ == "__main__":
+    main()
