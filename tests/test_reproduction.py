@@ -118,9 +118,14 @@ def test_numbers_in_tables():
     assert short("inf") == short(math.inf) == "infinite"
     assert short(None) == short(math.nan) == ""
     row = {"method": "m", "points": 5, "evaluations": [1234.0] * 3, "error": [1e-3] * 3}
-    row |= {"energy error": [1e-4] * 3, "CPU seconds": [12.3] * 3, "refused": ["why"]}
+    row |= {
+        "energy error": [1e-4] * 3,
+        "CPU seconds": [12.3] * 3,
+        "seconds": [9.87] * 3,
+        "refused": ["why"],
+    }
     last = markdown_table([row]).splitlines()[-1]
-    assert last == "| m | 5 | 1,234 | 1.0e-3 | 1.0e-4 | refused | 12 |"
+    assert last == "| m | 5 | 1,234 | 1.0e-3 | 1.0e-4 | refused | 12 | 9.9 |"
 
 
 @pytest.mark.parametrize(

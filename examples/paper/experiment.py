@@ -275,7 +275,16 @@ def seconds(value):
 
 def markdown_table(rows):
     """The table of an experiment."""
-    heads = ("method", "points", "evaluations", "max |dz|", "max |dE|", "proven bound", "CPU s")
+    heads = (
+        "method",
+        "points",
+        "evaluations",
+        "max |dz|",
+        "max |dE|",
+        "proven bound",
+        "CPU s",
+        "wall s",
+    )
     lines = [f"| {' | '.join(heads)} |", "| --- " + "| ---: " * (len(heads) - 1) + "|"]
     for row in rows:
         cells = (
@@ -286,6 +295,7 @@ def markdown_table(rows):
             short(row["energy error"]),
             short(row.get("proven bound")) or ("refused" if row.get("refused") else ""),
             seconds(row["CPU seconds"]),
+            seconds(row["seconds"]),
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)

@@ -62,7 +62,8 @@ that were not trained on, against the exact solution (oscillator) or DOP853 at a
 (Henon-Heiles). Several seeds: median (least to greatest). A proven bound holds between these times
 too. "As written" is Adam with the text's settings; "authors' code" has what the authors' published
 scripts do instead: betas (0.999, 0.9999) and another size of the noise; "cosine" lets the learning
-rate fall. CPU seconds of networks are those of training, those of integrators without compiling."""
+rate fall. Seconds of networks are those of training, on one core each while other runs take the
+other cores; those of integrators are without compiling."""
 
 _SUMMARY = """\
 The authors' figures: their published code run for 50,000 (A) and 30,000 (B) epochs, and for the
