@@ -9,6 +9,7 @@ import argparse
 import json
 import math
 import os
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -180,9 +181,10 @@ class Experiment:
         text = markdown_table(self.results["rows"])
         replace(self.folder / "table.md", f"# {self.results['title']}\n\n{text}\n")
         replace(self.folder / "results.json", json.dumps(finite(self.results), indent=1))
-        print(text)
+        print(console_table(self.results["rows"]))
         for claim in self.results["claims"]:
-            print(f"{claim['verdict']}: {claim['says']} ({claim['measured']})")
+            line = f"{claim['verdict']}: {claim['says']}; {claim['measured']}"
+            print(textwrap.fill(line, 80, subsequent_indent="  "))
         print(f"wrote {self.folder / 'results.json'}", flush=True)
 
 
@@ -298,6 +300,22 @@ def markdown_table(rows):
             seconds(row["seconds"]),
         )
         lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def console_table(rows):
+    """The same for a terminal of 80 columns, medians alone."""
+    heads = ("error", "energy", "proven", "CPU s")
+    lines = [f"{'method':<40}" + "".join(f"{head:>10}" for head in heads)]
+    for row in rows:
+        proven = row.get("proven bound")
+        cells = (
+            short(row["error"][0]),
+            short(row["energy error"][0]),
+            short(proven[0]) if proven else "",
+            seconds(row["CPU seconds"]),
+        )
+        lines.append(f"{row['method']:<40}" + "".join(f"{cell:>10}" for cell in cells))
     return "\n".join(lines)
 
 

@@ -60,10 +60,10 @@ motion*, Physical Review E 105, 065305 (2022): every experiment, figure and clai
 paper left out beside it. Errors are the largest 2-norm |z^(t) - z(t)| over the span, at 4,001 times
 that were not trained on, against the exact solution (oscillator) or DOP853 at a tolerance of 1e-13
 (Henon-Heiles). Several seeds: median (least to greatest). A proven bound holds between these times
-too; energy errors are |H(z^) - H(z)|. "As written" is Adam with the text's settings; "authors' code" has what the authors' published
-scripts do instead: betas (0.999, 0.9999) and another size of the noise; "cosine" lets the learning
-rate fall. Seconds of networks are those of training, on one core each while other runs take the
-other cores; those of integrators are without compiling."""
+too. Energy errors are |H(z^) - H(z)|. "As written" is Adam with the text's settings; "authors'
+code" has what the authors' published scripts do instead: betas (0.999, 0.9999) and another size of
+the noise; "cosine" lets the learning rate fall. Seconds of networks are those of training, on one
+core each while other runs take the other cores; those of integrators are without compiling."""
 
 _SUMMARY = """\
 The authors' figures: their published code run for 50,000 (A) and 30,000 (B) epochs, and for the
