@@ -336,6 +336,7 @@ def figure(rows, columns, width=10.0, height=4.2, **more):
     axes = drawn.subplots(rows, columns, squeeze=False, **more)
     for axis in axes.flat:
         axis.grid(alpha=0.25)
+        axis.ticklabel_format(style="sci", scilimits=(-2, 5))
     return drawn, axes
 
 

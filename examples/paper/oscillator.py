@@ -92,7 +92,7 @@ def draw_errors(experiment, network, comparison):
     (_, coarse), (_, fine) = euler(comparison, 1), euler(comparison, 100)
     curves = [
         ("network", t, network(t), BLUE, "-"),
-        (f"Euler, {coarse.steps:,} steps", coarse.t, coarse.z, "0.45", "-"),
+        (f"Euler, {coarse.steps:,} steps", coarse.t, coarse.z, "0.75", "-"),
         (f"Euler, {fine.steps:,} steps", fine.t, fine.z, RED, "-"),
     ]
     H = experiment.problem.H.compile("numpy")
