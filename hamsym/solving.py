@@ -21,7 +21,7 @@ from hamsym.problem import InitialValueProblem
 from hamsym.solution import Solution
 from hamsym.training import TrainingState
 
-__all__ = ["METHODS", "solve"]
+__all__ = ["METHODS", "checked_options", "solve"]
 
 
 @dataclass(frozen=True)
@@ -167,6 +167,19 @@ def solve(
     >>> trained(0.0)
     array([1., 0.])
     """
+    chosen = checked_options(H, method, options)
+    problem = InitialValueProblem.checked(H, z0, span, seed, progress)
+    return METHODS[method].run(problem, chosen)
+
+
+def checked_options(H: Hamiltonian, method: str, options: Mapping[str, Any]) -> Any:
+    """The options of a method, with its defaults, as its dataclass.
+
+    Raises
+    ------
+    InputError
+        If there is no such method, or it has no such option.
+    """
     if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"{method!r} is not a method; choose one of {', '.join(METHODS)}")
     known = [field.name for field in fields(METHODS[method].options)]
@@ -177,5 +190,4 @@ def solve(
             raise InputError(
                 f"'{name}' is not an option of method {method!r}; it has {', '.join(known)}"
             )
-    problem = InitialValueProblem.checked(H, z0, span, seed, progress)
-    return METHODS[method].run(problem, METHODS[method].options(**options))
+    return METHODS[method].options(**options)

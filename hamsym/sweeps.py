@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -39,7 +39,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.problem import InitialValueProblem
 from hamsym.settings import require_positive, require_whole
 from hamsym.solution import Solution
-from hamsym.solving import solve
+from hamsym.solving import checked_options, solve
 from hamsym.training import TrainingState
 
 __all__ = ["Sweep", "sweep"]
@@ -48,6 +48,9 @@ __all__ = ["Sweep", "sweep"]
 Settings = Mapping[str, Any] | Callable[[int], Mapping[str, Any]]
 
 _REPORT_EVERY = 0.5  # seconds between what a run says of itself
+_REVISION = 1  # counts changes of the methods after which runs on disk are no longer theirs
+# What the weights do not depend on, or what is taken account of apart.
+_APART = {"checkpoint", "checkpoint_every", "regularizers", "initial"}
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,8 @@ class Sweep:
     Attributes
     ----------
     seeds : tuple of int
+    span : (float, float)
+        As asked for; a march that broke off spans less.
     solutions : mapping
         Name of the settings -> one :class:`Solution` for each seed.
     certificates : mapping
@@ -65,27 +70,37 @@ class Sweep:
     """
 
     seeds: tuple[int, ...]
+    span: tuple[float, float]
     solutions: Mapping[str, tuple[Solution, ...]]
     certificates: Mapping[str, tuple[Certificate | str, ...]] = field(default_factory=dict)
 
     def rows(self, truth: Callable[[np.ndarray], np.ndarray]) -> dict[str, tuple[Row, ...]]:
-        """Errors of every solution against an exact solution or a reference.
+        """Errors of every solution; infinite where one does not reach the end of the span.
 
         Parameters
         ----------
         truth : callable
-            t -> states, shape (len(t), dim).
+            The exact solution or a reference, t -> states, shape (len(t), dim).
         """
         return {
-            name: tuple(measure(solution, truth, name) for solution in found)
+            name: tuple(self._row(solution, truth, name) for solution in found)
             for name, found in self.solutions.items()
         }
 
     def median(self, name: str, truth: Callable[[np.ndarray], np.ndarray]) -> Solution:
-        """Of the solutions with these settings the one with the median error."""
-        errors = [measure(solution, truth).error for solution in self.solutions[name]]
+        """Of the solutions with these settings that with the median error.
+
+        Of an even number that with the lower of the two in the middle.
+        """
+        errors = [self._row(solution, truth, name).error for solution in self.solutions[name]]
         order = sorted(range(len(errors)), key=errors.__getitem__)
         return self.solutions[name][order[(len(order) - 1) // 2]]
+
+    def _row(self, solution: Solution, truth: Callable[[np.ndarray], np.ndarray], name: str) -> Row:
+        row = measure(solution, truth, name)
+        if solution.span != self.span:
+            row = replace(row, error=math.inf, energy_error=math.inf)
+        return row
 
 
 def sweep(
@@ -178,6 +193,7 @@ def sweep(
     named = dict(zip(settings, groups, strict=True))
     return Sweep(
         seeds=chosen,
+        span=problem.span,
         solutions={name: tuple(load(run.file) for run in group) for name, group in named.items()},
         certificates={
             name: tuple(run.certificate() for run in group)
@@ -236,7 +252,10 @@ class _Run:
 
     def certificate(self) -> Certificate | str:
         if self._proof.exists():
-            return Certificate.from_json(self._proof.read_text(encoding="utf-8"))
+            proof = Certificate.from_json(self._proof.read_text(encoding="utf-8", errors="replace"))
+            if proof.digest != digest(load(self.file)):
+                raise FileError(f"'{self._proof}' is the proof of another solution; remove it")
+            return proof
         return self._refusal.read_text(encoding="utf-8")
 
     def _solve(self, progress: Callable[[TrainingState], None]) -> None:
@@ -246,9 +265,22 @@ class _Run:
             options["checkpoint"] = checkpoint
         if self.initial is not None:
             options["initial"] = load(self.initial)
-        solution = solve(self.H, self.z0, self.span, seed=self.seed, progress=progress, **options)
+        begun = checkpoint.exists()
+
+        def solved() -> Solution:
+            return solve(self.H, self.z0, self.span, seed=self.seed, progress=progress, **options)
+
+        try:
+            solution = solved()
+        except FileError:
+            if not begun:
+                raise
+            checkpoint.unlink()  # damaged, or of another version: there is no going on from it
+            solution = solved()
         if getattr(solution.training, "stopped", "") == "interrupted":
             raise KeyboardInterrupt
+        for proof in (self._proof, *self.base.parent.glob(f"{self.base.name}.refused-*")):
+            proof.unlink(missing_ok=True)  # of another solution, whose file is gone
         solution.save(self.file)
         checkpoint.unlink(missing_ok=True)
 
@@ -269,7 +301,16 @@ def _run(
             raise InputError(f"'{taken}' in the settings {name!r} is what sweep itself gives")
     if options.get("regularizers"):
         raise InputError("regularizers are functions, which no file can hold; solve one by one")
-    known = {key: repr(value) for key, value in options.items()}
+    checked = checked_options(
+        problem.H,
+        options.get("method", "features"),
+        {key: value for key, value in options.items() if key != "method"},
+    )
+    known = {
+        entry.name: repr(_plain(getattr(checked, entry.name)))
+        for entry in fields(checked)
+        if entry.name not in _APART
+    }
     initial = options.pop("initial", None)
     path = None
     if initial is not None:
@@ -284,12 +325,22 @@ def _run(
         "z0": repr(problem.z0.tolist()),
         "span": repr(problem.span),
         "seed": repr(seed),
+        "method": options.get("method", "features"),
+        "torch": torch.__version__,
+        "revision": str(_REVISION),
     }
     text = json.dumps(known, sort_keys=True)
     short = re.sub(r"[^a-z0-9.]+", "-", name.lower()).strip("-")[:60]
     base = folder / f"{short}-{seed}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
     label = f"{name}, seed {seed}"
     return _Run(label, problem.H, problem.z0, problem.span, seed, options, path, certify, base)
+
+
+def _plain(value: Any) -> Any:
+    """The same value as lists and numbers, whose text has every digit."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return [_plain(part) for part in value] if isinstance(value, (tuple, list)) else value
 
 
 # -- side by side --------------------------------------------------------------------------------
@@ -302,9 +353,14 @@ class _Queue(Protocol):
 def _carry_out(runs: Sequence[_Run], workers: int, progress: bool | None) -> None:
     with _board(runs, progress) as board:
         if workers == 1:
-            for run in runs:
-                _reporting(run, board)
-                board.ended(run.label)
+            threads = torch.get_num_threads()
+            torch.set_num_threads(1)
+            try:
+                for run in runs:
+                    _reporting(run, board)
+                    board.ended(run.label)
+            finally:
+                torch.set_num_threads(threads)
             return
         context = multiprocessing.get_context("spawn")
         queue: Any = context.Queue()
@@ -323,8 +379,9 @@ def _carry_out(runs: Sequence[_Run], workers: int, progress: bool | None) -> Non
                     time.sleep(0.1)
         except BrokenProcessPool:
             raise HamsymError(
-                "a process ended before its run did, perhaps for want of memory; "
-                "what was done is kept, run again with fewer workers"
+                "a process ended before its run did: for want of memory (give fewer workers), or "
+                "because the script that calls sweep is not guarded by "
+                "if __name__ == '__main__'; what was done is kept"
             ) from None
         except BaseException:
             # What a run has done is in its checkpoint.
@@ -401,17 +458,20 @@ class _Lines(_Silent):
 class _Bar(_Silent):
     def __init__(self, total: int, progress: Progress) -> None:
         super().__init__(total)
-        self.progress, self.shares = progress, dict[str, float]()
+        self.progress, self.shares, self.over = progress, dict[str, float](), set[str]()
         self.task = progress.add_task("", total=total, of=total, ended=0, now="")
 
     def put(self, item: tuple[str, float, float]) -> None:
         label, share, loss = item
+        if label in self.over:  # it took its time in the queue
+            return
         self.shares[label] = share
         self.draw(f"{label}: loss {loss:.1e}")
 
     def ended(self, label: str) -> None:
         super().ended(label)
         self.shares.pop(label, None)
+        self.over.add(label)
         self.draw("")
 
     def draw(self, now: str) -> None:

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import torch
 from hamsym.paper import oscillator, oscillator_long
-from hamsym.paper.experiment import COSINE, Experiment, parse, short, spread
+from hamsym.paper.experiment import COSINE, Experiment, lower, parse, short, spread
 
 import hamsym
 
@@ -22,6 +22,7 @@ SETTINGS = {
     "50 neurons, no noise": BASE | {"noise": 0.0},
     "20 neurons": BASE | {"hidden": (20, 20)},
     "100 neurons": BASE | {"hidden": (100, 100)},
+    "three layers of 50": BASE | {"hidden": (50, 50, 50)},
     "one network per component": BASE | {"shared_weights": False},
     "accuracy = 1e-4 asked for": {
         "method": "levenberg-marquardt",
@@ -72,26 +73,36 @@ def judge_noise(experiment, rows):
             "II.A",
             f"noise on the points improves the solution (that of the {which})",
             f"error with {short(row['error'])}, without {short(without['error'])}",
-            row["error"][0] < without["error"][0],
+            lower(row["error"], without["error"]),
         )
 
 
 def judge_neurons(experiment, rows):
     """More neurons at the same K, and 80 against 50 on the long span."""
-    names = ("20 neurons", "50 neurons, noise of the code", "100 neurons")
-    ells = [rows[name]["ell_max"] for name in names]
+    ells = {
+        "20 neurons": rows["20 neurons"]["ell_max"],
+        "50 neurons": rows["50 neurons, noise of the code"]["ell_max"],
+        "100 neurons": rows["100 neurons"]["ell_max"],
+    }
     experiment.claim(
         "II.B",
         "more neurons at the same K give a smaller ell_max",
-        "; ".join(f"{n} neurons {short(ell)}" for n, ell in zip((20, 50, 100), ells, strict=True)),
-        ells[0][0] > ells[1][0] > ells[2][0],
+        "; ".join(f"{name} {short(ell)}" for name, ell in ells.items()),
+        lower(ells["100 neurons"], ells["20 neurons"]),
+    )
+    deep = rows["three layers of 50"]["ell_max"]
+    experiment.claim(
+        "II.B",
+        "more layers at the same K give a smaller ell_max",
+        f"three layers {short(deep)}, two {short(ells['50 neurons'])}",
+        lower(deep, ells["50 neurons"]),
     )
     few, many = rows["20 pi, 50 neurons"], rows["20 pi, 80 neurons"]
     experiment.claim(
         "III.A",
         "80 neurons converge faster than 50 on the long span",
         f"loss after as many epochs: 80 neurons {short(many['loss'])}, 50 {short(few['loss'])}",
-        many["loss"][0] < few["loss"][0],
+        lower(many["loss"], few["loss"]),
     )
 
 
@@ -102,7 +113,7 @@ def judge_sharing(experiment, rows):
         "IV",
         "sharing weights improves the network's predictions",
         f"error shared {short(shared['error'])}, apart {short(apart['error'])}",
-        shared["error"][0] < apart["error"][0],
+        lower(shared["error"], apart["error"]),
     )
 
 
@@ -145,7 +156,8 @@ def judge_limit(experiment, found):
     late, whole = [], []
     for z in found.solutions["50 neurons, noise of the code"]:
         with torch.no_grad():
-            value, rate = z.trial.network(torch.from_numpy(t))
+            value, rate = z.trial.network(torch.from_numpy((t - start) / z.trial.tau))
+            rate = rate / z.trial.tau
         H = experiment.problem.H.compile("numpy")
         residual = H.residual(z.z0 + value.numpy(), rate.numpy())
         late.append(np.linalg.norm(residual, axis=-1).max())
@@ -155,23 +167,25 @@ def judge_limit(experiment, found):
         "II.A",
         "the network itself obeys dN/dt = J grad H(N) once exp(-t) is small",
         f"residual of z0 + N in the second half {short(late)}, of z^ over the span {short(whole)}; "
-        f"exp(-t) is {math.exp(-t[0]):.0e} there at most",
+        f"exp(-t) is {math.exp(-t[0]):.0e} there at most; one trajectory is no symplectic map",
         late[0] < 10 * max(whole[0], math.exp(-t[0])),
     )
 
 
 def judge_span(experiment, rows):
     """What a longer span costs."""
-    near, far = rows["50 neurons, noise of the code"], rows["20 pi, 80 neurons"]
+    near, far = rows["50 neurons, noise of the code"], rows["20 pi, 50 neurons"]
+    large = rows["20 pi, 80 neurons"]
     H, z0 = experiment.problem.H, experiment.problem.z0
     windows = [len(hamsym.solve(H, z0, (0, 4 * math.pi * n)).history.edges) - 1 for n in (1, 5)]
     experiment.claim(
         "IV",
         "longer spans need more neurons and points, and cost more",
-        f"20,000 epochs on 4 pi: {near['CPU seconds'][0]:.0f} s of CPU, error "
-        f"{short(near['error'])}; on 20 pi {far['CPU seconds'][0]:.0f} s, {short(far['error'])}; "
-        f"features: {windows[0]} and {windows[1]} windows",
-        far["CPU seconds"][0] > near["CPU seconds"][0],
+        f"error of 50 neurons after 20,000 epochs: on 4 pi (200 points) {short(near['error'])} in "
+        f"{near['CPU seconds'][0]:.0f} s, on 20 pi (500 points) {short(far['error'])} in "
+        f"{far['CPU seconds'][0]:.0f} s; of 80 neurons {short(large['error'])} in "
+        f"{large['CPU seconds'][0]:.0f} s; features take {windows[0]} and {windows[1]} windows",
+        lower(near["error"], far["error"]),
     )
 
 
@@ -186,7 +200,8 @@ def judge_dimensions(experiment):
         comparison = hamsym.compare(solution, "yoshida8", exact=problem.exact)
         errors.append(comparison.rows[0].error)
         costs.append(solution.training.cpu_seconds)
-        rivals.append(comparison.matches["yoshida8"].seconds)
+        match = comparison.matches["yoshida8"]
+        rivals.append(math.nan if match.reason else match.seconds)
     listed = "; ".join(
         f"{2 * n} dimensions: error {error:.0e}, {cost:.1f} s, yoshida8 {1e6 * rival:.0f} us"
         for n, error, cost, rival in zip(DIMENSIONS, errors, costs, rivals, strict=True)
@@ -195,7 +210,7 @@ def judge_dimensions(experiment):
         "IV",
         "networks outperform integrators in many dimensions",
         f"chains of oscillators, 5,000 epochs, and the time for the same error: {listed}",
-        all(cost < rival for cost, rival in zip(costs[-1:], rivals[-1:], strict=True)),
+        costs[-1] < rivals[-1],
     )
 
 
@@ -204,10 +219,13 @@ def judge_chaos(experiment):
     problem = hamsym.systems.henon_heiles()
     end = 1e4 if experiment.results["quick"] else 1e6
     found = hamsym.lyapunov(problem.H, problem.z0, (0, end))
+    if not found.success:  # interrupted: what was found is of another time
+        raise KeyboardInterrupt
     values = [np.interp(t, found.t, found.exponents[:, 0]) for t in (300, 1e4, end)]
     experiment.claim(
         "III.B",
-        "the Henon-Heiles orbit is chaotic with maximal exponent 0.069",
+        "the Henon-Heiles orbit is chaotic, with maximal exponent 0.069 (so that 6 pi and 12 pi "
+        "are 1.3 and 2.6 Lyapunov times)",
         f"{values[0]:.1e} at t = 300, {values[1]:.1e} at 1e4, {values[2]:.1e} at {end:.0e}: "
         f"{found.statement}",
         0.5 < values[2] / 0.069 < 2,
@@ -233,7 +251,7 @@ def judge_parallel(experiment, found):
         "II.A, IV",
         "the network is parallel in time",
         f"{count:,} states take {min(seconds[1]):.2g} s on one thread, {ratio:.1f} times less on "
-        "two; training at K = 200 gains nothing from a second thread",
+        "two",
         "held for evaluation" if ratio > 1.2 else False,
     )
 
@@ -250,6 +268,11 @@ def name_untested(experiment):
             "IV",
             "parallel hardware drastically accelerates training",
             "needs hardware with many more cores than two",
+        ),
+        (
+            "III.B",
+            "the energy penalty helps the long Henon-Heiles solution",
+            "the paper shows that solution with the penalty alone, and so does B-long here",
         ),
         ("IV", "data can be added in a semi-supervised fashion", "no method is given"),
     ):

@@ -21,7 +21,10 @@ from hamsym.paper.experiment import (
     figure,
     judge_architectures,
     judge_bound,
+    judge_estimate,
+    judge_integrators,
     judge_steps,
+    lower,
     parse,
     short,
 )
@@ -63,9 +66,11 @@ def main(arguments=None):
     draw(experiment, network, comparison)
     judge_architectures(experiment, rows)
     judge(experiment, rows[PAPERS], comparison)
-    judge_steps(experiment, comparison, "abstract", 100)
-    judge_steps(experiment, comparison, "III.B", 10)
+    judge_steps(experiment, comparison, rows[PAPERS], "abstract", 100)
+    judge_steps(experiment, comparison, rows[PAPERS], "III.B", 10)
     judge_bound(experiment, found)
+    judge_estimate(experiment, rows)
+    judge_integrators(experiment, comparison)
     experiment.beside(
         "B, lambda = 0",
         2.7e-3,
@@ -110,7 +115,7 @@ def judge(experiment, row, comparison):
         "III.B",
         "the network conserves the energy better than symplectic Euler, also at 10 K",
         f"max |dE| {short(row['energy error'])} of the network, {fine.energy_error:.1e} of Euler",
-        row["energy error"][0] < fine.energy_error,
+        lower(row["energy error"], [fine.energy_error] * 3),
     )
 
 

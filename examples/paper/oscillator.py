@@ -21,7 +21,10 @@ from hamsym.paper.experiment import (
     figure,
     judge_architectures,
     judge_bound,
+    judge_estimate,
+    judge_integrators,
     judge_steps,
+    lower,
     parse,
     short,
 )
@@ -65,8 +68,10 @@ def main(arguments=None):
     draw_errors(experiment, network, comparison)
     judge_architectures(experiment, rows)
     judge(experiment, rows, comparison)
-    judge_steps(experiment, comparison, "III.A, abstract", 100)
+    judge_steps(experiment, comparison, rows[PAPERS], "III.A, abstract", 100)
     judge_bound(experiment, found)
+    judge_estimate(experiment, rows)
+    judge_integrators(experiment, comparison)
     experiment.beside(
         "A, lambda = 0",
         4.2e-3,
@@ -126,21 +131,21 @@ def judge(experiment, rows, comparison):
         "III.A",
         "the network conserves the energy locally, better than symplectic Euler at 100 K",
         f"max |dE| {short(row['energy error'])} of the network, {fine.energy_error:.1e} of Euler",
-        row["energy error"][0] < fine.energy_error,
+        lower(row["energy error"], [fine.energy_error] * 3),
     )
     written = rows["as written: sin, 1 - exp(-t)"]
     experiment.claim(
         "III.A",
         "ell_max = 3.3e-3 after training as written",
         f"{short(written['ell_max'])}; with the authors' code {short(row['ell_max'])}",
-        written["ell_max"][1] <= 3.3e-3,
+        lower(written["ell_max"], [1.5 * 3.3e-3] * 3),
     )
     experiment.claim(
         "II.A",
         "the energy penalty can result in faster convergence",
         f"error after as many epochs: lambda = 0 {short(row['error'])}, "
         f"lambda = 1 {short(weighted['error'])}",
-        weighted["error"][0] < row["error"][0],
+        lower(weighted["error"], row["error"]),
     )
 
 

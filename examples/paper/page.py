@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 
 from hamsym.paper import scheme
-from hamsym.paper.experiment import markdown_table, replace, seconds, short
+from hamsym.paper.experiment import markdown_table, seconds, short, write
 
 EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long", "claims")
 _COLUMNS = ("as written", "authors' settings", "cosine", "Levenberg-Marquardt", "features")
@@ -27,8 +27,8 @@ def main(arguments=None):
     if not found:
         parser.error(f"'{out}' holds no results; run an experiment first")
     scheme.main(["--out", str(out)])
-    replace(out / "results.json", json.dumps(found, indent=1))
-    replace(out / "page.md", page(found))
+    write(out / "results.json", json.dumps(found, indent=1))
+    write(out / "page.md", page(found))
     print(f"wrote {out / 'page.md'}")
 
 
