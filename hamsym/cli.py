@@ -24,6 +24,7 @@ from hamsym.errors import CertificationError, HamsymError, InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.parsing import parse_number
 from hamsym.printing import FormulaPrinter
+from hamsym.settings import require_whole
 
 __all__ = ["main"]
 
@@ -603,34 +604,50 @@ _EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-l
 
 
 @cli.command()
-@click.argument("experiments", nargs=-1, type=click.Choice([*_EXPERIMENTS, "all"]))
+@click.argument(
+    "experiments", nargs=-1, type=click.Choice([*_EXPERIMENTS, "all"]), metavar="[EXPERIMENTS]..."
+)
 @click.option("--quick", is_flag=True, help="Few epochs: the same rows in minutes.")
 @click.option("--claims", is_flag=True, help="Test the paper's further claims too.")
 @click.option("--seed", default=0, show_default=True, help="The first seed.")
 @click.option("--seeds", default=3, show_default=True, help="How many seeds.")
+@click.option("--workers", type=int, help="Processes side by side  [as many as cores]")
 @click.option("--out", type=click.Path(), default="output/paper", show_default=True)
 def reproduce(
-    experiments: tuple[str, ...], quick: bool, claims: bool, seed: int, seeds: int, out: str
+    experiments: tuple[str, ...],
+    quick: bool,
+    claims: bool,
+    seed: int,
+    seeds: int,
+    workers: int | None,
+    out: str,
 ) -> None:
     """Reproduce the paper's experiments, and what it left out beside them.
 
     Each writes its table, its figures and its results; page.md ties them together. What was
-    stopped goes on where it was; what is there already is not run again.
+    stopped goes on where it was; what is there already is not run again. With --quick all goes
+    into a folder "quick" of its own. EXPERIMENTS are oscillator, oscillator-long, henon-heiles,
+    henon-heiles-long or all, the default.
     """
     import importlib
 
-    if seed < 0 or seeds < 1:
-        raise InputError(f"--seed {seed} --seeds {seeds} cannot be used; give 0 or more, 1 or more")
+    require_whole("--seed", seed, 0)
+    require_whole("--seeds", seeds, 1)
+    if workers is not None:
+        require_whole("--workers", workers, 1)
     chosen = [name for name in _EXPERIMENTS if not experiments or {name, "all"} & {*experiments}]
     if claims:
         chosen.append("claims")
-    Path(out).mkdir(parents=True, exist_ok=True)
-    options = [f"--seed={seed}", f"--seeds={seeds}", f"--out={out}"] + ["--quick"] * quick
+    place = Path(out) / "quick" if quick else Path(out)
+    place.mkdir(parents=True, exist_ok=True)
+    options = [f"--seed={seed}", f"--seeds={seeds}", f"--out={place}"] + ["--quick"] * quick
+    if workers is not None:
+        options.append(f"--workers={workers}")
     began = time.monotonic()
     for name in chosen:
         script = importlib.import_module(f"hamsym.paper.{name.replace('-', '_')}")
         script.main(options)
-    importlib.import_module("hamsym.paper.page").main([f"--out={out}"])
+    importlib.import_module("hamsym.paper.page").main([f"--out={place}"])
     click.echo(f"{(time.monotonic() - began) / 60:.1f} minutes")
 
 

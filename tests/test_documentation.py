@@ -49,10 +49,13 @@ _MINIATURE = {
     "chaos": ["--time", "1000"],
     "henon_heiles": ["--epochs", "30"],
     "oscillator": ["--epochs", "30"],
+    "scheme": [],
 }
+# The other scripts in examples/paper have tests of their own.
+_EXAMPLES = [*sorted((ROOT / "examples").glob("*.py")), ROOT / "examples" / "paper" / "scheme.py"]
 
 
-@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("example", _EXAMPLES, ids=lambda p: p.stem)
 def test_examples_run_in_miniature(example: Path, tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, str(example), *_MINIATURE[example.stem], "--out", str(tmp_path / "out")],

@@ -13,7 +13,18 @@ from hamsym.paper import (
     oscillator_long,
     page,
 )
-from hamsym.paper.experiment import limit, markdown_table, parse, short, spread
+from hamsym.paper.experiment import (
+    ARCHITECTURES,
+    euler,
+    judge_architectures,
+    judge_steps,
+    limit,
+    lower,
+    markdown_table,
+    parse,
+    short,
+    spread,
+)
 
 import hamsym
 from hamsym.cli import main
@@ -110,6 +121,69 @@ def test_quick_is_a_limit_of_epochs():
     assert parse("x", []).epochs is None
 
 
+@pytest.mark.parametrize("name", ["seed=-1", "seeds=0", "epochs=0", "workers=0", "certify=-1"])
+def test_a_script_refuses_bad_numbers(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        parse("x", [f"--{name}"])
+    assert ended.value.code == 2
+    assert f"--{name.replace('=', ' ')}" in capsys.readouterr().err
+
+
+def test_verdicts_need_seeds_that_do_not_overlap():
+    assert lower([2.0, 1.0, 3.0], [5.0, 4.0, 6.0]) is True
+    assert lower([5.0, 4.0, 6.0], [2.0, 1.0, 3.0]) is False
+    assert lower([2.0, 1.0, 4.5], [5.0, 4.0, 6.0]).startswith("undecided")
+
+
+class _Claims:
+    """Takes claims as an experiment does."""
+
+    points = 200
+
+    def __init__(self):
+        self.verdicts = []
+
+    def claim(self, where, says, measured, held):
+        self.verdicts.append(held)
+
+
+def _rows(losses):
+    found = {}
+    for recipe in ("as written", "authors' code"):
+        for name, loss in zip(ARCHITECTURES, losses, strict=True):
+            found[f"{recipe}: {name}"] = {"loss": loss, "error": loss}
+    return found
+
+
+@pytest.mark.parametrize(
+    ("losses", "verdict"),
+    [
+        ([[1, 1, 1], [2, 2, 2], [3, 3, 3], [4, 4, 4]], True),
+        ([[3, 3, 3], [2, 2, 2], [5, 5, 5], [4, 4, 4]], False),
+        ([[1, 1, 3], [2, 2, 2], [5, 5, 5], [4, 4, 4]], "undecided"),
+    ],
+)
+def test_which_architecture_is_best(losses, verdict):
+    claims_taken = _Claims()
+    judge_architectures(claims_taken, _rows([[float(x) for x in loss] for loss in losses]))
+    for found in claims_taken.verdicts:
+        assert str(found).startswith(str(verdict))
+
+
+@pytest.mark.parametrize(
+    ("error", "verdict"), [(6e-3, "True"), (6e-2, "False"), (6e-4, "held, and more")]
+)
+def test_how_many_points_euler_needs(error, verdict):
+    """By one run of 100 K steps with an error of 6e-3, which falls as the steps grow."""
+    problem = hamsym.systems.nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 4 * math.pi), tol=1e-6)
+    comparison = hamsym.compare(solution, points=200, exact=problem.exact, max_steps=20_000)
+    assert euler(comparison, 100)[0].error == pytest.approx(6e-3, rel=0.01)
+    taken = _Claims()
+    judge_steps(taken, comparison, {"error": [error] * 3}, "III", 100)
+    assert str(taken.verdicts[0]).startswith(verdict)
+
+
 def test_numbers_in_tables():
     assert spread([3.0, 1.0, 2.0]) == [2.0, 1.0, 3.0]
     assert spread([4.0, 1.0]) == [1.0, 1.0, 4.0]
@@ -132,8 +206,9 @@ def test_numbers_in_tables():
     ("arguments", "message"),
     [
         (["oscilator"], "'oscilator' is not one of"),
-        (["oscillator", "--seed", "-1"], "--seed -1"),
-        (["oscillator", "--seeds", "0"], "--seeds 0"),
+        (["oscillator", "--seed", "-1"], "--seed=-1"),
+        (["oscillator", "--seeds", "0"], "--seeds=0"),
+        (["oscillator", "--workers", "0"], "--workers=0"),
         (["oscillator", "--seed", "x"], "'x' is not a valid integer"),
         (["oscillator", "--out", "FILE"], "FILE"),
     ],
@@ -163,10 +238,11 @@ def test_the_command_runs_what_is_named(tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(script, "main", record)
     out = ["--out", str(tmp_path)]
     assert main(["reproduce", "henon-heiles", "--quick", "--seed", "7", *out]) == 0
-    options = ["--seed=7", "--seeds=3", f"--out={tmp_path}", "--quick"]
+    quick = tmp_path / "quick"  # apart from what took hours
+    options = ["--seed=7", "--seeds=3", f"--out={quick}", "--quick"]
     assert called == [
         ("hamsym.paper.henon_heiles", options),
-        ("hamsym.paper.page", [f"--out={tmp_path}"]),
+        ("hamsym.paper.page", [f"--out={quick}"]),
     ]
     called.clear()
     assert main(["reproduce", "all", "--claims", *out]) == 0
