@@ -610,7 +610,7 @@ _EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-l
 @click.option("--quick", is_flag=True, help="Few epochs: the same rows in minutes.")
 @click.option("--claims", is_flag=True, help="Test the paper's further claims too.")
 @click.option("--seed", default=0, show_default=True, help="The first seed.")
-@click.option("--seeds", default=3, show_default=True, help="How many seeds.")
+@click.option("--seeds", type=int, help="How many seeds  [3, or 1 with --quick]")
 @click.option("--workers", type=int, help="Processes side by side  [as many as cores]")
 @click.option("--out", type=click.Path(), default="output/paper", show_default=True)
 def reproduce(
@@ -618,7 +618,7 @@ def reproduce(
     quick: bool,
     claims: bool,
     seed: int,
-    seeds: int,
+    seeds: int | None,
     workers: int | None,
     out: str,
 ) -> None:
@@ -632,6 +632,8 @@ def reproduce(
     import importlib
 
     require_whole("--seed", seed, 0)
+    if seeds is None:
+        seeds = 1 if quick else 3
     require_whole("--seeds", seeds, 1)
     if workers is not None:
         require_whole("--workers", workers, 1)
