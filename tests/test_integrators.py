@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import signal
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -439,6 +440,15 @@ def test_splitting_is_refused_by_name_where_h_is_not_separable(method: str) -> N
         hamsym.integrate(problem.H, problem.z0, (0, 1), method)
 
 
+@pytest.fixture
+def heard() -> Iterator[None]:
+    """Ctrl-C is answered, also where a process is started that does not listen to it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heard")
 def test_ctrl_c_returns_what_was_done(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = nonlinear_oscillator()
     hamsym.integrate(problem.H, problem.z0, (0, 1))  # compiled

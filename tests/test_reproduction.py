@@ -5,6 +5,9 @@ import math
 
 import numpy as np
 import pytest
+
+import hamsym
+from hamsym.cli import main
 from hamsym.paper import (
     claims,
     henon_heiles,
@@ -25,9 +28,6 @@ from hamsym.paper.experiment import (
     short,
     spread,
 )
-
-import hamsym
-from hamsym.cli import main
 
 SCRIPTS = (oscillator, oscillator_long, henon_heiles, henon_heiles_long, claims)
 

@@ -10,6 +10,8 @@ training in 24 small steps, the network's input scaled as hamsym's other methods
 import math
 
 import numpy as np
+
+import hamsym
 from hamsym.paper.experiment import (
     AS_WRITTEN,
     AUTHORS,
@@ -26,8 +28,6 @@ from hamsym.paper.experiment import (
     parse,
     short,
 )
-
-import hamsym
 
 HALF, SPAN = (0.0, 6 * math.pi), (0.0, 12 * math.pi)
 NETWORK = {"hidden": (80, 80), "points": 500, "energy_weight": 0.5}

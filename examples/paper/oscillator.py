@@ -7,6 +7,8 @@ neurons, 200 points moved by Gaussian noise of 0.06 pi in each of 50,000 epochs 
 import math
 
 import numpy as np
+
+import hamsym
 from hamsym.paper.experiment import (
     ARCHITECTURES,
     AS_WRITTEN,
@@ -28,8 +30,6 @@ from hamsym.paper.experiment import (
     parse,
     short,
 )
-
-import hamsym
 
 SPAN = (0.0, 4 * math.pi)
 NETWORK = {"hidden": (50, 50), "points": 200, "epochs": 50_000}

@@ -8,6 +8,8 @@ number of epochs (50,000 here, as there).
 import math
 
 import numpy as np
+
+import hamsym
 from hamsym.paper.experiment import (
     AS_WRITTEN,
     AUTHORS,
@@ -26,8 +28,6 @@ from hamsym.paper.experiment import (
     short,
     spread,
 )
-
-import hamsym
 
 SPAN = (0.0, 20 * math.pi)
 NETWORK = {"hidden": (80, 80), "points": 500, "epochs": 50_000}
