@@ -41,6 +41,7 @@ def noise(span):
 
 
 PAPERS, WITHOUT = "authors' code, sequential", "authors' code, not sequential"
+DRAWN = "cosine, 24 spans"  # of the ways to train with Adam the one whose seeds all end well
 
 
 def main(arguments=None):
@@ -70,9 +71,7 @@ def main(arguments=None):
         "as written, sequential": go_on("as written, [0, 6 pi]", AS_WRITTEN | SECOND),
         PAPERS: go_on("authors' code, [0, 6 pi]", AUTHORS | SECOND | noise(SPAN)),
         WITHOUT: AUTHORS | SECOND | noise(SPAN) | {"epochs": 70_000},
-        "cosine, 24 spans": COSINE
-        | NETWORK
-        | {"tau": 3.0, "frequency": 3.0, "stages": 24, "epochs": 70_000},
+        DRAWN: COSINE | NETWORK | {"tau": 3.0, "frequency": 3.0, "stages": 24, "epochs": 70_000},
         "Levenberg-Marquardt": {
             "method": "levenberg-marquardt",
             "hidden": (80, 80),
@@ -88,7 +87,7 @@ def main(arguments=None):
         PAPERS: halves.solutions["authors' code, [0, 6 pi]"],
     }
     rows = experiment.add_networks(found, begun)
-    network = found.median(PAPERS, experiment.truth)
+    network = found.median(DRAWN, experiment.truth)
     comparison = experiment.add_integrators(network)
     draw(experiment, found, network, comparison)
     judge(experiment, rows, comparison)
@@ -133,7 +132,7 @@ def draw(experiment, found, network, comparison):
         drawn,
         "Loss for each way to train (median seed; of sequential training the second stage); "
         "energy, x, y and their errors for the network "
-        "(authors' settings, sequential, median seed) and symplectic Euler at 10 K.",
+        "(cosine, 24 spans, median seed) and symplectic Euler at 10 K.",
     )
 
 
