@@ -41,7 +41,7 @@ def noise(span):
 
 
 PAPERS, WITHOUT = "authors' code, sequential", "authors' code, not sequential"
-DRAWN = "cosine, 24 spans"  # of the ways to train with Adam the one whose seeds all end well
+DRAWN = "cosine, 24 spans"  # the way to train with Adam that ends well most often
 
 
 def main(arguments=None):
