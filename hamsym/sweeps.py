@@ -191,16 +191,15 @@ def sweep(
         _carry_out(missing, min(workers or _cores(), len(missing)), progress)
     groups = [runs[k : k + len(chosen)] for k in range(0, len(runs), len(chosen))]
     named = dict(zip(settings, groups, strict=True))
-    return Sweep(
-        seeds=chosen,
-        span=problem.span,
-        solutions={name: tuple(load(run.file) for run in group) for name, group in named.items()},
-        certificates={
-            name: tuple(run.certificate() for run in group)
-            for name, group in named.items()
-            if certify is not None
-        },
-    )
+    solutions = {name: tuple(load(run.file) for run in group) for name, group in named.items()}
+    certificates = {
+        name: tuple(
+            run.certificate(solution) for run, solution in zip(group, solutions[name], strict=True)
+        )
+        for name, group in named.items()
+        if certify is not None
+    }
+    return Sweep(chosen, problem.span, solutions, certificates)
 
 
 def _cores() -> int:
@@ -250,10 +249,10 @@ class _Run:
             except CertificationError as error:
                 write_atomically(self._refusal, str(error).encode())
 
-    def certificate(self) -> Certificate | str:
+    def certificate(self, solution: Solution) -> Certificate | str:
         if self._proof.exists():
             proof = Certificate.from_json(self._proof.read_text(encoding="utf-8", errors="replace"))
-            if proof.digest != digest(load(self.file)):
+            if proof.digest != digest(solution):
                 raise FileError(f"'{self._proof}' is the proof of another solution; remove it")
             return proof
         return self._refusal.read_text(encoding="utf-8")
