@@ -25,7 +25,7 @@ from hamsym.levenberg_marquardt import LevenbergMarquardt
 from hamsym.optimizers import LBFGS, Adam
 from hamsym.problem import InitialValueProblem
 from hamsym.progress import training_progress
-from hamsym.settings import is_positive, require_positive, require_whole
+from hamsym.settings import is_positive, plain, require_positive, require_whole
 from hamsym.solution import Solution
 from hamsym.training import (
     Checkpoint,
@@ -268,12 +268,8 @@ def _checkpoint(problem: InitialValueProblem, options: DeepOptions) -> Checkpoin
         "dtype": str(_precision(options.dtype)),
         "torch": torch.__version__,
     }
-    text = {name: repr(_plain(value)) for name, value in settings.items()}
+    text = {name: repr(plain(value)) for name, value in settings.items()}
     return Checkpoint(options.checkpoint, text, options.checkpoint_every)
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, (tuple, list)) else value
 
 
 def _objective(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from hamsym.errors import InputError
 
-__all__ = ["is_positive", "require", "require_number", "require_positive", "require_whole"]
+__all__ = ["is_positive", "plain", "require", "require_number", "require_positive", "require_whole"]
 
 
 def require(holds: bool, name: str, value: object, wanted: str) -> None:
@@ -44,3 +45,10 @@ def is_positive(value: object) -> bool:
 def _is_finite(value: object) -> bool:
     number = isinstance(value, (int, float, np.integer, np.floating))
     return number and math.isfinite(value)  # type: ignore[arg-type]
+
+
+def plain(value: Any) -> Any:
+    """The same value as lists and numbers, whose ``repr`` has every digit."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return [plain(part) for part in value] if isinstance(value, (tuple, list)) else value

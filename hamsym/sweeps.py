@@ -37,7 +37,7 @@ from hamsym.comparison import Row, measure
 from hamsym.errors import CertificationError, FileError, HamsymError, InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problem import InitialValueProblem
-from hamsym.settings import require_positive, require_whole
+from hamsym.settings import plain, require_positive, require_whole
 from hamsym.solution import Solution
 from hamsym.solving import checked_options, solve
 from hamsym.training import TrainingState
@@ -306,7 +306,7 @@ def _run(
         {key: value for key, value in options.items() if key != "method"},
     )
     known = {
-        entry.name: repr(_plain(getattr(checked, entry.name)))
+        entry.name: repr(plain(getattr(checked, entry.name)))
         for entry in fields(checked)
         if entry.name not in _APART
     }
@@ -333,13 +333,6 @@ def _run(
     base = folder / f"{short}-{seed}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
     label = f"{name}, seed {seed}"
     return _Run(label, problem.H, problem.z0, problem.span, seed, options, path, certify, base)
-
-
-def _plain(value: Any) -> Any:
-    """The same value as lists and numbers, whose text has every digit."""
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return [_plain(part) for part in value] if isinstance(value, (tuple, list)) else value
 
 
 # -- side by side --------------------------------------------------------------------------------
