@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import sympy
 from sympy.core.evalf import PrecisionExhausted
 
-from hamsym.deadline import ProcessorTimeExceededError, processor_time_limit
+from hamsym.call_limit import CallLimitExceededError, call_limit
 from hamsym.errors import InputError, ParseError, VariableError
 from hamsym.syntax import (
     GREEK,
@@ -40,7 +40,7 @@ MAX_NODES = 10_000  # operands and operations
 MAX_DEPTH = 60  # nesting, sums and products counting once however long they are
 MAX_CALLS = 6  # functions inside functions; sympy's assumptions take 2**depth of some
 MAX_EXPONENT = 1_000  # of a numerical power
-MAX_SECONDS = 0.8  # of processor time
+MAX_EFFORT = 1_600_000  # function calls, most of them sympy's; under a second
 MAX_BITS = 5_000  # of an exact number
 
 
@@ -209,9 +209,9 @@ class _Visitor:
                 "build a sympy expression for something this large",
             )
         try:
-            with processor_time_limit(MAX_SECONDS):
+            with call_limit(MAX_EFFORT):
                 return self.visit(tree.body)
-        except ProcessorTimeExceededError:
+        except CallLimitExceededError:
             raise ParseError(
                 self._text.strip()[:12] + "...",
                 1,

@@ -89,6 +89,12 @@ def test_long_sums_are_one_level_deep() -> None:
     assert len(parse_expression(" + ".join(terms)).args) == 2_000
 
 
+def test_a_formula_that_keeps_sympy_busy_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hamsym.parsing.MAX_EFFORT", 200)
+    with pytest.raises(ParseError, match=r"'sqrt\(x\*\*2 .*' at column 1 .*too long.*; split it"):
+        parse_expression("sqrt(x**2 + y**2) + exp(-x*y)")
+
+
 # Text, the token that the message names, and a word of the remedy.
 REFUSED = [
     ("", "", "write a formula"),
