@@ -41,6 +41,7 @@ MAX_DEPTH = 60  # nesting, sums and products counting once however long they are
 MAX_CALLS = 6  # functions inside functions; sympy's assumptions take 2**depth of some
 MAX_EXPONENT = 1_000  # of a numerical power
 MAX_EFFORT = 1_600_000  # function calls, most of them sympy's; under a second
+MAX_SECONDS = 2.0  # of processor time, for the few calls that take long themselves
 MAX_BITS = 5_000  # of an exact number
 
 
@@ -209,7 +210,7 @@ class _Visitor:
                 "build a sympy expression for something this large",
             )
         try:
-            with call_limit(MAX_EFFORT):
+            with call_limit(MAX_EFFORT, MAX_SECONDS):
                 return self.visit(tree.body)
         except CallLimitExceededError:
             raise ParseError(
