@@ -210,14 +210,19 @@ solution.save(sys.argv[3])
 """
 
 
-@pytest.mark.parametrize("method", ["adam", "lbfgs", "levenberg-marquardt"])
-def test_killed_at_any_moment_it_goes_on_to_the_same_bits(method: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("method", "delays"),
+    [("adam", (0.2, 0.5, 1.1)), ("lbfgs", (0.5,)), ("levenberg-marquardt", (0.5,))],
+)
+def test_killed_at_any_moment_it_goes_on_to_the_same_bits(
+    method: str, delays: tuple[float, ...], tmp_path: Path
+) -> None:
     def start(name: str) -> subprocess.Popen:
         files = [str(tmp_path / f"{name}.run"), str(tmp_path / f"{name}.saved")]
         return subprocess.Popen([sys.executable, "-c", RUN, method, *files])
 
     whole = start("whole")
-    for delay in (0.2, 0.5, 1.1):
+    for delay in delays:
         process = start("killed")
         deadline = time.monotonic() + 60
         while not (tmp_path / "killed.run").exists() and time.monotonic() < deadline:

@@ -20,7 +20,7 @@ QUICK = {
     "tau": 0.25,
     "points": 30,
     "noise": 0.0,
-    "epochs": 3000,
+    "epochs": 1500,
     "learning_rate": 0.01,
     "schedule": "cosine",
 }
