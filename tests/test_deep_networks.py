@@ -202,8 +202,8 @@ def test_unusable_settings(settings: dict[str, object], message: str) -> None:
 RUN = """
 import sys, hamsym
 problem = hamsym.systems.nonlinear_oscillator()
-options = {"adam": {"epochs": 1500}, "lbfgs": {"iterations": 600},
-           "levenberg-marquardt": {"iterations": 400, "patience": None}}[sys.argv[1]]
+options = {"adam": {"epochs": 800}, "lbfgs": {"iterations": 200},
+           "levenberg-marquardt": {"iterations": 200, "patience": None}}[sys.argv[1]]
 solution = hamsym.solve(problem.H, problem.z0, (0.0, 12.0), method=sys.argv[1], hidden=(20, 20),
                         points=60, checkpoint=sys.argv[2], checkpoint_every=1e-9, **options)
 solution.save(sys.argv[3])
