@@ -7,12 +7,10 @@ that says why.
 
 from __future__ import annotations
 
-import functools
 import os
 import sys
-import textwrap
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +18,32 @@ import click
 import numpy as np
 
 from hamsym.atomic import write_atomically
-from hamsym.errors import CertificationError, HamsymError, InputError
+from hamsym.command_options import (
+    hamiltonian_options,
+    listed,
+    output_options,
+    show_methods,
+    solver_options,
+    span_options,
+    starts_options,
+    step_options,
+)
+from hamsym.command_output import (
+    WIDTH,
+    check_figure,
+    check_folder,
+    echo_wrapped,
+    report,
+    save_figure,
+    write_table,
+)
+from hamsym.errors import CertificationError, HamsymError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.parsing import parse_number
 from hamsym.printing import FormulaPrinter
 from hamsym.settings import require_whole
 
 __all__ = ["main"]
 
-_WIDTH = 80
 _CERTIFICATE = ".certificate"
 
 
@@ -69,7 +84,7 @@ def _complain(message: str, status: int) -> int:
 
 
 @click.group(
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": _WIDTH},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDTH},
     invoke_without_command=True,
 )
 @click.version_option(package_name="hamsym")
@@ -84,238 +99,48 @@ def cli(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-# -- options shared by the commands ------------------------------------------------------------
-
-
-def _hamiltonian_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    @click.argument("formula", metavar="H")
-    @click.option("--q", "coordinates", metavar="NAMES", help="Coordinates, such as x,y.")
-    @click.option("--p", "momenta", metavar="NAMES", help="Their momenta, in the same order.")
-    @click.option(
-        "--param", "-P", "parameters", multiple=True, metavar="NAME=VALUE", help="A parameter."
-    )
-    @functools.wraps(command)
-    def wrapped(
-        formula: str,
-        coordinates: str | None,
-        momenta: str | None,
-        parameters: tuple[str, ...],
-        **options: Any,
-    ) -> Any:
-        H = Hamiltonian(
-            formula,
-            q=None if coordinates is None else _names(coordinates),
-            p=None if momenta is None else _names(momenta),
-            parameters=_assignments(",".join(parameters), "--param") if parameters else None,
-        )
-        return command(H, **options)
-
-    return wrapped
-
-
-def _span_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    @click.option(
-        "--z0", "start", required=True, metavar="STATE", help="Such as x=1.3,p=1, or 1.3,1."
-    )
-    @click.option("--t-start", default="0", metavar="TIME", show_default=True)
-    @click.option("--t-end", required=True, metavar="TIME", help='Such as 20 or "4*pi".')
-    @functools.wraps(command)
-    def wrapped(H: Hamiltonian, start: str, t_start: str, t_end: str, **options: Any) -> Any:
-        span = (parse_number(t_start), parse_number(t_end))
-        return command(H, _state(start), span, **options)
-
-    return wrapped
-
-
-def _starts_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """As :func:`_span_options`, with any number of starts."""
-
-    @click.option(
-        "--z0",
-        "starts",
-        required=True,
-        multiple=True,
-        metavar="STATE",
-        help="Such as x=1.3,p=1; again for each further trajectory.",
-    )
-    @click.option("--t-start", default="0", metavar="TIME", show_default=True)
-    @click.option("--t-end", required=True, metavar="TIME", help='Such as 20 or "4*pi".')
-    @functools.wraps(command)
-    def wrapped(
-        H: Hamiltonian, starts: tuple[str, ...], t_start: str, t_end: str, **options: Any
-    ) -> Any:
-        span = (parse_number(t_start), parse_number(t_end))
-        energy = options.pop("energy", None)
-        states: list[Any] = [_state(start) for start in starts]
-        if energy is not None:
-            states = [
-                H.state_at_energy(parse_number(energy), _by_name(state), span[0])
-                for state in states
-            ]
-        arrays = [H.state_from(state) for state in states]
-        return command(H, arrays[0] if len(arrays) == 1 else np.array(arrays), span, **options)
-
-    return wrapped
-
-
-def _by_name(state: Any) -> dict[str, float]:
-    if not isinstance(state, dict):
-        raise InputError("with --energy a start is given by name, such as x=0,y=0.1,p_y=0")
-    return state
-
-
-def _step_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    @click.option("--steps", type=int, help="Number of equal steps.")
-    @click.option("--dt", metavar="TIME", help="In place of it, the largest step.")
-    @functools.wraps(command)
-    def wrapped(*arguments: Any, dt: str | None, **options: Any) -> Any:
-        return command(*arguments, dt=None if dt is None else parse_number(dt), **options)
-
-    return wrapped
-
-
-_figure_option = click.option(
-    "--plot", "figure", type=click.Path(), metavar="FILE", help="Draw a figure."
-)
-
-
-def _output_options(what: str) -> Callable[..., Any]:
-    """-o for a table and --plot, both refused before the work if they could not be written."""
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        @click.option("-o", "--output", type=click.Path(), metavar="FILE", help=what)
-        @_figure_option
-        @functools.wraps(command)
-        def wrapped(*arguments: Any, output: str | None, figure: str | None, **options: Any) -> Any:
-            _check_table(output)
-            _check_figure(figure)
-            return command(*arguments, output=output, figure=figure, **options)
-
-        return wrapped
-
-    return decorate
-
-
-def _show_methods(context: click.Context, _: click.Parameter, wanted: bool) -> None:
-    if wanted:
-        from hamsym.integrators import listing
-
-        click.echo(listing())
-        context.exit()
-
-
-def _solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of the methods; what is not given is left to the method's own default."""
-    choice = click.Choice
-    methods = ["features", "levenberg-marquardt", "lbfgs", "adam"]
-    options = (
-        click.option("--method", type=choice(methods), default="features", show_default=True),
-        click.option("--tol", metavar="NUMBER", help="Wanted accuracy (features)  [1e-9]"),
-        click.option("--atol", metavar="NUMBER", help="Absolute part of it  [0]"),
-        click.option("--breakpoints", metavar="TIMES", help="Where windows end (features)."),
-        click.option("--iterations", type=int, help="At most  [1000, or 5000 with lbfgs]"),
-        click.option("--epochs", type=int, help="Epochs of training (adam)  [50000]"),
-        click.option("--learning-rate", type=float, help="Of Adam  [0.008]"),
-        click.option("--betas", nargs=2, type=float, help="Of Adam  [0.9 0.999]"),
-        click.option("--schedule", type=choice(["cosine", "constant"]), help="[cosine]"),
-        click.option("--hidden", metavar="WIDTHS", help="Hidden layers  [50,50]"),
-        click.option("--activation", type=choice(["sin", "sigmoid", "tanh"]), help="[sin]"),
-        click.option("--envelope", type=choice(["exponential", "linear"]), help="[exponential]"),
-        click.option("--tau", metavar="TIME", help="Of the input  [1 (adam), span/(4 pi)]"),
-        click.option("--stages", type=int, help="Spans of sequential training  [1 (adam), 12]"),
-        click.option("--points", type=int, help="Collocation points K  [200]"),
-        click.option("--noise", metavar="TIME", help="Of the points  [3 spacings]"),
-        click.option("--energy-weight", type=float, help="Of the energy penalty  [0]"),
-        click.option("--target-loss", type=float, help="Stop when the loss is at most this."),
-        click.option("--target-ell-max", type=float, help="Or the largest residual."),
-        click.option("--target-error", type=float, help="Or the estimated error of the motion."),
-        click.option("--accuracy", type=float, help="Or ell_max / sigma_min."),
-        click.option("--patience", type=int, help="Or nothing improved for so many iterations."),
-        click.option("--time-limit", type=float, metavar="SECONDS", help="Or so much time."),
-        click.option("--checkpoint", type=click.Path(), metavar="FILE", help="Go on from there."),
-        click.option("--initial", type=click.Path(), metavar="FILE", help="Its weights first."),
-        click.option("--dtype", type=choice(["float64", "float32"]), help="[float64]"),
-        click.option("--seed", default=0, show_default=True),
-        _figure_option,
-    )
-
-    @functools.wraps(command)
-    def wrapped(*arguments: Any, **given: Any) -> Any:
-        values = {name: value for name, value in given.items() if value is not None}
-        for name in ("tol", "atol", "tau", "noise"):
-            if name in values:
-                values[name] = parse_number(values[name])
-        if "breakpoints" in values:
-            values["breakpoints"] = [parse_number(t) for t in _names(values["breakpoints"])]
-        if "hidden" in values:
-            values["hidden"] = tuple(_whole(w, "--hidden") for w in _names(values["hidden"]))
-        if "initial" in values:
-            from hamsym.archive import load
-
-            values["initial"] = load(values["initial"])
-        return command(*arguments, **values)
-
-    for option in reversed(options):
-        wrapped = option(wrapped)
-    return wrapped
-
-
 # -- commands ------------------------------------------------------------------------------------
 
 
 @cli.command()
-@_hamiltonian_options
+@hamiltonian_options
 def derive(H: Hamiltonian) -> None:
     """Show H, its equations of motion, its Hessian and what follows from them."""
     write = FormulaPrinter()
-    _echo_wrapped("H = ", H.formula)
-    _echo_wrapped("z = ", f"({', '.join(H.names)})")
+    echo_wrapped("H = ", H.formula)
+    echo_wrapped("z = ", f"({', '.join(H.names)})")
     if H.parameter_names:
         values = (
             f"{name} = {H.parameters[name]:g}" if name in H.parameters else name
             for name in H.parameter_names
         )
-        _echo_wrapped("parameters: ", ", ".join(values))
+        echo_wrapped("parameters: ", ", ".join(values))
     click.echo("\nHamilton's equations")
     left = [f"d{name}/dt" for name in H.names]
     width = max(map(len, left))
     for name, rate in zip(left, H.vector_field, strict=True):
-        _echo_wrapped(f"  {name:<{width}} = ", write(rate))
+        echo_wrapped(f"  {name:<{width}} = ", write(rate))
     click.echo("\nHessian")
     _echo_hessian(H, write)
     click.echo("")
     if H.is_separable:
         click.echo("separable: yes")
-        _echo_wrapped("  T = ", write(H.kinetic))
-        _echo_wrapped("  V = ", write(H.potential))
+        echo_wrapped("  T = ", write(H.kinetic))
+        echo_wrapped("  V = ", write(H.potential))
     else:
         click.echo("separable: no, H has mixed second derivatives in q and p")
     cyclic = ", ".join(symbol.name for symbol in H.cyclic_coordinates)
-    _echo_wrapped("cyclic coordinates: ", cyclic or "none")
+    echo_wrapped("cyclic coordinates: ", cyclic or "none")
     smallest = H.sigma_min
     closed = "no short closed form (computed along solutions)"
-    _echo_wrapped("sigma_min: ", closed if smallest is None else write(smallest))
-
-
-def _echo_wrapped(start: str, text: str) -> None:
-    """Print what belongs to a label, broken at blanks where 80 columns do not hold it."""
-    click.echo(
-        textwrap.fill(
-            text,
-            _WIDTH,
-            initial_indent=start,
-            subsequent_indent=" " * len(start),
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-    )
+    echo_wrapped("sigma_min: ", closed if smallest is None else write(smallest))
 
 
 def _echo_hessian(H: Hamiltonian, write: FormulaPrinter) -> None:
     matrix = H.hessian
     cells = [[write(matrix[i, j]) for j in range(H.dim)] for i in range(H.dim)]
     widths = [max(len(row[j]) for row in cells) for j in range(H.dim)]
-    if sum(widths) + 2 * H.dim + 4 <= _WIDTH:
+    if sum(widths) + 2 * H.dim + 4 <= WIDTH:
         for row in cells:
             padded = (cell.rjust(size) for cell, size in zip(row, widths, strict=True))
             click.echo(f"  [{'  '.join(padded)}]")
@@ -323,11 +148,11 @@ def _echo_hessian(H: Hamiltonian, write: FormulaPrinter) -> None:
     for i in range(H.dim):
         for j in range(i, H.dim):
             if matrix[i, j] != 0:
-                _echo_wrapped(f"  d2H/d{H.names[i]} d{H.names[j]} = ", cells[i][j])
+                echo_wrapped(f"  d2H/d{H.names[i]} d{H.names[j]} = ", cells[i][j])
 
 
 @cli.command()
-@_hamiltonian_options
+@hamiltonian_options
 @click.option("--backend", type=click.Choice(["torch", "numpy", "numba"]), default="torch")
 @click.option("--part", metavar="NAME", help="One function, such as loss or vector_field.")
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write to a file.")
@@ -342,9 +167,9 @@ def source(H: Hamiltonian, backend: str, part: str | None, output: str | None) -
 
 
 @cli.command()
-@_hamiltonian_options
-@_span_options
-@_solver_options
+@hamiltonian_options
+@span_options
+@solver_options
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="For hamsym.load.")
 def solve(
     H: Hamiltonian,
@@ -357,15 +182,15 @@ def solve(
     """Find a neural trajectory to a tolerance, or train one; exit 1 if that failed."""
     from hamsym.solving import solve as run  # torch is slow to import
 
-    _check_figure(figure)
-    _check_folder(output)
+    check_figure(figure)
+    check_folder(output)
     solution = run(H, z0, span, **options)
-    _report(solution)
+    report(solution)
     if output is not None:
         solution.save(output)
         click.echo(f"wrote {output}")
     if figure is not None:
-        _save_figure(solution.plot(), figure)
+        save_figure(solution.plot(), figure)
     return 0 if solution.success else 1
 
 
@@ -378,19 +203,19 @@ _METHODS = "hamsym integrate --list shows the methods."
     is_eager=True,
     is_flag=True,
     expose_value=False,
-    callback=_show_methods,
+    callback=show_methods,
     help="Show the methods and exit.",
 )
-@_hamiltonian_options
-@_starts_options
+@hamiltonian_options
+@starts_options
 @click.option("--method", default="symplectic_euler", show_default=True, metavar="NAME")
-@_step_options
+@step_options
 @click.option("--save-every", default=1, show_default=True, help="Keep every so many steps.")
 @click.option("--compensated", is_flag=True, help="Carry round-off from step to step.")
 @click.option("--omega", type=float, help="Coupling of tao2 and tao4.")
 @click.option("--rtol", type=float, help="Of dop853 and odeint  [1e-13]")
 @click.option("--atol", type=float, help="Of dop853 and odeint  [1e-13]")
-@_output_options("States as .csv or .npz.")
+@output_options("States as .csv or .npz.")
 def integrate(
     H: Hamiltonian,
     z0: Any,
@@ -424,20 +249,20 @@ def integrate(
         if ensemble:
             columns.insert(0, ("trajectory", np.repeat(np.arange(count), len(trajectory.t))))
         arrays = {"t": trajectory.t, "z": trajectory.z, "energy": trajectory.energy}
-        _write_table(output, columns, arrays)
+        write_table(output, columns, arrays)
     if figure is not None:
-        _save_figure(trajectory.plot(), figure)
+        save_figure(trajectory.plot(), figure)
     return 0 if trajectory.success else 1
 
 
 @cli.command(epilog=_METHODS)
-@_hamiltonian_options
-@_span_options
+@hamiltonian_options
+@span_options
 @click.option("--method", metavar="NAME", help="[blanes_moan6, or gauss6 if not separable]")
-@_step_options
+@step_options
 @click.option("--count", default=1, show_default=True, help="How many exponents.")
 @click.option("--seed", default=0, show_default=True)
-@_output_options("History, .csv or .npz.")
+@output_options("History, .csv or .npz.")
 def lyapunov(
     H: Hamiltonian,
     z0: Any,
@@ -450,7 +275,7 @@ def lyapunov(
     from hamsym.variational import lyapunov as run
 
     found = run(H, z0, span, **options)
-    _echo_wrapped("", found.statement)
+    echo_wrapped("", found.statement)
     names = [f"exponent {k + 1}" for k in range(found.exponents.shape[1])]
     if len(names) > 1:
         click.echo("at the end: " + ", ".join(f"{value:.4g}" for value in found.exponents[-1]))
@@ -464,9 +289,9 @@ def lyapunov(
     click.echo(f"{found.message}, {found.seconds:.2g} s")
     if output is not None:
         columns = [("t", found.t), *zip(names, found.exponents.T, strict=True)]
-        _write_table(output, columns, {"t": found.t, "exponents": found.exponents})
+        write_table(output, columns, {"t": found.t, "exponents": found.exponents})
     if figure is not None:
-        _save_figure(found.plot(), figure)
+        save_figure(found.plot(), figure)
     return 0 if found.success else 1
 
 
@@ -477,14 +302,14 @@ def _decades(found: Any) -> np.ndarray:
 
 
 @cli.command("section", epilog=_METHODS)
-@_hamiltonian_options
-@_starts_options
+@hamiltonian_options
+@starts_options
 @click.option("--at", "surface", required=True, metavar="SURFACE", help='"x = 0, p_x > 0"')
 @click.option("--energy", metavar="NUMBER", help="Of starts that lack one component.")
 @click.option("--method", metavar="NAME", help="[blanes_moan6, or gauss6 if not separable]")
-@_step_options
+@step_options
 @click.option("--crossings", type=int, help="Stop when each trajectory has so many.")
-@_output_options("Crossings, .csv or .npz.")
+@output_options("Crossings, .csv or .npz.")
 def section_command(
     H: Hamiltonian,
     z0: Any,
@@ -509,16 +334,16 @@ def section_command(
         columns = [("trajectory", found.trajectory), ("t", found.t)]
         columns += zip(H.names, found.z.T, strict=True)
         arrays = {"trajectory": found.trajectory, "t": found.t, "z": found.z}
-        _write_table(output, columns, arrays)
+        write_table(output, columns, arrays)
     if figure is not None:
-        _save_figure(found.plot(), figure)
+        save_figure(found.plot(), figure)
     return 0 if found.success else 1
 
 
 @cli.command()
-@_hamiltonian_options
-@_span_options
-@_solver_options
+@hamiltonian_options
+@span_options
+@solver_options
 @click.option(
     "--with",
     "methods",
@@ -542,15 +367,15 @@ def compare(
     from hamsym.integrators import usable_method
     from hamsym.solving import solve as run
 
-    _check_figure(figure)
-    for name in _names(methods):
+    check_figure(figure)
+    for name in listed(methods):
         usable_method(H, name)
     solution = run(H, z0, span, **options)
-    _report(solution)
-    comparison = run_comparison(solution, _names(methods), max_steps=max_steps)
+    report(solution)
+    comparison = run_comparison(solution, listed(methods), max_steps=max_steps)
     click.echo(f"\n{comparison}")
     if figure is not None:
-        _save_figure(comparison.plot(), figure)
+        save_figure(comparison.plot(), figure)
     return 0 if solution.success else 1
 
 
@@ -567,10 +392,10 @@ def certify(file: str, output: str | None, **options: Any) -> None:
     """
     from hamsym.archive import load
 
-    _check_folder(output)
+    check_folder(output)
     solution = load(file)
     found = solution.certify(**options)
-    _echo_wrapped("", found.statement)
+    echo_wrapped("", found.statement)
     names = ["|z|", *solution.H.names, "H", "ell_max"]
     lowers = [found.lower, *found.component_lowers, found.energy_lower, found.ell_max_lower]
     bounds = [found.bound, *found.component_bounds, found.energy_bound, found.ell_max_bound]
@@ -651,117 +476,6 @@ def reproduce(
         script.main(options)
     importlib.import_module("hamsym.paper.page").main([f"--out={place}"])
     click.echo(f"{(time.monotonic() - began) / 60:.1f} minutes")
-
-
-# -- reading and writing -------------------------------------------------------------------------
-
-
-def _names(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]
-
-
-def _assignments(text: str, option: str) -> dict[str, float]:
-    values: dict[str, float] = {}
-    for part in _names(text):
-        name, equals, value = (piece.strip() for piece in part.partition("="))
-        if not equals or not name or not value:
-            raise InputError(f"'{part}' in {option} is not NAME=VALUE; write such as m=1.0")
-        if name in values:
-            raise InputError(f"'{name}' occurs twice in {option}; give it once")
-        values[name] = parse_number(value)
-    return values
-
-
-def _state(text: str) -> dict[str, float] | list[float]:
-    if "=" in text:
-        return _assignments(text, "--z0")
-    return [parse_number(part) for part in _names(text)]
-
-
-def _whole(text: str, option: str) -> int:
-    if not text.isdigit():
-        raise InputError(f"'{text}' in {option} is not a whole number; write such as 50,50")
-    return int(text)
-
-
-def _report(solution: Any) -> None:
-    _echo_wrapped("converged: " if solution.success else "", solution.message)
-    sigma = solution.sigma_min
-    bound = (
-        f"{solution.error_bound:.2e} (heuristic)"
-        if sigma > 0
-        else "infinite: the Hessian is singular on the trajectory"
-    )
-    click.echo(f"ell_max {solution.ell_max:.2e}, sigma_min {sigma:.3g}")
-    click.echo(f"bound ell_max/sigma_min: {bound}")
-    training = solution.training
-    if solution.method == "features":
-        width = max(map(len, solution.H.names))
-        click.echo(f"{'':<{width}}  {'scale':>10}  {'estimated error':>16}")
-        for name, scale, error in zip(
-            solution.H.names, solution.scale, solution.largest_error, strict=True
-        ):
-            click.echo(f"{name:<{width}}  {scale:>10.4g}  {error:>16.1e}")
-        click.echo(f"time {training.seconds:.3f} s for the last march")
-    else:
-        each = 1e3 * training.cpu_seconds / max(training.iterations, 1)
-        unit = "epoch" if solution.method == "adam" else "iteration"
-        click.echo(f"time {training.seconds:.1f} s, {each:.2f} ms of CPU per {unit}")
-
-
-_FIGURE_ENDINGS = (".png", ".pdf", ".svg")
-
-
-def _check_figure(path: str | None) -> None:
-    """Refuse a figure that could not be written before hours of work, not after."""
-    if path is None:
-        return
-    if Path(path).suffix not in _FIGURE_ENDINGS:
-        listed = ", ".join(_FIGURE_ENDINGS)
-        raise InputError(f"'{path}' is not a figure file; choose one of {listed}")
-    _check_folder(path)
-
-
-def _check_folder(path: str | None) -> None:
-    if path is not None and not Path(path).absolute().parent.is_dir():
-        raise InputError(f"'{path}' has no folder to stand in; make the folder first")
-
-
-def _save_figure(figure: Any, path: str) -> None:
-    import io
-
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=Path(path).suffix[1:], dpi=130)
-    write_atomically(Path(path), buffer.getvalue())
-    click.echo(f"wrote {path}")
-
-
-def _check_table(path: str | None) -> None:
-    if path is not None and Path(path).suffix not in (".csv", ".npz"):
-        raise InputError(f"'{path}' is neither .csv nor .npz; choose one of these endings")
-    _check_folder(path)
-
-
-def _write_table(
-    path: str, columns: list[tuple[str, np.ndarray]], arrays: dict[str, np.ndarray]
-) -> None:
-    """Columns as .csv, or arrays as .npz; of two columns with one name the second gets a mark."""
-    import io
-
-    buffer = io.BytesIO()
-    if Path(path).suffix == ".npz":
-        np.savez(buffer, allow_pickle=False, **arrays)
-    else:
-        table = np.column_stack([values for _, values in columns])
-        names: list[str] = []
-        for name, _ in columns:
-            while name in names:
-                name += "_"
-            names.append(name)
-        header = ",".join(names)
-        np.savetxt(buffer, table, fmt="%.17g", delimiter=",", header=header, comments="")
-    write_atomically(Path(path), buffer.getvalue())
-    click.echo(f"wrote {path}")
 
 
 if __name__ == "__main__":
