@@ -16,18 +16,9 @@ from hamsym.paper import (
     oscillator_long,
     page,
 )
-from hamsym.paper.experiment import (
-    ARCHITECTURES,
-    euler,
-    judge_architectures,
-    judge_steps,
-    limit,
-    lower,
-    markdown_table,
-    parse,
-    short,
-    spread,
-)
+from hamsym.paper.experiment import ARCHITECTURES, limit, parse
+from hamsym.paper.judging import euler, judge_architectures, judge_steps
+from hamsym.paper.tables import lower, markdown_table, short, spread
 
 SCRIPTS = (oscillator, oscillator_long, henon_heiles, henon_heiles_long, claims)
 

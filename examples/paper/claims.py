@@ -13,7 +13,8 @@ import torch
 
 import hamsym
 from hamsym.paper import oscillator, oscillator_long
-from hamsym.paper.experiment import COSINE, Experiment, lower, parse, short, spread
+from hamsym.paper.experiment import COSINE, Experiment, parse
+from hamsym.paper.tables import lower, short, spread
 
 BASE = oscillator.PUBLISHED | {"epochs": 10_000}
 LONG = oscillator_long.PUBLISHED | {"epochs": 20_000, "energy_weight": 1.0}

@@ -9,27 +9,17 @@ import math
 import numpy as np
 
 import hamsym
-from hamsym.paper.experiment import (
-    ARCHITECTURES,
-    AS_WRITTEN,
-    AUTHORS,
-    BLUE,
-    COSINE,
-    GREEN,
-    RED,
-    Experiment,
-    draw_architectures,
+from hamsym.paper.drawing import BLUE, GREEN, RED, draw_architectures, figure
+from hamsym.paper.experiment import ARCHITECTURES, AS_WRITTEN, AUTHORS, COSINE, Experiment, parse
+from hamsym.paper.judging import (
     euler,
-    figure,
     judge_architectures,
     judge_bound,
     judge_estimate,
     judge_integrators,
     judge_steps,
-    lower,
-    parse,
-    short,
 )
+from hamsym.paper.tables import lower, short
 
 SPAN = (0.0, 6 * math.pi)
 NETWORK = {"hidden": (50, 50), "points": 100, "epochs": 30_000}

@@ -12,22 +12,10 @@ import math
 import numpy as np
 
 import hamsym
-from hamsym.paper.experiment import (
-    AS_WRITTEN,
-    AUTHORS,
-    BLUE,
-    COSINE,
-    GREEN,
-    RED,
-    Experiment,
-    draw_losses,
-    euler,
-    figure,
-    judge_integrators,
-    lower,
-    parse,
-    short,
-)
+from hamsym.paper.drawing import BLUE, GREEN, RED, draw_losses, figure
+from hamsym.paper.experiment import AS_WRITTEN, AUTHORS, COSINE, Experiment, parse
+from hamsym.paper.judging import euler, judge_integrators
+from hamsym.paper.tables import lower, short
 
 HALF, SPAN = (0.0, 6 * math.pi), (0.0, 12 * math.pi)
 NETWORK = {"hidden": (80, 80), "points": 500, "energy_weight": 0.5}

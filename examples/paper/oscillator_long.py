@@ -10,24 +10,10 @@ import math
 import numpy as np
 
 import hamsym
-from hamsym.paper.experiment import (
-    AS_WRITTEN,
-    AUTHORS,
-    BLUE,
-    COSINE,
-    GREEN,
-    RED,
-    Experiment,
-    draw_losses,
-    euler,
-    figure,
-    judge_bound,
-    judge_integrators,
-    lower,
-    parse,
-    short,
-    spread,
-)
+from hamsym.paper.drawing import BLUE, GREEN, RED, draw_losses, figure
+from hamsym.paper.experiment import AS_WRITTEN, AUTHORS, COSINE, Experiment, parse
+from hamsym.paper.judging import euler, judge_bound, judge_integrators
+from hamsym.paper.tables import lower, short, spread
 
 SPAN = (0.0, 20 * math.pi)
 NETWORK = {"hidden": (80, 80), "points": 500, "epochs": 50_000}

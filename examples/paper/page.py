@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 
 from hamsym.paper import scheme
-from hamsym.paper.experiment import markdown_table, seconds, short, write
+from hamsym.paper.tables import markdown_table, seconds, short, write
 
 EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long", "claims")
 _FLOOR = 5e-13  # below it the reference is no better than what it judges

@@ -7,7 +7,7 @@ import argparse
 import itertools
 from pathlib import Path
 
-from hamsym.paper.experiment import BLUE, GREEN, ORANGE, figure
+from hamsym.paper.drawing import BLUE, GREEN, ORANGE, figure
 
 CAPTION = (
     "The network's scheme: N(t) has as many outputs as there are components, f(t) imposes the "
