@@ -110,12 +110,18 @@ def _check_positive(**values: float) -> None:
 def harmonic_oscillator(omega: float = 1.0) -> Problem:
     """The harmonic oscillator H = (p^2 + omega^2 x^2)/2, from (1, 0).
 
+    Raises
+    ------
+    InputError
+        If omega is not positive.
+
     Examples
     --------
     >>> problem = harmonic_oscillator(omega=2.0)
     >>> problem.exact(np.array([problem.period])).round(12) + 0.0
     array([[1., 0.]])
     """
+    _check_positive(omega=omega)
 
     def exact(t: np.ndarray) -> np.ndarray:
         return np.stack((np.cos(omega * t), -omega * np.sin(omega * t)), axis=-1)
@@ -138,12 +144,19 @@ def nonlinear_oscillator(x: float = 1.3, p: float = 1.0) -> Problem:
     Exactly, x = A cn(Omega t + phase | m) with E = A^2/2 + A^4/4, Omega^2 = 1 + A^2 and
     m = A^2 / (2 Omega^2).
 
+    Raises
+    ------
+    InputError
+        If it starts at rest, or not from finite numbers.
+
     Examples
     --------
     >>> nonlinear_oscillator().exact(np.array([0.0])).round(12)
     array([[1.3, 1. ]])
     """
-    energy = p**2 / 2 + x**2 / 2 + x**4 / 4
+    energy = p * p / 2 + x * x / 2 + x * x * x * x / 4
+    if not 0 < energy < math.inf:
+        raise InputError(f"x={x!r}, p={p!r} cannot be used; give a start of energy above 0")
     amplitude = math.sqrt(4 * energy / (1 + math.sqrt(1 + 4 * energy)))
     rate = math.sqrt(1 + amplitude**2)
     m = amplitude**2 / (2 * rate**2)
@@ -593,7 +606,14 @@ def charged_particle(field: float = 1.0) -> Problem:
 
     H = ((p_x + B y/2)^2 + (p_y - B x/2)^2)/2 in units of charge and mass; exactly, circles of
     angular frequency B.
+
+    Raises
+    ------
+    InputError
+        If the field B is zero, or not finite.
     """
+    if not 0 < abs(field) < math.inf:
+        raise InputError(f"field={field!r} cannot be used; give a number other than 0")
     H = Hamiltonian("((p_x + B*y/2)**2 + (p_y - B*x/2)**2)/2", parameters={"B": field})
     x0, y0, px0, py0 = z0 = (1.0, 0.0, 0.0, 1.0)
     vx0, vy0 = px0 + field * y0 / 2, py0 - field * x0 / 2

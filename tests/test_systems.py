@@ -287,6 +287,13 @@ def test_spring_bounces_twice_while_it_swings_once() -> None:
         lambda: systems.spring_pendulum(stiffness=0.0),
         lambda: systems.spring_pendulum(length=-1.0),
         lambda: systems.spring_pendulum(gravity=math.inf),
+        lambda: systems.harmonic_oscillator(omega=0.0),
+        lambda: systems.harmonic_oscillator(omega=math.inf),
+        lambda: systems.nonlinear_oscillator(x=0.0, p=0.0),
+        lambda: systems.nonlinear_oscillator(x=1e200),
+        lambda: systems.nonlinear_oscillator(p=math.nan),
+        lambda: systems.charged_particle(field=0.0),
+        lambda: systems.charged_particle(field=math.nan),
     ],
 )
 def test_unusable_arguments(make: object) -> None:
