@@ -276,7 +276,7 @@ def march(
     breakpoints : sequence of float
         Times inside the span, in its direction, at which a window must end.
     longest : float
-        Length that no window exceeds.
+        Length that no window exceeds, but for a millionth of it.
     max_windows : int
     """
     began, cpu_began = time.perf_counter(), time.process_time()

@@ -21,6 +21,7 @@ FINISHED, NEWTON, TOO_SHORT, FULL = range(4)
 ORDER = 18  # at which the residual falls with the length of the window, empirically
 ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
 SHRINK, GROW = 0.6, 2.5
+SLIVER = 1e-6  # of a window that it takes along rather than leave
 ITERATIONS = 60
 SMALL, RETRIES = 600, 3  # unknowns above which so many shorter windows are tried before Newton
 TAIL = 6  # last nodes of a window, from which the next one is guessed
@@ -98,7 +99,7 @@ def march_windows(
     shortest : float
         Length below which a window is not tried.
     longest : float
-        Length that no window exceeds.
+        Length that no window exceeds, but for a sliver.
     given : bool
         Whether ``found`` has the rates at the nodes of the first window already.
     found : array (nodes, dim)
@@ -131,7 +132,11 @@ def march_windows(
     status = FINISHED
     while passed < len(stops):
         stop = stops[passed]
-        length = min(length, longest, abs(stop - t))
+        left = abs(stop - t)
+        length = min(length, longest, left)
+        # Equal windows may miss the stop by round-off: no sliver is left before it.
+        if left - length < SLIVER * length:
+            length = left
         if length < shortest:
             status = TOO_SHORT
             break
@@ -188,7 +193,7 @@ def march_windows(
             continue
         # Rounding Q(1) would push every window the same way, and energies would drift.
         states[count + 1] = z + (end @ readout + end_low @ readout)
-        if length == abs(stop - t):
+        if length == left:
             t = stop
             passed += 1
         else:

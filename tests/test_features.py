@@ -199,6 +199,23 @@ def test_a_stiff_system() -> None:
     np.testing.assert_allclose(solution(t)[:, 0], np.cos(np.sqrt(squares[0]) * t), atol=1e-6)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+def test_equal_windows_reach_the_end_of_any_span(compiled: bool) -> None:
+    """An eighth of the span, eight times added to the start, may fall short of its end."""
+    H = Hamiltonian("p**2/2 + x**2/2")
+    if compiled:
+        H.compile("numba")
+    rng = np.random.default_rng(7)
+    for start, length in zip([0.0, 1.7, -1e3] * 20, rng.uniform(0.01, 9, 60), strict=True):
+        for end in (start + length, start - length):
+            solution = hamsym.solve(H, [0.3, 0.1], (start, end))
+            assert solution.success, solution.message
+            edges = solution.history.edges
+            assert edges[-1] == end
+            assert np.abs(np.diff(edges)).max() <= (1 + 2e-6) * length / 8
+            assert np.abs(np.diff(edges)).min() > 1e-7 * length
+
+
 def test_breakpoints_end_windows() -> None:
     H = Hamiltonian("p**2/2 - x*sign(t - 1)")
     solution = hamsym.solve(H, [0.0, 0.0], (0, 3), tol=1e-11, breakpoints=[2.0, 1.0, 2.0])
