@@ -11,7 +11,7 @@ import numpy as np
 import scipy.integrate
 
 from hamsym.errors import InputError
-from hamsym.hamiltonian import Hamiltonian
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 
 __all__ = ["Adaptive", "reference", "run_dop853", "run_odeint"]
 
@@ -34,7 +34,7 @@ class Adaptive:
 
 
 def reference(
-    H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], *, tolerance: float = 1e-13
+    H: HamiltonianLike, z0: np.ndarray, span: tuple[float, float], *, tolerance: float = 1e-13
 ) -> Callable[[np.ndarray], np.ndarray]:
     """DOP853 with dense output as a function of time, for judging less accurate solutions.
 
@@ -48,7 +48,7 @@ def reference(
     InputError
         If the solution does not exist over the whole span.
     """
-    H.require_parameters()
+    H = Hamiltonian.of(H)
     result = _dop853(H, H.state_from(z0), span, tolerance, None, dense_output=True)
     if not result.success or not np.all(np.isfinite(result.y)):
         raise InputError(

@@ -11,13 +11,13 @@ import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 import sympy
 
 from hamsym import codegen, compiled, derivatives
-from hamsym.errors import ParameterError, VariableError
+from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.pairing import find_pairs, natural_order
 from hamsym.parsing import canonical_name, parse_expression
 from hamsym.printing import FormulaPrinter
@@ -36,7 +36,7 @@ from hamsym.symbols import (
 )
 from hamsym.system import System
 
-__all__ = ["Hamiltonian"]
+__all__ = ["Hamiltonian", "HamiltonianLike"]
 
 _TIME = "t"
 
@@ -211,6 +211,30 @@ class Hamiltonian:
         """
         merged = {**self.parameters, **values}
         return Hamiltonian(self.expr, q=self.q, p=self.p, parameters=merged)
+
+    @classmethod
+    def of(cls, H: HamiltonianLike) -> Hamiltonian:
+        """What a solver takes: a Hamiltonian, or the formula of one, without unknown parameters.
+
+        Raises
+        ------
+        InputError
+            If it is something else, is no Hamiltonian, or a parameter has no value.
+
+        Examples
+        --------
+        >>> Hamiltonian.of("p**2/2 + x**2/2").names
+        ('x', 'p')
+        """
+        if isinstance(H, str | sympy.Expr):
+            H = cls(H)
+        if not isinstance(H, cls):
+            raise InputError(
+                f"H is a Hamiltonian or a formula, not {type(H).__name__}; write such as "
+                'Hamiltonian("p**2/2 + x**2/2")'
+            )
+        H.require_parameters()
+        return H
 
     def require_parameters(self) -> None:
         """Refuse to go on while a parameter has no value.
@@ -620,6 +644,10 @@ class Hamiltonian:
         if system.rates is not None:
             compiled.prepare(self, system.rates)
         return system
+
+
+#: What the solvers take; see :meth:`Hamiltonian.of`.
+HamiltonianLike: TypeAlias = Hamiltonian | str | sympy.Expr
 
 
 def _of_state(function: Callable[..., Any], z: np.ndarray, t: Any) -> np.ndarray:

@@ -21,7 +21,7 @@ import numpy as np
 from hamsym import schemes
 from hamsym.adaptive import Adaptive, reference, run_dop853, run_odeint
 from hamsym.errors import InputError, SeparabilityError
-from hamsym.hamiltonian import Hamiltonian
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.schemes import Doubled, RungeKutta, Scheme, Splitting
 from hamsym.settings import require_number, require_positive, require_whole
 from hamsym.stepping import NOT_ONLY_SEPARABLE, Stepper
@@ -228,7 +228,7 @@ class Trajectory:
 
 
 def integrate(
-    H: Hamiltonian,
+    H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     span: tuple[float, float],
     method: str = "symplectic_euler",
@@ -246,7 +246,7 @@ def integrate(
 
     Parameters
     ----------
-    H : Hamiltonian
+    H : Hamiltonian, str or sympy.Expr
         With a value for every parameter.
     z0 : sequence, mapping or array
         Initial state in the order of H.z or by name. An array of shape (batch, dim), or a mapping
@@ -299,8 +299,8 @@ def integrate(
     >>> integrate(H, {"x": np.linspace(0, 1, 5), "p": 0.0}, (0, 1), "gauss4", dt=0.1).z.shape
     (5, 11, 2)
     """
+    H = Hamiltonian.of(H)
     name = usable_method(H, method)
-    H.require_parameters()
     states = H.states_from(z0)
     start, end = checked_span(span)
     steps = checked_steps(end - start, steps, dt)

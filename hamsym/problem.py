@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.hamiltonian import Hamiltonian
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators import checked_span
 from hamsym.settings import require_whole
 
@@ -43,7 +43,7 @@ class InitialValueProblem:
     @classmethod
     def checked(
         cls,
-        H: Hamiltonian,
+        H: HamiltonianLike,
         z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
         span: tuple[float, float],
         seed: int,
@@ -54,9 +54,10 @@ class InitialValueProblem:
         Raises
         ------
         InputError
-            If a parameter has no value, or the state, the span or the seed cannot be used.
+            If H is no Hamiltonian, a parameter has no value, or the state, the span or the seed
+            cannot be used.
         """
-        H.require_parameters()
+        H = Hamiltonian.of(H)
         state = H.state_from(z0)
         times = checked_span(span)
         energy_0 = _initial_energy(H, state, times[0])

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.hamiltonian import Hamiltonian
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators import checked_span, checked_steps, fixed_step, usual_method
 from hamsym.progress import stepping_progress
 from hamsym.schemes import Doubled
@@ -84,7 +84,7 @@ class Section:
 
 
 def section(
-    H: Hamiltonian,
+    H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     span: tuple[float, float],
     surface: str,
@@ -103,7 +103,7 @@ def section(
 
     Parameters
     ----------
-    H : Hamiltonian
+    H : Hamiltonian, str or sympy.Expr
     z0 : sequence, mapping or array
         As in :func:`hamsym.integrate`, shape (dim,) or (batch, dim).
     span : (float, float)
@@ -140,7 +140,7 @@ def section(
     >>> len(found.t), (found.t / (2 * np.pi)).round(9)
     (7, array([1., 2., 3., 4., 5., 6., 7.]))
     """
-    H.require_parameters()
+    H = Hamiltonian.of(H)
     states = np.atleast_2d(H.states_from(z0))
     start, end = checked_span(span)
     steps = checked_steps(end - start, steps, dt)

@@ -15,7 +15,7 @@ from hamsym.deep_networks import (
     solve_by_training,
 )
 from hamsym.errors import InputError
-from hamsym.hamiltonian import Hamiltonian
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.marching import FeatureOptions, solve_by_features
 from hamsym.problem import InitialValueProblem
 from hamsym.solution import Solution
@@ -42,7 +42,7 @@ METHODS: dict[str, Method] = {
 
 
 def solve(
-    H: Hamiltonian,
+    H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     span: tuple[float, float],
     *,
@@ -55,7 +55,7 @@ def solve(
 
     Parameters
     ----------
-    H : Hamiltonian
+    H : Hamiltonian, str or sympy.Expr
         With a value for every parameter.
     z0 : sequence or mapping
         Initial state, in the order of H.z or by name.
@@ -167,8 +167,8 @@ def solve(
     >>> trained(0.0)
     array([1., 0.])
     """
-    chosen = checked_options(H, method, options)
     problem = InitialValueProblem.checked(H, z0, span, seed, progress)
+    chosen = checked_options(problem.H, method, options)
     return METHODS[method].run(problem, chosen)
 
 

@@ -35,7 +35,7 @@ from hamsym.atomic import write_atomically
 from hamsym.certificates import Certificate
 from hamsym.comparison import Row, measure
 from hamsym.errors import CertificationError, FileError, HamsymError, InputError
-from hamsym.hamiltonian import Hamiltonian
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import InitialValueProblem
 from hamsym.settings import plain, require_positive, require_whole
 from hamsym.solution import Solution
@@ -104,7 +104,7 @@ class Sweep:
 
 
 def sweep(
-    H: Hamiltonian,
+    H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     span: tuple[float, float],
     settings: Mapping[str, Settings],
@@ -358,7 +358,8 @@ def _carry_out(runs: Sequence[_Run], workers: int, progress: bool | None) -> Non
         queue: Any = context.Queue()
         pool = ProcessPoolExecutor(workers, context, initializer=_prepare, initargs=(queue,))
         try:
-            waiting = {pool.submit(_in_process, run): run for run in runs}
+            with _interrupts_held():
+                waiting = {pool.submit(_in_process, run): run for run in runs}
             while waiting:
                 done = [future for future in waiting if future.done()]
                 for future in done:
@@ -382,6 +383,19 @@ def _carry_out(runs: Sequence[_Run], workers: int, progress: bool | None) -> Non
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C waits: a process begun here never hears of it, not even while it imports."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _queue: _Queue | None = None

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.hamiltonian import Hamiltonian
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators import (
     checked_span,
     checked_steps,
@@ -84,7 +84,7 @@ class TangentMap:
 
 
 def tangent_map(
-    H: Hamiltonian,
+    H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     span: tuple[float, float],
     method: str | None = None,
@@ -119,7 +119,7 @@ def tangent_map(
     array([[ 0.,  1.],
            [-1.,  0.]])
     """
-    H.require_parameters()
+    H = Hamiltonian.of(H)
     start, end = checked_span(span)
     steps = checked_steps(end - start, steps, dt)
     method, state = method or usual_method(H), H.state_from(z0)
@@ -133,7 +133,7 @@ def tangent_map(
 
 
 def monodromy(
-    H: Hamiltonian,
+    H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     period: float,
     *,
@@ -147,7 +147,7 @@ def monodromy(
 
     Parameters
     ----------
-    H : Hamiltonian
+    H : Hamiltonian, str or sympy.Expr
     z0 : sequence or mapping
         A state on the orbit.
     period : float
@@ -278,7 +278,7 @@ class LyapunovExponents:
 
 
 def lyapunov(
-    H: Hamiltonian,
+    H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     span: tuple[float, float],
     *,
@@ -296,7 +296,7 @@ def lyapunov(
 
     Parameters
     ----------
-    H : Hamiltonian
+    H : Hamiltonian, str or sympy.Expr
     z0 : sequence or mapping
     span : (float, float)
     method : str, optional
@@ -331,7 +331,7 @@ def lyapunov(
     >>> lyapunov(H, [1e-9, 0.0], (0, 20), count=2).exponents[-1].round(1)
     array([ 1., -1.])
     """
-    H.require_parameters()
+    H = Hamiltonian.of(H)
     start, end = checked_span(span)
     state = H.state_from(z0)
     method = method or usual_method(H)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ import torch
 
 import hamsym
 from hamsym import Hamiltonian, InputError, Regularizer, Solution
-from hamsym.errors import ParameterError, VacuousBoundWarning, VariableError
+from hamsym.errors import ParameterError, ParseError, VacuousBoundWarning, VariableError
+from hamsym.integrators import reference
 from hamsym.systems import CATALOGUE, harmonic_oscillator, henon_heiles
+from hamsym.variational import tangent_map
 
 QUICK = {
     "method": "adam",
@@ -286,6 +289,30 @@ def test_unusable_starts_and_parameters() -> None:
         hamsym.solve(Hamiltonian("p**2/2 + log(x)"), [-1, 0], (0, 1), method="adam")
     with pytest.raises(InputError, match="not finite at z0"):
         hamsym.solve(Hamiltonian("p**2/2 - 1/x"), [0, 0], (0, 1), method="adam")
+
+
+SOLVERS = {
+    "solve": lambda H: hamsym.solve(H, [1, 0], (0, 1)).z0,
+    "integrate": lambda H: hamsym.integrate(H, [1, 0], (0, 1), steps=9).z,
+    "section": lambda H: hamsym.section(H, [1, 0], (0, 9), "x = 0", dt=0.1).t,
+    "lyapunov": lambda H: hamsym.lyapunov(H, [1, 0], (0, 1), dt=0.1).exponents,
+    "monodromy": lambda H: hamsym.monodromy(H, [1, 0], 2 * math.pi).matrix,
+    "tangent_map": lambda H: tangent_map(H, [1, 0], (0, 1), dt=0.1).matrix,
+    "reference": lambda H: reference(H, [1, 0], (0, 1))(np.ones(1)),
+}
+
+
+@pytest.mark.parametrize("solver", SOLVERS.values(), ids=list(SOLVERS))
+def test_solvers_take_formulas_and_name_what_is_none(solver: Callable[..., np.ndarray]) -> None:
+    found = solver(Hamiltonian("p**2/2 + x**2/2"))
+    np.testing.assert_array_equal(solver("p**2/2 + x**2/2"), found)
+    np.testing.assert_array_equal(solver(Hamiltonian("p**2/2 + x**2/2").expr), found)
+    with pytest.raises(InputError, match="H is a Hamiltonian or a formula, not Problem; write"):
+        solver(harmonic_oscillator())
+    with pytest.raises(ParameterError, match="k has no value"):
+        solver("p**2 + k*x**2")
+    with pytest.raises(ParseError, match=r"'\^' at column 2 is not a power"):
+        solver("p^2")
 
 
 def test_solving_is_silent_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,9 @@
 """Runs side by side: the same as alone, kept, gone on with, refused where they make no sense."""
 
 import os
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -68,6 +71,18 @@ def test_a_run_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypat
     alone = hamsym.solve(H, Z0, SPAN, seed=0, **settings["Adam"])
     assert (found.solutions["Adam"][0](T) == alone(T)).all()
     assert [path.suffix for path in tmp_path.iterdir()] == [".hamsym"]
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks here")
+def test_processes_never_hear_of_an_interrupt():
+    """Not even while they start, when each would print a traceback."""
+    heard = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    with sweeps._interrupts_held():
+        process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == heard
+    process.send_signal(signal.SIGINT)
+    process.communicate(b"\n", timeout=60)
+    assert process.returncode == 0
 
 
 def test_settings_may_depend_on_the_seed(tmp_path):
