@@ -318,8 +318,9 @@ def kepler(eccentricity: float = 0.6) -> Problem:
 
     def exact(t: np.ndarray) -> np.ndarray:
         mean = np.remainder(np.asarray(t, dtype=float) + math.pi, 2 * math.pi) - math.pi
-        anomaly = mean + e * np.sin(mean) / (1 - np.sin(mean + e) + np.sin(mean))
-        for _ in range(50):
+        # Between 0 and pi E - e sin(E) is convex: from above, Newton's method cannot overshoot.
+        anomaly = np.sign(mean) * np.minimum(np.abs(mean) + e, math.pi)
+        for _ in range(100):
             anomaly = anomaly - (anomaly - e * np.sin(anomaly) - mean) / (1 - e * np.cos(anomaly))
         cosine, sine = np.cos(anomaly), np.sin(anomaly)
         rate = 1 / (1 - e * cosine)

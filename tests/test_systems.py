@@ -66,6 +66,19 @@ def test_starts_fit(problem: Problem) -> None:
     assert problem.source
 
 
+@pytest.mark.parametrize("e", [0.0, 0.3, 0.6, 0.9, 0.95, 0.99, 0.9999])
+def test_keplers_equation_is_solved_at_any_time(e: float) -> None:
+    mean = np.linspace(-math.pi, math.pi, 4_001)[1:-1]
+    low, high = mean - 1.0, mean + 1.0
+    for _ in range(80):
+        middle = (low + high) / 2
+        below = middle - e * np.sin(middle) < mean
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    position = np.stack((np.cos(low) - e, math.sqrt(1 - e * e) * np.sin(low)), axis=-1)
+    found = systems.kepler(e).exact(mean + 2 * math.pi)[:, :2]
+    np.testing.assert_allclose(found, position, atol=3e-14 / (1 - e))
+
+
 def test_exact_solution_starts_right_and_solves_the_equations(problem: Problem) -> None:
     if problem.exact is None:
         truth = reference(problem.H, problem.z0, problem.span)
