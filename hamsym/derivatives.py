@@ -160,18 +160,22 @@ def vanishes(expr: sympy.Expr) -> bool:
 
 
 def switches(
-    gradient: Sequence[sympy.Expr], z: Sequence[sympy.Symbol]
+    expr: sympy.Expr, gradient: Sequence[sympy.Expr], z: Sequence[sympy.Symbol]
 ) -> list[tuple[sympy.Expr, list[sympy.Expr]]]:
-    """Where the gradient may jump: functions of the state, and the jump where each is zero."""
+    """Where H or its gradient may jump: functions of the state, and the jumps where each is zero.
+
+    The jumps of the gradient, then that of H.
+    """
+    jumping = [*gradient, expr]
     steps = {
         step
-        for slope in gradient
-        for step in slope.atoms(sympy.sign, sympy.Heaviside)
+        for term in jumping
+        for step in term.atoms(sympy.sign, sympy.Heaviside)
         if step.args[0].free_symbols & set(z)
     }
     found = []
     for step in sorted(steps, key=str):
         low = -1 if isinstance(step, sympy.sign) else 0
-        jumps = [slope.xreplace({step: 1}) - slope.xreplace({step: low}) for slope in gradient]
+        jumps = [term.xreplace({step: 1}) - term.xreplace({step: low}) for term in jumping]
         found.append((step.args[0], jumps))
     return found

@@ -27,6 +27,7 @@ from hamsym.symbols import (
     as_list,
     by_name,
     check_state,
+    check_steps,
     checked_expression,
     checked_values,
     name_of,
@@ -107,6 +108,7 @@ class Hamiltonian:
         state = [state_symbol(item, symbols, real) for item in (*coordinates, *momenta)]
         half = len(list(coordinates))
         check_state(state, half, values)
+        check_steps(expr, state)
         set_attribute = functools.partial(object.__setattr__, self)
         set_attribute("expr", expr)
         set_attribute("q", tuple(state[:half]))
@@ -573,15 +575,16 @@ class Hamiltonian:
 
     @cached_property
     def switches(self) -> list[tuple[Callable[..., Any], Callable[..., Any]]]:
-        """Functions of (z, t) at whose zeros the gradient may jump, and by how much it does.
+        """Functions of (z, t) at whose zeros the gradient or H may jump, and by how much they do.
 
-        Such as x for H = p**2/2 + abs(x); z has shape (..., dim).
+        Such as x for H = p**2/2 + abs(x); z has shape (..., dim); the jumps are dim + 1 numbers,
+        that of H last.
         """
         real = self._real
         time = real.time or sympy.Dummy("t")
         values = {symbol: value for symbol, value in real.parameters.values() if value is not None}
         found: list[tuple[Callable[..., Any], Callable[..., Any]]] = []
-        for argument, jumps in derivatives.switches(real.gradient, real.z):
+        for argument, jumps in derivatives.switches(real.expr, real.gradient, real.z):
             pair = []
             for expr in (argument, sympy.Matrix([jumps])):
                 # Names are dummies there, and what is printed are functions of the parser's list.

@@ -7,6 +7,7 @@ Stage 3  If both together exceed what was asked, march again with a tighter loca
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -47,7 +48,9 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
     tol = options.tol
     H = problem.H
     if not (isinstance(tol, (int, float, np.floating)) and _SMALLEST_TOL <= tol < 1):
-        raise InputError(f"tol={tol!r} cannot be used; give a number from {_SMALLEST_TOL:g} to 1")
+        raise InputError(
+            f"tol={tol!r} cannot be used; give a number from {_SMALLEST_TOL:g} to below 1"
+        )
     absolute = _checked_atol(options.atol, H.dim)
     longest = _checked_window(options.max_window, problem.span)
     stops = _checked_breakpoints(options.breakpoints, problem.span)
@@ -89,20 +92,21 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
     if solution.success and (jump := _first_jump(H, solution, windows)) is not None:
         solution.success = False
         solution.message = (
-            f"the force jumps at t = {jump:.6g}, beyond which the error cannot be estimated; solve "
-            f"up to there, and on from there ({solution.message})"
+            f"{jump} beyond which the error cannot be estimated; solve up to there, and on from "
+            f"there ({solution.message})"
         )
     return solution
 
 
-def _first_jump(H: Hamiltonian, solution: Solution, windows: March) -> float | None:
-    """The first time at which the trajectory crosses a jump of the gradient, such as of abs(x).
+def _first_jump(H: Hamiltonian, solution: Solution, windows: March) -> str | None:
+    """What jumps and when, where the trajectory first crosses a jump, such as the force of abs(x).
 
-    The linear equation of the error knows nothing of what a jump does to nearby trajectories.
+    The linear equation of the error knows nothing of what a jump does to nearby trajectories; and
+    where H jumps there is a force that no derivative shows.
     """
     if not H.switches:
         return None
-    first: float | None = None
+    found: list[tuple[float, str]] = []
     system = H.compile("numpy")
     direction = math.copysign(1.0, windows.edges[-1] - windows.edges[0])
     inside = np.linspace(0, 1, _JUMP_SAMPLES, endpoint=False)
@@ -112,21 +116,24 @@ def _first_jump(H: Hamiltonian, solution: Solution, windows: March) -> float | N
     with np.errstate(all="ignore"):
         rates = np.abs(system.gradient(*system.arguments(z, times)))
         size = rates.reshape(len(times), 2, -1).max(axis=(0, 2)).repeat(H.dof)
-        for argument, jump in H.switches:
+        sizes = np.append(size, np.abs(system.energy(*system.arguments(z, times))).max())
+        for argument, jumps in H.switches:
             values = np.broadcast_to(argument(z, times), times.shape)
-            for k in np.flatnonzero(values[:-1] * values[1:] < 0):
+            signed = np.flatnonzero(values)
+            for before, after in itertools.pairwise(signed):
+                if values[before] * values[after] > 0:
+                    continue
                 at = scipy.optimize.brentq(
                     lambda t, argument=argument: float(argument(solution(t), t)),
-                    *times[k : k + 2],
-                    xtol=1e-12 * abs(times[k + 1] - times[k]) + 1e-300,
+                    *times[[before, after]],
+                    xtol=1e-12 * abs(times[after] - times[before]) + 1e-300,
                 )
-                height = np.abs(jump(solution(at), at)).ravel()
-                if (height > 1e-6 * size).any():
-                    first = (
-                        at if first is None else direction * min(direction * at, direction * first)
-                    )
+                jumped = np.abs(jumps(solution(at), at)).ravel() > 1e-6 * sizes
+                if jumped.any():
+                    what = "H" if jumped[-1] else "the force"
+                    found.append((direction * at, f"{what} jumps at t = {at:.6g},"))
                     break
-    return first
+    return min(found)[1] if found else None
 
 
 def flow_of(H: Hamiltonian) -> Flow:

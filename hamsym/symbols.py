@@ -144,6 +144,16 @@ def check_state(state: list[sympy.Symbol], half: int, values: Mapping[str, float
             )
 
 
+def check_steps(expr: sympy.Expr, state: Sequence[sympy.Symbol]) -> None:
+    """Refuse steps of the state that sympy differentiates to infinite peaks."""
+    for step in sorted(expr.atoms(sympy.DiracDelta, sympy.Heaviside), key=str):
+        if isinstance(step, sympy.DiracDelta) or step.free_symbols & set(state):
+            raise InputError(
+                f"'{step}' has no force that numbers could show; write a smooth step or peak, such "
+                "as tanh(x/0.01) or exp(-(x/0.01)**2)"
+            )
+
+
 def state_array(
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray, names: Sequence[str]
 ) -> np.ndarray:

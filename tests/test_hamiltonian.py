@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -389,3 +390,14 @@ def test_state_at_energy_looks_everywhere_but_at_poles() -> None:
         oscillator.state_at_energy("a", {"x": 0})
     with pytest.raises(InputError, match="energy=nan cannot be used"):
         oscillator.state_at_energy(float("nan"), {"x": 0})
+
+
+def test_steps_and_peaks_of_the_state_are_refused() -> None:
+    x, p, t = sympy.symbols("x p t", real=True)
+    for step in (sympy.Heaviside(x - 1), sympy.DiracDelta(x), sympy.DiracDelta(t)):
+        with pytest.raises(InputError, match=re.escape(f"'{step}' has no force") + ".*smooth"):
+            Hamiltonian(p**2 / 2 + x**2 + step * x)
+    H = Hamiltonian(p**2 / 2 + x * sympy.Heaviside(t - 1))  # a force that is switched on
+    solution = hamsym.solve(H, [0, 0], (0, 3), breakpoints=[1])
+    assert solution.success
+    np.testing.assert_allclose(solution(3.0), [-2.0, -2.0], atol=1e-9)
