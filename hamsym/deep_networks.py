@@ -21,6 +21,7 @@ from torch import Tensor
 from hamsym.archive import digest
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.jumps import first_jump
 from hamsym.levenberg_marquardt import LevenbergMarquardt
 from hamsym.optimizers import LBFGS, Adam
 from hamsym.problem import InitialValueProblem
@@ -364,6 +365,7 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
     )
     if training.stopped == "interrupted":
         return False, f"interrupted after {done}: {state}"
+    jump = first_jump(solution, solution.scan_times)
     targets = {
         "target loss": options.target_loss,
         "target ell_max": options.target_ell_max,
@@ -373,6 +375,8 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
     asked = {name: value for name, value in targets.items() if value is not None}
     if training.stopped in asked:
         value = asked[training.stopped]
+        if training.stopped == "target error" and jump is not None:
+            return False, f"{jump} ({state})"
         return True, f"{training.stopped} {value:.2e} reached after {done}: {state}"
     ends = {
         "iterations": f"in {done}",
@@ -388,6 +392,8 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
                 "; the accuracy means nothing here, because sigma_min is 0 along the trajectory"
             )
         return False, f"{missed} not reached {end}: {state}"
+    if relative <= _CONVERGED and jump is not None:
+        return False, f"{jump} ({state})"
     if relative <= _CONVERGED:
         return True, f"{end.removeprefix('in ')}: {state}"
     return False, f"not converged {'after' + end[2:]}: {state}, more than {_CONVERGED:g}"

@@ -7,19 +7,18 @@ Stage 3  If both together exceed what was asked, march again with a tighter loca
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 
 from hamsym import compiled
 from hamsym.errors import InputError
 from hamsym.estimates import MarchError, estimate_error
 from hamsym.features import FeatureTrial, Flow, March, feature_basis, march
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.jumps import first_jump
 from hamsym.problem import InitialValueProblem
 from hamsym.solution import Solution
 from hamsym.tangent import generators
@@ -89,51 +88,13 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
         march_error=error,
     )
     solution.success, solution.message = _verdict(windows, error, tol, allowed, float(excess))
-    if solution.success and (jump := _first_jump(H, solution, windows)) is not None:
-        solution.success = False
-        solution.message = (
-            f"{jump} beyond which the error cannot be estimated; solve up to there, and on from "
-            f"there ({solution.message})"
-        )
+    if solution.success:
+        inside = np.linspace(0, 1, _JUMP_SAMPLES, endpoint=False)
+        times = (windows.edges[:-1, None] + np.diff(windows.edges)[:, None] * inside).ravel()
+        jump = first_jump(solution, np.append(times, windows.edges[-1]))
+        if jump is not None:
+            solution.success, solution.message = False, f"{jump} ({solution.message})"
     return solution
-
-
-def _first_jump(H: Hamiltonian, solution: Solution, windows: March) -> str | None:
-    """What jumps and when, where the trajectory first crosses a jump, such as the force of abs(x).
-
-    The linear equation of the error knows nothing of what a jump does to nearby trajectories; and
-    where H jumps there is a force that no derivative shows.
-    """
-    if not H.switches:
-        return None
-    found: list[tuple[float, str]] = []
-    system = H.compile("numpy")
-    direction = math.copysign(1.0, windows.edges[-1] - windows.edges[0])
-    inside = np.linspace(0, 1, _JUMP_SAMPLES, endpoint=False)
-    times = (windows.edges[:-1, None] + np.diff(windows.edges)[:, None] * inside).ravel()
-    times = np.append(times, windows.edges[-1])
-    z = solution(times)
-    with np.errstate(all="ignore"):
-        rates = np.abs(system.gradient(*system.arguments(z, times)))
-        size = rates.reshape(len(times), 2, -1).max(axis=(0, 2)).repeat(H.dof)
-        sizes = np.append(size, np.abs(system.energy(*system.arguments(z, times))).max())
-        for argument, jumps in H.switches:
-            values = np.broadcast_to(argument(z, times), times.shape)
-            signed = np.flatnonzero(values)
-            for before, after in itertools.pairwise(signed):
-                if values[before] * values[after] > 0:
-                    continue
-                at = scipy.optimize.brentq(
-                    lambda t, argument=argument: float(argument(solution(t), t)),
-                    *times[[before, after]],
-                    xtol=1e-12 * abs(times[after] - times[before]) + 1e-300,
-                )
-                jumped = np.abs(jumps(solution(at), at)).ravel() > 1e-6 * sizes
-                if jumped.any():
-                    what = "H" if jumped[-1] else "the force"
-                    found.append((direction * at, f"{what} jumps at t = {at:.6g},"))
-                    break
-    return min(found)[1] if found else None
 
 
 def flow_of(H: Hamiltonian) -> Flow:

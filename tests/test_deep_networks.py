@@ -279,3 +279,20 @@ def test_weights_of_another_network_are_refused(change, message):
     for other in (marched, "a file"):
         with pytest.raises(InputError, match="initial is not a trained network"):
             hamsym.solve(H, [1.0, 0.0], (0, 2), initial=other, **options)
+
+
+@pytest.mark.parametrize("options", [{}, {"target_error": 0.005}])
+def test_a_network_across_a_step_of_the_potential_is_no_success(options: dict) -> None:
+    solution = hamsym.solve(
+        "p**2/2 + sign(x)/2",
+        [1.0, -2.0],
+        (0, 1),
+        method="levenberg-marquardt",
+        hidden=(8, 8),
+        points=30,
+        iterations=60,
+        **options,
+    )
+    assert solution.relative_error_estimate < 0.005  # of an equation that shows no force
+    assert not solution.success
+    assert solution.message.startswith("H jumps at t = 0.50")
