@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -295,4 +296,4 @@ def test_a_network_across_a_step_of_the_potential_is_no_success(options: dict) -
     )
     assert solution.relative_error_estimate < 0.005  # of an equation that shows no force
     assert not solution.success
-    assert solution.message.startswith("H jumps at t = 0.50")
+    assert re.match(r"H jumps at t = 0\.(49|50)\d*, beyond which", solution.message)
