@@ -29,7 +29,7 @@ from torch import Tensor
 from hamsym import compiled, march_loop
 from hamsym.tangent import chebyshev_points
 
-__all__ = ["FeatureBasis", "FeatureTrial", "Flow", "March", "feature_basis", "march"]
+__all__ = ["MAX_WINDOWS", "FeatureBasis", "FeatureTrial", "Flow", "March", "feature_basis", "march"]
 
 _NEURONS = 60
 _NODES = 24  # collocation points of a window
@@ -40,6 +40,8 @@ _INNER_RANGE = 10.0  # inner weights a are uniform within +- this
 _NEWTON_ITERATIONS = 12
 _SHORTEST = 1e-13  # window, relative to the times
 _ROOM = 64  # windows for which there is room at first
+MAX_WINDOWS = 200_000
+_SURE = 5_000  # windows after which it is clear how many more are needed, within a factor of ten
 
 
 @dataclass(frozen=True, eq=False)  # one object a seed, so that tables of it can be cached
@@ -261,7 +263,7 @@ def march(
     *,
     breakpoints: Sequence[float] = (),
     longest: float = math.inf,
-    max_windows: int = 200_000,
+    max_windows: int = MAX_WINDOWS,
 ) -> March:
     """March windows over a span, each to a local tolerance relative to the components' scales.
 
@@ -278,6 +280,7 @@ def march(
     longest : float
         Length that no window exceeds, but for a millionth of it.
     max_windows : int
+        The march also ends early where more than ten times as many will clearly be needed.
     """
     began, cpu_began = time.perf_counter(), time.process_time()
     start, end = span
@@ -323,15 +326,16 @@ def march(
                 reason += ", or for float64 to resolve t; let the time begin nearer to 0"
             break
         if status == march_loop.FULL:
-            if count >= max_windows:
-                reason = f"more than {max_windows:,} windows"
+            spent, done = time.perf_counter() - began, abs(clock[0] - start)
+            needed = count * abs(end - start) / done
+            if count >= max_windows or (count >= _SURE and needed > 10 * max_windows):
+                reason = f"the span needs about {needed:.0e} windows, more than {max_windows:,}"
                 break
             room = min(2 * count, max_windows) - count
             edges, states, readouts = (
                 np.concatenate((array, np.empty((room, *array.shape[1:]))))
                 for array in (edges, states, readouts)
             )
-            spent, done = time.perf_counter() - began, abs(clock[0] - start)
             if flow.compiled and spent * (abs(end - start) / done - 1) > compiled.cost():
                 flow = flow.compiled()
             continue

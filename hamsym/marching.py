@@ -16,7 +16,7 @@ import numpy as np
 from hamsym import compiled
 from hamsym.errors import InputError
 from hamsym.estimates import MarchError, estimate_error
-from hamsym.features import FeatureTrial, Flow, March, feature_basis, march
+from hamsym.features import MAX_WINDOWS, FeatureTrial, Flow, March, feature_basis, march
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.jumps import first_jump
 from hamsym.problem import InitialValueProblem
@@ -163,6 +163,11 @@ def _checked_window(max_window: float | None, span: tuple[float, float]) -> floa
         return abs(span[1] - span[0]) / _FEWEST_WINDOWS
     if not (isinstance(max_window, (int, float)) and max_window > 0):
         raise InputError(f"max_window={max_window!r} cannot be used; give a time above 0")
+    if (shortest := abs(span[1] - span[0]) / MAX_WINDOWS) > max_window:
+        raise InputError(
+            f"max_window={max_window!r} makes more than {MAX_WINDOWS:,} windows; give "
+            f"{shortest:.3g} or more, or a shorter span"
+        )
     return float(max_window)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -350,6 +351,11 @@ def test_unusable_windows(max_window: object) -> None:
         hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), max_window=max_window)
 
 
+def test_windows_too_many_are_refused_beforehand() -> None:
+    with pytest.raises(InputError, match="makes more than 200,000 windows; give 5e-05 or more"):
+        hamsym.solve("p**2 + x**2", [1, 0], (0, 10), max_window=1e-6)
+
+
 def test_collision_is_reported() -> None:
     H = Hamiltonian("p**2/2 - 1/x")
     solution = hamsym.solve(H, [1.0, 0.0], (0, 3), tol=1e-6)
@@ -379,9 +385,18 @@ def test_too_many_windows_is_reported() -> None:
     flow = flow_of(systems.harmonic_oscillator().H)
     z0, span = np.array([1.0, 0.0]), (0.0, 1_000.0)
     windows = march(flow, z0, span, 1e-9, feature_basis(0), max_windows=20)
-    assert windows.reason == "more than 20 windows"
+    assert re.fullmatch(r"the span needs about \de\+02 windows, more than 20", windows.reason)
     assert 0 < windows.reached < 1_000
     assert len(windows.readouts) == 20
+
+
+def test_a_hopeless_span_ends_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hamsym.features._SURE", 50)
+    solution = hamsym.solve("p**2/2 + x**2/2", [1.0, 0.0], (0, 1e9))
+    assert not solution.success
+    assert "the span needs about " in solution.message
+    assert "windows, more than 200,000" in solution.message
+    assert len(solution.history.readouts) < 200
 
 
 @pytest.mark.parametrize("seed", range(5))
