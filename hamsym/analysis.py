@@ -188,6 +188,9 @@ class Analysis:
     def _largest(self, function: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
         """max of a function of time and where: a fine scan, then a search around its peaks."""
         times = self.solution.scan_times
+        # Beside the joints of windows, not on them: a force that is switched there has at that one
+        # time a value that no solution follows.
+        times = times + 1e-9 * np.append(np.diff(times), times[-2] - times[-1])
         values = function(times)
         best = int(np.argmax(values))
         found = [(float(values[best]), float(times[best]))]

@@ -166,3 +166,13 @@ def test_the_check_doubts_an_estimate_that_was_not_resolved(
     wrong = np.abs(problem.exact(t) - solution(t) - estimate).max()
     assert wrong > 0.05 * np.abs(estimate).max()
     assert check.max() == pytest.approx(wrong, rel=1e-3)
+
+
+@pytest.mark.parametrize(("formula", "stops"), [("sign(t - 1)*x", [1.0]), ("sign(t)*x", [])])
+def test_what_is_switched_at_a_joint_is_no_residual(formula: str, stops: list[float]) -> None:
+    """At t = 1 itself sign is 0, a force that acts at no other time."""
+    solution = hamsym.solve(f"p**2/2 + x**2/2 + {formula}", [1, 0], (0, 5), breakpoints=stops)
+    assert solution.success
+    t = np.linspace(0, 5, 5_000)[1:-1]
+    beside = np.linalg.norm(solution.residual(t), axis=-1).max()
+    assert 0.9 * beside <= solution.ell_max < 1e-8
