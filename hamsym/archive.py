@@ -24,13 +24,18 @@ from hamsym.solution import Solution
 from hamsym.training import History, Training
 from hamsym.trial import ComponentNetworks, Network, TrialSolution
 
-__all__ = ["digest", "load", "save"]
+__all__ = ["assembled", "digest", "load", "parts", "save"]
 
 _KIND = "solution"
 
 
 def save(solution: Solution, path: str | os.PathLike[str]) -> None:
     """Write a solution; see :meth:`hamsym.Solution.save`."""
+    write_tensors(path, _KIND, *parts(solution))
+
+
+def parts(solution: Solution) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors, and values that JSON can hold, from which :func:`assembled` makes it again."""
     tensors = {f"trial.{name}": tensor for name, tensor in solution.trial.state_dict().items()}
     values: dict[str, Any] = {
         "H": _hamiltonian_values(solution.H),
@@ -51,7 +56,7 @@ def save(solution: Solution, path: str | os.PathLike[str]) -> None:
         tensors["march.scale"] = torch.from_numpy(record.scale)  # the rest is in the trial solution
     if solution.march_error is not None:
         tensors |= _arrays("error", solution.march_error)
-    write_tensors(path, _KIND, tensors, values)
+    return {name: tensor.detach() for name, tensor in tensors.items()}, values
 
 
 def load(path: str | os.PathLike[str]) -> Solution:
@@ -64,12 +69,13 @@ def load(path: str | os.PathLike[str]) -> Solution:
     """
     tensors, values = read_tensors(path, _KIND)
     try:
-        return _solution(tensors, values)
+        return assembled(tensors, values)
     except (KeyError, TypeError, ValueError, IndexError, RuntimeError, AttributeError) as error:
         raise FileError(f"'{path}' holds a solution that makes no sense: {error}") from None
 
 
-def _solution(tensors: dict[str, Tensor], values: dict[str, Any]) -> Solution:
+def assembled(tensors: dict[str, Tensor], values: dict[str, Any]) -> Solution:
+    """The solution of which these are the :func:`parts`."""
     state = _part(tensors, "trial")
     start, end = (float(time) for time in values["span"])
     error = None

@@ -88,6 +88,11 @@ class Solution:
             f"success={self.success})"
         )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        from hamsym.archive import assembled, parts
+
+        return assembled, parts(self)
+
     @property
     def points(self) -> int:
         """Collocation points K of the training."""

@@ -58,6 +58,11 @@ class System:
     rates: Callable[..., None] | None = field(repr=False, default=None)
     time_dependent: bool = False
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        from hamsym.codegen import load
+
+        return load, (self.source, self.backend, self.names)
+
     def arguments(self, z: Any, t: Any) -> tuple[Any, ...]:
         """The positional arguments of the functions: z, and t where H depends on time."""
         return (z, t) if self.time_dependent else (z,)

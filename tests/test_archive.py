@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import pickle
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -183,3 +187,27 @@ def test_sensitivity_of_a_trained_network() -> None:
     t = np.linspace(0, 6, 7)
     exact = np.array([[np.cos(t), np.sin(t)], [-np.sin(t), np.cos(t)]]).transpose(2, 0, 1)
     np.testing.assert_allclose(solution.sensitivity(t), exact, atol=1e-8)
+
+
+@pytest.mark.parametrize("method", ["features", "levenberg-marquardt", "adam"])
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+def test_solutions_are_copied_and_pickled(method: str, copied: Callable[[Any], Any]) -> None:
+    few = {"features": {}, "levenberg-marquardt": {"iterations": 3}, "adam": {"epochs": 3}}[method]
+    solution = hamsym.solve("p**2/2 - cos(x)", [1, 0], (0, 5), method=method, **few)
+    again = copied(solution)
+    t = np.linspace(0, 5, 101)
+    np.testing.assert_array_equal(again(t), solution(t))
+    np.testing.assert_array_equal(again.error_estimate(t), solution.error_estimate(t))
+    assert (again.success, again.message) == (solution.success, solution.message)
+    assert (again.H, again.span, again.method) == (solution.H, solution.span, method)
+    assert again.evaluations == solution.evaluations
+
+
+@pytest.mark.parametrize("backend", ["numpy", "torch", "numba"])
+def test_generated_functions_are_pickled(backend: str) -> None:
+    system = hamsym.Hamiltonian("p**2/2 - cos(x)*t").compile(backend)
+    again = pickle.loads(pickle.dumps(system))
+    assert again.source == system.source
+    z = torch.tensor([0.3, 0.2], dtype=torch.float64)
+    z = z if backend == "torch" else z.numpy()
+    assert (again.vector_field(z, 2.0) == system.vector_field(z, 2.0)).all()
