@@ -435,7 +435,7 @@ def checked_span(span: tuple[float, float]) -> tuple[float, float]:
     Raises
     ------
     InputError
-        If the span is not two different finite numbers.
+        If the span is not two finite numbers that differ.
     """
     try:
         start, end = (float(value) for value in span)
@@ -444,7 +444,9 @@ def checked_span(span: tuple[float, float]) -> tuple[float, float]:
     # Below the smallest normal number nothing can be divided by a span.
     distinct = abs(end - start) > 1e-300
     if not (math.isfinite(start) and math.isfinite(end)) or not distinct:
-        raise InputError(f"span={span!r} cannot be used; give two different finite times")
+        raise InputError(
+            f"span={span!r} cannot be used; give two different finite times, 1e-300 apart"
+        )
     return start, end
 
 

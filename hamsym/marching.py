@@ -127,9 +127,12 @@ def _verdict(
     state = f"{len(windows.readouts):,} windows, estimated error {excess:.1e} of what was allowed"
     held = error.until(allowed)
     if windows.reason:
+        until = "there" if held == windows.reached else f"t = {held:.6g}"
+        if until == f"t = {windows.reached:.6g}":
+            until = f"{abs(windows.reached - held):.1e} before that"
         return False, (
             f"stopped at t = {windows.reached:.6g}: {windows.reason}; tol {tol:.1e} held until "
-            f"t = {held:.6g}"
+            f"{until}"
         )
     if excess <= 1:
         return True, f"tol {tol:.1e} met: {state}"

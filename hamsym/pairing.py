@@ -19,7 +19,10 @@ _FIRST_CHOICE = ("q", "x")
 _CONVENTIONAL = frozenset(
     "q x y z r s u rho theta phi psi varphi chi alpha beta gamma xi eta zeta".split()
 )
-_REMEDY = "say which is which with q=[...] and p=[...], or give parameters their values"
+_REMEDY = (
+    "say which is which with q=[...] and p=[...] (--q and --p at the command line), or give "
+    "parameters their values"
+)
 
 
 def natural_order(name: str) -> list[tuple[int, int | str]]:

@@ -171,7 +171,7 @@ def states_array(z0: Any, names: Sequence[str]) -> np.ndarray:
     order = _order(names)
     try:
         if isinstance(z0, Mapping):
-            z0 = np.stack(np.broadcast_arrays(*_in_order(z0, names)), axis=-1)
+            z0 = np.stack(_alike(_in_order(z0, names), order), axis=-1)
         states = np.array(z0, dtype=float)
     except VariableError:
         raise
@@ -192,6 +192,14 @@ def states_array(z0: Any, names: Sequence[str]) -> np.ndarray:
 
 def _order(names: Sequence[str]) -> str:
     return ", ".join(names)
+
+
+def _alike(values: list[np.ndarray], order: str) -> tuple[np.ndarray, ...]:
+    try:
+        return np.broadcast_arrays(*values)
+    except ValueError:
+        shapes = ", ".join(str(value.shape) for value in values)
+        raise VariableError(f"z0 has arrays of shapes {shapes}; give {order} alike") from None
 
 
 def _in_order(z0: Mapping[Any, Any], names: Sequence[str]) -> list[np.ndarray]:

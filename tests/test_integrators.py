@@ -505,7 +505,7 @@ def test_progress_is_drawn_where_asked(capsys: pytest.CaptureFixture[str]) -> No
         ({"z0": np.zeros((10**6, 2)), "steps": 10**6}, "of 1,000,000 trajectories would take"),
         ({"z0": np.zeros((2, 3))}, "z0 has shape"),
         ({"z0": np.zeros((2, 2, 2))}, "z0 has shape"),
-        ({"z0": {"x": [1.0, 2.0], "p": [1.0, 2.0, 3.0]}}, "z0 holds something that is not a num"),
+        ({"z0": {"x": [1.0, 2.0], "p": [1.0, 2.0, 3.0]}}, "z0 has arrays of shapes"),
     ],
 )
 def test_unusable_settings(arguments: dict[str, object], message: str) -> None:
