@@ -56,7 +56,7 @@ def parts(solution: Solution) -> tuple[dict[str, Tensor], dict[str, Any]]:
         tensors["march.scale"] = torch.from_numpy(record.scale)  # the rest is in the trial solution
     if solution.march_error is not None:
         tensors |= _arrays("error", solution.march_error)
-    return {name: tensor.detach() for name, tensor in tensors.items()}, values
+    return tensors, values
 
 
 def load(path: str | os.PathLike[str]) -> Solution:

@@ -253,6 +253,12 @@ class March:
         """Collocation points of all windows."""
         return self.points_per_window * len(self.readouts)
 
+    def times(self, per_window: int) -> np.ndarray:
+        """So many equally spaced times in each window, its start among them, and the end."""
+        inside = np.linspace(0, 1, per_window, endpoint=False)
+        within = self.edges[:-1, None] + np.diff(self.edges)[:, None] * inside
+        return np.append(within.ravel(), self.edges[-1])
+
 
 def march(
     flow: Flow,

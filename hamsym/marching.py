@@ -89,9 +89,7 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
     )
     solution.success, solution.message = _verdict(windows, error, tol, allowed, float(excess))
     if solution.success:
-        inside = np.linspace(0, 1, _JUMP_SAMPLES, endpoint=False)
-        times = (windows.edges[:-1, None] + np.diff(windows.edges)[:, None] * inside).ravel()
-        jump = first_jump(solution, np.append(times, windows.edges[-1]))
+        jump = first_jump(solution, windows.times(_JUMP_SAMPLES))
         if jump is not None:
             solution.success, solution.message = False, f"{jump} ({solution.message})"
     return solution
@@ -127,9 +125,9 @@ def _verdict(
     state = f"{len(windows.readouts):,} windows, estimated error {excess:.1e} of what was allowed"
     held = error.until(allowed)
     if windows.reason:
-        until = "there" if held == windows.reached else f"t = {held:.6g}"
+        until, missing = f"t = {held:.6g}", abs(windows.reached - held)
         if until == f"t = {windows.reached:.6g}":
-            until = f"{abs(windows.reached - held):.1e} before that"
+            until = f"{missing:.1e} before that" if missing else "there"
         return False, (
             f"stopped at t = {windows.reached:.6g}: {windows.reason}; tol {tol:.1e} held until "
             f"{until}"

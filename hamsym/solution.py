@@ -425,9 +425,7 @@ class Solution:
         """Times close enough to see what happens in between: thousands, more with more windows."""
         if not isinstance(self.training, March):
             return np.linspace(*self.span, _SCAN)
-        edges = self.training.edges
-        inside = np.linspace(0, 1, max(9, _SCAN // len(edges)), endpoint=False)
-        return np.append((edges[:-1, None] + np.diff(edges)[:, None] * inside).ravel(), edges[-1])
+        return self.training.times(max(9, _SCAN // len(self.training.edges)))
 
     def events(self, events: Event | Sequence[Event]) -> Events:
         """Times and states at which something happens, located to round-off.

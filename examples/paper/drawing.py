@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from hamsym.paper.experiment import ARCHITECTURES
 
-# The first seed's colour for networks, then for integrators (Okabe and Ito).
+# Colours that the colour-blind can tell apart (Okabe and Ito).
 BLUE, RED, GREEN, PINK, ORANGE, SKY = "#0072b2 #d55e00 #009e73 #cc79a7 #e69f00 #56b4e9".split()
 
 
