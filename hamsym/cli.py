@@ -185,9 +185,10 @@ def solve(
     check_figure(figure)
     check_folder(output)
     solution = run(H, z0, span, **options)
+    if output is not None:
+        solution.save(output)  # before anything is printed, which a closed pipe would end
     report(solution)
     if output is not None:
-        solution.save(output)
         click.echo(f"wrote {output}")
     if figure is not None:
         save_figure(solution.plot(), figure)

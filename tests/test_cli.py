@@ -457,3 +457,15 @@ def test_training_begins_with_the_weights_in_a_file(tmp_path, capsys):
     assert "initial has 1-6-6-2 sin" in capsys.readouterr().err
     assert main([*begun, str(tmp_path / "none")]) == 2
     assert "none" in capsys.readouterr().err
+
+
+def test_a_closed_pipe_loses_no_solution(tmp_path: Path) -> None:
+    file = tmp_path / "orbit.hamsym"
+    command = [sys.executable, "-u", "-m", "hamsym", "solve", "p**2/2 + x**2/2", "--z0", "1,0"]
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as pipe:
+        options = ["--t-end", "1", "-o", str(file)]
+        ended = subprocess.run([*command, *options], stdout=pipe, check=False, timeout=60)
+    assert ended.returncode != 0
+    assert hamsym.load(file).success
