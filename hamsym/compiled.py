@@ -118,8 +118,8 @@ def compiled_loop() -> Callable[..., int]:
 
     module: Any = load_module(_loop_source(), "march_loop")
     options = {"cache": True, "error_model": "numpy"}
-    module.floored = numba.njit(**options)(module.floored)
     module.column_sizes = numba.njit(**options)(module.column_sizes_in_loops)
+    module.typical_sizes = numba.njit(**options)(module.typical_sizes)
     vector, matrix, cube = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
     signature = types.int64(
         types.FunctionType(_rates_signature()),
@@ -134,6 +134,8 @@ def compiled_loop() -> Callable[..., int]:
         matrix,  # tail_fit
         vector,  # stops
         types.float64,  # tolerance
+        vector,  # floors
+        matrix,  # signs
         types.float64,  # shortest
         types.float64,  # longest
         types.boolean,  # given

@@ -21,7 +21,7 @@ from torch import Tensor
 from hamsym.archive import digest
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.jumps import first_jump
+from hamsym.jumps import first_jump, unresolved
 from hamsym.levenberg_marquardt import LevenbergMarquardt
 from hamsym.optimizers import LBFGS, Adam
 from hamsym.problem import InitialValueProblem
@@ -365,7 +365,7 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
     )
     if training.stopped == "interrupted":
         return False, f"interrupted after {done}: {state}"
-    jump = first_jump(solution, solution.scan_times)
+    jump = first_jump(solution, solution.scan_times, unresolved(solution))
     targets = {
         "target loss": options.target_loss,
         "target ell_max": options.target_ell_max,

@@ -17,10 +17,28 @@ __all__ = [
     "connected_blocks",
     "gradient",
     "hessian",
+    "narrow_arguments",
     "smallest_singular_value",
     "split",
+    "switches",
     "vanishes",
 ]
+
+# Functions that change between two limits, or have a peak, within a unit of their argument.
+_BRIEF = (
+    sympy.exp,
+    sympy.tanh,
+    sympy.sech,
+    sympy.csch,
+    sympy.cosh,
+    sympy.sinh,
+    sympy.coth,
+    sympy.erf,
+    sympy.erfc,
+    sympy.atan,
+    sympy.acot,
+    sympy.asinh,
+)
 
 
 class _Magnitude(sympy.Function):  # type: ignore[misc]
@@ -179,3 +197,26 @@ def switches(
         jumps = [term.xreplace({step: 1}) - term.xreplace({step: low}) for term in jumping]
         found.append((step.args[0], jumps))
     return found
+
+
+def narrow_arguments(
+    expr: sympy.Expr, variables: Sequence[sympy.Symbol]
+) -> list[tuple[sympy.Expr, bool]]:
+    """Arguments of functions that may act in a small part of phase space or of time only.
+
+    Those of exp, tanh, erf and the like, False, and the bases of negative and of broken powers,
+    True: near where an argument is zero or extreme, pulses, steps and poles have their place.
+
+    Examples
+    --------
+    >>> x, t = sympy.symbols("x t", real=True)
+    >>> narrow_arguments(x**2 + sympy.exp(-100 * t**2) / sympy.sqrt(x**2 + 1), [x, t])
+    [(-100*t**2, False), (x**2 + 1, True)]
+    """
+    known = set(variables)
+    found = {(function.args[0], False) for function in expr.atoms(*_BRIEF)}
+    for power in expr.atoms(sympy.Pow):
+        exponent = power.exp
+        if exponent.is_number and (exponent.is_negative or not exponent.is_integer):
+            found.add((power.base, True))
+    return sorted((entry for entry in found if entry[0].free_symbols & known), key=str)

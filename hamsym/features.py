@@ -6,42 +6,36 @@ fixed (an extreme learning machine: Dong & Li 2021, Fabiani et al. 2023). Window
 because the form reproduces z_a whatever the readout.
 
 Stage 1  The basis f(s) sin(a s + b) is orthonormalised once (:class:`FeatureBasis`); it knows no H.
-Stage 2  On a window, collocation at Chebyshev nodes is the fixed point Z = z_a + h S F(Z) with a
-         precomputed integration matrix S; where that does not contract, Newton's method with the
-         generated Hessian solves the same equation.
-Stage 3  The residual between the nodes decides whether the window is accepted, and the next length
-         (:func:`march`, and the loop over windows in :mod:`hamsym.march_loop`).
+Stage 2  Windows are marched over a span (:mod:`hamsym.march`) and become a :class:`March`.
+Stage 3  As a function of time that is a :class:`FeatureTrial`.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property
 
+import mpmath
 import numpy as np
 import torch
+from numpy.polynomial import chebyshev
 from torch import Tensor
 
-from hamsym import compiled, march_loop
+from hamsym import march_loop
 from hamsym.tangent import chebyshev_points
 
-__all__ = ["MAX_WINDOWS", "FeatureBasis", "FeatureTrial", "Flow", "March", "feature_basis", "march"]
+__all__ = ["FeatureBasis", "FeatureTrial", "March", "feature_basis"]
 
 _NEURONS = 60
 _NODES = 24  # collocation points of a window
 _BETWEEN = 27  # points at which the residual is judged
 _TRUNCATION = 1e-14  # of singular values, relative
 _DEGREE = 47  # of the Chebyshev series of the columns, which are entire functions
+_BITS = 200  # of the sums that its coefficients are
 _INNER_RANGE = 10.0  # inner weights a are uniform within +- this
-_NEWTON_ITERATIONS = 12
-_SHORTEST = 1e-13  # window, relative to the times
-_ROOM = 64  # windows for which there is room at first
-MAX_WINDOWS = 200_000
-_SURE = 5_000  # windows after which it is clear how many more are needed, within a factor of ten
 
 
 @dataclass(frozen=True, eq=False)  # one object a seed, so that tables of it can be cached
@@ -106,9 +100,11 @@ class FeatureBasis:
         return tuple(np.ascontiguousarray(array) for array in arrays)
 
     def columns(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Q and dQ/ds at s of shape (n,); each of shape (n, m)."""
-        values, rates = _columns(self.inner, self.shift, self.mixing, s)
-        return values.astype(float), rates.astype(float)
+        """Q and dQ/ds at s of shape (n,), in the precision of s; each of shape (n, m).
+
+        They are evaluated from the stored series, and so are columns of the solution itself.
+        """
+        return _columns(self.series, s)
 
 
 @functools.lru_cache(maxsize=8)
@@ -126,10 +122,16 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
     # Just inside the window: at a breakpoint the equations of the next one may hold.
     between = np.clip(np.linspace(0.0, 1.0, _BETWEEN), 1e-9, 1 - 1e-9)
 
-    at_nodes, rates_at_nodes = (c.astype(float) for c in _columns(inner, shift, mixing, nodes))
+    series = _series(inner, shift, mixing)
+
+    def columns(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        # A rounded table carries its error into every window, each time the same.
+        values, rates = _columns(series, s.astype(np.longdouble))
+        return values.astype(float), rates.astype(float)
+
+    at_nodes, rates_at_nodes = columns(nodes)
     fit = np.linalg.pinv(rates_at_nodes, rcond=1e-14)
-    to_between, rates_between = (c.astype(float) for c in _columns(inner, shift, mixing, between))
-    series, rate_series = _series(inner, shift, mixing)
+    to_between, rates_between = columns(between)
     return FeatureBasis(
         seed=seed,
         inner=inner,
@@ -141,33 +143,60 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
         integration=at_nodes @ fit,
         to_between=to_between,
         rates_between=rates_between,
-        end=_columns(inner, shift, mixing, np.ones(1))[0][0],
+        end=_columns(series, np.ones(1, dtype=np.longdouble))[0][0],
         series=series,
-        rate_series=rate_series,
+        rate_series=rate_series(series),
     )
 
 
-def _series(
-    inner: np.ndarray, shift: np.ndarray, mixing: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Chebyshev coefficients of sin(a s + b) W and of its derivative, in extended precision."""
-    count = _DEGREE + 1
-    angles = (2 * np.arange(count, dtype=np.longdouble) + 1) * np.longdouble(math.pi) / (2 * count)
-    phase = np.multiply.outer((1 + np.cos(angles)) / 2, inner.astype(np.longdouble)) + shift
-    cosines = 2 * np.cos(np.multiply.outer(np.arange(count), angles)) / count
-    cosines[0] /= 2
-    values, rates = np.sin(phase) @ mixing, (np.cos(phase) * inner) @ mixing
-    return (cosines @ values).astype(float), (cosines @ rates).astype(float)
+def _series(inner: np.ndarray, shift: np.ndarray, mixing: np.ndarray) -> np.ndarray:
+    """Chebyshev coefficients of sin(a s + b) W in x = 2 s - 1, shape (degree + 1, m).
+
+    sin(a s + b) = sin(c) cos(w x) + cos(c) sin(w x) with w = a/2, c = a/2 + b, and the coefficients
+    of cos(w x) and sin(w x) are Bessel functions of w (Jacobi and Anger). The features are nearly
+    dependent and W is large, so the sums are taken in integers: only the result is rounded. Noise
+    of high degree would be small in z^ and large in its derivative.
+    """
+    count, unit = _DEGREE + 1, 1 << _BITS
+    rows = np.empty((count, len(inner)), dtype=object)
+    with mpmath.workprec(_BITS):
+        for j, (a, b) in enumerate(zip(inner.tolist(), shift.tolist(), strict=True)):
+            w = mpmath.mpf(a) / 2
+            phases = mpmath.cos_sin(w + mpmath.mpf(b))
+            for degree, bessel in enumerate(_bessel(w, count)):
+                # sin(c) with cos(w x), of even degrees; cos(c) with sin(w x), of odd ones.
+                sign = (1, 1, -1, -1)[degree % 4] * (2 if degree else 1)
+                rows[degree, j] = int(mpmath.nint(sign * bessel * phases[1 - degree % 2] * unit))
+    weights = np.array([[int(Fraction(w) * unit) for w in row] for row in mixing.tolist()], object)
+    return np.array([[float(Fraction(n, unit**2)) for n in row] for row in rows @ weights])
 
 
-def _columns(
-    inner: np.ndarray, shift: np.ndarray, mixing: np.ndarray, s: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    # The features are nearly dependent and W is large: a table made in float64 would carry errors
-    # into every window, each time the same.
-    extended = [np.asarray(array, dtype=np.longdouble) for array in (inner, shift, s)]
-    values, rates = _raw_columns(*extended)
-    return values @ mixing, rates @ mixing
+def _bessel(w: mpmath.mpf, count: int) -> list[mpmath.mpf]:
+    """J_0(w) .. J_(count-1)(w) by Miller's backward recurrence."""
+    values = [mpmath.mpf(0), mpmath.mpf(1)]  # from a degree where they are negligible
+    for k in range(count + 20, 0, -1):
+        values.append(2 * k / w * values[-1] - values[-2])
+    values.reverse()
+    norm = values[0] + 2 * mpmath.fsum(values[2::2])
+    return [value / norm for value in values[:count]]
+
+
+def _columns(series: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f N and its derivative at s, from the Chebyshev series of N, in the precision of s."""
+    series = series.astype(s.dtype)
+    angles = np.arccos(np.clip(2 * s - 1, -1, 1))
+    polynomials = np.cos(np.multiply.outer(angles, np.arange(len(series), dtype=s.dtype)))
+    f = -np.expm1(-s)[:, None]
+    network = polynomials @ series
+    slopes = polynomials @ rate_series(series)
+    return f * network, (1 - f) * network + f * slopes
+
+
+def rate_series(series: np.ndarray) -> np.ndarray:
+    """Chebyshev series of the derivative in s of series in x = 2 s - 1, of the same length."""
+    rates = np.zeros_like(series)
+    rates[:-1] = 2 * chebyshev.chebder(series)
+    return rates
 
 
 def _raw_columns(
@@ -177,31 +206,6 @@ def _raw_columns(
     features, slopes = np.sin(phase), np.cos(phase) * inner
     f = -np.expm1(-s)[:, None]
     return f * features, (1 - f) * features + f * slopes
-
-
-@dataclass(frozen=True)
-class Flow:
-    """The equation z' = F(z, t), as the march takes it.
-
-    Attributes
-    ----------
-    vector_field : callable
-        (z, t) -> F, shapes (n, dim), (n,) -> (n, dim).
-    jacobian : callable
-        (z, t) -> dF/dz, shape (n, dim, dim).
-    rates : callable
-        (z, t, out), F written to out.
-    loop : callable
-        :func:`~hamsym.march_loop.march_windows`, or the same compiled.
-    compiled : callable, optional
-        Compiles, and returns the same with compiled ``rates`` and ``loop``; None where they are.
-    """
-
-    vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    rates: Callable[[np.ndarray, np.ndarray, np.ndarray], None]
-    loop: Callable[..., int] = march_loop.march_windows
-    compiled: Callable[[], Flow] | None = None
 
 
 @dataclass(frozen=True)
@@ -231,6 +235,11 @@ class March:
     seconds, cpu_seconds : float
     seed : int
         Of the basis.
+    origin : float
+        Time from which the edges are counted: the start of the span, where H does not depend on
+        time and differences to it are exact in float64, otherwise 0.
+    doubt : str
+        What a check of the windows found and shorter windows did not mend; "" if nothing.
     """
 
     edges: np.ndarray = field(repr=False)
@@ -245,6 +254,8 @@ class March:
     seconds: float
     cpu_seconds: float
     seed: int
+    origin: float = 0.0
+    doubt: str = ""
 
     points_per_window = _NODES
 
@@ -257,160 +268,7 @@ class March:
         """So many equally spaced times in each window, its start among them, and the end."""
         inside = np.linspace(0, 1, per_window, endpoint=False)
         within = self.edges[:-1, None] + np.diff(self.edges)[:, None] * inside
-        return np.append(within.ravel(), self.edges[-1])
-
-
-def march(
-    flow: Flow,
-    z0: np.ndarray,
-    span: tuple[float, float],
-    tolerance: float,
-    basis: FeatureBasis,
-    *,
-    breakpoints: Sequence[float] = (),
-    longest: float = math.inf,
-    max_windows: int = MAX_WINDOWS,
-) -> March:
-    """March windows over a span, each to a local tolerance relative to the components' scales.
-
-    Parameters
-    ----------
-    flow : Flow
-    z0 : numpy.ndarray
-        Shape (dim,).
-    span : (float, float)
-    tolerance : float
-    basis : FeatureBasis
-    breakpoints : sequence of float
-        Times inside the span, in its direction, at which a window must end.
-    longest : float
-        Length that no window exceeds, but for a millionth of it.
-    max_windows : int
-        The march also ends early where more than ten times as many will clearly be needed.
-    """
-    began, cpu_began = time.perf_counter(), time.process_time()
-    start, end = span
-    dim, columns = len(z0), basis.mixing.shape[1]
-    rate = np.empty((1, dim))
-    flow.rates(z0[None], np.array([start]), rate)
-    sizes = np.abs(z0)
-    clock = np.array([start, _first_length(z0, rate[0], abs(end - start))])
-    counts = np.array([0, 1, 0])
-    tail = np.vstack((rate, np.zeros((2, dim))))
-    stops = np.array([*breakpoints, end], dtype=float)
-    shortest = _SHORTEST * max(abs(end - start), abs(start), abs(end))
-    room = min(_ROOM, max_windows)
-    edges, states = np.empty(room + 1), np.empty((room + 1, dim))
-    readouts = np.empty((room, columns, dim))
-    edges[0], states[0] = start, z0
-    given, found = False, np.empty((len(basis.nodes), dim))
-    newton_windows, reason = 0, ""
-    while True:
-        status = flow.loop(
-            flow.rates,
-            *basis.tables,
-            stops,
-            tolerance,
-            shortest,
-            longest,
-            given,
-            found,
-            clock,
-            counts,
-            sizes,
-            tail,
-            edges,
-            states,
-            readouts,
-        )
-        count, given = int(counts[0]), False
-        if status == march_loop.FINISHED:
-            break
-        if status == march_loop.TOO_SHORT:
-            reason = "the windows became too short, as near a singularity or the end of a domain"
-            if max(abs(start), abs(end)) > 100 * abs(end - start):
-                reason += ", or for float64 to resolve t; let the time begin nearer to 0"
-            break
-        if status == march_loop.FULL:
-            spent, done = time.perf_counter() - began, abs(clock[0] - start)
-            needed = count * abs(end - start) / done
-            if count >= max_windows or (count >= _SURE and needed > 10 * max_windows):
-                reason = f"the span needs about {needed:.0e} windows, more than {max_windows:,}"
-                break
-            room = min(2 * count, max_windows) - count
-            edges, states, readouts = (
-                np.concatenate((array, np.empty((room, *array.shape[1:]))))
-                for array in (edges, states, readouts)
-            )
-            if flow.compiled and spent * (abs(end - start) / done - 1) > compiled.cost():
-                flow = flow.compiled()
-            continue
-        rates, spent = _newton(flow, basis, states[count], clock, end, tolerance, sizes)
-        counts[1] += spent
-        if rates is None:
-            clock[1] *= march_loop.SHRINK
-        else:
-            given, found = True, rates
-            newton_windows += 1
-    return March(
-        edges=edges[: count + 1].copy(),
-        states=states[: count + 1].copy(),
-        readouts=readouts[:count].copy(),
-        reached=float(clock[0]),
-        reason=reason,
-        evaluations=int(counts[1]),
-        newton_windows=newton_windows,
-        compiled=flow.compiled is None,
-        scale=sizes,
-        seconds=time.perf_counter() - began,
-        cpu_seconds=time.process_time() - cpu_began,
-        seed=basis.seed,
-    )
-
-
-def _newton(
-    flow: Flow,
-    basis: FeatureBasis,
-    z: np.ndarray,
-    clock: np.ndarray,
-    end: float,
-    tolerance: float,
-    sizes: np.ndarray,
-) -> tuple[np.ndarray | None, int]:
-    """F at the nodes of a window by Newton's method from the constant state, and evaluations."""
-    t, length = clock
-    h = math.copysign(length, end - t)
-    times, integration = t + h * basis.nodes, h * basis.integration
-    count, dim = len(times), len(z)
-    scale, enough = march_loop.floored(sizes), max(0.01 * tolerance, 4e-16)
-    Z, rates = np.tile(z, (count, 1)), np.empty((count, dim))
-    last = math.inf
-    for step in range(1, _NEWTON_ITERATIONS + 1):
-        flow.rates(Z, times, rates)
-        defect = z + integration @ rates - Z
-        matrix = np.eye(count * dim) - np.einsum(
-            "kl,lij->kilj", integration, flow.jacobian(Z, times)
-        ).reshape(count * dim, count * dim)
-        try:
-            correction = np.linalg.solve(matrix, defect.ravel()).reshape(count, dim)
-        except np.linalg.LinAlgError:
-            return None, step
-        Z = Z + correction
-        change = float((np.abs(correction) / scale).max())
-        if change <= enough or (change < 1e-11 and change >= last):
-            flow.rates(Z, times, rates)
-            return rates, step + 1
-        if not change < 1e6:
-            return None, step
-        last = change
-    return None, _NEWTON_ITERATIONS
-
-
-def _first_length(z: np.ndarray, rate: np.ndarray, span: float) -> float:
-    """A tenth of the time in which the coordinates or the momenta would change by their size."""
-    sizes, speeds = (np.abs(v).reshape(2, -1).max(axis=1) for v in (z, rate))
-    known = (sizes > 0) & (speeds > 0)
-    return min(span, 0.1 * float((sizes[known] / speeds[known]).min(initial=math.inf)))
+        return self.origin + np.append(within.ravel(), self.edges[-1])
 
 
 class FeatureTrial(torch.nn.Module):
@@ -423,6 +281,7 @@ class FeatureTrial(torch.nn.Module):
         readouts: Tensor,
         series: Tensor,
         rate_series: Tensor,
+        origin: Tensor | None = None,
     ) -> None:
         super().__init__()
         self.register_buffer("edges", edges)
@@ -430,6 +289,8 @@ class FeatureTrial(torch.nn.Module):
         self.register_buffer("readouts", readouts)
         self.register_buffer("series", series)
         self.register_buffer("rate_series", rate_series)
+        zero = torch.zeros((), dtype=edges.dtype)
+        self.register_buffer("origin", zero if origin is None else origin)
         self.direction = math.copysign(1.0, float(edges[-1] - edges[0]))
 
     @classmethod
@@ -437,13 +298,14 @@ class FeatureTrial(torch.nn.Module):
         """The trial solution of windows that were marched with a basis."""
         return cls(
             *(
-                torch.tensor(array)
+                torch.tensor(array, dtype=torch.float64)
                 for array in (
                     windows.edges,
                     windows.states,
                     windows.readouts,
                     basis.series,
                     basis.rate_series,
+                    windows.origin,
                 )
             )
         )
@@ -453,6 +315,7 @@ class FeatureTrial(torch.nn.Module):
     readouts: Tensor
     series: Tensor
     rate_series: Tensor
+    origin: Tensor
 
     def forward(self, t: Tensor) -> tuple[Tensor, Tensor]:
         """z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
@@ -472,6 +335,7 @@ class FeatureTrial(torch.nn.Module):
 
     def _place(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Which window t is in, the window's length, s there, and Chebyshev polynomials of s."""
+        t = t - self.origin
         window = torch.searchsorted(self.direction * self.edges, self.direction * t, right=True) - 1
         window = window.clamp(0, len(self.readouts) - 1)
         start, length = self.edges[window], (self.edges[1:] - self.edges[:-1])[window]

@@ -581,19 +581,58 @@ class Hamiltonian:
         that of H last.
         """
         real = self._real
-        time = real.time or sympy.Dummy("t")
-        values = {symbol: value for symbol, value in real.parameters.values() if value is not None}
         found: list[tuple[Callable[..., Any], Callable[..., Any]]] = []
         for argument, jumps in derivatives.switches(real.expr, real.gradient, real.z):
-            pair = []
-            for expr in (argument, sympy.Matrix([jumps])):
-                # Names are dummies there, and what is printed are functions of the parser's list.
-                function = sympy.lambdify(
-                    (*real.z, time), expr.xreplace(values), "numpy", dummify=True
-                )
-                pair.append(functools.partial(_of_state, function))
-            found.append((pair[0], pair[1]))
+            pair = (self._function(argument), self._function(sympy.Matrix([jumps])))
+            found.append((functools.partial(_floats, pair[0]), functools.partial(_floats, pair[1])))
         return found
+
+    @cached_property
+    def narrow_arguments(self) -> Callable[..., Any] | None:
+        """A function of (z, t), where pulses, steps and poles of H have their places.
+
+        Its values, shapes (n, dim), (n,) -> (n, k), are the arguments of exp, tanh, erf and the
+        like and the bases of negative and of broken powers; shape (k,), which of them are bases.
+        None where H has no such functions.
+        """
+        real = self._real
+        variables = [*real.z, *([] if real.time is None else [real.time])]
+        found = derivatives.narrow_arguments(real.expr, variables)
+        if not found:
+            return None
+        function = self._function(tuple(argument for argument, _ in found))
+        bases = np.array([is_base for _, is_base in found])
+
+        def values(z: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            columns = [np.broadcast_to(column, len(z)) for column in function(z, t)]
+            return np.stack(columns, axis=-1), bases
+
+        return values
+
+    @cached_property
+    def has_rounded_numbers(self) -> bool:
+        """Whether H has numbers that float64 does not hold, such as pi, sqrt(2) and 0.1."""
+        return any(
+            not isinstance(number, sympy.Rational) or number.q & (number.q - 1)
+            for number in self.expr.atoms(sympy.Number, sympy.NumberSymbol)
+            if not isinstance(number, sympy.Float)
+        ) or any(power.is_number for power in self.expr.atoms(sympy.Pow))
+
+    def _function(self, expr: Any) -> Callable[..., Any]:
+        """Values of expressions in real symbols, from (z, t) of shapes (..., dim) and (...)."""
+        real = self._real
+        time = real.time or sympy.Dummy("t")
+        values = {symbol: value for symbol, value in real.parameters.values() if value is not None}
+        exprs = (
+            tuple(entry.xreplace(values) for entry in expr)
+            if isinstance(expr, tuple)
+            else expr.xreplace(values)
+        )
+        # Names are dummies there, and what is printed are functions of the parser's list.
+        function = sympy.lambdify(
+            (*real.z, time), exprs, ["scipy", "numpy"], dummify=True, cse=True
+        )
+        return lambda z, t: function(*np.moveaxis(z, -1, 0), t)
 
     @cached_property
     def _sources(self) -> dict[str, str]:
@@ -653,8 +692,8 @@ class Hamiltonian:
 HamiltonianLike: TypeAlias = Hamiltonian | str | sympy.Expr
 
 
-def _of_state(function: Callable[..., Any], z: np.ndarray, t: Any) -> np.ndarray:
-    return np.asarray(function(*np.moveaxis(z, -1, 0), t), dtype=float)
+def _floats(function: Callable[..., Any], z: np.ndarray, t: Any) -> np.ndarray:
+    return np.asarray(function(z, t), dtype=float)
 
 
 def _rebuild(

@@ -1,36 +1,80 @@
-"""Where a trajectory crosses a jump of H or of its gradient."""
+"""Where a trajectory crosses a jump of H or of its gradient.
+
+The linear equation of the error does not describe what a jump of the force, such as that of abs(x),
+does to nearby trajectories; and where H itself jumps, as sign(x) does, there is a force that no
+derivative shows. The estimate of the error ends there.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import scipy.optimize
 
 from hamsym.solution import Solution
 
-__all__ = ["first_jump"]
+__all__ = ["first_jump", "unresolved"]
+
+_RESOLVED = 1e-2  # residual, relative to the largest rate of the component
+_SAMPLES = 400  # of the rates where a jump is suspected
+_STEEP = 0.05  # change between samples, relative to all of them, that no resolved force shows
+_BISECTIONS = 24
 
 
-def first_jump(solution: Solution, times: np.ndarray) -> str | None:
+def first_jump(
+    solution: Solution, times: np.ndarray, suspects: Sequence[tuple[float, float]]
+) -> str | None:
     """What jumps, when, and what to do, where the trajectory first crosses a jump of H or grad H.
 
-    The linear equation of the error knows nothing of what a jump of the force, such as that of
-    abs(x), does to nearby trajectories; and where H itself jumps, as sign(x) does, there is a force
-    that no derivative shows. Crossings are looked for between the given times.
+    Parameters
+    ----------
+    solution : Solution
+    times : numpy.ndarray
+        Jumps of abs, sign, Min and Max are found from their arguments, which change their signs
+        between these times.
+    suspects : sequence of (float, float)
+        Where the residual is not small beside the rates, as at other jumps, such as that of
+        sqrt((x - 1)**2), and at steps that are too steep for the tolerance: the rates are sampled
+        there.
     """
+    direction = math.copysign(1.0, times[-1] - times[0])
+    # Those that have an argument are found twice.
+    found = list(_symbolic_jumps(solution, times)) or list(_hidden_jumps(solution, suspects))
+    if not found:
+        return None
+    time, what = min(found, key=lambda entry: direction * entry[0])
+    remedy = "solve up to there, and on from there"
+    if solution.H.time is not None:
+        remedy += ", or give such times as breakpoints where the time switches it"
+    return f"{what} at t = {time:.6g}, beyond which the error cannot be estimated; {remedy}"
+
+
+def unresolved(solution: Solution) -> list[tuple[float, float]]:
+    """Pairs of times between which the residual of a solution is not small beside the rates."""
+    times = solution.scan_times
+    z, dz = solution.evaluate(times)
+    system = solution.H.compile("numpy")
+    with np.errstate(all="ignore"):
+        rates = np.asarray(system.vector_field(*system.arguments(z, times)))
+        good = (np.abs(dz - rates) <= _RESOLVED * np.abs(rates).max(axis=0)).all(axis=1)
+    places = np.flatnonzero(~good[:-1])
+    return list(zip(times[np.maximum(places - 1, 0)], times[places + 1], strict=True))
+
+
+def _symbolic_jumps(solution: Solution, times: np.ndarray) -> Iterator[tuple[float, str]]:
     H = solution.H
     if not H.switches:
-        return None
-    found: list[tuple[float, str]] = []
+        return
     system = H.compile("numpy")
-    direction = math.copysign(1.0, times[-1] - times[0])
     z = solution(times)
     with np.errstate(all="ignore"):
-        rates = np.abs(system.gradient(*system.arguments(z, times)))
-        size = rates.reshape(len(times), 2, -1).max(axis=(0, 2)).repeat(H.dof)
-        sizes = np.append(size, np.abs(system.energy(*system.arguments(z, times))).max())
+        # Jumps are compared with the size of the same component's rate.
+        sizes = np.abs(system.gradient(*system.arguments(z, times))).max(axis=0)
+        sizes = np.append(sizes, np.abs(system.energy(*system.arguments(z, times))).max())
         for argument, jumps in H.switches:
             values = np.broadcast_to(argument(z, times), times.shape)
             signed = np.flatnonzero(values)
@@ -42,14 +86,50 @@ def first_jump(solution: Solution, times: np.ndarray) -> str | None:
                     *times[[before, after]],
                     xtol=1e-12 * abs(times[after] - times[before]) + 1e-300,
                 )
-                jumped = np.abs(jumps(solution(at), at)).ravel() > 1e-6 * sizes
-                if jumped.any():
-                    what = "H" if jumped[-1] else "the force"
-                    found.append((direction * at, f"{what} jumps at t = {at:.6g}"))
+                small = np.abs(jumps(solution(at), at)).ravel() <= 1e-6 * sizes
+                if not small.all():
+                    yield at, "the force jumps" if small[-1] else "H jumps"
                     break
-    if not found:
+
+
+def _hidden_jumps(
+    solution: Solution, suspects: Sequence[tuple[float, float]]
+) -> Iterator[tuple[float, str]]:
+    """The first jump of the rates that no function of H announces."""
+    system = solution.H.compile("numpy")
+
+    def rates(t: Any) -> np.ndarray:
+        return np.asarray(system.vector_field(*system.arguments(solution(t), t)))
+
+    with np.errstate(all="ignore"):
+        for start, end in suspects:
+            # Inside: at a joint of windows the equations may be switched.
+            t = np.linspace(start, end, _SAMPLES + 2)[1:-1]
+            values = rates(t)
+            for component in range(values.shape[1]):
+                at = _steepest(rates, t, values, component)
+                if at is not None:
+                    yield at, "the force jumps, or is too steep for this accuracy,"
+                    return
+
+
+def _steepest(
+    function: Callable[[float], np.ndarray], t: np.ndarray, samples: np.ndarray, component: int
+) -> float | None:
+    """Where a component changes by much from one of these times to the next, or is not finite."""
+    values = samples[:, component]
+    spread = np.abs(values - values.mean()).max()
+    changes = np.abs(np.diff(values))
+    place = int(np.argmax(np.nan_to_num(changes, nan=np.inf)))
+    if changes[place] <= _STEEP * spread:
         return None
-    return (
-        f"{min(found)[1]}, beyond which the error cannot be estimated; solve up to there, and on "
-        "from there"
-    )
+    low, high = float(t[place]), float(t[place + 1])
+    at_low, at_high = float(values[place]), float(values[place + 1])
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        at_middle = float(function(middle)[component])
+        if abs(at_middle - at_low) <= abs(at_high - at_middle):
+            low, at_low = middle, at_middle
+        else:
+            high, at_high = middle, at_middle
+    return (low + high) / 2

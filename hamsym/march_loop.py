@@ -20,7 +20,12 @@ FINISHED, NEWTON, TOO_SHORT, FULL = range(4)
 
 ORDER = 18  # at which the residual falls with the length of the window, empirically
 ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
+EPS = 2.0**-52
+NOISE = 8.0  # times what a unit in the last place of the states typically changes in the rates
+SLOW = 30  # iterations, after which the next window is shorter
+LOOKS = 3  # at the round-off of the rates, in one window
 SHRINK, GROW = 0.6, 2.5
+WELL = 0.3  # of the allowed residual: the next window need not be shorter
 SLIVER = 1e-6  # of a window that it takes along rather than leave
 ITERATIONS = 60
 SMALL, RETRIES = 600, 3  # unknowns above which so many shorter windows are tried before Newton
@@ -28,18 +33,6 @@ TAIL = 6  # last nodes of a window, from which the next one is guessed
 TINY = 2.2250738585072014e-308
 
 Array: TypeAlias = np.ndarray
-
-
-def floored(sizes: Array) -> Array:
-    """Sizes with the floor of 1e-8 of the largest of their half; 1 where a half is zero so far."""
-    scale = np.empty_like(sizes)
-    half = len(sizes) // 2
-    for first in (0, half):
-        largest = sizes[first : first + half].max()
-        if not largest > 0:
-            largest = 1.0
-        scale[first : first + half] = np.maximum(sizes[first : first + half], 1e-8 * largest)
-    return scale
 
 
 def column_sizes(values: Array) -> Array:
@@ -59,6 +52,12 @@ def column_sizes_in_loops(values: Array) -> Array:
     return sizes
 
 
+def typical_sizes(values: Array) -> Array:
+    """Mean magnitude in each column but for the largest, which may sit at a jump."""
+    sizes = np.abs(values)
+    return (sizes.sum(axis=0) - column_sizes(values)) / (len(values) - 1)
+
+
 def march_windows(
     rates: Callable[[Array, Array, Array], None],
     nodes: Array,
@@ -72,6 +71,8 @@ def march_windows(
     tail_fit: Array,
     stops: Array,
     tolerance: float,
+    floors: Array,
+    signs: Array,
     shortest: float,
     longest: float,
     given: bool,
@@ -95,7 +96,12 @@ def march_windows(
     stops : array
         Times at which a window must end, the last of them the end of the march.
     tolerance : float
-        Of each window, relative to the sizes of the components.
+        Of each window, relative to the sizes of the components, each by itself.
+    floors : array (dim,)
+        Sizes that components count as having at least.
+    signs : array (between, dim)
+        1 and -1 at random. What the rates change by when the states change by a unit in the last
+        place, with these signs, is their round-off.
     shortest : float
         Length below which a window is not tried.
     longest : float
@@ -120,11 +126,11 @@ def march_windows(
     t, length = clock[0], clock[1]
     direction = 1.0 if stops[-1] > t else -1.0
     last_length = abs(t - edges[count - 1]) if count else 0.0
-    scale = floored(sizes)
     enough = max(0.01 * tolerance, 4e-16)
     guess = np.empty((len(nodes), 3))
     values = np.empty((len(nodes), dim))
     flow = np.empty((len(between), dim))
+    disturbed = np.empty((len(between), dim))
     # Where the iteration fails, Newton's method is asked; in large systems only if shorter windows
     # fail too, or if it served the last window.
     stiff, failures = given, 0
@@ -153,17 +159,33 @@ def march_windows(
             guess[:, 2] = guess[:, 1] ** 2
             scaled = h * integration
             nearby = z + scaled @ (guess @ tail)
+            scale = np.maximum(np.maximum(sizes, floors), column_sizes(nearby))
+            scale = np.maximum(scale, TINY)
             last = math.inf
+            looks = 0
             solved = False
             for attempt in range(ITERATIONS):
                 rates(nearby, times, values)
                 moved = z + scaled @ values
-                change = (np.abs(moved - nearby) / scale).max()
-                nearby = moved
+                changes = column_sizes(moved - nearby)
+                change = (changes / scale).max()
                 evaluations += 1
                 if change <= enough or (change < 1e-12 and change >= last):
+                    nearby = moved
                     solved = True
                     break
+                if change >= last and looks < LOOKS:
+                    # A component may stay away from its limit by the round-off of its rate.
+                    looks += 1
+                    inner = disturbed[: len(nodes)]
+                    rates(nearby * (1 + EPS * signs[: len(nodes)]), times, inner)
+                    evaluations += 1
+                    noise = typical_sizes(inner - values)
+                    if (changes <= enough * scale + NOISE * length * noise).all():
+                        nearby = moved
+                        solved = True
+                        break
+                nearby = moved
                 if not change < 1e9 or (attempt > 30 and change > 0.9 * last):
                     break
                 last = change
@@ -174,8 +196,11 @@ def march_windows(
                 failures += 1
                 length *= SHRINK
                 continue
+            slow = attempt > SLOW
             found = values
             stiff = False
+        else:
+            slow = False
         given = False
         readout = h * (fit @ found)
         middle = z + to_between @ readout
@@ -183,10 +208,17 @@ def march_windows(
         evaluations += 1
         residual = (rates_between @ readout) / h - flow
         sizes_now = np.maximum(sizes, column_sizes(middle))
-        scale_now = floored(sizes_now)
         # No window is short enough to bring the residual below the round-off of the rates.
-        allowed = tolerance * scale_now + ROUND_OFF * length * column_sizes(found)
-        error = (length * column_sizes(residual) / np.maximum(allowed, TINY)).max()
+        allowed = tolerance * np.maximum(sizes_now, floors)
+        allowed = np.maximum(allowed + ROUND_OFF * length * column_sizes(found), TINY)
+        defects = length * column_sizes(residual)
+        error = (defects / allowed).max()
+        if not error <= WELL:
+            # That is many units of the rates where large terms cancel.
+            rates(middle * (1 + EPS * signs), t + h * between, disturbed)
+            evaluations += 1
+            allowed = allowed + NOISE * length * typical_sizes(disturbed - flow)
+            error = (defects / allowed).max()
         if not error <= 1:  # also where it is not a number
             factor = (0.3 / error) ** (1 / ORDER) if math.isfinite(error) else 0.3
             length *= min(max(factor, 0.3), 0.9)
@@ -204,9 +236,11 @@ def march_windows(
         edges[count] = t
         tail[:, :] = tail_fit @ found[-TAIL:]
         sizes[:] = sizes_now
-        scale = scale_now
+        growth = min(GROW, (0.1 / max(error, 1e-30)) ** (1 / ORDER))
+        if error <= WELL:
+            growth = max(growth, 1.0)
         last_length = length
-        length *= min(GROW, (0.1 / max(error, 1e-30)) ** (1 / ORDER))
+        length *= SHRINK if slow else growth
     clock[0], clock[1] = t, length
     counts[0], counts[1], counts[2] = count, evaluations, passed
     return status

@@ -1,6 +1,6 @@
 """The method "features": random sine features marched until the estimated error is as asked.
 
-Stage 1  March with a local tolerance (:mod:`hamsym.features`).
+Stage 1  March with a local tolerance (:mod:`hamsym.march`).
 Stage 2  Estimate the global error and the round-off along the march (:mod:`hamsym.estimates`).
 Stage 3  If both together exceed what was asked, march again with a tighter local tolerance.
 """
@@ -10,23 +10,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from hamsym import compiled
 from hamsym.errors import InputError
 from hamsym.estimates import MarchError, estimate_error
-from hamsym.features import MAX_WINDOWS, FeatureTrial, Flow, March, feature_basis, march
-from hamsym.hamiltonian import Hamiltonian
+from hamsym.features import FeatureTrial, March, feature_basis
+from hamsym.flow import flow_of
 from hamsym.jumps import first_jump
+from hamsym.march import MAX_WINDOWS, march
 from hamsym.problem import InitialValueProblem
 from hamsym.solution import Solution
-from hamsym.tangent import generators
 
-__all__ = ["FeatureOptions", "flow_of", "solve_by_features"]
+__all__ = ["FeatureOptions", "solve_by_features"]
 
 _SMALLEST_TOL = 1e-12  # below it float64 cannot hold the answer
 _SMALLEST_LOCAL = 1e-13  # residuals cannot be told from round-off below
+_STEP = 1e-4  # of the local tolerance from one march to the next, at most
 _ATTEMPTS = 6
 _JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
 _FEWEST_WINDOWS = 8  # so that a short event in a long rest is not stepped over unseen
@@ -55,29 +56,31 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
     stops = _checked_breakpoints(options.breakpoints, problem.span)
     basis = feature_basis(problem.seed)
     flow = flow_of(H)
-    windows, error, allowed, excess = None, None, absolute, math.inf
+    best: _Attempt | None = None
     # The cost grows as the 18th root of the accuracy: a margin is cheaper than a second march.
     local = max(0.1 * tol, _SMALLEST_LOCAL)
     with np.errstate(all="ignore"):
         for _ in range(_ATTEMPTS):
-            tried = march(
+            windows = march(
                 flow, problem.z0, problem.span, local, basis, breakpoints=stops, longest=longest
             )
-            if not len(tried.readouts):
+            if not len(windows.readouts):
                 break
-            estimate = estimate_error(tried, basis, flow)
-            allowed_now = absolute + tol * _scales(tried.scale)
-            ratios = np.where(estimate.largest > 0, estimate.largest / allowed_now, 0.0)
-            if windows is None or ratios.max() < excess:
-                windows, error, allowed, excess = tried, estimate, allowed_now, ratios.max()
-            floors = estimate.floors.max(axis=0)
-            # What is left is round-off where that is most of the error; no march gets below it.
-            left = (estimate.largest > np.maximum(2 * floors, allowed_now)).any()
-            if ratios.max() <= 1 or not left or local <= _SMALLEST_LOCAL:
+            error = estimate_error(windows, basis, flow)
+            tried = _Attempt(windows, error, absolute + tol * error.scale)
+            if best is None or tried.is_better_than(best):
+                best = tried
+            # Where most of the error is round-off, no march gets below it.
+            floors = error.floors.max(axis=0)
+            hopeless = (
+                not error.limit and (error.largest <= np.maximum(2 * floors, tried.allowed)).all()
+            )
+            if tried.excess <= 1 or hopeless or local <= _SMALLEST_LOCAL:
                 break
-            local = max(local * min(0.3 / float(ratios.max()), 0.3), _SMALLEST_LOCAL)
-    if windows is None or error is None:
-        raise InputError(f"no solution beyond t = {tried.reached:.6g}: {tried.reason}")
+            local = max(local * min(max(0.3 / tried.excess, _STEP), 0.3), _SMALLEST_LOCAL)
+    if best is None:
+        raise InputError(f"no solution beyond t = {windows.reached:.6g}: {windows.reason}")
+    windows, error = best.windows, best.error
     solution = Solution(
         H,
         problem.z0,
@@ -87,43 +90,39 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
         training=windows,
         march_error=error,
     )
-    solution.success, solution.message = _verdict(windows, error, tol, allowed, float(excess))
-    if solution.success:
-        jump = first_jump(solution, windows.times(_JUMP_SAMPLES))
+    solution.success, solution.message = _verdict(best, tol)
+    if solution.success or windows.doubt:
+        jump = first_jump(solution, windows.times(_JUMP_SAMPLES), error.unresolved)
         if jump is not None:
             solution.success, solution.message = False, f"{jump} ({solution.message})"
     return solution
 
 
-def flow_of(H: Hamiltonian) -> Flow:
-    """The equations, with compiled code where that is there."""
-    system = H.compile("numpy")
+@dataclass(frozen=True)
+class _Attempt:
+    """A march, its estimated error, and the error that is allowed, shape (dim,)."""
 
-    def vector_field(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return np.asarray(system.vector_field(*system.arguments(z, t)))
+    windows: March
+    error: MarchError
+    allowed: np.ndarray
 
-    def jacobian(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return generators(system.hessian(*system.arguments(z, t)))
+    @cached_property
+    def excess(self) -> float:
+        return self.error.excess(self.allowed)
 
-    def rates(z: np.ndarray, t: np.ndarray, out: np.ndarray) -> None:
-        out[:] = vector_field(z, t)
-
-    plain = Flow(vector_field, jacobian, rates, compiled=lambda: _compiled(H, plain))
-    return _compiled(H, plain) if compiled.prepared(H) else plain
-
-
-def _compiled(H: Hamiltonian, plain: Flow) -> Flow:
-    H.compile("numba")
-    rates = compiled.prepared(H)
-    assert rates is not None
-    return Flow(plain.vector_field, plain.jacobian, rates, compiled.compiled_loop())
+    def is_better_than(self, other: _Attempt) -> bool:
+        """Whether it reached further or, where both reached as far, is more accurate."""
+        own, others = (
+            abs(float(attempt.windows.edges[-1] - attempt.windows.edges[0]))
+            for attempt in (self, other)
+        )
+        return own > others or (own == others and self.excess < other.excess)
 
 
-def _verdict(
-    windows: March, error: MarchError, tol: float, allowed: np.ndarray, excess: float
-) -> tuple[bool, str]:
+def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
+    windows, error, excess = attempt.windows, attempt.error, attempt.excess
     state = f"{len(windows.readouts):,} windows, estimated error {excess:.1e} of what was allowed"
-    held = error.until(allowed)
+    held = error.until(attempt.allowed)
     if windows.reason:
         until, missing = f"t = {held:.6g}", abs(windows.reached - held)
         if until == f"t = {windows.reached:.6g}":
@@ -132,21 +131,19 @@ def _verdict(
             f"stopped at t = {windows.reached:.6g}: {windows.reason}; tol {tol:.1e} held until "
             f"{until}"
         )
+    if windows.doubt:
+        return False, f"{windows.doubt}; a narrow pulse or a step is there, or a jump; {state}"
     if excess <= 1:
         return True, f"tol {tol:.1e} met: {state}"
+    if error.limit:
+        return False, f"tol {tol:.1e} met only until t = {held:.6g}: {error.limit}"
     floors = error.floors.max(axis=0)
     cause = (
-        "round-off, which float64 does not allow to fall further, is the reason"
-        if (floors > 0.3 * allowed).any()
+        "limited by float64 round-off"
+        if not (floors <= 0.3 * attempt.allowed).all()
         else "the march could not be made accurate enough"
     )
-    return False, f"tol {tol:.1e} held until t = {held:.6g} only, {cause}; {state}"
-
-
-def _scales(scale: np.ndarray) -> np.ndarray:
-    """s_i with the floor of 1e-8 of the largest among its kind."""
-    halves = scale.reshape(2, -1)
-    return np.maximum(halves, 1e-8 * halves.max(axis=1, keepdims=True)).ravel()
+    return False, f"tol {tol:.1e} met only until t = {held:.6g}: {cause}; {state}"
 
 
 def _checked_atol(atol: float | Sequence[float], dim: int) -> np.ndarray:

@@ -19,7 +19,9 @@ from hamsym.errors import InputError, VacuousBoundWarning
 from hamsym.estimates import MarchError, estimate_error
 from hamsym.events import Event, Events, find_events
 from hamsym.features import FeatureTrial, March, feature_basis
+from hamsym.flow import flow_of
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.scales import SMALLEST, coupled_sizes
 from hamsym.tangent import TangentMaps, generators
 from hamsym.training import History, Training
 from hamsym.trial import TrialSolution
@@ -185,6 +187,7 @@ class Solution:
 
     def _sensitivity(self, times: np.ndarray) -> np.ndarray:
         edges = self._tangent_edges
+        times = times - self._tangent_origin
         sign = np.sign(edges[-1] - edges[0])
         window = np.searchsorted(sign * edges, sign * times, side="right") - 1
         window = np.clip(window, 0, len(edges) - 2)
@@ -201,7 +204,7 @@ class Solution:
             place = np.searchsorted(some, window[here])
             inside = np.einsum("kl,klia->kia", basis, series[place])
             values[here] = inside @ self._tangent_starts[window[here]]
-        units = np.repeat(self._half_scales, self.H.dof)
+        units = self._units
         return values * (units[:, None] / units)
 
     def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
@@ -327,8 +330,6 @@ class Solution:
     @cached_property
     def _finer_estimate(self) -> Callable[[np.ndarray], np.ndarray]:
         if isinstance(self.training, March):
-            from hamsym.marching import flow_of  # which makes solutions
-
             basis = feature_basis(self.training.seed)
             return estimate_error(self.training, basis, flow_of(self.H), resolution=1)
         return integrated_error(self, resolution=1)
@@ -342,15 +343,23 @@ class Solution:
 
     @property
     def relative_error_estimate(self) -> float:
-        """Largest estimated error, relative to the size of the motion, max_i |dz_i| / s.
+        """Largest estimated error, relative to the size of the motion, max_i |dz_i| / s_i.
 
-        Here s is the largest scale among the coordinates for a coordinate, and among the momenta
-        for a momentum.
+        Here s_i is the largest |z^_i|, or the size that the terms of its own equation give the
+        component (:func:`~hamsym.scales.coupled_sizes`) where that is larger. Infinite where it is
+        unknown.
         """
-        errors, scales = (v.reshape(2, -1).max(axis=1) for v in (self.largest_error, self.scale))
+        errors = self.largest_error
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.where(errors == 0, 0.0, errors / scales)
-        return float(ratios.max())
+            ratios = np.where(errors == 0, 0.0, errors / self._coupled_scales)
+        return float(np.nan_to_num(ratios, nan=np.inf).max())
+
+    @cached_property
+    def _coupled_scales(self) -> np.ndarray:
+        start, end = self.span
+        with np.errstate(all="ignore"):
+            coupling = np.abs(generators(self.hessians(self.scan_times))).mean(axis=0)
+        return coupled_sizes(self.scale, coupling, abs(end - start))
 
     @cached_property
     def _error(self) -> Callable[[np.ndarray], np.ndarray]:
@@ -359,10 +368,10 @@ class Solution:
     # -- how nearby solutions move -------------------------------------------------------------
 
     @cached_property
-    def _half_scales(self) -> np.ndarray:
-        """Units of the coordinates and of the momenta."""
-        halves = self.scale.reshape(2, -1).max(axis=1)
-        return np.where(halves > 0, halves, 1.0)
+    def _units(self) -> np.ndarray:
+        """Units of the components for the tangent maps, each its own."""
+        units = np.maximum(self.scale, SMALLEST * self._coupled_scales)
+        return np.where(units > 0, units, 1.0)
 
     @cached_property
     def _tangent_edges(self) -> np.ndarray:
@@ -370,12 +379,15 @@ class Solution:
         if isinstance(self.training, March):
             return self.training.edges
         start, end = self.span
-        matrices, dof = self.hessians(self.scan_times), self.H.dof
         # J Hess in units of the scales has the size of the rates at which nearby states part.
-        units = np.repeat(self._half_scales, dof)
-        sizes = np.abs(matrices * units * np.roll(units, dof)[:, None] ** -1.0)
+        units = self._units
+        sizes = np.abs(generators(self.hessians(self.scan_times)) * units / units[:, None])
         wanted = float(sizes.sum(axis=-1).max()) * abs(end - start) / 2
         return np.linspace(start, end, 2 + int(min(np.nan_to_num(wanted), 100_000)))
+
+    @property
+    def _tangent_origin(self) -> float:
+        return self.training.origin if isinstance(self.training, March) else 0.0
 
     @cached_property
     def _tangent_starts(self) -> np.ndarray:
@@ -392,10 +404,9 @@ class Solution:
     def _tangent_maps(self, windows: np.ndarray) -> TangentMaps:
         edges, dim = self._tangent_edges, self.H.dim
         lengths = np.diff(edges)[windows]
-        times = edges[windows, None] + lengths[:, None] * TangentMaps.nodes
+        times = edges[windows, None] + lengths[:, None] * TangentMaps.nodes + self._tangent_origin
         hessians = self.hessians(times.ravel()).reshape(*times.shape, dim, dim)
-        units = np.repeat(self._half_scales, self.H.dof)
-        return TangentMaps(generators(hessians), lengths, units)
+        return TangentMaps(generators(hessians), lengths, self._units)
 
     @property
     def error_bound(self) -> float:

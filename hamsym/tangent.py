@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import chebyshev
 
-__all__ = ["Collocation", "TangentMaps", "chebyshev_points", "collocation", "generators", "poisson"]
+__all__ = ["Collocation", "TangentMaps", "chebyshev_points", "collocation", "generators"]
 
 _NODES = 28
 _ITERATIONS = 60
@@ -72,17 +72,17 @@ class TangentMaps:
     lengths : numpy.ndarray
         Of the windows, shape (windows,); negative backwards in time.
     scale : numpy.ndarray
-        Units of the components, shape (dim,), the same for all coordinates and the same for all
-        momenta. The maps are those of z / scale, and symplectic again.
+        Units of the components, shape (dim,). The maps are those of z / scale.
     accuracy : float
-        Of each map, relative to its largest entry.
+        Of each row of each map, relative to the row's largest entry: every component converges by
+        itself.
 
     Attributes
     ----------
     inside : numpy.ndarray
         Shape (dim, nodes, dim, windows).
     ends : numpy.ndarray
-        Shape (windows, dim, dim).
+        Shape (windows, dim, dim). Not finite where J Hess is not, or where nothing was found.
     """
 
     nodes = collocation(_NODES).nodes
@@ -97,6 +97,8 @@ class TangentMaps:
         scaled = jacobians * (lengths[:, None, None, None] * (scale / scale[:, None]))
         dim, windows, nodes = len(scale), len(lengths), jacobians.shape[1]
         self.rule = collocation(nodes)
+        half = dim // 2
+        self._actions = np.tile(scale[:half] * scale[half:], 2)
         # H couples few components: products with the entries that are not zero, one by one.
         entries = {
             (i, j): np.ascontiguousarray(scaled[:, :, i, j].T)
@@ -112,10 +114,10 @@ class TangentMaps:
             if count % 4 != 3:  # to look costs as much as to iterate
                 maps = moved
                 continue
-            change = np.abs(moved - maps).max(axis=(0, 1, 2))
-            size = np.abs(moved).max(axis=(0, 1, 2))
+            change = np.abs(moved - maps).max(axis=(1, 2))
+            size = np.abs(moved).max(axis=(1, 2))
             maps = moved
-            open_ = ~(change <= accuracy * size)
+            open_ = ~(change <= accuracy * size).all(axis=0)
             if not open_.any() or not np.all(size < 1e100):
                 break
         for w in np.flatnonzero(open_):
@@ -123,6 +125,20 @@ class TangentMaps:
         self.inside = maps
         ends = unit + _integrated(integration[-1:], _rates(entries, maps))
         self.ends = np.ascontiguousarray(ends[:, 0].transpose(2, 0, 1))
+
+    def inverse_applied(self, maps: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """Phi^-1 v for maps (component, node, column, window) and v (component, node, window).
+
+        In the units of H maps are symplectic, Phi^-1 = -J Phi^T J. In units s of the components
+        that becomes K^-1 Phi^T K with K = S J S, S = diag(s).
+        """
+        turned = np.einsum("inaw,inw->anw", maps, _poisson(self._weighted(vectors)))
+        return -_poisson(self._weighted(turned, -1.0))
+
+    def _weighted(self, vectors: np.ndarray, power: float = 1.0) -> np.ndarray:
+        # The largest action is the unit, so that no product overflows.
+        weights = (self._actions / self._actions.max()) ** power
+        return weights[:, None, None] * vectors
 
     def at(self, s: np.ndarray) -> np.ndarray:
         """Phi at the same s in [0, 1] of every window, shape (dim, len(s), dim, windows)."""
@@ -135,7 +151,7 @@ def generators(hessians: np.ndarray) -> np.ndarray:
     return np.concatenate((hessians[..., half:, :], -hessians[..., :half, :]), axis=-2)
 
 
-def poisson(vectors: np.ndarray) -> np.ndarray:
+def _poisson(vectors: np.ndarray) -> np.ndarray:
     """J v for v with the components along the first axis."""
     half = len(vectors) // 2
     return np.concatenate((vectors[half:], -vectors[:half]))
@@ -160,5 +176,8 @@ def _solved(generator: np.ndarray, integration: np.ndarray) -> np.ndarray:
     nodes, dim, _ = generator.shape
     size = nodes * dim
     matrix = np.eye(size) - np.einsum("kl,lij->kilj", integration, generator).reshape(size, size)
-    maps = np.linalg.solve(matrix, np.tile(np.eye(dim), (nodes, 1)))
+    try:
+        maps = np.linalg.solve(matrix, np.tile(np.eye(dim), (nodes, 1)))
+    except np.linalg.LinAlgError:
+        maps = np.full((size, dim), np.nan)
     return maps.reshape(nodes, dim, dim).transpose(1, 0, 2)

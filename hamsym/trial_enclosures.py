@@ -245,7 +245,8 @@ class _Window:
 def _windows(
     trial: FeatureTrial, start: Fraction, total: Fraction, direction: int
 ) -> list[Segment]:
-    edges = [direction * (Fraction(edge) - start) for edge in trial.edges.tolist()]
+    origin = Fraction(float(trial.origin))
+    edges = [direction * (origin + Fraction(edge) - start) for edge in trial.edges.tolist()]
     if any(not low < high for low, high in pairwise(edges)):
         raise CertificationError("the windows of the solution are not in order; solve again")
     if edges[0] > 0 or edges[-1] < total:

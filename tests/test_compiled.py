@@ -72,11 +72,6 @@ def test_sizes_of_columns_agree() -> None:
     assert np.isnan(march_loop.column_sizes_in_loops(values)[1])
 
 
-def test_scales_of_halves() -> None:
-    sizes = np.array([1.0, 1e-12, 0.0, 0.0])
-    np.testing.assert_array_equal(march_loop.floored(sizes), [1.0, 1e-8, 1e-8, 1e-8])
-
-
 # -- the cache -------------------------------------------------------------------------------------
 
 
