@@ -27,7 +27,7 @@ from .taylor import Equations, formula, integrate
 __all__ = ["FILE"]
 
 FILE = Path(__file__).with_name("references.json")
-_TIMES = 24
+_TIMES, _BUSY = 20, 6
 _DIGITS = 25
 _NUDGE = 1e-18  # of the start, relative, for the growth of errors
 _AGREEMENT = 1e-14
@@ -35,13 +35,21 @@ _AGREEMENT = 1e-14
 mpmath.mp.dps = 50
 
 
-def times_of(system: System) -> list[float]:
-    """Irregular times, the last of them the end; closer together towards both ends."""
+def times_of(system: System, equations: Equations) -> list[float]:
+    """Irregular times, some where most happens, and the end."""
     start, end = system.span
     end = system.until if system.until is not None else end
     generator = random.Random(zlib.crc32(system.name.encode()))
-    parts = sorted(generator.random() for _ in range(_TIMES - 1))
-    return [*(start + (end - start) * part for part in parts), end]
+    times = {start + (end - start) * generator.random() for _ in range(_TIMES - 1)}
+    rough = integrate(equations, system.z0, start, [end], order=20, bits=96, digits=15)
+    edges = [*rough.starts, rough.reached]
+    # Where steps are short, something happens: an encounter, or a kick.
+    busy: list[float] = []
+    for k in sorted(range(1, rough.steps), key=lambda k: abs(edges[k + 1] - edges[k])):
+        if all(abs(edges[k] - t) > 0.03 * abs(end - start) for t in busy):
+            busy.append(edges[k])
+    times.update(busy[:_BUSY])
+    return [*sorted(times - {end}, reverse=end < start), end]
 
 
 def equations_of(system: System) -> Equations:
@@ -188,8 +196,9 @@ EXACT: dict[str, Callable[[System, list[float]], list[list[mpmath.mpf]]]] = {
 
 
 def reference(system: System) -> dict[str, object]:
-    times, equations = times_of(system), equations_of(system)
     began = time.process_time()
+    equations = equations_of(system)
+    times = times_of(system, equations)
     first = integrate(equations, system.z0, system.span[0], times)
     scales = first.scales
     sizes = [scale if scale > 0 else 1.0 for scale in scales]
@@ -197,8 +206,8 @@ def reference(system: System) -> dict[str, object]:
     generator = random.Random(1)
     before, ctx.prec = ctx.prec, 160
     nudged = [
-        arb(value) + size * _NUDGE * generator.choice((-1, 1))
-        for value, size in zip(system.z0, sizes, strict=True)
+        arb(value) + (0 if name in system.zero else size * _NUDGE * generator.choice((-1, 1)))
+        for name, value, size in zip(system.names, system.z0, sizes, strict=True)
     ]
     moved = integrate(equations, nudged, system.span[0], times, order=28, bits=128, digits=27)
     growth = max(1.0, _largest(first.states, moved.states, sizes) / _NUDGE)

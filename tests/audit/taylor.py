@@ -34,6 +34,7 @@ _FUNCTIONS = {
 }
 
 
+_LAST = 6  # terms of a series that decide on the step
 _NOTHING = 400.0  # powers of two below the largest of its half
 
 
@@ -198,13 +199,26 @@ def power(base: arb_series, exponent: int) -> arb_series:
 
 @dataclass
 class Orbit:
-    """States at the asked times, in balls whose radius says nothing, and what else was seen."""
+    """What was found.
+
+    Attributes
+    ----------
+    states : list of list of arb
+        At the asked times, in balls whose radius says nothing.
+    scales : list of float
+        Largest magnitude of each component.
+    steps : int
+    reached : float
+    events, starts : list of float
+        Times of switches, and at which steps begin.
+    """
 
     states: list[list[arb]]
     scales: list[float]
     steps: int = 0
     reached: float = 0.0
     events: list[float] = field(default_factory=list)
+    starts: list[float] = field(default_factory=list)
 
 
 def integrate(
@@ -295,6 +309,7 @@ def _integrate(
             for k, one in enumerate(coefficients):
                 orbit.scales[k] = max(orbit.scales[k], abs(float(_at(one, step * part))))
         z = [_at(one, step) for one in coefficients]
+        orbit.starts.append(float(t))
         t = (t + step).mid()
         orbit.reached = float(t)
         if flipped is not None:
@@ -321,7 +336,10 @@ def _log(value: arb) -> float:
 
 
 def _step(coefficients: list[list[arb]], digits: float) -> float:
-    """The longest step whose last two terms are below 10**-digits of the largest, for each."""
+    """The longest step whose last terms are below 10**-digits of the largest, for each.
+
+    Several terms, because every other one, or more, may be zero.
+    """
     order, lost = len(coefficients[0]) - 1, digits * math.log2(10)
     shortest = math.inf
     starts = [_log(one[0]) for one in coefficients]
@@ -331,13 +349,14 @@ def _step(coefficients: list[list[arb]], digits: float) -> float:
         # What is this small follows from tails such as exp(-1e6), and never matters.
         nearby = starts[:half] if n < half else starts[half:]
         least = max(*nearby, -_NOTHING) - _NOTHING
-        if max(logs[order], logs[order - 1]) == -math.inf:
+        last = [(k, log) for k, log in enumerate(logs) if k > order - _LAST and log > -math.inf]
+        if not last:
             continue
         low, high = -1100.0, 1000.0
         for _ in range(60):
             middle = (low + high) / 2
-            terms = [log + k * middle for k, log in enumerate(logs)]
-            if max(terms[-2:]) <= max(*terms[:-2], least) - lost:
+            top = max(least, *(log + k * middle for k, log in enumerate(logs[:-_LAST])))
+            if all(log + k * middle <= top - lost * k / order for k, log in last):
                 low = middle
             else:
                 high = middle

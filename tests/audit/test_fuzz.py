@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 import warnings
 from dataclasses import dataclass
 
@@ -113,6 +114,12 @@ def case(seed: int) -> Case:
                     f"({c})*{x}*tanh({number(0.3, 3)}*t)",
                 )[kind]
             )
+    if r.random() < 0.15:
+        x, c, at = r.choice(q), number(-0.5, 0.5), number(-0.8, 0.8)
+        steep = 10.0 ** r.uniform(1.5, 3.5)
+        shape = r.choice(("tanh({})", "exp(-({})**2)", "erf({})"))
+        terms.append(f"({c})*" + shape.format(f"{steep:.4g}*({x}-({at}))") + "/8")
+        narrow.append((f"{x}-({at})", 1 / steep))
     plain = "+".join(terms).replace("+-", "-")
     z0 = [r.uniform(-1.5, 1.5) for _ in range(2 * dof)]
     if r.random() < 0.15:
@@ -134,7 +141,11 @@ def case(seed: int) -> Case:
         if exponent:
             marked = _replaced(marked, name, f"({name}*1e{-exponent})")
     text = f"1e{action - unit}*({marked})" if action != unit else marked
-    focus = tuple((_replaced(one, "t", f"(t*1e{-unit})"), width) for one, width in narrow)
+    focus = []
+    for scaled, width in narrow:
+        for name, exponent in exponents.items():
+            scaled = _replaced(scaled, name, f"({name}*1e{-exponent})")
+        focus.append((scaled, width))
     units = tuple(10.0 ** exponents[name] for name in (*q, *p))
     return Case(
         text,
@@ -146,13 +157,11 @@ def case(seed: int) -> Case:
         tol,
         units,
         10.0**unit,
-        focus,
+        tuple(focus),
     )
 
 
 def _replaced(text: str, name: str, new: str) -> str:
-    import re
-
     return re.sub(rf"\b{name}\b", new, text)
 
 
