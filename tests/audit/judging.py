@@ -18,7 +18,7 @@ import hamsym
 
 from .systems import BY_NAME, System
 
-__all__ = ["Verdict", "complaints", "difference", "judged"]
+__all__ = ["Verdict", "complaints", "difference", "judged", "references"]
 
 _EPS = 2.0**-52
 _ROUND_OFF = 1e3 * _EPS  # times the growth of errors: what is above it is no round-off
@@ -68,7 +68,8 @@ class Verdict:
 
 
 @functools.lru_cache(maxsize=1)
-def _references() -> dict[str, dict]:
+def references() -> dict[str, dict]:
+    """What ``make_references.py`` wrote."""
     return json.loads(Path(__file__).with_name("references.json").read_text())
 
 
@@ -105,7 +106,7 @@ def judged(system: System, tol: float) -> Verdict:
     success, message = solution.success, solution.message
     if system.reference == "none":
         return Verdict(success, message, seconds=seconds)
-    row = _references()[system.name]
+    row = references()[system.name]
     columns = [[str(name) for name in solution.H.z].index(name) for name in system.names]
     direction = math.copysign(1.0, system.span[1] - system.span[0])
     times = np.array(row["times"])

@@ -228,6 +228,7 @@ def reference(system: System) -> dict[str, object]:
     if not agreement < _AGREEMENT:
         raise SystemExit(f"{system.name}: two computations differ by {agreement:.1e}")
     return {
+        "of": system.fingerprint,
         "made": system.reference,
         "times": times,
         "states": states,
@@ -260,7 +261,9 @@ def main(names: list[str]) -> None:
     for name in wanted:
         if BY_NAME[name].reference == "none":
             continue
-        known[name] = reference(BY_NAME[name])
+        made = reference(BY_NAME[name])
+        known = json.loads(FILE.read_text()) if FILE.exists() else {}
+        known[name] = made
         rows = ",\n".join(f"{json.dumps(n)}: {json.dumps(known[n])}" for n in BY_NAME if n in known)
         FILE.write_text("{\n" + rows + "\n}\n")
     assert all(math.isfinite(row["growth"]) for row in known.values())

@@ -5,6 +5,7 @@ References are in ``references.json``, made by ``make_references.py``.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -78,6 +79,13 @@ class System:
     @property
     def names(self) -> tuple[str, ...]:
         return (*self.q.split(), *self.p.split())
+
+    @property
+    def fingerprint(self) -> str:
+        """Of all that a reference depends on."""
+        parts = (self.smooth or self.text, self.q, self.p, self.z0, self.span, self.until)
+        more = (dict(self.parameters), self.switches, self.reference)
+        return hashlib.sha256(repr((parts, more)).encode()).hexdigest()[:16]
 
     @property
     def start(self) -> dict[str, float]:
@@ -253,6 +261,7 @@ SYSTEMS: tuple[System, ...] = (
         p="px py",
         z0=(1.0, 0.4, 0.3, 0.9),
         span=(0.0, 60.0),
+        fast=(1e-8,),
     ),
     # -- SI units in mixed coordinates -----------------------------------------------------------
     System(
@@ -263,6 +272,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p_r p_phi",
         z0=(1.471e11, 0.0, 0.0, 5.972e24 * 1.471e11 * 3.029e4),
         span=(0.0, 3.15576e9),
+        fast=(1e-6,),
         parameters=_SUN,
         tols=(1e-4, 1e-6, 1e-8, 1e-11),
         must_succeed=(1e-4, 1e-6, 1e-8),
@@ -322,6 +332,7 @@ SYSTEMS: tuple[System, ...] = (
         p=_planar(2)[1],
         z0=(-4.67e6, 0.0, 3.797e8, 0.0, 0.0, -7.348e22 * 1022.0, 0.0, 7.348e22 * 1022.0),
         span=(0.0, 7.1e6),
+        fast=(1e-8,),
         parameters={"G": 6.674e-11, "m1": 5.972e24, "m2": 7.348e22},
         must_succeed=(1e-4, 1e-8),
     ),
@@ -345,6 +356,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p_r p_phi",
         z0=(1.2e-10, 0.0, 0.0, 2.1e-33),
         span=(0.0, 1e-12),
+        fast=(1e-8,),
         parameters={"mu": 1.14e-26, "D": 1.8e-18, "a": 2.3e10, "b": 1.128e-10},
         must_succeed=(1e-4, 1e-8),
     ),
@@ -368,6 +380,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p_x p_y",
         z0=(1e-5, 0.0, 0.0, 9.109e-25),
         span=(0.0, 1e-9),
+        fast=(1e-8,),
         parameters={"m": 9.109e-31, "e": 1.602e-19, "B": 1.0},
         reference="linear",
         must_succeed=(1e-4, 1e-8),
@@ -422,6 +435,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(-10.0, 1.0),
         span=(0.0, 20.0),
+        fast=(1e-8,),
         focus=(("x-0.77", 5e-4),),
     ),
     System(
@@ -432,6 +446,7 @@ SYSTEMS: tuple[System, ...] = (
         p="px py",
         z0=(0.0, 0.3, 1.0, 0.0),
         span=(0.0, 5010.0),
+        fast=(1e-6,),
         tols=(1e-4, 1e-6, 1e-8, 1e-11),
         focus=(("x-5000", 1.0),),
     ),
@@ -445,6 +460,18 @@ SYSTEMS: tuple[System, ...] = (
         span=(0.0, 9.0),
         focus=(("x-5", 1e-3),),
         fast=(1e-8,),
+    ),
+    System(
+        name="scatterer_after_flight_0.1",
+        kind="narrow",
+        text="(px**2+py**2)/2+exp(-100*((x-5000)**2+y**2))/2",
+        q="x y",
+        p="px py",
+        z0=(0.0, 0.05, 1.0, 0.0),
+        span=(0.0, 5010.0),
+        tols=(1e-4, 1e-6, 1e-8, 1e-11),
+        fast=(1e-6,),
+        focus=(("x-5000", 0.1),),
     ),
     System(
         name="gaussian_kick",
@@ -477,6 +504,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(1.0, 0.0),
         span=(0.0, 12.0),
+        fast=(1e-8,),
         focus=(("t-2.1", 1e-2), ("t-8.03", 1e-3)),
     ),
     System(
@@ -508,6 +536,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(1.0, 0.5),
         span=(0.0, 12.0),
+        fast=(1e-8,),
         focus=(("t-2.345", 1e-3),),
     ),
     System(
@@ -538,6 +567,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(0.0, 0.5),
         span=(0.0, 40.0),
+        fast=(1e-8,),
         focus=(("x+5*t-100", 5e-2),),
     ),
     System(
@@ -570,7 +600,7 @@ SYSTEMS: tuple[System, ...] = (
         q="x",
         p="p",
         z0=(1.5, 0.0),
-        span=(0.0, 10.0),
+        span=(0.0, 20.0),
         tols=(1e-3, 1e-5),
         fast=(1e-3,),
         smooth="p**2/2+s1*(x**2-1)",
@@ -597,6 +627,7 @@ SYSTEMS: tuple[System, ...] = (
         p="px py",
         z0=(2.0, 0.3, 0.0, 0.1),
         span=(0.0, 10.0),
+        fast=(1e-4,),
         smooth="(px**2+py**2)/2+s1*(x**2-1)+y**2/2+x*y/10",
         switches="x**2-1",
     ),
@@ -688,6 +719,7 @@ SYSTEMS: tuple[System, ...] = (
         p="px py",
         z0=(1.0, 0.0, 0.0, 0.0),
         span=(0.0, 8.0),
+        fast=(1e-8,),
         smooth="(px**2+py**2)/2+s1*x",
         switches="x",
         zero=("y", "py"),
@@ -700,6 +732,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(1.0, 0.0),
         span=(0.0, 10.0),
+        fast=(1e-8,),
         focus=(("x", 1e-10),),
     ),
     System(
@@ -733,8 +766,9 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(math.pi - 1e-3, 0.0),
         span=(0.0, 30.0),
+        fast=(1e-4,),
         reference="pendulum",
-        must_succeed=(1e-4, 1e-8),
+        must_succeed=(1e-4,),
     ),
     System(
         name="pendulum_stands",
@@ -753,6 +787,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(0.0, 2.0),
         span=(0.0, 20.0),
+        fast=(1e-8,),
     ),
     System(
         name="duffing_saddle",
@@ -772,6 +807,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(0.0, 1e-5),
         span=(0.0, 50.0),
+        fast=(1e-4,),
         must_succeed=(1e-4,),
     ),
     System(
@@ -805,6 +841,17 @@ SYSTEMS: tuple[System, ...] = (
         z0=(1.99, 0.0, 0.0, math.sqrt(0.01 / 1.99)),
         span=(0.0, 20.0),
         reference="kepler",
+        must_succeed=(1e-4,),
+    ),
+    System(
+        name="kepler_0.99_once",
+        kind="encounter",
+        text=_KEPLER,
+        q="x y",
+        p="px py",
+        z0=(1.99, 0.0, 0.0, math.sqrt(0.01 / 1.99)),
+        span=(0.0, 7.0),
+        reference="kepler",
         fast=(1e-8,),
         must_succeed=(1e-4, 1e-8),
     ),
@@ -816,6 +863,7 @@ SYSTEMS: tuple[System, ...] = (
         p="px py",
         z0=(1.999, 0.0, 0.0, math.sqrt(0.001 / 1.999)),
         span=(0.0, 10.0),
+        fast=(1e-4,),
         reference="kepler",
         must_succeed=(1e-4,),
     ),
@@ -827,6 +875,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p_r p_phi",
         z0=(1.95, 0.0, 0.0, 0.31),
         span=(0.0, 30.0),
+        fast=(1e-8,),
         must_succeed=(1e-4, 1e-8),
     ),
     System(
@@ -871,6 +920,7 @@ SYSTEMS: tuple[System, ...] = (
         p="px py",
         z0=(0.1, 1.0, 0.3, -0.2),
         span=(0.0, 12.0),
+        fast=(1e-8,),
     ),
     System(
         name="repelled_head_on",
@@ -955,6 +1005,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(1.0, 0.0),
         span=(0.0, 60.0),
+        fast=(1e-11,),
         must_succeed=(1e-4, 1e-8),
     ),
     System(
@@ -965,6 +1016,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(3.0, 0.0),
         span=(0.0, 20.0),
+        fast=(1e-8,),
     ),
     System(
         name="growing_frequency",
@@ -984,6 +1036,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(1.0, 0.0),
         span=(0.0, 30.0),
+        fast=(1e-8,),
         reference="chirp",
         must_succeed=(1e-4, 1e-8),
     ),
@@ -1006,6 +1059,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(1.0, 0.5),
         span=(1e7, 1e7 + 20.0),
+        fast=(1e-8,),
     ),
     System(
         name="late_start_kepler_1e12",
@@ -1015,6 +1069,7 @@ SYSTEMS: tuple[System, ...] = (
         p="px py",
         z0=(0.5, 0.0, 0.0, 1.7),
         span=(1e12, 1e12 + 16.0),
+        fast=(1e-4,),
         must_succeed=(1e-4,),
     ),
     # -- 1 to 24 degrees of freedom --------------------------------------------------------------
@@ -1026,6 +1081,7 @@ SYSTEMS: tuple[System, ...] = (
         p=_numbered("p", 12),
         z0=_waves(12, 0.5),
         span=(0.0, 10.0),
+        fast=(1e-8,),
         must_succeed=(1e-4, 1e-8),
     ),
     System(
@@ -1100,6 +1156,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(0.5, 0.0),
         span=(9.0, -1.0),
+        fast=(1e-4,),
         focus=(("t-3.37", 1e-3),),
     ),
     # -- components at rest ----------------------------------------------------------------------
@@ -1133,6 +1190,7 @@ SYSTEMS: tuple[System, ...] = (
         p="px py",
         z0=(0.0, 0.0, 0.0, 0.0),
         span=(0.0, 50.0),
+        fast=(1e-11,),
         must_succeed=EVERY,
     ),
     System(
@@ -1178,6 +1236,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(1.0, 1.0),
         span=(0.0, 20.0),
+        fast=(1e-8,),
         must_succeed=(1e-4,),
     ),
     # -- what ends, and what cannot be had -------------------------------------------------------
@@ -1202,6 +1261,7 @@ SYSTEMS: tuple[System, ...] = (
         p="px py",
         z0=(0.3, 1.2, 0.0, 0.3),
         span=(0.0, 50.0),
+        fast=(1e-4,),
         must_refuse=EVERY,
         word=_END,
         until=1.0,
@@ -1264,6 +1324,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(1.0, 0.0),
         span=(0.0, 10.0),
+        fast=(1e-8,),
         must_refuse=EVERY,
         word=_END,
         until=2.5,

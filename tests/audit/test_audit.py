@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-import pytest
+import math
 
-from .judging import complaints, judged
-from .systems import SYSTEMS, System
+import mpmath
+import pytest
+from flint import arb
+
+from hamsym.rounding import working
+
+from .judging import Verdict, complaints, judged, references
+from .systems import BY_NAME, SYSTEMS, System
+from .taylor import Equations, integrate
 
 _CASES = [
     pytest.param(
@@ -22,6 +29,49 @@ _CASES = [
 @pytest.mark.parametrize(("system", "tol"), _CASES)
 def test_success_and_estimate_are_true(system: System, tol: float) -> None:
     assert complaints(system, tol, judged(system, tol)) == []
+
+
+def test_references_belong_to_the_rows() -> None:
+    stored = references()
+    for system in SYSTEMS:
+        if system.reference != "none":
+            assert stored[system.name]["of"] == system.fingerprint, system.name
+            assert stored[system.name]["agreement"] < 0.01 * min(system.tols), system.name
+    assert set(stored) <= {system.name for system in SYSTEMS}
+
+
+@pytest.mark.parametrize(
+    ("verdict", "word"),
+    [
+        (Verdict(success=True, estimate=0.5, truth=1.1), "allowed error"),
+        (Verdict(success=True, estimate=0.5, truth=math.inf), "allowed error"),
+        (Verdict(success=True, estimate=0.5, truth=math.nan), "allowed error"),
+        (Verdict(success=True, estimate=0.01, truth=0.9), "estimate"),
+        (Verdict(success=True, estimate=0.9, truth=0.01, judgeable=True), "estimate"),
+        (Verdict(success=True, estimate=math.nan, truth=0.01), "estimate"),
+        (Verdict(message="stopped at t = 1"), "refused"),
+        (Verdict(message="no time"), "without a time"),
+        (Verdict(message="held until t = 2", held=30.0), "said to hold"),
+        (Verdict(raised="LinAlgError: Singular matrix"), "raised"),
+        (Verdict(raised="InputError: a. b", message="t = 1. b"), "not one sentence"),
+    ],
+)
+def test_judge_sees_what_is_wrong(verdict: Verdict, word: str) -> None:
+    system = BY_NAME["kepler_0.9"]
+    assert any(word in found for found in complaints(system, 1e-4, verdict))
+
+
+def test_judge_is_content_with_truth() -> None:
+    verdict = Verdict(success=True, estimate=0.5, truth=0.4, judgeable=True)
+    assert complaints(BY_NAME["kepler_0.9"], 1e-4, verdict) == []
+
+
+def test_taylor_series_solve_oscillator() -> None:
+    equations = Equations("p**2/2+x**2/2", ("x",), ("p",))
+    found = integrate(equations, [1.0, 0.0], 0.0, [1.0, 30.0]).states[1]
+    with mpmath.workdps(40), working(128):
+        exact = [arb(mpmath.nstr(value, 35)) for value in (mpmath.cos(30), -mpmath.sin(30))]
+        assert max(abs(float(a - b)) for a, b in zip(found, exact, strict=True)) < 1e-26
 
 
 def test_every_class_has_a_fast_case() -> None:
