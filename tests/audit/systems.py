@@ -1059,6 +1059,7 @@ SYSTEMS: tuple[System, ...] = (
         p="p",
         z0=(1.0, 0.5),
         span=(1e7, 1e7 + 20.0),
+        must_succeed=(1e-4,),
         fast=(1e-8,),
     ),
     System(
@@ -1070,7 +1071,6 @@ SYSTEMS: tuple[System, ...] = (
         z0=(0.5, 0.0, 0.0, 1.7),
         span=(1e12, 1e12 + 16.0),
         fast=(1e-4,),
-        must_succeed=(1e-4,),
     ),
     # -- 1 to 24 degrees of freedom --------------------------------------------------------------
     System(
