@@ -20,7 +20,7 @@ import importlib
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from hamsym.errors import CertificationError, HamsymError, InputError
+from hamsym.errors import CertificationError, FileError, HamsymError, InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.system import System
 
@@ -41,6 +41,7 @@ __all__ = [
     "Certificate",
     "CertificationError",
     "Comparison",
+    "FileError",
     "Hamiltonian",
     "HamsymError",
     "InputError",
