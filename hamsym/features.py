@@ -62,9 +62,9 @@ class FeatureBasis:
         Q at s = 1 in extended precision, shape (m,).
     tables : tuple of numpy.ndarray
         What :func:`~hamsym.march_loop.march_windows` takes, in its order.
-    series, rate_series : numpy.ndarray
-        Chebyshev series of N = sin(a s + b) W and dN/ds in 2 s - 1, shape (degree + 1, m). They
-        are the same functions to the last bit or two, without the cancellation in that product.
+    series : numpy.ndarray
+        Chebyshev series of N = sin(a s + b) W in 2 s - 1, shape (degree + 1, m). It is the same
+        function to the last bit or two, without the cancellation in that product.
     """
 
     seed: int
@@ -79,7 +79,6 @@ class FeatureBasis:
     rates_between: np.ndarray
     end: np.ndarray
     series: np.ndarray
-    rate_series: np.ndarray
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, ...]:
@@ -145,7 +144,6 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
         rates_between=rates_between,
         end=_columns(series, np.ones(1, dtype=np.longdouble))[0][0],
         series=series,
-        rate_series=rate_series(series),
     )
 
 
@@ -272,7 +270,12 @@ class March:
 
 
 class FeatureTrial(torch.nn.Module):
-    """The solution of a march as a function of time, with its derivative; one network a window."""
+    """The solution of a march as a function of time, with its derivative; one network a window.
+
+    The derivative is that of the series: nothing but what defines the function is kept.
+    """
+
+    terms = _DEGREE + 1  # of the series
 
     def __init__(
         self,
@@ -280,7 +283,6 @@ class FeatureTrial(torch.nn.Module):
         states: Tensor,
         readouts: Tensor,
         series: Tensor,
-        rate_series: Tensor,
         origin: Tensor | None = None,
     ) -> None:
         super().__init__()
@@ -288,7 +290,8 @@ class FeatureTrial(torch.nn.Module):
         self.register_buffer("states", states)
         self.register_buffer("readouts", readouts)
         self.register_buffer("series", series)
-        self.register_buffer("rate_series", rate_series)
+        rates = torch.from_numpy(rate_series(series.numpy()))
+        self.register_buffer("rate_series", rates, persistent=False)
         zero = torch.zeros((), dtype=edges.dtype)
         self.register_buffer("origin", zero if origin is None else origin)
         self.direction = math.copysign(1.0, float(edges[-1] - edges[0]))
@@ -304,7 +307,6 @@ class FeatureTrial(torch.nn.Module):
                     windows.states,
                     windows.readouts,
                     basis.series,
-                    basis.rate_series,
                     windows.origin,
                 )
             )

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
+import math
+import os
 import pickle
+import random
+import re
 import struct
+import subprocess
+import sys
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,8 +25,9 @@ import sympy
 import torch
 
 import hamsym
-from hamsym import Hamiltonian, InputError
-from hamsym.errors import FileError
+from hamsym import FileError, Hamiltonian, InputError, archive
+from hamsym.archive import digest, parts
+from hamsym.files import read_tensors, write_tensors
 from hamsym.systems import Problem
 
 METHODS = {
@@ -97,11 +107,14 @@ def test_files_that_cannot_be_used(tmp_path: Path) -> None:
         metadata = json.loads(header["__metadata__"]["hamsym"])
         header["__metadata__"]["hamsym"] = json.dumps({**metadata, **values})
         text = json.dumps(header).encode()
-        path.write_bytes(struct.pack("<Q", len(text)) + text + whole[8 + length :])
+        path.write_bytes(sealed(struct.pack("<Q", len(text)) + text + whole[8 + length :]))
 
     for values, message in (
-        ({"version": 99}, "version 99; this hamsym reads version 1"),
+        ({"version": 99}, "version 99; this hamsym reads version 2"),
+        ({"version": 1}, "version 1, which has no checksum; this hamsym reads version 2"),
         ({"kind": "checkpoint"}, "holds a checkpoint, not a solution"),
+        ({"sha256": "0" * 63}, "damaged"),
+        ({"sha256": 3}, "damaged"),
         ({"span": "long"}, "makes no sense"),
         ({"H": {"formula": "__import__('os')", "floats": {}}}, "makes no sense"),
         ({"trial": {"form": "network"}}, "makes no sense"),
@@ -124,9 +137,12 @@ def test_paths_that_are_none(path: object) -> None:
 def test_windows_that_do_not_fit_together(tmp_path: Path) -> None:
     solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
     solution.trial.states = solution.trial.states[:, :1]
-    solution.save(tmp_path / "a")
+    write_tensors(tmp_path / "a", "solution", *parts(solution))
     with pytest.raises(FileError, match="do not fit together"):
         hamsym.load(tmp_path / "a")
+    with pytest.raises(FileError, match="do not fit together"):
+        solution.save(tmp_path / "b")
+    assert not (tmp_path / "b").exists()
 
 
 def test_what_was_there_stays_if_writing_fails(tmp_path: Path) -> None:
@@ -137,6 +153,469 @@ def test_what_was_there_stays_if_writing_fails(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="cannot be written"):
         solution.save(tmp_path / "folder")
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_links_are_followed_and_permissions_stay(tmp_path: Path) -> None:
+    solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
+    (tmp_path / "folder").mkdir()
+    target = tmp_path / "folder" / "target"
+    for link in ("a", "b"):
+        (tmp_path / link).symlink_to(target if link == "a" else "a")
+    solution.save(tmp_path / "b")  # to where nothing is yet
+    target.chmod(0o640)
+    solution.save(tmp_path / "b")
+    assert (tmp_path / "a").is_symlink()
+    assert (tmp_path / "b").is_symlink()
+    assert not target.is_symlink()
+    assert target.stat().st_mode & 0o777 == 0o640
+    assert hamsym.load(tmp_path / "b").H == solution.H
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+def test_pipes_and_devices_are_written_into(tmp_path: Path) -> None:
+    solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
+    solution.save(tmp_path / "file")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "null").symlink_to(os.devnull)
+    solution.save(tmp_path / "null")
+    assert (tmp_path / "null").is_char_device()
+    found = []
+    reader = threading.Thread(target=lambda: found.append((tmp_path / "pipe").read_bytes()))
+    reader.start()
+    solution.save(tmp_path / "pipe")
+    reader.join()
+    assert (tmp_path / "pipe").is_fifo()
+    assert found == [(tmp_path / "file").read_bytes()]
+    for path in ("pipe", "null", "."):
+        with pytest.raises(FileError, match="no regular file"):
+            hamsym.load(tmp_path / path)
+
+
+@pytest.mark.skipif(not Path("/dev/stdout").exists(), reason="no such device here")
+@pytest.mark.parametrize("to", ["file", "pipe"])
+def test_standard_output_is_written_into(to: str, tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from hamsym.atomic import write_atomically;"
+        "print('before', flush=True); write_atomically(Path('/dev/stdout'), b'content')"
+    )
+    with open(tmp_path / "out", "w+b") as file:
+        stdout = file if to == "file" else subprocess.PIPE
+        run = subprocess.run([sys.executable, "-c", code], stdout=stdout, check=True)
+        file.seek(0)
+        assert (file.read() if to == "file" else run.stdout) == b"before\ncontent"
+
+
+# -- damage ---------------------------------------------------------------------------------------
+
+
+def sealed(content: bytes) -> bytes:
+    """The same file with the checksum of what it holds now, as an attacker would make it."""
+    found = re.search(rb'sha256\\": \\"([0-9a-f]{64})', content)
+    if found is None:
+        return content
+    start, end = found.span(1)
+    whole = hashlib.sha256(content[:start] + b"0" * 64 + content[end:]).hexdigest().encode()
+    return content[:start] + whole + content[end:]
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """One file of each kind of solution."""
+    x, p = sympy.symbols("x p", real=True)
+    fractions = Hamiltonian(p**2 / 2 + sympy.Float(0.3) * x**2, q=[x], p=[p])
+    solutions = {
+        "features": hamsym.solve("p**2/2 - cos(x) + sin(t)*x/10", [1, 0.3], (0, 2), tol=1e-8),
+        "backwards": hamsym.solve(fractions, [1, 0.3], (2, -1), tol=1e-4),
+        "network": hamsym.solve("p**2/2 - cos(x)", [1, 0.3], (0, 2), **METHODS["float32"]),
+        "networks": hamsym.solve(
+            "p**2/2 - 3*cos(x)/2", [1, 0.3], (0, 2), method="lbfgs", **METHODS["lbfgs"]
+        ),
+    }
+    folder, found = tmp_path_factory.mktemp("saved"), {}
+    for name, solution in solutions.items():
+        found[name] = folder / name
+        solution.save(found[name])
+    return found
+
+
+def _bit(content: bytes, chance: random.Random) -> bytes:
+    place = chance.randrange(len(content))
+    return (
+        content[:place] + bytes([content[place] ^ 1 << chance.randrange(8)]) + content[place + 1 :]
+    )
+
+
+def _shortened(content: bytes, chance: random.Random) -> bytes:
+    return content[: chance.randrange(len(content))]
+
+
+def _without_a_byte(content: bytes, chance: random.Random) -> bytes:
+    place = chance.randrange(len(content))
+    return content[:place] + content[place + 1 :]
+
+
+def _blanked(content: bytes, chance: random.Random) -> bytes:
+    place = chance.randrange(len(content) - 64)
+    return content[:place] + bytes(64) + content[place + 64 :]
+
+
+def _swapped(content: bytes, chance: random.Random) -> bytes:
+    size = (len(content) - 8) // 2
+    first, second = sorted(chance.randrange(8, size, 8) for _ in range(2))
+    second += size
+    return (
+        content[:first]
+        + content[second : second + 8]
+        + content[first + 8 : second]
+        + content[first : first + 8]
+        + content[second + 8 :]
+    )
+
+
+def _digit(content: bytes, chance: random.Random) -> bytes:
+    """Another digit in the header."""
+    length = 8 + struct.unpack("<Q", content[:8])[0]
+    place = chance.choice([m.start() for m in re.finditer(rb"[0-9]", content[8:length])]) + 8
+    other = chance.choice([d for d in b"0123456789" if d != content[place]])
+    return content[:place] + bytes([other]) + content[place + 1 :]
+
+
+def _type(content: bytes, chance: random.Random) -> bytes:
+    """Another type of the same size for a tensor."""
+    names = [m.span() for m in re.finditer(rb'"(F64|I64|F32)"', content)]
+    start, end = chance.choice(names)
+    same = (
+        [b'"I64"', b'"U64"', b'"C64"'] if content[start:end] != b'"F32"' else [b'"I32"', b'"U32"']
+    )
+    return (
+        content[:start]
+        + chance.choice([t for t in same if t != content[start:end]])
+        + content[end:]
+    )
+
+
+_DAMAGES = (_bit, _bit, _shortened, _without_a_byte, _blanked, _swapped, _digit, _type)
+
+
+def _refused(path: Path) -> None:
+    """Loading refuses a file in one sentence, with work in proportion to its size."""
+    resource = pytest.importorskip("resource")
+    memory, spent = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    with pytest.raises(FileError) as refusal:
+        hamsym.load(path)
+    assert "\n" not in str(refusal.value)
+    assert len(str(refusal.value)) < 600 + len(str(path))
+    assert time.process_time() - spent < 5  # thousandths of a second where nothing is wrong
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory < 500_000  # kB
+
+
+def _damage(saved: dict[str, Path], path: Path, seeds: range) -> None:
+    for seed in seeds:
+        chance = random.Random(seed)
+        content = chance.choice(sorted(saved.items()))[1].read_bytes()
+        damaged = _DAMAGES[seed % len(_DAMAGES)](content, chance)
+        if damaged != content:
+            path.write_bytes(damaged)
+            _refused(path)
+
+
+def test_damaged_files_are_refused(saved: dict[str, Path], tmp_path: Path) -> None:
+    _damage(saved, tmp_path / "a", range(40))
+
+
+@pytest.mark.slow
+def test_many_damaged_files_are_refused(saved: dict[str, Path], tmp_path: Path) -> None:
+    _damage(saved, tmp_path / "a", range(40, 340))
+
+
+# -- edits with a checksum computed anew ----------------------------------------------------------
+
+
+def _set(*keys: Any, to: Any) -> Callable[[dict, dict], None]:
+    """A change of one of the values, or of its removal."""
+
+    def change(tensors: dict[str, Any], values: dict[str, Any]) -> None:
+        *way, last = keys
+        for key in way:
+            values = values[key]
+        if to is None:
+            del values[last]
+        else:
+            values[last] = to
+
+    return change
+
+
+def _made(
+    name: str, function: Callable[[torch.Tensor], torch.Tensor]
+) -> Callable[[dict, dict], None]:
+    def change(tensors: dict[str, Any], values: dict[str, Any]) -> None:
+        tensors[name] = function(tensors[name].clone())
+
+    return change
+
+
+def _last(value: float) -> Callable[[torch.Tensor], torch.Tensor]:
+    def change(tensor: torch.Tensor) -> torch.Tensor:
+        tensor.view(-1)[-1] = value
+        return tensor
+
+    return change
+
+
+def _next(tensor: torch.Tensor) -> torch.Tensor:
+    return torch.nextafter(tensor, tensor + 1)
+
+
+def _swapped_edges(edges: torch.Tensor) -> torch.Tensor:
+    return edges[[0, 2, 1, *range(3, len(edges))]]
+
+
+_GIANT = 10**400
+_TOWER = "p**2/2 + x**2 + exp(exp(exp(exp(number0))))"
+_EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
+    "complex states": ("features", _made("trial.states", lambda a: a.to(torch.complex64)), "C64"),
+    "half readouts": ("features", _made("trial.readouts", torch.Tensor.half), "F16"),
+    "float32 readouts": ("features", _made("trial.readouts", torch.Tensor.float), "float64"),
+    "integer z0": ("features", _made("z0", torch.Tensor.long), "'z0' is not of type float64"),
+    "float32 z0": ("network", _made("z0", torch.Tensor.float), "'z0' is not of type float64"),
+    "float64 weights": (
+        "network",
+        _made("trial.network.theta", torch.Tensor.double),
+        "fit together",
+    ),
+    "another z0": ("features", _made("z0", _next), "does not start at its z0"),
+    "another z0 backwards": ("backwards", _made("z0", _next), "does not start at its z0"),
+    "another z0 of networks": ("networks", _made("z0", _next), "does not start at its z0"),
+    "another z0 of float32": ("network", _made("trial.z0", _next), "does not start at its z0"),
+    "another first state": (
+        "features",
+        _made("trial.states", lambda a: a.flip(0)),
+        "does not start",
+    ),
+    "permuted edges": ("features", _made("trial.edges", _swapped_edges), "not in order"),
+    "equal edges": ("features", _made("trial.edges", lambda a: a * 0), "not in order"),
+    "no edges": ("features", _made("trial.edges", lambda a: a[:0]), "no windows"),
+    "NaN": ("features", _made("trial.readouts", _last(math.nan)), "not finite"),
+    "infinity": ("features", _made("trial.states", _last(math.inf)), "not finite"),
+    "NaN weight": ("network", _made("trial.network.theta", _last(math.nan)), "not finite"),
+    "NaN z0": ("features", _made("z0", _last(math.nan)), "not finite"),
+    "NaN error": ("features", _made("error.series", _last(math.nan)), "not finite"),
+    "infinite floor": ("features", _made("error.floors", _last(math.inf)), "not finite"),
+    "negative error": ("features", _made("error.largest", _last(-1.0)), "below zero"),
+    "error of other windows": ("features", _made("error.edges", lambda a: 2 * a), "other windows"),
+    "error of one component": (
+        "features",
+        _made("error.floors", lambda a: a[:, :1]),
+        "fit together",
+    ),
+    "integer error": ("features", _made("error.largest", torch.Tensor.long), "float64"),
+    "long series": ("features", _made("trial.series", lambda a: a.repeat(999, 1)), "fit together"),
+    "flat series": ("features", _made("trial.series", torch.Tensor.flatten), "fit together"),
+    "series of rates": (
+        "features",
+        lambda tensors, values: tensors.update({"trial.rate_series": tensors["trial.series"]}),
+        "rate_series",
+    ),
+    "further tensor": (
+        "features",
+        lambda tensors, values: tensors.update(more=tensors["z0"]),
+        "'more'",
+    ),
+    "missing tensor": ("features", lambda tensors, values: tensors.pop("error.floors"), "'floors'"),
+    "further value": ("features", _set("more", to=1), "'more'"),
+    "missing value": ("features", _set("march", "seed", to=None), "'seed'"),
+    "longer span": ("features", _set("span", to=[0, 3]), "span is not that of its windows"),
+    "shorter span": ("features", _set("span", to=[0, 1]), "span is not that of its windows"),
+    "turned span": ("backwards", _set("span", to=[-1, 2]), "span is not that of its windows"),
+    "earlier span": ("network", _set("span", to=[-1, 2]), "span is not that of its network"),
+    "three times": ("features", _set("span", to=[0, 1, 2]), "span"),
+    "giant span": ("features", _set("span", to=[0, _GIANT]), "'span' is too large"),
+    "endless span": ("network", _set("span", to=[0, math.inf]), "'span' is not finite"),
+    "NaN span": ("network", _set("span", to=[0, math.nan]), "'span' is not finite"),
+    "NaN tau": ("network", _set("trial", "tau", to=math.nan), "'tau' is not finite"),
+    "giant tau": ("network", _set("trial", "tau", to=_GIANT), "'tau' is too large"),
+    "tau of zero": ("network", _set("trial", "tau", to=0.0), "span is not that of its network"),
+    "negative tau": ("network", _set("trial", "tau", to=-1.0), "span is not that of its network"),
+    "huge sizes": ("network", _set("trial", "sizes", to=[1, 20_000, 20_000, 2]), "its sizes say"),
+    "huge sizes apart": ("networks", _set("trial", "sizes", to=[1, 10**9, 1]), "its sizes say"),
+    "negative sizes": ("network", _set("trial", "sizes", to=[1, 50, -50, 2]), "fit together"),
+    "NaN frequency": ("network", _set("trial", "frequency", to=math.nan), "frequency"),
+    "another form": ("network", _set("trial", "form", to="features"), "not known"),
+    "another method": ("features", _set("method", to="adam"), "not marched"),
+    "number of success": ("features", _set("success", to=1), "'success' is no bool"),
+    "NaN weight of energy": ("network", _set("energy_weight", to=math.nan), "not finite"),
+    "giant weight of energy": ("network", _set("energy_weight", to=_GIANT), "too large"),
+    "another time reached": ("features", _set("march", "reached", to=1.0), "another time"),
+    "fewer iterations": ("network", _set("training", "iterations", to=3), "fit together"),
+    "giant seed": ("features", _set("march", "seed", to=10**300), "'seed' is out of range"),
+    "infinite parameter": (
+        "networks",
+        _set(
+            "H",
+            to={
+                "formula": "p**2/2 - k*cos(x)",
+                "floats": {},
+                "q": ["x"],
+                "p": ["p"],
+                "parameters": {"k": math.inf},
+            },
+        ),
+        "'k' is not finite",
+    ),
+    "unbound parameter": (
+        "networks",
+        _set("H", "formula", to="p**2/2 - k*cos(x)"),
+        "k has no value",
+    ),
+    "more components": ("networks", _set("H", "q", to=["x", "y"]), "fit together"),
+    "endless names": ("networks", _set("H", "q", to=["x"] * 20_000), "long"),
+    "no H": ("networks", _set("H", to=3), "'H' is no mapping"),
+    "long formula": ("networks", _set("H", "formula", to="x + " * 20_000 + "p"), "formula"),
+    "exponent": ("backwards", _set("H", "floats", "number0", to=[0, "1", 2**30, 53]), "range"),
+    "giant exponent": (
+        "backwards",
+        _set("H", "floats", "number0", to=[0, "1", _GIANT, 53]),
+        "range",
+    ),
+    "tiny exponent": (
+        "backwards",
+        _set("H", "floats", "number0", to=[0, "1", -(2**30), 53]),
+        "range",
+    ),
+    "precision": ("backwards", _set("H", "floats", "number0", to=[0, "1", 0, 2**30]), "range"),
+    "long mantissa": (
+        "backwards",
+        _set("H", "floats", "number0", to=[0, "9" * 99_999, 0, 53]),
+        "none",
+    ),
+    "short number": ("backwards", _set("H", "floats", "number0", to=[0, "1"]), "4 entries"),
+    "tower": (
+        "backwards",
+        lambda tensors, values: values["H"].update(
+            formula=_TOWER, floats={"number0": [0, "21", 0, 53]}
+        ),
+        "not finite",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", _EDITS)
+def test_edited_files_are_refused(name: str, saved: dict[str, Path], tmp_path: Path) -> None:
+    kind, change, message = _EDITS[name]
+    tensors, values = read_tensors(saved[kind], "solution")
+    change(tensors, values)
+    write_tensors(tmp_path / "a", "solution", tensors, values)
+    _refused(tmp_path / "a")
+    with pytest.raises(FileError, match=message):
+        hamsym.load(tmp_path / "a")
+
+
+def test_sizes_are_compared_before_anything_is_built(
+    saved: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tensors, values = read_tensors(saved["network"], "solution")
+    values["trial"]["sizes"] = [1, 20_000, 20_000, 2]
+    write_tensors(tmp_path / "a", "solution", tensors, values)
+    monkeypatch.setattr(archive, "Network", None)
+    with pytest.raises(FileError, match="its sizes say"):
+        hamsym.load(tmp_path / "a")
+
+
+def test_a_header_is_looked_at_before_the_rest(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    for length in (0, 100, 2**32, 2**63):
+        with open(path, "wb") as file:
+            file.write(struct.pack("<Q", length))
+            file.truncate(2**33)  # of which the disk holds next to nothing
+        _refused(path)
+    with open(path, "wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(FileError, match="larger than any file that hamsym writes"):
+        hamsym.load(path)
+    for text in (
+        b"[" * 1_000_000,
+        b'{"a":' * 100_000,
+        b"1" * 5_000,
+        b'{"__metadata__": {"hamsym": 3}}',
+    ):
+        path.write_bytes(struct.pack("<Q", len(text)) + text)
+        _refused(path)
+
+
+@pytest.mark.slow
+def test_what_loads_is_exactly_what_is_written(saved: dict[str, Path], tmp_path: Path) -> None:
+    """Random edits under a new checksum: refused, or the file says nothing that is not used."""
+    path, loaded = tmp_path / "a", 0
+    for seed in range(300):
+        chance = random.Random(seed)
+        content = chance.choice(sorted(saved.items()))[1].read_bytes()
+        path.write_bytes(sealed(_DAMAGES[seed % len(_DAMAGES)](content, chance)))
+        try:
+            solution = hamsym.load(path)
+        except FileError:
+            continue
+        loaded += 1
+        tensors, values = read_tensors(path, "solution")
+        again_tensors, again_values = parts(solution)
+        assert tensors.keys() == again_tensors.keys()
+        for name, tensor in tensors.items():
+            assert tensor.numpy().tobytes() == again_tensors[name].detach().numpy().tobytes(), name
+        values.pop("H")  # which may be written in another way
+        again_values.pop("H")
+        assert values == json.loads(json.dumps(again_values))
+        assert len(digest(solution)) == 64
+    assert 30 < loaded < 270
+
+
+# -- digests --------------------------------------------------------------------------------------
+
+
+def test_a_digest_is_of_the_bytes(saved: dict[str, Path], tmp_path: Path) -> None:
+    solution = hamsym.load(saved["features"])
+    original = digest(solution)
+    assert digest(hamsym.load(saved["features"])) == original
+    assert digest(pickle.loads(pickle.dumps(solution))) == original
+    solution.success, solution.message = False, "forgotten"
+    assert digest(solution) == original
+    for name in ("states", "readouts", "series"):
+        changed = copy.deepcopy(solution)
+        getattr(changed.trial, name)[-1, -1] = _next(getattr(changed.trial, name)[-1, -1])
+        assert digest(changed) != original
+
+
+@pytest.mark.parametrize("name", ["states", "readouts"])
+def test_a_digest_refuses_other_types(name: str, saved: dict[str, Path]) -> None:
+    solution = hamsym.load(saved["features"])
+    original = getattr(solution.trial, name)
+    for dtype in (torch.complex64, torch.complex128, torch.int64, torch.float32):
+        setattr(solution.trial, name, original.to(dtype))
+        with pytest.raises(InputError, match=f"'{name}' is not of type float64"):
+            digest(solution)
+        with pytest.raises(FileError, match=f"'{name}' is not of type float64"):
+            solution.save("never written")
+
+
+def test_a_success_has_finite_numbers(saved: dict[str, Path], tmp_path: Path) -> None:
+    solution = hamsym.load(saved["features"])
+    solution.march_error.largest[0] = math.nan
+    with pytest.raises(FileError, match="'largest error' is not finite"):
+        solution.save(tmp_path / "a")
+    solution.success = False  # which may have an error that nobody can tell
+    solution.save(tmp_path / "a")
+    assert math.isnan(hamsym.load(tmp_path / "a").march_error.largest[0])
+
+
+def test_rates_are_those_of_the_series(saved: dict[str, Path]) -> None:
+    """The derivative against divided differences of the function in extended precision."""
+    trial = hamsym.load(saved["features"]).trial
+    x = np.linspace(-0.999, 0.999, 41)
+    series, h = trial.series.numpy().astype(np.longdouble), np.longdouble(1e-5)
+    value = np.polynomial.chebyshev.chebval
+    slopes = [(value(x + k * h, series) - value(x - k * h, series)) / (k * h) for k in (1, 2)]
+    exact = ((4 * slopes[0] - slopes[1]) / 3).astype(float)  # of s = (x + 1) / 2
+    found = value(x, trial.rate_series.numpy())
+    np.testing.assert_allclose(found, exact, atol=1e-8 * np.abs(exact).max())
 
 
 # -- how nearby solutions move --------------------------------------------------------------------

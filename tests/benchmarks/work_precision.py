@@ -211,8 +211,8 @@ def chebyshev_basis(count: int = 24) -> ChebyshevBasis:
         for part in chebyshev_columns(s, count)
     )
     fit = np.linalg.pinv(rates_at_nodes, rcond=1e-14)
-    series, rate_series = np.zeros((len(like.series), count)), np.zeros((len(like.series), count))
-    series[:count], rate_series[: count - 1] = mixing, chebyshev.chebder(mixing, scl=2)
+    series = np.zeros((len(like.series), count))
+    series[:count] = mixing
     return ChebyshevBasis(
         inner=like.inner,
         shift=like.shift,
@@ -225,7 +225,6 @@ def chebyshev_basis(count: int = 24) -> ChebyshevBasis:
         rates_between=rates_between,
         end=(chebyshev_columns(np.ones(1), count)[0] @ mixing)[0],
         series=series,
-        rate_series=rate_series,
     )
 
 
