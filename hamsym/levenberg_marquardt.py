@@ -22,7 +22,7 @@ from torch import Tensor
 
 from hamsym.errors import InputError
 from hamsym.optimizers import fresh_points, points_between
-from hamsym.settings import require_whole
+from hamsym.settings import is_positive, require_whole
 from hamsym.training import Objective
 from hamsym.trial import ACTIVATIONS, ComponentNetworks, Network, TrialSolution
 
@@ -158,7 +158,10 @@ class LevenbergMarquardt:
         return {}, {"mu": self._mu, "failures": self._failures}
 
     def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        self._mu, self._failures = values["mu"], values["failures"]
+        mu, failures = values["mu"], values["failures"]
+        if tensors or not (is_positive(mu) and isinstance(failures, int)):
+            raise ValueError("its damping is not that of this method")
+        self._mu, self._failures = mu, failures
 
 
 def _solved(factor: Tensor, right: Tensor) -> Tensor:

@@ -117,6 +117,13 @@ class Adam(_OfTorch):
         for key, tensor in tensors.items():
             index, name = key.split(".", 1)
             states.setdefault(int(index), {})[name] = tensor
+        if values or (states and {*states} != {*range(len(self._parameters))}):
+            raise ValueError("its moments are not those of the weights")
+        for position, of_weights in states.items():
+            like = self._parameters[position]
+            shapes = {"step": (), "exp_avg": like.shape, "exp_avg_sq": like.shape}
+            if {name: tensor.shape for name, tensor in of_weights.items()} != shapes:
+                raise ValueError("its moments are not those of the weights")
         groups = self._adam.state_dict()["param_groups"]
         self._adam.load_state_dict({"state": states, "param_groups": groups})
 
@@ -231,6 +238,11 @@ class LBFGS(_OfTorch):
             name = key.removeprefix("state.")
             if key.startswith("state.") and "." not in name:
                 state[name] = tensor
+        total = sum(parameter.numel() for parameter in self._parameters)
+        for key, tensor in tensors.items():
+            shapes = [(self.points,)] if key == "points" else [(), (total,)]
+            if tensor.shape not in shapes or tensor.dtype != self._parameters[0].dtype:
+                raise ValueError(f"its {key} has another shape or type")
         groups = self._lbfgs.state_dict()["param_groups"]
         states = {0: state} if state else {}
         self._lbfgs.load_state_dict({"state": states, "param_groups": groups})

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from hamsym.errors import FileError, InputError
-from hamsym.files import read_tensors, write_tensors
+from hamsym.files import one_line, read_tensors, write_tensors
 from hamsym.settings import require_positive, require_whole
 from hamsym.trial import Network
 
@@ -289,10 +289,15 @@ class Checkpoint:
         """
         if not isinstance(self.path, (str, os.PathLike)):
             raise InputError(f"checkpoint={self.path!r} is not a path; give one")
-        if not Path(self.path).exists():
-            if not Path(self.path).absolute().parent.is_dir():
-                raise FileError(f"'{self.path}' has no folder to stand in; make the folder first")
-            return None
+        try:
+            if not Path(self.path).exists():
+                if not Path(self.path).absolute().parent.is_dir():
+                    raise FileError(
+                        f"'{self.path}' has no folder to stand in; make the folder first"
+                    )
+                return None
+        except (OSError, TypeError, ValueError) as error:
+            raise FileError(f"'{self.path}' cannot be read: {one_line(error)}") from None
         tensors, values = read_tensors(self.path, "checkpoint")
         theirs = values.get("settings")
         if not isinstance(theirs, dict):
@@ -362,8 +367,13 @@ def train(
         else:
             try:
                 run.restore(*saved)
-            except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-                raise FileError(f"'{checkpoint.path}' is damaged: {error!r}") from None
+            except (
+                *(ArithmeticError, AttributeError, LookupError, RuntimeError),
+                *(TypeError, ValueError),
+            ) as error:
+                raise FileError(
+                    f"'{checkpoint.path}' holds a training that makes no sense: {one_line(error)}"
+                ) from None
     return run.through(callbacks, checkpoint)
 
 
@@ -590,6 +600,7 @@ class _Run:
 
     def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
         """Go on from what a checkpoint holds."""
+        self._require_own(tensors, values)
         count = len(self.parameters)
         self._put([tensors[f"weights.{position}"] for position in range(count)])
         self.best = [tensors[f"best.{position}"] for position in range(count)]
@@ -607,3 +618,36 @@ class _Run:
             name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)
         }
         self.optimizer.restore(own, values["optimizer"])
+
+    def _require_own(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
+        """Refuse what :meth:`write` does not write for this training."""
+        if {*values} != {"settings", "counts", "levels", "optimizer", "stopped", "rules"}:
+            raise ValueError("its values are not those of a training")
+        for name, kind in (("counts", int), ("levels", float)):
+            own, theirs = getattr(self, name), values[name]
+            if theirs.keys() != own.keys() or not all(
+                type(value) is kind and value >= 0 for value in theirs.values()
+            ):
+                raise ValueError(f"its {name} are not those of a training")
+        if not isinstance(values["stopped"], (str, type(None))):
+            raise ValueError("its end has no name")
+        if not isinstance(values["optimizer"], dict):
+            raise ValueError("its optimizer is none")
+        counts, losses, checks = values["counts"], tensors["losses"], tensors["checks"]
+        if not 1 <= counts["stage"] <= self.stages.count or counts["iteration"] != len(losses):
+            raise ValueError("its iterations do not fit together")
+        wanted = {
+            "losses": torch.empty(len(losses), dtype=torch.float64),
+            "checks": torch.empty(len(checks), 4, dtype=torch.float64),
+            "generator": self.generator.get_state(),
+        }
+        for position, parameter in enumerate(self.parameters):
+            wanted[f"weights.{position}"] = wanted[f"best.{position}"] = parameter
+        found = {name: t for name, t in tensors.items() if not name.startswith("optimizer.")}
+        if found.keys() != wanted.keys():
+            raise ValueError("it has other weights")
+        for name, like in wanted.items():
+            if found[name].shape != like.shape or found[name].dtype != like.dtype:
+                raise ValueError(f"its {name} have another shape or type")
+            if name.startswith("best.") and not bool(torch.isfinite(found[name]).all()):
+                raise ValueError(f"its {name} are not finite")

@@ -11,6 +11,7 @@ import torch
 
 from hamsym import InputError
 from hamsym.errors import FileError
+from hamsym.files import read_tensors, write_tensors
 from hamsym.levenberg_marquardt import LevenbergMarquardt, _Linearised
 from hamsym.optimizers import LBFGS, Adam
 from hamsym.training import (
@@ -501,3 +502,55 @@ def test_checkpoint_of_another_training_or_damaged(tmp_path: Path) -> None:
     path.mkdir()
     with pytest.raises(FileError, match="cannot be read"):
         run(1)
+
+
+@pytest.mark.parametrize("optimizer", [Adam, LBFGS, LevenbergMarquardt])
+def test_checkpoints_that_are_edited(optimizer, tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    settings = {"seed": 1}
+
+    def run() -> None:
+        trial, generator = decay_trial(1)
+        train(
+            trial,
+            DECAY,
+            (0, 1),
+            optimizer(points=5),
+            Stopping(5),
+            generator=generator,
+            checkpoint=Checkpoint(path, settings),
+        )
+
+    run()
+    run()  # what is there is read
+    whole = path.read_bytes()
+    middle = len(whole) - 9
+    path.write_bytes(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :])
+    with pytest.raises(FileError, match="damaged: its checksum"):
+        run()
+    path.write_bytes(whole)
+    for change, message in (
+        (lambda t, v: t.update({"weights.0": t["weights.0"][:1].clone()}), "weights.0"),
+        (lambda t, v: t.update({"weights.0": t["weights.0"].float()}), "weights.0"),
+        (lambda t, v: t.update({"best.0": t["best.0"] * math.nan}), "best.0 are not finite"),
+        (lambda t, v: t.update(losses=t["losses"][:2]), "do not fit together"),
+        (lambda t, v: t.update(checks=t["checks"][:, :1]), "checks"),
+        (lambda t, v: t.update(generator=t["generator"][:8]), "generator"),
+        (lambda t, v: t.update({"optimizer.more": t["losses"]}), "makes no sense"),
+        (lambda t, v: t.pop("best.0"), "other weights"),
+        (lambda t, v: v.update(more=1), "not those of a training"),
+        (lambda t, v: v.pop("rules"), "not those of a training"),
+        (lambda t, v: v["counts"].update(stage=0), "do not fit together"),
+        (lambda t, v: v["counts"].update(restarts=10.5), "its counts"),
+        (lambda t, v: v["levels"].update(best_loss=math.nan), "its levels"),
+        (lambda t, v: v["levels"].update(seconds=10**400), "its levels"),
+        (lambda t, v: v.update(stopped=3), "its end"),
+        (lambda t, v: v.update(counts=[]), "makes no sense"),
+        (lambda t, v: v.update(optimizer=[]), "makes no sense"),
+    ):
+        tensors, values = read_tensors(path, "checkpoint")
+        change(tensors, values)
+        write_tensors(path, "checkpoint", tensors, values)
+        with pytest.raises(FileError, match=message):
+            run()
+        path.write_bytes(whole)
