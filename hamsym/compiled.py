@@ -1,8 +1,9 @@
 """Compiled code: sources as real files in a directory of the user's own, so that numba can cache.
 
 numba keeps what it has compiled beside the source, as pickles; who can write there can run code.
-Everything is therefore kept in one directory that only the user can write. Nothing is compiled
-unless somebody asks for it (``H.compile("numba")``) or it pays (:func:`hamsym.features.march`).
+Everything is therefore kept in one directory that only the user can write, and what was not used
+for long is removed from it. Nothing is compiled unless somebody asks for it
+(``H.compile("numba")``) or it pays (:func:`hamsym.features.march`).
 """
 
 from __future__ import annotations
@@ -11,12 +12,12 @@ import atexit
 import functools
 import hashlib
 import importlib.resources
-import importlib.util
 import os
 import shutil
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Hashable
 from pathlib import Path
 from types import ModuleType
@@ -34,6 +35,9 @@ __all__ = [
 ]
 
 _VARIABLE = "HAMSYM_CACHE_DIR"
+_DAY = 86_400.0  # seconds
+_UNUSED = 90 * _DAY  # after which a file is removed
+_LARGEST = 512 * 2**20  # bytes that are kept, but for what was used within a day
 
 
 @functools.cache
@@ -81,17 +85,68 @@ def _is_private(path: Path) -> bool:
 
 
 def load_module(source: str, name: str) -> ModuleType:
-    """A module of the given source, run from a file of the cache directory."""
+    """A module of the given source, which is also a file of the cache directory.
+
+    What runs is this text: neither the file nor bytecode that lies beside it.
+    """
     path = _file(source, name)
-    if not path.is_file() or path.read_text("utf-8") != source:
+    if not _is_there(path, source):
         write_atomically(path, source.encode())
-    spec = importlib.util.spec_from_file_location(f"hamsym_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # numba looks there for what it loads from its cache
-    spec.loader.exec_module(module)
+        _prune(path.parent)
+    module = ModuleType(f"hamsym_{path.stem}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # numba looks there for what it loads from its cache
+    exec(compile(source, str(path), "exec", dont_inherit=True), module.__dict__)  # noqa: S102
     return module
+
+
+# -- what the cache may keep -----------------------------------------------------------------------
+
+
+def _is_there(path: Path, source: str) -> bool:
+    """Whether a file has this source; that it is used now is noted as its time of access.
+
+    The time of its last change stays, by which numba judges what it has compiled.
+    """
+    try:
+        os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
+        return path.read_bytes() == source.encode()
+    except OSError:
+        return False
+
+
+def _prune(folder: Path) -> None:
+    """Once a day remove what was not used for long, and the oldest where all is too much.
+
+    What was used within the last day stays, so that no process loses a file between looking at it
+    and loading it. Two processes that do this at the same time do each other no harm.
+    """
+    now, stamp = time.time(), folder / "pruned"
+    try:
+        if stamp.exists() and now - stamp.stat().st_mtime < _DAY:
+            return
+        stamp.touch()
+        used, files = dict[str, float](), dict[str, list[tuple[Path, int]]]()
+        for file in (
+            *folder.glob("*.py"),
+            *folder.glob("__pycache__/*"),
+            *folder.glob(".hamsym-*"),
+        ):
+            # A source and what was compiled of it are one entry, as old as its last use.
+            status, entry = file.stat(), file.name.partition(".")[0] or file.name
+            latest = status.st_atime if file.suffix == ".py" else status.st_mtime
+            used[entry] = max(used.get(entry, 0.0), latest)
+            files.setdefault(entry, []).append((file, status.st_size))
+        total = sum(size for entry in files.values() for _, size in entry)
+        for entry in sorted(used, key=used.__getitem__):
+            age = now - used[entry]
+            if age < _DAY or (age < _UNUSED and total <= _LARGEST):
+                break
+            for file, size in files[entry]:
+                file.unlink(missing_ok=True)
+                total -= size
+    except OSError:  # such as a file that another process has removed
+        return
 
 
 def cost() -> float:

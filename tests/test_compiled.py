@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import py_compile
 import shutil
 import stat
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +97,62 @@ def test_cache_is_the_users_own(fresh_cache, tmp_path: Path) -> None:
     Path(module.__file__).write_text("VALUE = 4\n")
     assert compiled.load_module("VALUE = 3\n", "numba").VALUE == 3
     assert not [entry for entry in path.iterdir() if entry.name.startswith(".")]
+
+
+def test_planted_bytecode_does_not_run(fresh_cache, tmp_path: Path) -> None:
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
+    path = Path(compiled.load_module("VALUE = 3\n", "numba").__file__)
+    other = tmp_path / "other.py"
+    other.write_text("VALUE = 4\n")
+    planted = Path(importlib.util.cache_from_source(str(path)))
+    planted.parent.mkdir(exist_ok=True)
+    unchecked = py_compile.PycInvalidationMode.UNCHECKED_HASH  # as Python takes it unasked
+    py_compile.compile(str(other), str(planted), invalidation_mode=unchecked)
+    assert compiled.load_module("VALUE = 3\n", "numba").VALUE == 3
+
+
+def _entry(cache: Path, source: str, days: float, size: int) -> list[Path]:
+    """A source of the cache that was used so many days ago, and what was compiled of it."""
+    path = Path(compiled.load_module(source, "numba").__file__)
+    data = cache / "__pycache__" / f"{path.stem}.function-1.py311.1.nbc"
+    data.write_bytes(bytes(size))
+    then = time.time() - 86_400 * days
+    for file in (path, data):
+        os.utime(file, (then, then))
+    return [path, data]
+
+
+def test_the_cache_is_pruned(fresh_cache, tmp_path: Path) -> None:
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
+    fresh_cache.setattr(compiled, "_LARGEST", 3_000)
+    ages = {"new": 0.0, "recent": 1.5, "older": 30.0, "oldest": 60.0, "forgotten": 91.0}
+    entries = {name: _entry(tmp_path, f"NAME = '{name}'\n", age, 900) for name, age in ages.items()}
+
+    def left() -> set[str]:
+        both = {name: [file.exists() for file in files] for name, files in entries.items()}
+        assert all(one == other for one, other in both.values())
+        return {name for name, (there, _) in both.items() if there}
+
+    assert compiled.load_module("NAME = 'oldest'\n", "numba").NAME == "oldest"  # used again
+    compiled.load_module("VALUE = 1\n", "numba")
+    assert left() == {*ages}  # since it was done today
+    os.utime(tmp_path / "pruned", (0, 0))
+    compiled.load_module("VALUE = 2\n", "numba")
+    assert left() == {"new", "recent", "oldest"}
+    fresh_cache.setattr(compiled, "_LARGEST", 0)
+    os.utime(tmp_path / "pruned", (0, 0))
+    compiled.load_module("VALUE = 3\n", "numba")
+    assert left() == {"new", "oldest"}  # another process may be about to load them
+
+
+def test_using_the_cache_leaves_what_numba_judges_by(fresh_cache, tmp_path: Path) -> None:
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
+    path, _ = _entry(tmp_path, "VALUE = 3\n", 50.0, 1)
+    before = path.stat()
+    compiled.load_module("VALUE = 3\n", "numba")
+    after = path.stat()
+    assert (after.st_mtime_ns, after.st_size) == (before.st_mtime_ns, before.st_size)
+    assert time.time() - after.st_atime < 3_600
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no permission bits here")
