@@ -457,6 +457,8 @@ def reproduce(
     """
     import importlib
 
+    from hamsym.locking import exclusive
+
     require_whole("--seed", seed, 0)
     if seeds is None:
         seeds = 1 if quick else 3
@@ -472,10 +474,11 @@ def reproduce(
     if workers is not None:
         options.append(f"--workers={workers}")
     began = time.monotonic()
-    for name in chosen:
-        script = importlib.import_module(f"hamsym.paper.{name.replace('-', '_')}")
-        script.main(options)
-    importlib.import_module("hamsym.paper.page").main([f"--out={place}"])
+    with exclusive(place):
+        for name in chosen:
+            script = importlib.import_module(f"hamsym.paper.{name.replace('-', '_')}")
+            script.main(options)
+        importlib.import_module("hamsym.paper.page").main([f"--out={place}"])
     click.echo(f"{(time.monotonic() - began) / 60:.1f} minutes")
 
 

@@ -36,6 +36,7 @@ from hamsym.certificates import Certificate
 from hamsym.comparison import Row, measure
 from hamsym.errors import CertificationError, FileError, HamsymError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.locking import exclusive
 from hamsym.problem import InitialValueProblem
 from hamsym.settings import plain, require_positive, require_whole
 from hamsym.solution import Solution
@@ -48,7 +49,7 @@ __all__ = ["Sweep", "sweep"]
 Settings = Mapping[str, Any] | Callable[[int], Mapping[str, Any]]
 
 _REPORT_EVERY = 0.5  # seconds between what a run says of itself
-_REVISION = 1  # counts changes of the methods after which runs on disk are no longer theirs
+_REVISION = 2  # counts changes of the methods after which runs on disk are no longer theirs
 # What the weights do not depend on, or what is taken account of apart.
 _APART = {"checkpoint", "checkpoint_every", "regularizers", "initial"}
 
@@ -125,7 +126,8 @@ def sweep(
         Name -> options of :func:`hamsym.solve`, or a function that gives them for a seed.
     folder : path
         Where each run is kept; made if it is not there. Runs that are there, with the same
-        settings, are read and not run again; those that were stopped go on.
+        settings, are read and not run again; those that were stopped go on. While runs are
+        carried out no other process may carry out runs in it.
     seeds : int or sequence of int
         How many, from 0, or which.
     certify : float, optional
@@ -146,7 +148,7 @@ def sweep(
     InputError
         If a setting cannot be used.
     FileError
-        If the folder cannot be written.
+        If the folder cannot be written, or another process carries out runs in it.
 
     Notes
     -----
@@ -175,11 +177,12 @@ def sweep(
         require_whole("workers", workers)
     if certify is not None:
         require_positive("certify", certify)
-    place = Path(folder)
     try:
+        place = Path(folder)
         place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"'{place}' cannot be made: {error.strerror or error}") from None
+    except (OSError, TypeError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(f"'{folder}' cannot be made: {reason}") from None
     problem = InitialValueProblem.checked(H, z0, span, 0, None)
     runs = [
         _run(problem, name, dict(given(seed) if callable(given) else given), seed, place, certify)
@@ -188,7 +191,8 @@ def sweep(
     ]
     missing = [run for run in runs if not run.is_done]
     if missing:
-        _carry_out(missing, min(workers or _cores(), len(missing)), progress)
+        with exclusive(place):
+            _carry_out(missing, min(workers or _cores(), len(missing)), progress)
     groups = [runs[k : k + len(chosen)] for k in range(0, len(runs), len(chosen))]
     named = dict(zip(settings, groups, strict=True))
     solutions = {name: tuple(load(run.file) for run in group) for name, group in named.items()}
@@ -255,7 +259,7 @@ class _Run:
             if proof.digest != digest(solution):
                 raise FileError(f"'{self._proof}' is the proof of another solution; remove it")
             return proof
-        return self._refusal.read_text(encoding="utf-8")
+        return self._refusal.read_text(encoding="utf-8", errors="replace")
 
     def _solve(self, progress: Callable[[TrainingState], None]) -> None:
         options = dict(self.options)

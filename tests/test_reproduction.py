@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -217,6 +219,30 @@ def test_a_page_of_nothing_is_refused(tmp_path, capsys):
     with pytest.raises(SystemExit):
         page.main([f"--out={tmp_path}"])
     assert "holds no results" in capsys.readouterr().err
+
+
+_HOLD = """
+import sys
+from hamsym.locking import exclusive
+with exclusive(sys.argv[1]):
+    print("held", flush=True)
+    input()
+"""
+
+
+def test_two_commands_lock_each_other_out(tmp_path, monkeypatch, capsys):
+    for script in (oscillator, page):
+        monkeypatch.setattr(script, "main", lambda options: None)
+    command = ["reproduce", "oscillator", "--out", str(tmp_path)]
+    run = [sys.executable, "-c", _HOLD, str(tmp_path)]
+    with subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout.readline() == "held\n"
+        assert main(command) == 2
+        complaint = capsys.readouterr().err
+        assert f"'{tmp_path}' is in use by another process" in complaint
+        assert complaint.count("\n") == 1
+        other.communicate("\n")
+    assert main(command) == 0
 
 
 def test_the_command_runs_what_is_named(tmp_path, monkeypatch, capsys):

@@ -10,6 +10,7 @@ import pytest
 
 import hamsym
 from hamsym import sweeps
+from hamsym.locking import LOCK
 
 OSCILLATOR = hamsym.systems.nonlinear_oscillator()
 H, Z0, SPAN = OSCILLATOR.H, OSCILLATOR.z0, (0.0, 2.0)
@@ -21,6 +22,10 @@ T = np.linspace(*SPAN, 33)
 def _sweep(folder, settings=None, **more):
     given = {"workers": 1, "seeds": 2} | more
     return hamsym.sweep(H, Z0, SPAN, settings or {"Adam": ADAM}, folder=folder, **given)
+
+
+def _files(folder):
+    return [path for path in folder.iterdir() if path.name != LOCK]
 
 
 def test_runs_in_other_processes_are_those_of_solve_to_the_last_bit(tmp_path):
@@ -38,7 +43,7 @@ def test_runs_in_other_processes_are_those_of_solve_to_the_last_bit(tmp_path):
 
 def test_what_is_there_is_not_run_again_and_other_settings_are_other_files(tmp_path, monkeypatch):
     first = _sweep(tmp_path)
-    files = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    files = {path: path.stat().st_mtime_ns for path in _files(tmp_path)}
     assert len(files) == 2
     with monkeypatch.context() as patch:
         patch.setattr(sweeps, "solve", None)
@@ -47,7 +52,7 @@ def test_what_is_there_is_not_run_again_and_other_settings_are_other_files(tmp_p
         assert (one(T) == other(T)).all()
     _sweep(tmp_path, {"Adam": ADAM | {"epochs": 121}})
     hamsym.sweep(H, [1.0, 0.0], SPAN, {"Adam": ADAM}, folder=tmp_path, workers=1, seeds=2)
-    assert len(list(tmp_path.iterdir())) == 6
+    assert len(_files(tmp_path)) == 6
     assert all(path.stat().st_mtime_ns == changed for path, changed in files.items())
 
 
@@ -66,11 +71,11 @@ def test_a_run_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypat
         patch.setattr(sweeps._Silent, "put", interrupt)
         with pytest.raises(KeyboardInterrupt):
             _sweep(tmp_path, settings, seeds=1)
-    assert [path.suffix for path in tmp_path.iterdir()] == [".checkpoint"]
+    assert [path.suffix for path in _files(tmp_path)] == [".checkpoint"]
     found = _sweep(tmp_path, settings, seeds=1)
     alone = hamsym.solve(H, Z0, SPAN, seed=0, **settings["Adam"])
     assert (found.solutions["Adam"][0](T) == alone(T)).all()
-    assert [path.suffix for path in tmp_path.iterdir()] == [".hamsym"]
+    assert [path.suffix for path in _files(tmp_path)] == [".hamsym"]
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks here")
@@ -146,6 +151,36 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(hamsym.HamsymError, match="cannot be made"):
         _sweep(tmp_path / "file")
+
+
+_HOLD = """
+import sys
+from hamsym.locking import exclusive
+with exclusive(sys.argv[1]):
+    print("held", flush=True)
+    input()
+"""
+
+
+def test_two_processes_lock_each_other_out(tmp_path):
+    _sweep(tmp_path)
+    longer = {"Adam": ADAM | {"epochs": 121}}
+    run = [sys.executable, "-c", _HOLD, str(tmp_path)]
+    with subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(hamsym.FileError, match=f"'{tmp_path}' is in use by another process"):
+            _sweep(tmp_path, longer)
+        assert len(_files(tmp_path)) == 2
+        assert _sweep(tmp_path).seeds == (0, 1)  # which is there, and is only read
+        other.kill()
+    _sweep(tmp_path, longer)  # a process that is dead holds no lock
+    assert len(_files(tmp_path)) == 4
+
+
+@pytest.mark.parametrize("folder", [5, "a\0b"])
+def test_a_folder_that_is_none_is_refused(folder):
+    with pytest.raises(hamsym.FileError, match="cannot be made"):
+        _sweep(folder)
 
 
 def test_a_process_that_dies_is_no_silence(tmp_path):
