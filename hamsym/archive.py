@@ -196,7 +196,8 @@ def _check_function(solution: Solution) -> None:
     if isinstance(trial, FeatureTrial):
         state = {name: tensor.numpy() for name, tensor in trial.state_dict().items()}
         _check_windows(state, H.dim)
-        if (start, end) != (state["edges"][0], state["edges"][-1]):
+        origin, edges = state["origin"], state["edges"]
+        if origin not in (0, start) or (start, end) != (origin + edges[0], origin + edges[-1]):
             raise ValueError("its span is not that of its windows")
         first = state["states"][0]
     else:
@@ -239,7 +240,7 @@ def _check(solution: Solution) -> None:
 
 
 def _check_windows(state: Mapping[str, np.ndarray], dim: int) -> None:
-    _require_names("windows", state, {"edges", "states", "readouts", "series"})
+    _require_names("windows", state, {"edges", "states", "readouts", "series", "origin"})
     if state["edges"].size < 2 or not state["series"].size:
         raise ValueError("it has no windows")
     count, columns = state["edges"].size - 1, state["series"].size // FeatureTrial.terms
@@ -247,6 +248,7 @@ def _check_windows(state: Mapping[str, np.ndarray], dim: int) -> None:
     _require_array("states", state["states"], (count + 1, dim))
     _require_array("readouts", state["readouts"], (count, columns, dim))
     _require_array("series", state["series"], (FeatureTrial.terms, columns))
+    _require_array("origin", state["origin"], ())
     with np.errstate(over="ignore"):
         steps = np.diff(state["edges"])
     if not (np.isfinite(steps).all() and ((steps > 0).all() or (steps < 0).all())):
@@ -279,7 +281,7 @@ def _check_march(record: March, trial: FeatureTrial) -> None:
     _require_array("scale", record.scale, record.states[0].shape)
     if (record.scale < 0).any():
         raise ValueError("its scale is below zero")
-    if record.reached != record.edges[-1]:
+    if record.origin != trial.origin or record.reached != record.origin + record.edges[-1]:
         raise ValueError("its march reached another time")
     _check_counts(record)
 
@@ -317,7 +319,11 @@ def _check_error(error: MarchError, trial: FeatureTrial, *, finite: bool) -> Non
     _require_array("series of the error", error.series, shape, finite=finite)
     _require_array("floors of the error", error.floors, (count, dim), finite=finite)
     _require_array("largest error", error.largest, (dim,), finite=finite)
-    if (error.floors < 0).any() or (error.largest < 0).any():
+    _require_array("scale of the error", error.scale, (dim,))
+    _require_array("origin of the error", error.origin, ())
+    if error.origin != trial.origin.numpy():
+        raise ValueError("its error counts the time from elsewhere")
+    if any((sizes < 0).any() for sizes in (error.floors, error.largest, error.scale)):
         raise ValueError("its error has a size below zero")
 
 

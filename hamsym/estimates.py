@@ -18,6 +18,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -27,7 +28,7 @@ from hamsym.flow import Flow
 from hamsym.scales import SMALLEST, coupled_sizes
 from hamsym.tangent import Collocation, TangentMaps, collocation
 
-__all__ = ["RESOLUTIONS", "MarchError", "estimate_error"]
+__all__ = ["RESOLUTIONS", "Estimate", "MarchError", "estimate_error"]
 
 #: Nodes for the residual, twice those of the march or thrice, and for the tangent maps: of the
 #: estimate, and of its check.
@@ -61,10 +62,6 @@ class MarchError:
         or 1e-8 of what the terms of its own equation give it (:mod:`hamsym.scales`).
     origin : numpy.ndarray
         Time from which the edges are counted, shape ().
-    limit : str
-        Why series and floors are infinite in the last windows; "" if they are not.
-    unresolved : tuple of (float, float)
-        Windows whose residual is not small beside the rates: where the force may jump.
     """
 
     edges: np.ndarray = field(repr=False)
@@ -73,8 +70,6 @@ class MarchError:
     largest: np.ndarray
     scale: np.ndarray
     origin: np.ndarray = field(repr=False)
-    limit: str = ""
-    unresolved: tuple[tuple[float, float], ...] = ()
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Estimated z - z^ at times t, shape (*t.shape, dim)."""
@@ -111,9 +106,26 @@ class MarchError:
         return window, (t - self.edges[window]) / np.diff(self.edges)[window]
 
 
+class Estimate(NamedTuple):
+    """The error of a march, and what was noticed while it was estimated.
+
+    Attributes
+    ----------
+    error : MarchError
+    limit : str
+        Why the error is infinite in the last windows; "" if it is not.
+    unresolved : list of (float, float)
+        Windows whose residual is not small beside the rates: where the force may jump.
+    """
+
+    error: MarchError
+    limit: str
+    unresolved: list[tuple[float, float]]
+
+
 def estimate_error(
     windows: March, basis: FeatureBasis, flow: Flow, resolution: int = 0
-) -> MarchError:
+) -> Estimate:
     """The error of a march with this basis, from the equations once more.
 
     ``resolution`` is an index of :data:`RESOLUTIONS`.
@@ -154,16 +166,11 @@ class _Estimation:
             first = reached
         if limit:
             largest = np.full(dim, np.inf)
-        places = [windows.origin + windows.edges[[w, w + 1]] for w in self._unresolved]
-        self.result = MarchError(
-            windows.edges,
-            series,
-            floors,
-            largest,
-            scale,
-            np.array(windows.origin),
+        ends = (windows.origin + windows.edges).tolist()
+        self.result = Estimate(
+            MarchError(windows.edges, series, floors, largest, scale, np.array(windows.origin)),
             limit,
-            tuple((float(start), float(end)) for start, end in places),
+            [(ends[w], ends[w + 1]) for w in self._unresolved],
         )
 
     def _across(

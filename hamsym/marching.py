@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.estimates import MarchError, estimate_error
+from hamsym.estimates import Estimate, estimate_error
 from hamsym.features import FeatureTrial, March, feature_basis
 from hamsym.flow import flow_of
 from hamsym.jumps import first_jump
@@ -66,21 +66,23 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
             )
             if not len(windows.readouts):
                 break
-            error = estimate_error(windows, basis, flow)
-            tried = _Attempt(windows, error, absolute + tol * error.scale)
+            estimate = estimate_error(windows, basis, flow)
+            error = estimate.error
+            tried = _Attempt(windows, estimate, absolute + tol * error.scale)
             if best is None or tried.is_better_than(best):
                 best = tried
             # Where most of the error is round-off, no march gets below it.
             floors = error.floors.max(axis=0)
             hopeless = (
-                not error.limit and (error.largest <= np.maximum(2 * floors, tried.allowed)).all()
+                not estimate.limit
+                and (error.largest <= np.maximum(2 * floors, tried.allowed)).all()
             )
             if tried.excess <= 1 or hopeless or local <= _SMALLEST_LOCAL:
                 break
             local = max(local * min(max(0.3 / tried.excess, _STEP), 0.3), _SMALLEST_LOCAL)
     if best is None:
         raise InputError(f"no solution beyond t = {windows.reached:.6g}: {windows.reason}")
-    windows, error = best.windows, best.error
+    windows = best.windows
     solution = Solution(
         H,
         problem.z0,
@@ -88,11 +90,11 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
         FeatureTrial.of_march(windows, basis),
         method="features",
         training=windows,
-        march_error=error,
+        march_error=best.estimate.error,
     )
     solution.success, solution.message = _verdict(best, tol)
     if solution.success or windows.doubt:
-        jump = first_jump(solution, windows.times(_JUMP_SAMPLES), error.unresolved)
+        jump = first_jump(solution, windows.times(_JUMP_SAMPLES), best.estimate.unresolved)
         if jump is not None:
             solution.success, solution.message = False, f"{jump} ({solution.message})"
     return solution
@@ -103,12 +105,12 @@ class _Attempt:
     """A march, its estimated error, and the error that is allowed, shape (dim,)."""
 
     windows: March
-    error: MarchError
+    estimate: Estimate
     allowed: np.ndarray
 
     @cached_property
     def excess(self) -> float:
-        return self.error.excess(self.allowed)
+        return self.estimate.error.excess(self.allowed)
 
     def is_better_than(self, other: _Attempt) -> bool:
         """Whether it reached further or, where both reached as far, is more accurate."""
@@ -120,7 +122,8 @@ class _Attempt:
 
 
 def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
-    windows, error, excess = attempt.windows, attempt.error, attempt.excess
+    windows, excess = attempt.windows, attempt.excess
+    error, limit = attempt.estimate.error, attempt.estimate.limit
     state = f"{len(windows.readouts):,} windows, estimated error {excess:.1e} of what was allowed"
     held = error.until(attempt.allowed)
     if windows.reason:
@@ -135,8 +138,8 @@ def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
         return False, f"{windows.doubt}; a narrow pulse or a step is there, or a jump; {state}"
     if excess <= 1:
         return True, f"tol {tol:.1e} met: {state}"
-    if error.limit:
-        return False, f"tol {tol:.1e} met only until t = {held:.6g}: {error.limit}"
+    if limit:
+        return False, f"tol {tol:.1e} met only until t = {held:.6g}: {limit}"
     floors = error.floors.max(axis=0)
     cause = (
         "limited by float64 round-off"

@@ -331,7 +331,7 @@ class Solution:
     def _finer_estimate(self) -> Callable[[np.ndarray], np.ndarray]:
         if isinstance(self.training, March):
             basis = feature_basis(self.training.seed)
-            return estimate_error(self.training, basis, flow_of(self.H), resolution=1)
+            return estimate_error(self.training, basis, flow_of(self.H), resolution=1).error
         return integrated_error(self, resolution=1)
 
     @cached_property
