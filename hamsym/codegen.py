@@ -33,7 +33,7 @@ from typing import Any
 import jinja2
 import sympy
 
-from hamsym import compiled
+from hamsym import compiled, derivatives
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.printing import PRINTERS, FormulaPrinter, Printer, TorchPrinter
 from hamsym.realform import RealForm
@@ -307,14 +307,23 @@ class _Bodies:
 def _common_subexpressions(
     exprs: list[sympy.Expr], symbols: Iterator[sympy.Symbol]
 ) -> tuple[list[tuple[sympy.Symbol, sympy.Expr]], list[sympy.Expr]]:
-    before = sum(int(sympy.count_ops(expr)) for expr in exprs)
-    if before <= _CSE_OPERATIONS:
+    if not _has_operations(exprs, _CSE_OPERATIONS + 1):
         return [], exprs
-    # order="none" skips a canonical sort that is slow on large expressions.
-    replacements, shorter = sympy.cse(exprs, symbols=symbols, order="none")
+    replacements, shorter = derivatives.common_subexpressions(exprs, symbols)
     after = sum(int(sympy.count_ops(expr)) for _, expr in replacements)
     after += sum(int(sympy.count_ops(expr)) for expr in shorter)
-    return (replacements, shorter) if after <= _CSE_SAVING * before else ([], exprs)
+    saved = _has_operations(exprs, after / _CSE_SAVING)
+    return (replacements, shorter) if saved else ([], exprs)
+
+
+def _has_operations(exprs: Sequence[sympy.Expr], count: float) -> bool:
+    """Whether expressions have so many operations; counting further would cost as much again."""
+    total = 0
+    for expr in exprs:
+        total += int(sympy.count_ops(expr))
+        if total >= count:
+            return True
+    return False
 
 
 # -- templates -------------------------------------------------------------------------------

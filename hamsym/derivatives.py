@@ -2,18 +2,26 @@
 
 A Hamiltonian of many bodies is a sum of terms in two or three variables each. Each term is
 differentiated with respect to its own variables only, so that n coupled oscillators cost
-O(n), not O(n**2) for the gradient and O(n**3) for the Hessian.
+O(n), not O(n**2) for the gradient and O(n**3) for the Hessian. So is each factor of a product; what
+its derivatives have in common is found again by :func:`common_subexpressions`.
 """
 
 from __future__ import annotations
 
+import itertools
 import random
-from collections import defaultdict
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from graphlib import TopologicalSorter
+from itertools import pairwise
 
 import sympy
 
+from hamsym.errors import CodeGenerationError
+
 __all__ = [
+    "Effort",
+    "common_subexpressions",
     "connected_blocks",
     "gradient",
     "hessian",
@@ -39,6 +47,10 @@ _BRIEF = (
     sympy.acot,
     sympy.asinh,
 )
+#: Operations and symbols in the derivatives of H that are always allowed: some ten seconds' work.
+MAX_OPERATIONS = 500_000
+_MOST_GROWTH = 100  # the same for each of H itself: many bodies have fewer
+_LONG_PRODUCT = 8  # factors from which on parts of products are shared
 
 
 class _Magnitude(sympy.Function):  # type: ignore[misc]
@@ -55,14 +67,96 @@ class _Direction(sympy.Function):  # type: ignore[misc]
         return sympy.Integer(0)
 
 
+class _Power(sympy.Function):  # type: ignore[misc]
+    """b**e with a symbol in e; sympy's own derivative divides by b, which may be zero."""
+
+    def fdiff(self, argindex: int = 1) -> sympy.Expr:
+        base, exponent = self.args
+        if argindex == 1:
+            return exponent * _Power(base, exponent - 1)
+        return sympy.log(base) * self
+
+
+def _is_general_power(node: sympy.Basic) -> bool:
+    return bool(node.is_Pow and node.exp.free_symbols and node.base is not sympy.E)
+
+
 def _diff(term: sympy.Expr, symbol: sympy.Symbol) -> sympy.Expr:
-    if not term.has(sympy.Abs, sympy.sign):
-        return term.diff(symbol)
-    own = term.replace(sympy.Abs, _Magnitude).replace(sympy.sign, _Direction)
-    return own.diff(symbol).replace(_Magnitude, sympy.Abs).replace(_Direction, sympy.sign)
+    own, back = term, []
+    if term.has(sympy.Abs, sympy.sign):
+        own = own.replace(sympy.Abs, _Magnitude).replace(sympy.sign, _Direction)
+        back += [(_Magnitude, sympy.Abs), (_Direction, sympy.sign)]
+    if any(_is_general_power(power) for power in term.atoms(sympy.Pow)):
+        own = own.replace(_is_general_power, lambda power: _Power(*power.args))
+        back += [(_Power, sympy.Pow)]
+    found = own.diff(symbol)
+    for replacement, original in back:
+        found = found.replace(replacement, original)
+    return found
 
 
-def gradient(expr: sympy.Expr, variables: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
+def _partial_derivatives(
+    term: sympy.Expr, symbols: Iterable[sympy.Symbol]
+) -> Iterator[tuple[sympy.Symbol, sympy.Expr]]:
+    """Derivatives of a term with respect to those symbols that it contains."""
+    factors = sympy.Mul.make_args(term)
+    places: dict[sympy.Symbol, list[int]] = defaultdict(list)
+    for place, factor in enumerate(factors):
+        for symbol in factor.free_symbols & symbols:
+            places[symbol].append(place)
+    for symbol, own in places.items():
+        parts = [
+            sympy.Mul(*factors[:place], _diff(factors[place], symbol), *factors[place + 1 :])
+            for place in own
+        ]
+        yield symbol, sympy.Add(*parts)
+
+
+class Effort:
+    """Operations and symbols in derivatives, counted up to a limit in proportion to H.
+
+    Parameters
+    ----------
+    expr : sympy.Expr
+        H.
+    """
+
+    def __init__(self, expr: sympy.Expr) -> None:
+        self._sizes: dict[sympy.Basic, int] = {}
+        self._left = self._most = max(MAX_OPERATIONS, _MOST_GROWTH * self._size(expr))
+
+    def spend(self, derivative: sympy.Expr) -> None:
+        """Count a derivative.
+
+        Raises
+        ------
+        CodeGenerationError
+            If there are too many by now.
+        """
+        self._left -= self._size(derivative)
+        if self._left < 0:
+            raise CodeGenerationError(
+                f"the derivatives of H have more than {self._most} operations, because many "
+                "variables meet in one term; write H as a sum of terms in fewer variables each"
+            )
+
+    def _size(self, expr: sympy.Expr) -> int:
+        # Without recursion: the caller's expressions may be deep.
+        waiting = [expr]
+        while waiting:
+            node = waiting[-1]
+            if node not in self._sizes:
+                if unknown := [part for part in node.args if part not in self._sizes]:
+                    waiting += unknown
+                    continue
+                self._sizes[node] = 1 + sum(self._sizes[part] for part in node.args)
+            waiting.pop()
+        return self._sizes[expr]
+
+
+def gradient(
+    expr: sympy.Expr, variables: Sequence[sympy.Symbol], effort: Effort | None = None
+) -> list[sympy.Expr]:
     """First derivatives, in the order of the variables.
 
     Examples
@@ -74,28 +168,117 @@ def gradient(expr: sympy.Expr, variables: Sequence[sympy.Symbol]) -> list[sympy.
     position = {variable: i for i, variable in enumerate(variables)}
     parts: list[list[sympy.Expr]] = [[] for _ in variables]
     for term in sympy.Add.make_args(expr):
-        for symbol in term.free_symbols & position.keys():
-            parts[position[symbol]].append(_diff(term, symbol))
+        for symbol, derivative in _partial_derivatives(term, position.keys()):
+            if effort:
+                effort.spend(derivative)
+            parts[position[symbol]].append(derivative)
     return [sympy.Add(*part) for part in parts]
 
 
 def hessian(
-    first: Sequence[sympy.Expr], variables: Sequence[sympy.Symbol]
+    first: Sequence[sympy.Expr],
+    variables: Sequence[sympy.Symbol],
+    effort: Effort | None = None,
 ) -> dict[tuple[int, int], sympy.Expr]:
     """Nonzero second derivatives (i, j), both triangles, from the first derivatives."""
     position = {variable: i for i, variable in enumerate(variables)}
     parts: dict[tuple[int, int], list[sympy.Expr]] = defaultdict(list)
-    for i, derivative in enumerate(first):
-        for term in sympy.Add.make_args(derivative):
-            for symbol in term.free_symbols & position.keys():
-                if (j := position[symbol]) >= i:
-                    parts[i, j].append(_diff(term, symbol))
+    for i, slope in enumerate(first):
+        later = {variable: j for variable, j in position.items() if j >= i}
+        for term in sympy.Add.make_args(slope):
+            for symbol, derivative in _partial_derivatives(term, later.keys()):
+                if effort:
+                    effort.spend(derivative)
+                parts[i, later[symbol]].append(derivative)
     entries: dict[tuple[int, int], sympy.Expr] = {}
     for (i, j), part in sorted(parts.items()):
         entry = sympy.Add(*part)
         if entry != 0:
             entries[i, j] = entries[j, i] = entry
     return entries
+
+
+#: Temporaries in the order in which they are computed.
+Temporaries = list[tuple[sympy.Symbol, sympy.Expr]]
+
+
+def common_subexpressions(
+    exprs: Sequence[sympy.Expr], symbols: Iterator[sympy.Symbol]
+) -> tuple[Temporaries, list[sympy.Expr]]:
+    """What several expressions share as temporaries, and the expressions in terms of them.
+
+    As :func:`sympy.cse`, which finds sums and products that are shared whole; here the parts of
+    long products are shared too. The gradient of a product of n factors costs O(n)
+    multiplications, its Hessian O(1) for each entry.
+
+    Examples
+    --------
+    >>> x, y = sympy.symbols("x y")
+    >>> common_subexpressions([sympy.sin(x) + y, sympy.sin(x)*y], iter(sympy.symbols("u0 u1")))
+    ([(u0, sin(x))], [u0 + y, u0*y])
+    """
+    inner = (sympy.Dummy(f"shared{k}", real=True) for k in itertools.count())
+    products, exprs = _shared_products(exprs, inner)
+    # order="none" skips a canonical sort that is slow on large expressions.
+    if not products:
+        return sympy.cse(exprs, symbols=symbols, order="none")
+    replaced, reduced = sympy.cse([*(v for _, v in products), *exprs], symbols=inner, order="none")
+    values = dict(replaced)
+    values |= dict(zip((symbol for symbol, _ in products), reduced, strict=False))
+    earlier = {s: sorted(v.free_symbols & values.keys(), key=str) for s, v in values.items()}
+    # Numbered in the order in which they are computed.
+    order = {symbol: next(symbols) for symbol in TopologicalSorter(earlier).static_order()}
+    return (
+        [(name, values[symbol].xreplace(order)) for symbol, name in order.items()],
+        [expr.xreplace(order) for expr in reduced[len(products) :]],
+    )
+
+
+def _shared_products(
+    exprs: Sequence[sympy.Expr], symbols: Iterator[sympy.Symbol]
+) -> tuple[Temporaries, list[sympy.Expr]]:
+    """Products of neighbouring factors as temporaries, and the expressions in terms of them.
+
+    The factors of long products are put into a row. A product is then a few runs of the row (the
+    entries of a gradient are a prefix and a suffix, those of a Hessian have a middle as well), and
+    each run is made from one that is shorter by one factor.
+    """
+    found = {node for expr in exprs for node in expr.atoms(sympy.Mul)}
+    long = [node for node in found if len(node.args) >= _LONG_PRODUCT]
+    uses = Counter(factor for node in long for factor in node.args if not factor.is_Number)
+    # What only few products have is at the end, where it cuts no runs.
+    row = sorted(uses, key=lambda factor: (-uses[factor], str(factor)))
+    place = {factor: k for k, factor in enumerate(row)}
+    runs = {node: _runs(sorted(place[f] for f in node.args if f in place)) for node in long}
+    lengths = {run: run[1] - run[0] for parts in runs.values() for run in parts}
+    wanted = sorted(lengths, key=lambda run: (lengths[run], run))  # from short to long
+    known: dict[tuple[int, int], sympy.Expr] = {(k, k + 1): row[k] for k in range(len(row))}
+    temporaries: Temporaries = []
+    for first, last in wanted:
+        if (first, last) in known:
+            continue
+        if (first + 1, last) in known:
+            steps = [((first, last), row[first], (first + 1, last))]
+        else:
+            start = next(end for end in range(last - 1, first, -1) if (first, end) in known)
+            steps = [((first, k + 1), row[k], (first, k)) for k in range(start, last)]
+        for run, factor, rest in steps:
+            known[run] = next(symbols)
+            temporaries.append((known[run], factor * known[rest]))
+    if 2 * (len(temporaries) + sum(map(len, runs.values()))) > sum(len(n.args) for n in long):
+        return [], list(exprs)
+    shorter = {
+        node: sympy.Mul(*(f for f in node.args if f not in place), *(known[run] for run in parts))
+        for node, parts in runs.items()
+    }
+    return temporaries, [expr.xreplace(shorter) for expr in exprs]
+
+
+def _runs(places: Sequence[int]) -> list[tuple[int, int]]:
+    """Sorted whole numbers as intervals [first, last) without gaps."""
+    breaks = [k for k in range(1, len(places)) if places[k] != places[k - 1] + 1]
+    bounds = [0, *breaks, len(places)]
+    return [(places[a], places[b - 1] + 1) for a, b in pairwise(bounds)]
 
 
 def connected_blocks(pairs: Sequence[tuple[int, int]], size: int) -> list[list[int]]:

@@ -25,6 +25,7 @@ from flint import arb, arb_series, ctx, fmpq
 from hamsym import derivatives
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.parsing import MAX_EXPONENT
 from hamsym.printing import Printer
 from hamsym.realform import RealForm
 from hamsym.rounding import ball
@@ -257,7 +258,7 @@ class Formulas:
             self._registers[symbol] = place
         self._variables = len(variables)
         lowered = [_smooth(expression) for expression in expressions]
-        shared, reduced = sympy.cse(lowered, symbols=map(_Shared, _numbers()), order="none")
+        shared, reduced = derivatives.common_subexpressions(lowered, map(_Shared, _numbers()))
         for symbol, expression in shared:
             self._registers[symbol] = self._place(expression)
         self._results = [self._place(expression) for expression in reduced]
@@ -459,6 +460,21 @@ def _rational(value: float) -> sympy.Rational:
     return sympy.Rational(*Fraction(value).as_integer_ratio())
 
 
+def _with_whole_powers(expression: sympy.Expr, values: dict[sympy.Symbol, float]) -> sympy.Expr:
+    """An expression with those exponents as numbers that parameters make whole.
+
+    A derivative of x**n is smooth at x = 0 for n = 1, but n*(n - 1)*x**(n - 2) is not.
+    """
+    numbers = {symbol: _rational(value) for symbol, value in values.items()}
+
+    def whole(power: sympy.Expr) -> sympy.Expr:
+        exponent = power.exp.xreplace(numbers)
+        known = exponent.is_Integer and abs(exponent) <= MAX_EXPONENT
+        return power.base**exponent if known else power
+
+    return expression.replace(lambda node: node.is_Pow and node.exp.free_symbols, whole)
+
+
 def _smooth(expression: sympy.Expr) -> sympy.Expr:
     """An expression in the functions that have enclosures."""
     for kind in _NOT_SMOOTH:
@@ -503,14 +519,17 @@ class Enclosures:
             if form.expr.has(kind):
                 raise _refusal(kind.__name__)
         # Differentiating would round floating-point numbers; as fractions they stay what they are.
-        floats = {number: _fraction(number) for number in form.expr.atoms(sympy.Float)}
-        expr = form.expr.xreplace(floats) if floats else form.expr
-        slopes = derivatives.gradient(expr, form.z)
-        second = derivatives.hessian(slopes, form.z)
+        exact: dict[sympy.Basic, sympy.Expr] = {
+            number: _fraction(number) for number in form.expr.atoms(sympy.Float)
+        }
+        values = {symbol: value for symbol, value in form.parameters.values() if value is not None}
+        expr = _with_whole_powers(form.expr.xreplace(exact), values)
+        effort = derivatives.Effort(expr)
+        slopes = derivatives.gradient(expr, form.z, effort)
+        second = derivatives.hessian(slopes, form.z, effort)
         rates = [*slopes[form.dof :], *(-slope for slope in slopes[: form.dof])]
         time = form.time or sympy.Dummy("t")
         variables = (*form.z, time)
-        values = {symbol: value for symbol, value in form.parameters.values() if value is not None}
         self.dim, self.time_dependent = H.dim, H.time is not None
         self._energy = Formulas([expr], variables, values)
         self._vector_field = Formulas(rates, variables, values)

@@ -33,14 +33,15 @@ class RealForm:
             for name in H.parameter_names
         }
         self.back = {real: own for own, real in forward.items()}
+        self._effort = derivatives.Effort(self.expr)
 
     @cached_property
     def gradient(self) -> list[sympy.Expr]:
-        return derivatives.gradient(self.expr, self.z)
+        return derivatives.gradient(self.expr, self.z, self._effort)
 
     @cached_property
     def hessian(self) -> dict[tuple[int, int], sympy.Expr]:
-        return derivatives.hessian(self.gradient, self.z)
+        return derivatives.hessian(self.gradient, self.z, self._effort)
 
     @cached_property
     def vector_field(self) -> list[sympy.Expr]:

@@ -7,7 +7,7 @@ from fractions import Fraction
 import mpmath
 import pytest
 import sympy
-from flint import arb, arb_series
+from flint import arb, arb_series, fmpq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -167,6 +167,42 @@ def test_unknown_functions_of_sympy_are_refused_by_name():
     p = sympy.Symbol("p")
     with pytest.raises(CertificationError, match="gamma"):
         Enclosures(Hamiltonian(p**2 / 2 + sympy.gamma(x), q=[x], p=[p]))
+
+
+@pytest.mark.parametrize("n", [1.0, 2.0, 3.0, 4.0])
+@pytest.mark.parametrize("formula", ["p**2/2 + x**n", "p**2/2 + ((x**2 + p**2)**(n/2) + 1)**n"])
+def test_powers_of_zero_with_a_whole_parameter_are_enclosed(formula, n):
+    n = 2 * n if "n/2" in formula else n
+    found = Enclosures(Hamiltonian(formula, parameters={"n": n}))
+    right = Enclosures(Hamiltonian(formula.replace("n", str(int(n)))))
+    with working(96, 3):
+        for place in (arb(0), arb(0, 0.1), arb(-0.5)):
+            state = [place, arb(1)]
+            rates = found.vector_field(state, arb(0)), right.vector_field(state, arb(0))
+            assert all(mine.overlaps(other) for mine, other in zip(*rates, strict=True))
+            other = right.hessian(state, arb(0))
+            assert all(
+                value.overlaps(other[k]) for k, value in found.hessian(state, arb(0)).items()
+            )
+
+
+def test_long_products_are_enclosed():
+    """The values are those of the factors, multiplied one after the other."""
+    n = 9
+    H = Hamiltonian("*".join(f"(q{i} + p{i})" for i in range(n)))
+    numbers = [Fraction(k + 3, 7) for k in range(2 * n)]
+    sums = [a + b for a, b in zip(numbers[:n], numbers[n:], strict=True)]
+    with working(128):
+        found = Enclosures(H)
+        state = [ball(value) for value in numbers]
+        for i, rate in enumerate(found.vector_field(state, arb(0))[:n]):
+            assert rate.contains(_quotient(math.prod(sums) / sums[i]))
+        for (i, j), entry in found.hessian(state, arb(0)).items():
+            assert entry.contains(_quotient(math.prod(sums) / sums[i % n] / sums[j % n]))
+
+
+def _quotient(value):
+    return fmpq(value.numerator, value.denominator)
 
 
 def test_parameters_are_the_binary_fractions_that_they_are():

@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import builtins
 import inspect
+import itertools
 import keyword
 import math
+import os
 import subprocess
 import sys
 import textwrap
@@ -18,7 +20,7 @@ import pytest
 import sympy
 import torch
 
-from hamsym import Hamiltonian, InputError, integrate
+from hamsym import Hamiltonian, InputError, derivatives, integrate, parsing
 from hamsym.codegen import _TEMPLATE_NAMES
 from hamsym.errors import CodeGenerationError
 from hamsym.printing import PRINTERS
@@ -471,6 +473,113 @@ def test_large_systems_take_out_common_subexpressions() -> None:
     for backend in PRINTERS:
         np.testing.assert_allclose(call(H.compile(backend), "gradient", z), gradient, atol=1e-13)
         np.testing.assert_allclose(call(H.compile(backend), "hessian", z), hessian, atol=1e-12)
+
+
+_SHAPES = {
+    "sum": ("({0})", lambda s: s, lambda s: 1 + 0 * s, lambda s: 0 * s),
+    "sine": ("sin({0})", np.sin, np.cos, lambda s: -np.sin(s)),
+    "cube": ("({0})**3", lambda s: s**3, lambda s: 3 * s**2, lambda s: 6 * s),
+    "quotient": ("1/({0})", lambda s: 1 / s, lambda s: -1 / s**2, lambda s: 2 / s**3),
+}
+
+
+@pytest.mark.parametrize("backend", ["torch", "numpy"])  # numba compiles as much for a minute
+@pytest.mark.parametrize("shape", _SHAPES)
+def test_long_products_share_their_factors(shape: str, backend: str) -> None:
+    """Of n factors f(q_i + p_i): 3 n multiplications, and three for each pair of factors."""
+    n = 11
+    text, value, slope, curvature = _SHAPES[shape]
+    H = Hamiltonian("2*" + "*".join(text.format(f"q{i} + p{i}") for i in range(n)))
+    system = H.compile(backend)
+    z = np.random.default_rng(3).uniform(0.4, 0.9, (3, 2 * n))
+    for point in z:
+        sums = point[:n] + point[n:]
+        f, product = value(sums), 2 * np.prod(value(sums))
+        log_slopes = slope(sums) / f
+        gradient = product * np.tile(log_slopes, 2)
+        block = product * np.outer(log_slopes, log_slopes)
+        np.fill_diagonal(block, product * curvature(sums) / f)
+        np.testing.assert_allclose(call(system, "gradient", point), gradient, rtol=1e-13)
+        np.testing.assert_allclose(
+            call(system, "hessian", point), np.tile(block, (2, 2)), rtol=1e-13, atol=1e-15
+        )
+    if shape == "sum":
+        for part, most in (("gradient", 3 * n + 2), ("hessian", 3 * n * (n - 1) / 2 + 3 * n)):
+            tree = ast.parse(H.source(backend, part=part))
+            assert sum(isinstance(node, ast.Mult) for node in ast.walk(tree)) <= most + 2 * n
+
+
+def test_sources_do_not_depend_on_the_process() -> None:
+    formula = "*".join(f"sin(q{i} + p{i})" for i in range(9))
+    script = f"import hamsym; print(hamsym.Hamiltonian('{formula}').source('numpy'))"
+    texts = [
+        subprocess.run(
+            [sys.executable, "-c", script],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "PYTHONHASHSEED": seed},
+        ).stdout
+        for seed in ("1", "2")
+    ]
+    assert texts[0] == texts[1]
+
+
+# -- effort --------------------------------------------------------------------------------------
+
+
+def test_short_formulas_of_endless_code_are_refused() -> None:
+    H = Hamiltonian("*".join(f"(q{i} + p{i})" for i in range(60)))
+    with pytest.raises(CodeGenerationError, match="many variables meet in one term"):
+        H.source("numpy")
+
+
+def test_the_catalogue_stays_far_below_the_effort(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(derivatives, "MAX_OPERATIONS", derivatives.MAX_OPERATIONS // 10)
+    H = problem.H
+    assert Hamiltonian(H.expr, q=H.q, p=H.p, parameters=dict(H.parameters)).hessian.shape
+
+
+def _chain(n: int) -> str:
+    q = ["0", *(f"q{i}" for i in range(n)), "0"]
+    stretches = [f"({b} - {a})" for a, b in itertools.pairwise(q)]
+    bonds = [f"{s}**2/2 + {s}**3/4 + {s}**4/8" for s in stretches]
+    return " + ".join([*(f"p{i}**2/2" for i in range(n)), *bonds])
+
+
+def _bodies(n: int) -> str:
+    kinetic = " + ".join(f"p_{axis}{i}**2/2" for i in range(n) for axis in "xyz")
+    distances = [
+        "sqrt(" + " + ".join(f"({axis}{i} - {axis}{j})**2" for axis in "xyz") + " + 1/100)"
+        for i, j in itertools.combinations(range(n), 2)
+    ]
+    return kinetic + "".join(f" - 1/{distance}" for distance in distances)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("formula", [_chain(64), _bodies(10)], ids=["chain", "bodies"])
+def test_many_particles_stay_far_below_the_effort(
+    formula: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(derivatives, "MAX_OPERATIONS", derivatives.MAX_OPERATIONS // 8)
+    monkeypatch.setattr(derivatives, "_MOST_GROWTH", 0)
+    monkeypatch.setattr(parsing, "MAX_SECONDS", 60.0)
+    assert Hamiltonian(formula).hessian.shape
+
+
+# -- powers ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [2.0, 3.0, 4.0])
+def test_powers_with_a_parameter_have_derivatives_at_zero(n: float, backend: str) -> None:
+    system = Hamiltonian("p**2/2 + x**n/n", parameters={"n": n}).compile(backend)
+    for x in (0.0, -0.5):
+        z = np.array([[x, 1.0]])
+        np.testing.assert_allclose(call(system, "gradient", z), [[x ** (n - 1), 1.0]])
+        curvature = (n - 1) * x ** (n - 2)
+        np.testing.assert_allclose(call(system, "hessian", z), [[[curvature, 0], [0, 1]]])
 
 
 # -- torch ---------------------------------------------------------------------------------------
