@@ -12,8 +12,8 @@ Stage 4  Upper bounds are rounded up and lower bounds down to the decimals of a
 The proof is in the docstrings of the modules of stages 2 and 3, with every inequality.
 
 Checking a certificate (:func:`verify`) is doing all of this again from the solution itself, until
-what the certificate claims is proven or refuted. Of the certificate only the working precision is
-used for it.
+what the certificate claims is proven or refuted. Nothing in the certificate is taken as given, and
+neither its precision nor its size decides how long that takes.
 """
 
 from __future__ import annotations
@@ -21,9 +21,12 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
+import reprlib
+import sys
 import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from itertools import pairwise
@@ -33,15 +36,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hamsym.archive import digest, load
-from hamsym.comparing_balls import Comparison, Goal, Leaf, Quantity, Range, joints_of
+from hamsym.comparing_balls import MOST_LEAVES, Comparison, Goal, Leaf, Quantity, Range, joints_of
 from hamsym.enclosures import Enclosures
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.growth import Scout, scout
 from hamsym.progress import stepping_progress
-from hamsym.rounding import at_least, at_most, decimal, decimal_above, decimal_below
+from hamsym.rounding import SMALLEST, at_least, at_most, decimal, decimal_above, decimal_below
 from hamsym.settings import require, require_number, require_positive, require_whole
 from hamsym.solution import Solution
-from hamsym.trial_enclosures import segments
+from hamsym.trial_enclosures import require_exact, segments
 from hamsym.validated import Deadline, PrecisionError, Reference, validated_reference
 
 __all__ = ["Certificate", "certify", "verify"]
@@ -54,6 +57,12 @@ _FLOOR = 2.0**-60
 _FLOOR_WITHOUT_REFERENCE = 2.0**-70  # the same of what the reference does not take part in
 _PROGRESS = Fraction(1, 1_000)  # of the span, that half as many bits again have to bring
 _SPARE_BITS = 4
+_TRIES = 2  # precisions at which a claim is tried that is neither implied nor refuted
+_LEAST_RTOL, _MOST_RTOL = 1e-6, 1e6
+_MOST_EDGES = MOST_LEAVES + 2  # what a proof can have: a leaf more than that is not halved
+_LONGEST_TEXT = 16 * 2**20  # of a certificate with so many edges
+# Seconds that verify() takes unless told otherwise: for itself, for each of certify's, and at most.
+_PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE = 60.0, 10.0, 600.0
 _TICKS = 1_000  # of progress
 
 _Found = TypeVar("_Found")
@@ -74,9 +83,11 @@ class Certificate:
     ell_max_bound, ell_max_lower : float
         For max_t |dz^/dt - J grad H(z^)|, the 2-norm.
     edges : tuple of float
-        Times that divide the span into pieces, in its direction.
+        Times that divide the span into pieces, in its direction; no two are equal.
     piece_bounds : tuple of float
-        On each piece, a bound on |z^(t) - z(t)|.
+        On each piece, both edges included, a bound on |z^(t) - z(t)|. Where two windows of a
+        solution meet, z^ has two values, which differ by round-off: at such an edge the bound of a
+        piece is on the value of the window in that piece, and :meth:`bound_at` bounds both.
     rtol : float
         How close upper and lower bounds were to come.
     bits : int
@@ -84,7 +95,7 @@ class Certificate:
     digest : str
         SHA-256 of what defines the solution: H, its parameters, z0, the span and all weights.
     seconds : float
-        What the proof took.
+        What the proof took. Of ``rtol``, ``bits`` and ``seconds`` nothing is proven.
     """
 
     bound: float
@@ -112,21 +123,24 @@ class Certificate:
         Returns
         -------
         float or numpy.ndarray
-            Shaped as t.
+            Shaped as t; at an edge the larger bound of the two pieces that meet there.
 
         Raises
         ------
         InputError
             If a time is outside the span.
         """
-        times = np.asarray(t, dtype=float)
+        try:
+            times = np.asarray(t, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("t is not a number or an array of numbers; give times") from None
         values = np.array([self._bound_at(float(time)) for time in times.ravel()])
         return float(values[0]) if times.ndim == 0 else values.reshape(times.shape)
 
     def _bound_at(self, t: float) -> float:
         direction = 1 if self.edges[-1] > self.edges[0] else -1
         edges = [direction * edge for edge in self.edges]
-        # An edge is rounded to float64: at that very number both neighbours are asked.
+        # Both neighbours of an edge: there z^ may have the values of two windows.
         first = bisect_left(edges, direction * t) - 1
         last = bisect_right(edges, direction * t) - 1
         if last < 0 or first >= len(self.piece_bounds) or not math.isfinite(t):
@@ -180,36 +194,62 @@ class Certificate:
             If the text is no certificate, or one of a later version.
         """
         try:
-            values = json.loads(text, object_pairs_hook=_without_repetition)
-            if values["kind"] != _KIND:
+            if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
+                raise ValueError(f"a certificate is a text of up to {_LONGEST_TEXT} characters")
+            values = json.loads(
+                text, object_pairs_hook=_without_repetition, parse_constant=_no_number
+            )
+            if not isinstance(values, dict) or values.get("kind") != _KIND:
                 raise ValueError("it is something else")
-            if values["version"] != _VERSION:
-                raise ValueError(f"it is of version {values['version']}")
+            if type(values.get("version")) is not int or values["version"] != _VERSION:
+                raise ValueError("it is of another version")
+            if values.keys() != _NAMES:
+                raise ValueError("it lacks what a certificate has, or holds what none has")
             known: dict[str, Any] = {name: _numbers(values[name]) for name in (*_UPPER, *_LOWER)}
-            known["edges"] = tuple(float(edge) for edge in values["edges"])
-            known |= {name: float(values[name]) for name in ("rtol", "seconds")}
-            certificate = cls(**known, bits=int(values["bits"]), digest=str(values["digest"]))
+            known |= {name: _numbers(values[name], repr) for name in _WRITTEN_OUT}
+            certificate = cls(**known, bits=values["bits"], digest=values["digest"])
             certificate._check()
-            if set(values) != {*json.loads(certificate.to_json())}:
-                raise ValueError("it holds what no certificate has")
             if values["statement"] != certificate.statement:
                 raise ValueError("its statement is not what its numbers say")
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise FileError(f"this text is not a certificate that hamsym reads: {error}") from None
         return certificate
 
     def _check(self) -> None:
-        """Refuse what cannot be a certificate."""
+        """Refuse what cannot be a certificate.
+
+        Raises
+        ------
+        ValueError
+            Saying what is wrong.
+        """
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name in _LISTS:
+                known = isinstance(value, tuple) and all(type(part) is float for part in value)
+            elif entry.name in ("bits", "digest"):
+                known = type(value) is (int if entry.name == "bits" else str)
+            else:
+                known = type(value) is float
+            if not known:
+                raise ValueError(f"its {entry.name} is of another type than certify writes")
         pieces, edges = self.piece_bounds, self.edges
-        if not isinstance(edges, tuple) or not isinstance(pieces, tuple):
-            raise ValueError("its pieces are no lists")
-        if len(edges) != len(pieces) + 1 or not pieces or not np.isfinite(edges).all():
+        if len(edges) != len(pieces) + 1 or not pieces or len(edges) > _MOST_EDGES:
             raise ValueError("its pieces do not fit together")
-        differences = np.diff(edges)
-        if not ((differences >= 0).all() or (differences <= 0).all()) or edges[0] == edges[-1]:
+        direction = 1 if edges[-1] > edges[0] else -1
+        if not all(
+            math.isfinite(low) and math.isfinite(high) and direction * low < direction * high
+            for low, high in pairwise(edges)
+        ):
             raise ValueError("its edges are not in order")
         if not _FEWEST_BITS <= self.bits <= _MOST_BITS:
             raise ValueError("its precision is out of range")
+        if not _LEAST_RTOL <= self.rtol <= _MOST_RTOL:
+            raise ValueError("its rtol is out of range")
+        if not 0 <= self.seconds < math.inf:
+            raise ValueError("its seconds are not a time")
+        if not re.fullmatch("[0-9a-f]{64}", self.digest):
+            raise ValueError("its digest is no SHA-256")
         if len(self.component_bounds) != len(self.component_lowers):
             raise ValueError("its components do not fit together")
         lowers = (self.lower, *self.component_lowers, self.energy_lower, self.ell_max_lower)
@@ -219,27 +259,38 @@ class Certificate:
             for low, high in zip(lowers, uppers, strict=True)
         ):
             raise ValueError("its bounds are not in order")
+        if not all(bound >= 0 for bound in pieces):
+            raise ValueError("its bounds on pieces are not bounds")
 
 
 _UPPER = ("bound", "component_bounds", "energy_bound", "ell_max_bound", "piece_bounds")
 _LOWER = ("lower", "component_lowers", "energy_lower", "ell_max_lower")
-assert {*_UPPER, *_LOWER} < {entry.name for entry in fields(Certificate)}
+_LISTS = ("component_bounds", "component_lowers", "edges", "piece_bounds")
+_WRITTEN_OUT = ("edges", "rtol", "seconds")  # with all digits
+_NAMES = {"kind", "version", "statement"} | {entry.name for entry in fields(Certificate)}
+assert {*_UPPER, *_LOWER, *_LISTS, *_WRITTEN_OUT} < _NAMES
 
 
 def _texts(value: float | tuple[float, ...]) -> Any:
     return [decimal(number) for number in value] if isinstance(value, tuple) else decimal(value)
 
 
-def _numbers(value: Any) -> float | tuple[float, ...]:
-    return tuple(map(_number, value)) if isinstance(value, list) else _number(value)
+def _numbers(value: Any, written: Callable[[float], str] = decimal) -> float | tuple[float, ...]:
+    if isinstance(value, list):
+        return tuple(_number(text, written) for text in value)
+    return _number(value, written)
 
 
-def _number(text: str) -> float:
+def _number(text: Any, written: Callable[[float], str]) -> float:
     """A number as it is written; more digits than are written would claim more than is checked."""
-    value = float(text)
-    if decimal(value) != text:
-        raise ValueError(f"'{text}' is not a decimal as certificates have them")
+    value = float(text) if isinstance(text, str) else math.nan
+    if written(value) != text:
+        raise ValueError(f"{reprlib.repr(text)} is not a number as certificates have them")
     return value
+
+
+def _no_number(text: str) -> float:
+    raise ValueError(f"'{text}' is not a number as certificates have them")
 
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -259,30 +310,33 @@ def certify(
     progress: bool | None = None,
 ) -> Certificate:
     """Prove how large the error of a solution is; see :meth:`hamsym.Solution.certify`."""
-    require_number("rtol", rtol, 1e-6)
-    require(rtol <= 1e6, "rtol", rtol, "a number such as 0.02")
+    require_number("rtol", rtol, _LEAST_RTOL)
+    require(rtol <= _MOST_RTOL, "rtol", rtol, "a number such as 0.02")
     if time_limit is not None:
         require_positive("time_limit", time_limit)
     if bits is not None:
         require_whole("bits", bits, _FEWEST_BITS, _MOST_BITS)
     began = time.monotonic()
     proof = _Proof(solution, Deadline.after(time_limit), progress)
+    try:
+        known_by = digest(solution)
+    except FileError as error:
+        raise CertificationError(f"a certificate could not name the solution: {error}") from None
     goal = Goal(rtol)
 
-    def attempt(comparison: Comparison) -> tuple[list[Range], list[Leaf]]:
+    def attempt(comparison: Comparison) -> tuple[list[Range], dict[str, tuple[float, ...]]]:
         found: list[Range] = []
-        kept: list[Leaf] = []
+        profile: dict[str, tuple[float, ...]] = {}
         leaves: list[Leaf] | None = None
         for quantity in comparison.quantities(proof.floors):
             found.append(comparison.refine(quantity, comparison.leaves(quantity, leaves), goal))
             leaves = found[-1].leaves
-            kept = leaves if quantity.name == "norm" else kept
-        return found, kept
+            profile = profile or proof.profile(comparison, quantity, leaves)
+        return found, profile
 
-    used, (found, kept) = proof.run(attempt, bits, _ACCURACY * min(1.0, 50 * rtol))
+    used, (found, profile) = proof.run(attempt, bits, _accuracy(rtol))
     uppers = [_rounded_up(entry.upper) for entry in found]
     lowers = [_rounded_down(entry.lower) for entry in found]
-    edges, pieces = proof.profile(kept)
     return Certificate(
         bound=uppers[0],
         lower=lowers[0],
@@ -292,13 +346,17 @@ def certify(
         energy_lower=lowers[-2],
         ell_max_bound=uppers[-1],
         ell_max_lower=lowers[-1],
-        edges=edges,
-        piece_bounds=tuple(_rounded_up(upper) for upper in pieces),
+        **profile,
         rtol=float(rtol),
         bits=used,
-        digest=digest(solution),
+        digest=known_by,
         seconds=time.monotonic() - began,
     )
+
+
+def _accuracy(rtol: float) -> float:
+    """How accurate the reference has to be, in units of the components."""
+    return _ACCURACY * min(1.0, 50 * rtol)
 
 
 def verify(
@@ -309,6 +367,9 @@ def verify(
 ) -> None:
     """Run the proof again, from the solution, and compare it with what a certificate claims.
 
+    The precision is chosen as :meth:`hamsym.Solution.certify` chooses it, whatever the certificate
+    says; where a claim is neither implied nor refuted, half as many bits again are tried.
+
     Parameters
     ----------
     certificate : Certificate or str
@@ -316,32 +377,45 @@ def verify(
     solution : Solution or path
         Or a file that :meth:`hamsym.Solution.save` wrote.
     time_limit : float, optional
-        Seconds.
+        Seconds. By default a minute and ten times the seconds that certify took, but no more than
+        600, because a forged certificate may claim any: give a limit for longer proofs.
     progress : bool, optional
 
     Raises
     ------
     CertificationError
-        Naming the first claim that is not implied by what could be proven.
+        Naming the first claim that is not implied by what could be proven, or if the time limit
+        is reached.
     FileError
         If the text is no certificate, or the file cannot be read.
+    InputError
+        If an argument is something else.
     """
+    if time_limit is not None:
+        require_positive("time_limit", time_limit)
     if isinstance(certificate, str):
         certificate = Certificate.from_json(certificate)
-    if not isinstance(solution, Solution):
+    if not isinstance(certificate, Certificate):
+        raise InputError(
+            "certificate is neither a Certificate nor its text; give what certify made"
+        )
+    if isinstance(solution, (str, os.PathLike)):
         solution = load(Path(solution))
+    if not isinstance(solution, Solution):
+        raise InputError("solution is neither a Solution nor a path; give what certify was given")
     claims = certificate
     try:
         claims._check()
-    except (ValueError, TypeError, AttributeError) as error:
+    except ValueError as error:
         raise CertificationError(f"this is no certificate: {error}") from None
+    _require_exact(solution)
     if digest(solution) != claims.digest:
         raise CertificationError("the certificate is of another solution: the digests differ")
     if (claims.edges[0], claims.edges[-1]) != tuple(float(edge) for edge in solution.span):
         raise CertificationError("the certificate is of another span than the solution's")
     if len(claims.component_bounds) != solution.H.dim:
         raise CertificationError("the certificate is of a solution of another dimension")
-    proof = _Proof(solution, Deadline.after(time_limit), progress)
+    proof = _Proof(solution, _deadline(time_limit, claims.seconds), progress)
     pairs = [
         (claims.bound, claims.lower),
         *zip(claims.component_bounds, claims.component_lowers, strict=True),
@@ -349,21 +423,46 @@ def verify(
         (claims.ell_max_bound, claims.ell_max_lower),
     ]
 
+    tries = 0
+
     def attempt(comparison: Comparison) -> None:
+        nonlocal tries
+        tries += 1
         leaves: list[Leaf] | None = None
         norm: Quantity | None = None
         for quantity, pair in zip(comparison.quantities(proof.floors), pairs, strict=True):
             norm = norm or quantity
-            found = _implied(comparison, quantity, comparison.leaves(quantity, leaves), pair)
-            leaves = found.leaves
+            leaves = comparison.leaves(quantity, leaves)
+            leaves = _implied(comparison, quantity, leaves, pair, tries).leaves
         assert norm is not None
-        _verify_pieces(comparison, norm, leaves, claims, proof)
+        assert leaves is not None
+        for part, claimed in zip(
+            proof.cuts(comparison, norm, comparison.leaves(norm, leaves), claims.edges),
+            claims.piece_bounds,
+            strict=True,
+        ):
+            _implied(comparison, norm, part, (claimed, 0.0), tries)
 
-    proof.run(attempt, claims.bits, math.inf)
+    proof.run(attempt, None, _accuracy(claims.rtol))
+
+
+def _deadline(time_limit: float | None, seconds: float) -> Deadline:
+    if time_limit is not None:
+        return Deadline.after(time_limit)
+    limit = min(_PATIENCE + _PATIENCE_FACTOR * seconds, _MOST_PATIENCE)
+    return Deadline.after(
+        limit,
+        f", by default {_PATIENCE:g} s and {_PATIENCE_FACTOR:g} times what certify took, "
+        f"at most {_MOST_PATIENCE:g} s,",
+    )
 
 
 def _implied(
-    comparison: Comparison, quantity: Quantity, leaves: list[Leaf], pair: tuple[float, float]
+    comparison: Comparison,
+    quantity: Quantity,
+    leaves: list[Leaf],
+    pair: tuple[float, float],
+    tries: int,
 ) -> Range:
     """Bounds at least as good as those claimed."""
     upper, lower = at_most(pair[0]), at_least(pair[1])
@@ -375,25 +474,12 @@ def _implied(
     except (CertificationError, PrecisionError) as error:
         if isinstance(error, CertificationError) and str(error) != "refuted":
             raise
+        if isinstance(error, PrecisionError) and tries < _TRIES:
+            raise
         raise CertificationError(
             f"the certificate does not hold: what it says of the {quantity.name} is not implied by "
             "the proof"
         ) from None
-
-
-def _verify_pieces(
-    comparison: Comparison,
-    norm: Quantity,
-    leaves: list[Leaf] | None,
-    claims: Certificate,
-    proof: _Proof,
-) -> None:
-    ordered = sorted(comparison.leaves(norm, leaves), key=lambda leaf: leaf.centre)
-    intervals = list(pairwise([proof.elapsed(edge) for edge in claims.edges]))
-    parts = _within(ordered, intervals)
-    for (low, high), inside, claimed in zip(intervals, parts, claims.piece_bounds, strict=True):
-        if cut := comparison.cut(norm, inside, low, high):
-            _implied(comparison, norm, cut, (claimed, 0.0))
 
 
 def _within(
@@ -410,16 +496,41 @@ def _within(
         yield ordered[first:last]
 
 
+def _require_exact(solution: Solution) -> None:
+    """Refuse a solution whose numbers are not those that a proof can be about.
+
+    Raises
+    ------
+    CertificationError
+        Saying which, and what to do.
+    """
+    remedy = "nothing can be proven; solve again"
+    z0, dim = solution.z0, solution.H.dim
+    if not isinstance(z0, np.ndarray) or z0.dtype != np.float64 or z0.shape != (dim,):
+        raise CertificationError(f"z0 of the solution is not {dim} numbers of float64; {remedy}")
+    if not np.isfinite(z0).all():
+        raise CertificationError(f"z0 of the solution is not finite; {remedy}")
+    if not all(
+        isinstance(edge, (int, float)) and abs(edge) <= sys.float_info.max for edge in solution.span
+    ):
+        raise CertificationError(f"the span of the solution is not two finite times; {remedy}")
+    if float(solution.span[0]) == float(solution.span[1]):
+        raise CertificationError(f"the span of the solution is empty; {remedy}")
+    require_exact(solution.trial, dim)
+
+
 class _Proof:
     """What certifying and verifying have in common."""
 
     def __init__(self, solution: Solution, deadline: Deadline, progress: bool | None) -> None:
-        self._solution, self._deadline, self._progress = solution, deadline, progress
+        _require_exact(solution)
+        self._deadline, self._progress = deadline, progress
+        self._span = float(solution.span[0]), float(solution.span[1])
         self._enclosures = Enclosures(solution.H)
-        self._parts = segments(solution.trial, solution.span)
-        self._z0 = np.asarray(solution.z0, dtype=float)
-        self._scout: Scout = scout(solution.H, self._z0, solution.span, solution.scale)
-        start, end = (Fraction(float(edge)) for edge in solution.span)
+        self._parts = segments(solution.trial, self._span)
+        self._z0 = solution.z0
+        self._scout: Scout = scout(solution.H, self._z0, self._span, solution.scale)
+        start, end = map(Fraction, self._span)
         self._start, self._direction = start, 1 if end > start else -1
         self._total = abs(end - start)
 
@@ -427,24 +538,43 @@ class _Proof:
     def floors(self) -> dict[str, np.ndarray]:
         """Differences of bounds that do not matter, in the units of each quantity."""
         energy = _FLOOR if self._enclosures.time_dependent else _FLOOR_WITHOUT_REFERENCE
-        return {
+        floors = {
             "error": _FLOOR * np.array(self._scout.scales),
             "energy": np.array(energy * self._scout.energy_scale),
             "ell": np.array(_FLOOR_WITHOUT_REFERENCE * self._scout.rate_scale),
         }
+        # An infinite floor would make any bound good enough; below the smallest there is no bound.
+        return {
+            name: np.where(np.isfinite(value), value, 0.0).clip(SMALLEST)
+            for name, value in floors.items()
+        }
 
-    def profile(self, leaves: list[Leaf]) -> tuple[tuple[float, ...], list[float]]:
+    def profile(
+        self, comparison: Comparison, norm: Quantity, leaves: list[Leaf]
+    ) -> dict[str, tuple[float, ...]]:
         """Times that divide the span into the pieces of the proof, and upper bounds there."""
-        start, end = (float(edge) for edge in self._solution.span)
-        joints = [self._start + self._direction * place for place in joints_of(leaves)]
-        edges = (start, *(float(joint) for joint in joints), end)
-        ordered = sorted(leaves, key=lambda leaf: leaf.centre)
+        start, end = self._span
+        joints = [self.time(place) for place in joints_of(leaves)]
+        edges = tuple(dict.fromkeys((start, *joints, end)))
         # Edges are rounded to floats: a sliver of the next piece may belong to this one.
-        intervals = pairwise([self.elapsed(edge) for edge in edges])
-        # Between two edges that are one float there is nothing.
-        return edges, [
-            max((leaf.upper for leaf in part), default=0.0) for part in _within(ordered, intervals)
+        bounds = [
+            max(leaf.upper for leaf in part) for part in self.cuts(comparison, norm, leaves, edges)
         ]
+        return {"edges": edges, "piece_bounds": tuple(_rounded_up(bound) for bound in bounds)}
+
+    def cuts(
+        self,
+        comparison: Comparison,
+        norm: Quantity,
+        leaves: list[Leaf],
+        edges: Sequence[float],
+    ) -> Iterator[list[Leaf]]:
+        """For each piece between two edges, leaves that cover it and no more."""
+        ordered = sorted(leaves, key=lambda leaf: leaf.centre)
+        intervals = list(pairwise([self.elapsed(edge) for edge in edges]))
+        for (low, high), part in zip(intervals, _within(ordered, intervals), strict=True):
+            self._deadline.check("the pieces were bounded")
+            yield comparison.cut(norm, part, low, high)
 
     def elapsed(self, t: float) -> Fraction:
         return self._direction * (Fraction(t) - self._start)
@@ -504,7 +634,7 @@ class _Proof:
             return validated_reference(
                 self._enclosures,
                 self._z0,
-                self._solution.span,
+                self._span,
                 self._scout.units,
                 bits,
                 self._deadline,

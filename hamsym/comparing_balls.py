@@ -52,12 +52,12 @@ from hamsym.rounding import above, ball, below, interval, working
 from hamsym.trial_enclosures import Segment
 from hamsym.validated import Deadline, PrecisionError, Reference, ReferenceStep, coefficient
 
-__all__ = ["Comparison", "Goal", "Leaf", "Quantity", "Range", "joints_of"]
+__all__ = ["MOST_LEAVES", "Comparison", "Goal", "Leaf", "Quantity", "Range", "joints_of"]
 
 _ORDER = 10  # of the expansions
 _MOST_SHIFTS = 8  # parts of an expansion that are bounded by shifting it
 _NARROWEST = 2.0**-40  # piece, relative to the span
-_MOST_LEAVES = 200_000
+MOST_LEAVES = 200_000  # parts of a proof
 
 
 class Expansion:
@@ -289,7 +289,13 @@ class Comparison:
                 start = ball(Fraction(reference.start))
                 self.energy_0 = H.energy([arb(float(value)) for value in z0], start)
             self._pieces = []
-            for segment, step, low, high in self._overlaps(parts):
+            overlaps = self._overlaps(parts)
+            if len(overlaps) > MOST_LEAVES:
+                raise CertificationError(
+                    f"the proof has more than {MOST_LEAVES} parts; solve on a shorter span, or to "
+                    "a looser tolerance"
+                )
+            for segment, step, low, high in overlaps:
                 deadline.check("the solution was enclosed")
                 middle, half = (low + high) / 2, (high - low) / 2
                 self._pieces.append(Expansion(self, segment, step, middle, half))
@@ -374,7 +380,11 @@ class Comparison:
     def cut(
         self, quantity: Quantity, leaves: Sequence[Leaf], low: Fraction, high: Fraction
     ) -> list[Leaf]:
-        """Leaves without what is outside [low, high]."""
+        """Leaves without what is outside [low, high].
+
+        What is left of a leaf may be a sliver: its bound would be that of a wide expansion, and as
+        it is too narrow to be halved it would keep it. So it gets an expansion of its own.
+        """
         found = []
         with working(self.reference.bits, _ORDER + 2):
             for leaf in leaves:
@@ -383,7 +393,10 @@ class Comparison:
                     found.append(leaf)
                 elif start < end:
                     centre, half = (start + end) / 2, (end - start) / 2
-                    found.append(self._leaf(quantity, leaf.expansion, centre, half))
+                    expansion = leaf.expansion
+                    if half * _MOST_SHIFTS <= expansion.half:
+                        expansion = Expansion(self, expansion.segment, expansion.step, centre, half)
+                    found.append(self._leaf(quantity, expansion, centre, half))
         return found
 
     def refine(self, quantity: Quantity, leaves: list[Leaf], goal: Goal) -> Range:
@@ -404,7 +417,7 @@ class Comparison:
                 top = heap[0]
                 if goal.met(top.upper, lower, quantity.floor):
                     break
-                if top.half < narrowest or len(heap) > _MOST_LEAVES:
+                if top.half < narrowest or len(heap) > MOST_LEAVES:
                     if top.polynomial is None:  # no bound at all: H is singular along z^
                         return Range(math.inf, lower, heap)
                     raise PrecisionError

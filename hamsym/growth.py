@@ -25,6 +25,7 @@ _COARSEST = 32  # steps of the precision
 _CALM = 7.0  # growth, as a natural logarithm, below which one set of units serves
 _MOST_PARTS = 300  # of the time, with units of their own
 _ROUNDS = 6  # of choosing those parts
+_RANGE = 1_000  # of powers of two that are sizes, which stay floats
 
 
 #: (elapsed time from which on, units of the components), one after the other
@@ -124,7 +125,7 @@ def _schedule(
     rates = _norms(matrices, units)
     growth = np.concatenate(([0.0], np.cumsum(np.diff(times) * (rates[1:] + rates[:-1]) / 2)))
     best: tuple[Schedule, np.ndarray] = ((0.0, _numbers(2.0**units)),), growth
-    if total < _CALM:
+    if not _CALM <= total < math.inf:
         return best
     for _ in range(_ROUNDS):
         found, growth = _parts(times, matrices, units, growth)
@@ -176,8 +177,8 @@ def _trajectory(
             raise _TooManyCalls
         return np.asarray(system.vector_field(*system.arguments(y * unit, t))) / unit
 
-    solver = scipy.integrate.DOP853(rate, span[0], z0 / unit, span[1], rtol=1e-8, atol=1e-12)
     try:
+        solver = scipy.integrate.DOP853(rate, span[0], z0 / unit, span[1], rtol=1e-8, atol=1e-12)
         while solver.status == "running":
             solver.step()
             if solver.status == "failed" or not np.isfinite(solver.y).all():
@@ -186,7 +187,7 @@ def _trajectory(
             share = abs(solver.t - solver.t_old) / abs(span[1] - span[0])
             for t in np.linspace(solver.t_old, solver.t, 3 + int(_SAMPLES * share))[1:]:
                 found.append((float(t), dense(t) * unit))
-    except (_TooManyCalls, ValueError, FloatingPointError):
+    except (_TooManyCalls, ValueError, OverflowError, FloatingPointError):
         pass
     return np.array([t for t, _ in found]), np.array([z for _, z in found])
 
@@ -197,7 +198,7 @@ def _exponents(sizes: np.ndarray) -> np.ndarray:
     largest = halves.max(axis=1, keepdims=True)
     known = np.where(halves > 1e-8 * largest, halves, largest)
     known = np.where(known > 0, known, 1.0)
-    return np.asarray(np.ceil(np.log2(known)).ravel())
+    return np.asarray(np.ceil(np.log2(known)).clip(-_RANGE, _RANGE).ravel())
 
 
 def _norms(matrices: np.ndarray, exponents: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from fractions import Fraction
 from flint import arb, ctx, fmpq
 
 __all__ = [
+    "SMALLEST",
     "above",
     "at_least",
     "at_most",
@@ -33,6 +34,7 @@ __all__ = [
 
 _LOCK = threading.RLock()
 _DIGITS = 9  # of the decimals in certificates
+SMALLEST = 1e-300  # bound but zero; below 1e-307 floats are coarser than nine digits
 _UPWARD = Context(prec=_DIGITS, rounding=ROUND_CEILING)
 
 
@@ -99,7 +101,7 @@ def _float_above(value: Fraction) -> float:
 
 
 def decimal_above(value: float) -> str:
-    """The shortest decimal of nine digits that is not below a float64.
+    """The shortest decimal of nine digits that is not below a float64; tiny ones become 1e-300.
 
     Examples
     --------
@@ -108,13 +110,16 @@ def decimal_above(value: float) -> str:
     """
     if not math.isfinite(value):
         return repr(value)
+    if -SMALLEST < value <= 0:
+        return "0"
+    value = max(value, SMALLEST) if value > 0 else value
     return decimal(float(_UPWARD.plus(Decimal(value))))
 
 
 def decimal_below(value: float) -> str:
     """The largest decimal of nine digits that is not above a float64."""
     text = decimal_above(-value)
-    return text[1:] if text.startswith("-") else "-" + text if value else "0"
+    return text[1:] if text.startswith("-") else "-" + text if text != "0" else "0"
 
 
 def decimal(value: float) -> str:

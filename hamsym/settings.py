@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ def is_positive(value: object) -> bool:
 
 def _is_finite(value: object) -> bool:
     number = isinstance(value, (int, float, np.integer, np.floating))
-    return number and math.isfinite(value)  # type: ignore[arg-type]
+    return number and abs(value) <= sys.float_info.max  # type: ignore[arg-type]
 
 
 def plain(value: Any) -> Any:

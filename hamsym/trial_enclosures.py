@@ -20,6 +20,7 @@ Everything is in elapsed time, t = t_start + sigma s with sigma = +-1, as in
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -36,7 +37,7 @@ from hamsym.features import FeatureTrial
 from hamsym.rounding import ball, interval, working
 from hamsym.trial import ComponentNetworks, Network, TrialSolution
 
-__all__ = ["Segment", "segments"]
+__all__ = ["Segment", "require_exact", "segments"]
 
 _GUARD_BITS = 160  # powers of x in place of T_l(x) cancel; degree 47 costs 60 bits, its shifts more
 
@@ -62,16 +63,73 @@ class Segment:
     series: Series
 
 
+def require_exact(trial: TrialSolution | FeatureTrial, dim: int) -> None:
+    """Refuse a trial solution whose numbers are not real, finite and as many as they should be.
+
+    Raises
+    ------
+    CertificationError
+        Naming the first tensor or number that is not.
+    """
+    if not isinstance(trial, TrialSolution | FeatureTrial):
+        raise CertificationError(
+            f"the trial solution is a {type(trial).__name__}, which has no enclosure; nothing can "
+            "be proven"
+        )
+    for name, tensor in trial.state_dict().items():
+        if tensor.dtype not in (torch.float64, torch.float32):
+            kind = str(tensor.dtype).removeprefix("torch.")
+            raise CertificationError(
+                f"'{name}' of the solution holds numbers of {kind}, not of float64 or float32; "
+                "nothing can be proven; solve again"
+            )
+        if not bool(torch.isfinite(tensor).all()):
+            raise CertificationError(
+                f"'{name}' of the solution is not finite; nothing can be proven; solve again"
+            )
+    if not _fits_together(trial, dim):
+        raise CertificationError(
+            "the tensors of the solution do not fit together; nothing can be proven; solve again"
+        )
+    if isinstance(trial, TrialSolution):
+        for name in ("t0", "tau"):
+            value = getattr(trial, name)
+            if type(value) is not float or not math.isfinite(value) or (name, value) == ("tau", 0):
+                raise CertificationError(
+                    f"{name} of the solution cannot be used; nothing can be proven; solve again"
+                )
+
+
+def _fits_together(trial: TrialSolution | FeatureTrial, dim: int) -> bool:
+    if isinstance(trial, FeatureTrial):
+        if trial.readouts.ndim != 3 or trial.series.ndim != 2:
+            return False
+        count, columns, components = trial.readouts.shape
+        return (
+            components == dim
+            and trial.edges.shape == (count + 1,)
+            and trial.states.shape == (count + 1, dim)
+            and len(trial.series) > 0
+            and trial.series.shape[1] == columns
+        )
+    whole = trial.network
+    outputs = 0
+    for part in whole.networks if isinstance(whole, ComponentNetworks) else [whole]:
+        assert isinstance(part, Network)
+        outputs += part.sizes[-1]
+        if part.theta.shape != (sum((n + 1) * m for n, m in pairwise(part.sizes)),):
+            return False
+    return outputs == dim and trial.z0.shape == (dim,)
+
+
 def segments(trial: TrialSolution | FeatureTrial, span: tuple[float, float]) -> list[Segment]:
     """The smooth parts of a trial solution over a span, in its direction.
 
     Raises
     ------
     CertificationError
-        If a weight is not finite, or an activation has no enclosure.
+        If an activation has no enclosure, or the windows do not cover the span.
     """
-    if not all(bool(torch.isfinite(tensor).all()) for tensor in trial.state_dict().values()):
-        raise CertificationError("a weight of the solution is not finite; nothing can be proven")
     start, end = (Fraction(float(time)) for time in span)
     direction = 1 if end > start else -1
     if isinstance(trial, FeatureTrial):

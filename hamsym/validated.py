@@ -106,14 +106,17 @@ class Deadline:
         Seconds.
     began : float
         As ``time.monotonic`` counts.
+    origin : str
+        Where the limit comes from, for the message.
     """
 
     limit: float | None
     began: float
+    origin: str = ""
 
     @classmethod
-    def after(cls, limit: float | None) -> Deadline:
-        return cls(limit, time.monotonic())
+    def after(cls, limit: float | None, origin: str = "") -> Deadline:
+        return cls(limit, time.monotonic(), origin)
 
     def check(self, doing: str) -> None:
         """Refuse to go on beyond the limit.
@@ -123,9 +126,10 @@ class Deadline:
         CertificationError
             Saying what was going on.
         """
-        if self.limit is not None and time.monotonic() - self.began > self.limit:
+        if self.limit is not None and not time.monotonic() - self.began <= self.limit:
             raise CertificationError(
-                f"the time limit of {self.limit:g} s was reached while {doing}; give more time"
+                f"the time limit of {self.limit:g} s{self.origin} was reached while {doing}; give "
+                "more time"
             )
 
 
@@ -183,11 +187,14 @@ class Reference:
 
     def accuracy(self, scales: Sequence[float]) -> float:
         """The largest bound on the distance of the solution, relative to scales of components."""
-        return max(
-            above(width) / scale
-            for step in self.steps
-            for width, scale in zip(step.widths, scales, strict=True)
+        ratios = np.array(
+            [
+                above(width) / scale
+                for step in self.steps
+                for width, scale in zip(step.widths, scales, strict=True)
+            ]
         )
+        return float(ratios.max())  # NaN if one is
 
     def __call__(self, t: float) -> list[arb]:
         """Balls that hold the true state at time t, dim of them."""
@@ -237,13 +244,12 @@ def validated_reference(
     CertificationError
         If there is no way on: with the time, the reason and what may help.
     """
-    marcher = _March(H, span, units, bits)
+    marcher = _March(H, span, units, bits, deadline)
     start, radius = [arb(float(value)) for value in z0], arb(0)
     steps: list[ReferenceStep] = []
     elapsed, total = Fraction(0), marcher.total
     with working(bits, marcher.order + 1):
         while elapsed < total:
-            deadline.check(f"the equation was re-solved, at t = {marcher.time(elapsed):.6g}")
             step, start, radius = marcher.step(elapsed, start, radius)
             steps.append(step)
             elapsed = step.end
@@ -261,8 +267,9 @@ class _March:
         span: tuple[float, float],
         units: Sequence[tuple[float, Sequence[float]]],
         bits: int,
+        deadline: Deadline,
     ) -> None:
-        self._H, self._bits = H, bits
+        self._H, self._bits, self._deadline = H, bits, deadline
         start, end = (Fraction(float(time)) for time in span)
         self._start, self.total = start, abs(end - start)
         self.direction = 1 if end > start else -1
@@ -347,6 +354,7 @@ class _March:
         defects: list[list[arb]] = [[] for _ in start]
         clock = [self._clock(ball(elapsed)), arb(self.direction)]
         for k in range(self.order):
+            self._deadline.check(f"the equation was re-solved, at t = {self.time(elapsed):.6g}")
             ctx.cap = k + 1
             series = [arb_series(known) for known in coefficients]
             rates = self._H.vector_field(series, arb_series(clock))
@@ -362,7 +370,8 @@ class _March:
     def _guess(self, elapsed: Fraction, coefficients: list[list[arb]]) -> Fraction:
         """A length at which the last terms are as small as the precision is fine."""
         left = self.total - elapsed
-        longest = math.log2(self.total / 4)
+        # The total may be beyond the range of floats.
+        longest = math.log2(self.total.numerator) - math.log2(self.total.denominator) - 2
         for known, unit in zip(coefficients, self._units, strict=True):
             for k in (self.order - 1, self.order):
                 size = binary_logarithm(known[k]) - binary_logarithm(unit)

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import itertools
 import json
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +16,7 @@ import torch
 from flint import arb
 
 import hamsym
-from hamsym import systems
+from hamsym import certificates, systems
 from hamsym.certificates import Certificate, verify
 from hamsym.enclosures import Enclosures
 from hamsym.errors import CertificationError, FileError, InputError
@@ -375,7 +376,19 @@ def test_too_few_bits_are_refused():
         solved("fine features").certify(bits=64)
 
 
-@pytest.mark.parametrize("options", [{"rtol": 0}, {"time_limit": -1}, {"bits": 12}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"rtol": 0},
+        {"rtol": math.nan},
+        {"rtol": 10**400},
+        {"time_limit": -1},
+        {"time_limit": math.inf},
+        {"time_limit": 10**400},
+        {"bits": 12},
+        {"bits": 10**400},
+    ],
+)
 def test_settings_are_checked(options):
     with pytest.raises(InputError, match=next(iter(options))):
         solved("tanh").certify(**options)
@@ -494,3 +507,460 @@ def test_the_bound_holds_at_a_thousand_times(name):
     assert np.all(error <= certificate.bound_at(t) + 1e-12)
     assert error.max() <= certificate.bound + 1e-12
     assert error.max() > 0.9 * certificate.lower
+
+
+# -- what certify wrote is implied -----------------------------------------------------------------
+
+_SADDLE, _PENDULUM = "p**2/2 - x**2/2", "p**2/2 - cos(x)"
+_HENON = "(px**2 + py**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3"
+_NEAR = math.pi - 1e-6
+
+
+@pytest.mark.parametrize(
+    ("formula", "z0", "span", "tol"),
+    [
+        (_SADDLE, [1.0, 0.3], (0.1, 10.3), 1e-5),
+        (_SADDLE, [1.0, 0.3], (3.3, -2.1), 1e-5),
+        (_PENDULUM, [_NEAR, 0.0], (0.7, 9.0), 1e-6),
+        pytest.param(_SADDLE, [1e-7, 0.0], (-1 / 3, 20.0), 1e-4, marks=pytest.mark.slow),
+        pytest.param(_PENDULUM, [_NEAR, 0.0], (5.7, -8.1), 1e-8, marks=pytest.mark.slow),
+        pytest.param(_HENON, [0, -0.15, 0.5, 0], (0.3, 8.3), 1e-7, marks=pytest.mark.slow),
+        pytest.param(_HENON, [0, -0.15, 0.5555, 0], (4.1, -1.1), 1e-5, marks=pytest.mark.slow),
+    ],
+)
+def test_certificates_of_growing_solutions_are_implied(formula, z0, span, tol):
+    """Where pieces begin at times that are no float64, whose neighbours are far less accurate."""
+    solution = hamsym.solve(formula, z0, span, tol=tol)
+    certificate = solution.certify()
+    verify(certificate.to_json(), solution)
+    assert len(set(certificate.edges)) == len(certificate.edges)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(24))
+def test_certificates_of_random_solutions_are_implied(seed):
+    generator = np.random.default_rng(seed)
+    formula = [_SADDLE, _PENDULUM, _HENON][seed % 3]
+    start = float(generator.choice([0.0, 0.1, 1 / 3, -7.7, 1e4 / 3]))
+    length = float(generator.uniform(1, 9)) * generator.choice([-1, 1])
+    z0 = generator.uniform(-0.5, 0.5, 4 if formula == _HENON else 2)
+    options = {"tol": 10.0 ** -generator.integers(4, 11)}
+    if seed % 8 == 7:
+        options = {"method": "adam", "epochs": 30, "hidden": (8, 8), "seed": seed}
+        length /= 3
+    solution = hamsym.solve(formula, z0, (start, start + length), **options)
+    verify(solution.certify(rtol=10.0 ** -generator.uniform(0, 3)), solution)
+
+
+def test_a_sliver_of_a_piece_is_bounded_by_itself():
+    """Not by the expansion of the whole piece, whose remainder it is too narrow to shake off."""
+    solution = hamsym.solve(_SADDLE, [1.0, 0.3], (0.0, 2.0), tol=1e-5)
+    proof = certificates._Proof(solution, Deadline.after(None), False)
+    low = Fraction(float(solution.trial.edges[1])) - Fraction(1, 2**30)
+
+    def attempt(comparison):
+        norm = comparison.quantities(proof.floors)[0]
+        cut = comparison.cut(norm, comparison.leaves(norm), low, low + Fraction(1, 2**70))
+        return max(leaf.upper for leaf in cut)
+
+    _, bound = proof.run(attempt, None, 1e-18)
+    with mpmath.workdps(40):
+        error = mpmath.norm(true_errors(solution, [float(low)])[0])
+        assert error <= bound <= error * (1 + mpmath.mpf(10) ** -9)
+
+
+def test_more_bits_than_needed_are_verified(cheap):
+    verify(cheap[0].certify(bits=640), cheap[0])
+
+
+# -- solutions that no proof is about --------------------------------------------------------------
+
+
+def _of_type(name, dtype):
+    def change(trial):
+        trial.register_buffer(name, getattr(trial, name).to(dtype))
+
+    return change
+
+
+def _with_value(name, place, value):
+    def change(trial):
+        getattr(trial, name)[place] = value
+
+    return change
+
+
+def _without_a_column(trial):
+    trial.register_buffer("readouts", trial.readouts[..., :1].clone())
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_of_type("states", torch.complex64), "'states' .* complex64, not of float64 or float32"),
+        (_of_type("edges", torch.int64), "'edges' .* int64"),
+        (_of_type("readouts", torch.float16), "'readouts' .* float16"),
+        (_of_type("series", torch.bfloat16), "'series' .* bfloat16"),
+        (_with_value("readouts", (0, 0, 0), math.nan), "'readouts' .* not finite"),
+        (_with_value("states", (1, 1), math.inf), "'states' .* not finite"),
+        (_without_a_column, "do not fit together"),
+    ],
+)
+def test_tensors_that_are_not_as_written_are_refused(cheap, change, reason):
+    sound = solved("features", span=(0.0, 0.5))
+    hurt = damaged(sound, change)
+    with pytest.raises(CertificationError, match=reason):
+        hurt.certify()
+    with pytest.raises(CertificationError, match=reason):
+        verify(cheap[1], hurt)
+
+
+@pytest.mark.parametrize("name", ["t0", "tau"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, 10**400, 1j, None])
+def test_numbers_of_networks_that_are_none_are_refused(cheap, name, value):
+    hurt = damaged(cheap[0], lambda trial: setattr(trial, name, value))
+    with pytest.raises(CertificationError, match=f"{name} of the solution"):
+        hurt.certify()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("z0", np.array([1, 0]), "not 2 numbers of float64"),
+        ("z0", np.array([1.0, 0.1j]), "not 2 numbers of float64"),
+        ("z0", np.array([1.0, 0.0, 0.0]), "not 2 numbers of float64"),
+        ("z0", np.array([1.0, math.nan]), "not finite"),
+        ("span", (0.0, math.inf), "span .* not two finite times"),
+        ("span", (0.0, math.nan), "span .* not two finite times"),
+        ("span", (0.0, 10**400), "span .* not two finite times"),
+        ("span", (0.5, 0.5), "span .* is empty"),
+    ],
+)
+def test_starts_and_spans_that_are_none_are_refused(cheap, name, value, reason):
+    hurt = copy.copy(cheap[0])
+    setattr(hurt, name, value)
+    with pytest.raises(CertificationError, match=reason):
+        hurt.certify()
+    with pytest.raises(CertificationError, match=reason):
+        verify(cheap[1], hurt)
+
+
+# -- work in proportion ----------------------------------------------------------------------------
+
+
+def test_a_forged_precision_costs_nothing(cheap, monkeypatch):
+    solution, certificate = cheap
+    used, own = [], certificates.validated_reference
+
+    def recorded(H, z0, span, units, bits, *rest):
+        used.append(bits)
+        return own(H, z0, span, units, bits, *rest)
+
+    monkeypatch.setattr(certificates, "validated_reference", recorded)
+    verify(dataclasses.replace(certificate, bits=2048), solution)
+    assert used == [certificate.bits]
+
+
+@pytest.mark.parametrize(("seconds", "limit"), [(0.0, 60.0), (2.0, 80.0), (1e300, 600.0)])
+def test_the_time_of_verify_is_limited_by_default(cheap, monkeypatch, seconds, limit):
+    solution, certificate = cheap
+    found, own = [], certificates.Deadline.after
+
+    def recorded(limit, origin=""):
+        found.append(limit)
+        return own(0.0, origin)
+
+    monkeypatch.setattr(certificates.Deadline, "after", recorded)
+    with pytest.raises(CertificationError, match=r"by default .* at most 600 s, was reached"):
+        verify(dataclasses.replace(certificate, seconds=seconds), solution)
+    assert found == [limit]
+
+
+def test_a_time_limit_of_verify_is_kept(cheap):
+    with pytest.raises(CertificationError, match=r"limit of 1e-09 s was reached"):
+        verify(cheap[1], cheap[0], time_limit=1e-9)
+    with pytest.raises(InputError, match="time_limit"):
+        verify(cheap[1], cheap[0], time_limit=math.inf)
+
+
+def test_arguments_that_are_something_else_are_refused(cheap):
+    with pytest.raises(InputError, match="certificate is neither"):
+        verify(None, cheap[0])
+    with pytest.raises(InputError, match="solution is neither"):
+        verify(cheap[1], None)
+
+
+# -- texts that are no certificates ----------------------------------------------------------------
+
+
+def _raw(name, text):
+    """A change of the JSON text itself, where json.dumps would not write it."""
+    return lambda values: json.dumps(values | {name: "@"}).replace('"@"', text, 1)
+
+
+def _value(name, value):
+    return lambda values: json.dumps(values | {name: value})
+
+
+_BROKEN = {
+    "bits beyond": _raw("bits", "1" + "0" * 400),
+    "bits below": _value("bits", 63),
+    "bits above": _value("bits", 2_049),
+    "bits of another type": _value("bits", True),
+    "bits with a fraction": _value("bits", 96.5),
+    "infinite bits": _raw("bits", "Infinity"),
+    "too many digits": _raw("bits", "1" * 10_000),
+    "version": _value("version", True),
+    "version with a point": _value("version", 1.0),
+    "no version": _value("version", None),
+    "kind": _value("kind", ["hamsym certificate"]),
+    "bound nan": _value("bound", "nan"),
+    "bound NaN": _raw("bound", "NaN"),
+    "bound as a number": _value("bound", 1e400),
+    "bound beyond": _raw("bound", "1" + "0" * 400),
+    "bound overflowing": _value("bound", "1e400"),
+    "bound negative": _value("bound", "-1"),
+    "bound a list": _value("bound", ["1"]),
+    "infinite lower": _value("lower", "inf"),
+    "component a number": _value("component_bounds", "1"),
+    "components missing": _value("component_bounds", []),
+    "piece nan": lambda values: json.dumps(values | {"piece_bounds": ["nan"] * 5}),
+    "edges reversed": lambda values: json.dumps(values | {"edges": values["edges"][::-1][:3]}),
+    "edges equal": lambda values: json.dumps(
+        values
+        | {"edges": ["0.0"] + values["edges"], "piece_bounds": ["0", *values["piece_bounds"]]}
+    ),
+    "edges nan": lambda values: json.dumps(values | {"edges": ["nan", *values["edges"][1:]]}),
+    "edges infinite": lambda values: json.dumps(values | {"edges": ["-inf", *values["edges"][1:]]}),
+    "edges as numbers": lambda values: json.dumps(values | {"edges": [0, 1]}),
+    "edges with more digits": lambda values: json.dumps(
+        values | {"edges": ["0.00", *values["edges"][1:]]}
+    ),
+    "edges a name": _value("edges", {"0": 1}),
+    "seconds negative": _value("seconds", "-1.0"),
+    "seconds infinite": _value("seconds", "inf"),
+    "seconds overflowing": _value("seconds", "1e999"),
+    "rtol nan": _value("rtol", "nan"),
+    "rtol tiny": _value("rtol", "1e-300"),
+    "digest": _value("digest", 0),
+    "digest short": _value("digest", "abc"),
+    "statement": _value("statement", None),
+    "cut short": lambda values: json.dumps(values)[:-20],
+    "long": lambda values: json.dumps(values | {"statement": " " * 20_000_000}),
+    "many edges": lambda values: json.dumps(
+        values | {"edges": ["0.5"] * 300_000, "piece_bounds": ["1"] * 299_999}
+    ),
+    "nothing": lambda values: None,
+    "bytes": lambda values: b"{}",
+    "a number": lambda values: "1",
+}
+
+
+@pytest.mark.parametrize("name", _BROKEN)
+def test_broken_texts_are_refused_in_one_sentence(cheap, name):
+    text = _BROKEN[name](json.loads(cheap[1].to_json()))
+    with pytest.raises(FileError, match="not a certificate") as caught:
+        Certificate.from_json(text)
+    assert len(str(caught.value)) < 300
+
+
+def test_what_was_never_written_is_no_certificate(cheap):
+    """Objects that were made by hand, not read from a text."""
+    solution, certificate = cheap
+    for change in (
+        {"bound": math.nan},
+        {"bound": 10**400},
+        {"piece_bounds": (math.nan,) * len(certificate.piece_bounds)},
+        {"piece_bounds": list(certificate.piece_bounds)},
+        {"edges": None},
+        {"bits": 96.0},
+        {"digest": None},
+        {"seconds": -1.0},
+        {"rtol": math.nan},
+    ):
+        with pytest.raises(CertificationError, match="no certificate"):
+            verify(dataclasses.replace(certificate, **change), solution)
+
+
+@pytest.mark.parametrize("t", ["soon", 10**400, None, [0.1, "x"]])
+def test_times_that_are_no_numbers_are_refused(cheap, t):
+    with pytest.raises(InputError):
+        cheap[1].bound_at(t)
+
+
+# -- forgeries -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cheap():
+    """A solution with one window whose error is large, so that verifying takes a moment."""
+    H = hamsym.Hamiltonian("p**2/2 + x**2/2")
+    solution = hamsym.solve(
+        H, [1.0, 0.0], (0.0, 0.3), method="adam", epochs=30, hidden=(4,), seed=0
+    )
+    return solution, solution.certify()
+
+
+def _scaled(name, factor, *others):
+    def change(certificate):
+        value = getattr(certificate, name)
+        scaled = tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
+        changed = {other: _times(getattr(certificate, other), factor) for other in others}
+        return dataclasses.replace(certificate, **{name: scaled}, **changed)
+
+    return change
+
+
+def _times(value, factor):
+    return tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
+
+
+def _moved_edge(certificate):
+    """The worst piece is said to end earlier, where the next one has a lower bound."""
+    edges, pieces = list(certificate.edges), list(certificate.piece_bounds)
+    falls = [k for k in range(len(pieces) - 1) if pieces[k] > 1.05 * pieces[k + 1]]
+    rises = [k for k in range(len(pieces) - 1) if 1.05 * pieces[k] < pieces[k + 1]]
+    if falls:
+        edges[falls[0] + 1] = (edges[falls[0]] + edges[falls[0] + 1]) / 2
+    else:
+        edges[rises[0] + 1] = (edges[rises[0] + 1] + edges[rises[0] + 2]) / 2
+    return dataclasses.replace(certificate, edges=tuple(edges))
+
+
+def _swapped_pieces(certificate):
+    return dataclasses.replace(certificate, piece_bounds=certificate.piece_bounds[::-1])
+
+
+def _without_a_piece(certificate):
+    """The last piece, the worst, is joined to the one before."""
+    edges, pieces = certificate.edges, certificate.piece_bounds
+    return dataclasses.replace(
+        certificate, edges=(*edges[:-2], edges[-1]), piece_bounds=pieces[:-1]
+    )
+
+
+_FORGERIES = {
+    "bound": _scaled("bound", 0.97, "lower"),
+    "lower": _scaled("lower", 1.04, "bound"),
+    "component bounds": _scaled("component_bounds", 0.97, "component_lowers"),
+    "component lowers": _scaled("component_lowers", 1.04, "component_bounds"),
+    "energy": _scaled("energy_bound", 0.97, "energy_lower"),
+    "energy lower": _scaled("energy_lower", 1.04, "energy_bound"),
+    "residual": _scaled("ell_max_bound", 0.97, "ell_max_lower"),
+    "all pieces": _scaled("piece_bounds", 0.5),
+    "one edge": _moved_edge,
+    "pieces swapped": _swapped_pieces,
+    "a piece less": _without_a_piece,
+    "digest": lambda certificate: dataclasses.replace(certificate, digest="0" * 64),
+    "bits and a bound": lambda certificate: dataclasses.replace(
+        _scaled("bound", 0.9, "lower")(certificate), bits=2048
+    ),
+    "rtol and seconds": lambda certificate: dataclasses.replace(
+        _scaled("bound", 0.9, "lower")(certificate), rtol=1e-6, seconds=1e9
+    ),
+}
+
+
+@pytest.mark.parametrize("name", _FORGERIES)
+def test_forged_certificates_are_refused(cheap, name):
+    solution, certificate = cheap
+    forged = _FORGERIES[name](certificate)
+    assert forged != certificate
+    with pytest.raises(CertificationError, match="does not hold|another solution"):
+        verify(forged.to_json(), solution)
+
+
+def test_certificates_that_claim_less_are_implied(cheap):
+    solution, certificate = cheap
+    for change in (
+        {"bound": math.inf, "energy_bound": math.inf},
+        {"lower": 0.0, "component_lowers": (0.0, 0.0)},
+        {"piece_bounds": tuple(2 * bound for bound in certificate.piece_bounds)},
+        {"edges": (0.0, 0.3), "piece_bounds": (certificate.bound,)},
+        {"bits": 64, "seconds": 0.0, "rtol": 1e6},
+    ):
+        verify(dataclasses.replace(certificate, **change).to_json(), solution)
+
+
+class _Truth:
+    """Errors of a solution of the harmonic oscillator on a grid, by its formula in mpmath."""
+
+    def __init__(self, solution, count=600):
+        self.times = np.linspace(*solution.span, count)
+        with mpmath.workdps(30):
+            found = [self._at(solution, mpmath.mpf(float(t))) for t in self.times]
+        self.components, self.norm, self.energy, self.ell = (
+            np.array([row[k] for row in found], dtype=float) for k in range(4)
+        )
+
+    @staticmethod
+    def _at(solution, t):
+        x, p = formula(solution, t)
+        slopes = [mpmath.diff(lambda s, i=i: formula(solution, s)[i], t) for i in range(2)]
+        errors = [abs(x - mpmath.cos(t)), abs(p + mpmath.sin(t))]
+        energy = abs((x**2 + p**2) / 2 - mpmath.mpf(1) / 2)
+        residual = mpmath.norm([slopes[0] - p, slopes[1] + x])
+        return [float(e) for e in errors], mpmath.norm(errors), energy, residual
+
+    def is_refuted(self, claims):
+        """Whether a claim is false beyond doubt: by more than the grid can miss."""
+        pairs = [
+            (claims.bound, claims.lower, self.norm.max()),
+            (claims.energy_bound, claims.energy_lower, self.energy.max()),
+            (claims.ell_max_bound, claims.ell_max_lower, self.ell.max()),
+            *zip(
+                claims.component_bounds,
+                claims.component_lowers,
+                self.components.max(axis=0),
+                strict=True,
+            ),
+        ]
+        if any(upper < largest or lower > largest * (1 + 1e-3) for upper, lower, largest in pairs):
+            return True
+        for (low, high), bound in zip(
+            itertools.pairwise(claims.edges), claims.piece_bounds, strict=True
+        ):
+            inside = self.norm[(self.times >= low) & (self.times <= high)]
+            if inside.max(initial=0.0) > bound:
+                return True
+        return False
+
+
+def _random_forgery(certificate, generator):
+    """One to three numbers of a certificate, changed by up to a factor of two."""
+    names = ["bound", "lower", "energy_bound", "energy_lower", "ell_max_bound", "ell_max_lower"]
+    names += ["component_bounds", "component_lowers", "piece_bounds", "edges"]
+    changed = {}
+    for name in generator.choice(names, generator.integers(1, 4), replace=False):
+        value = getattr(certificate, name)
+        factor = float(2 ** (generator.uniform(-1, 1) * generator.choice([1, 0.1, 0.01])))
+        if name == "edges":
+            k = int(generator.integers(1, len(value) - 1))
+            low, high = value[k - 1], value[k + 1]
+            moved = float(generator.uniform(low, high))
+            value = (*value[:k], moved, *value[k + 1 :])
+        elif isinstance(value, tuple):
+            k = int(generator.integers(len(value)))
+            value = (*value[:k], value[k] * factor, *value[k + 1 :])
+        else:
+            value = value * factor
+        changed[name] = value
+    return dataclasses.replace(certificate, **changed)
+
+
+@pytest.mark.slow
+def test_no_random_forgery_is_believed(cheap):
+    """Whether a claim is false is decided by the formula, not by the proof."""
+    solution, certificate = cheap
+    truth = _Truth(solution)
+    assert not truth.is_refuted(certificate)
+    generator, refused = np.random.default_rng(0), 0
+    for _ in range(100):
+        forged = _random_forgery(certificate, generator)
+        try:
+            verify(forged, solution)
+        except CertificationError:
+            refused += 1
+        else:
+            assert not truth.is_refuted(forged), forged
+    assert 20 < refused < 95  # some of them claim less than what is proven

@@ -8,7 +8,7 @@ import mpmath
 import pytest
 import sympy
 from flint import arb, arb_series, fmpq
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hamsym import Hamiltonian
@@ -240,6 +240,17 @@ def test_conversions_are_directed(value, parts):
             continue
         assert Fraction(at_most(float(text))) <= Fraction(decimal(float(text)))
         assert Fraction(at_least(float(text))) >= Fraction(decimal(float(text)))
+
+
+@given(st.floats(-1e-290, 1e-290))
+@example(4 * math.ulp(0.0))  # nine digits are finer than floats there
+def test_decimals_of_tiny_numbers_are_directed(value):
+    upper, lower = decimal_above(value), decimal_below(value)
+    assert Decimal(lower) <= Decimal(value) <= Decimal(upper)
+    assert decimal(float(upper)) == upper
+    assert decimal(float(lower)) == lower
+    if value == 0:
+        assert upper == lower == "0"
 
 
 def test_precision_is_given_back_after_an_error():
