@@ -57,7 +57,7 @@ _FLOOR = 2.0**-60
 _FLOOR_WITHOUT_REFERENCE = 2.0**-70  # the same of what the reference does not take part in
 _PROGRESS = Fraction(1, 1_000)  # of the span, that half as many bits again have to bring
 _SPARE_BITS = 4
-_TRIES = 2  # precisions at which a claim is tried that is neither implied nor refuted
+_TRIES = 2  # precisions, at least, at which a claim is tried that cannot be decided
 _LEAST_RTOL, _MOST_RTOL = 1e-6, 1e6
 _MOST_EDGES = MOST_LEAVES + 2  # what a proof can have: a leaf more than that is not halved
 _LONGEST_TEXT = 16 * 2**20  # of a certificate with so many edges
@@ -283,7 +283,10 @@ def _numbers(value: Any, written: Callable[[float], str] = decimal) -> float | t
 
 def _number(text: Any, written: Callable[[float], str]) -> float:
     """A number as it is written; more digits than are written would claim more than is checked."""
-    value = float(text) if isinstance(text, str) else math.nan
+    try:
+        value = float(text) if isinstance(text, str) else math.nan
+    except ValueError:
+        value = math.nan
     if written(value) != text:
         raise ValueError(f"{reprlib.repr(text)} is not a number as certificates have them")
     return value
@@ -368,7 +371,8 @@ def verify(
     """Run the proof again, from the solution, and compare it with what a certificate claims.
 
     The precision is chosen as :meth:`hamsym.Solution.certify` chooses it, whatever the certificate
-    says; where a claim is neither implied nor refuted, half as many bits again are tried.
+    says. Where a claim is neither implied nor refuted, half as many bits again are tried, until
+    they are no fewer than the certificate's.
 
     Parameters
     ----------
@@ -428,12 +432,13 @@ def verify(
     def attempt(comparison: Comparison) -> None:
         nonlocal tries
         tries += 1
+        last = tries >= _TRIES and comparison.reference.bits >= claims.bits
         leaves: list[Leaf] | None = None
         norm: Quantity | None = None
         for quantity, pair in zip(comparison.quantities(proof.floors), pairs, strict=True):
             norm = norm or quantity
             leaves = comparison.leaves(quantity, leaves)
-            leaves = _implied(comparison, quantity, leaves, pair, tries).leaves
+            leaves = _implied(comparison, quantity, leaves, pair, last).leaves
         assert norm is not None
         assert leaves is not None
         for part, claimed in zip(
@@ -441,7 +446,7 @@ def verify(
             claims.piece_bounds,
             strict=True,
         ):
-            _implied(comparison, norm, part, (claimed, 0.0), tries)
+            _implied(comparison, norm, part, (claimed, 0.0), last)
 
     proof.run(attempt, None, _accuracy(claims.rtol))
 
@@ -462,9 +467,17 @@ def _implied(
     quantity: Quantity,
     leaves: list[Leaf],
     pair: tuple[float, float],
-    tries: int,
+    last: bool,
 ) -> Range:
-    """Bounds at least as good as those claimed."""
+    """Bounds at least as good as those claimed.
+
+    Raises
+    ------
+    PrecisionError
+        If more bits may help, and this is not the last try.
+    CertificationError
+        If the claim is refuted, or not implied.
+    """
     upper, lower = at_most(pair[0]), at_least(pair[1])
     try:
         found = comparison.refine(quantity, leaves, Goal(0.0, (upper, lower)))
@@ -474,7 +487,7 @@ def _implied(
     except (CertificationError, PrecisionError) as error:
         if isinstance(error, CertificationError) and str(error) != "refuted":
             raise
-        if isinstance(error, PrecisionError) and tries < _TRIES:
+        if isinstance(error, PrecisionError) and not last:
             raise
         raise CertificationError(
             f"the certificate does not hold: what it says of the {quantity.name} is not implied by "

@@ -8,6 +8,7 @@ wrong way.
 from __future__ import annotations
 
 import math
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,6 +36,8 @@ __all__ = [
 _LOCK = threading.RLock()
 _DIGITS = 9  # of the decimals in certificates
 SMALLEST = 1e-300  # bound but zero; below 1e-307 floats are coarser than nine digits
+_LARGEST = sys.float_info.max
+_MOST_BITS = 2_000  # before or behind the point of a number that is near the range of floats
 _UPWARD = Context(prec=_DIGITS, rounding=ROUND_CEILING)
 
 
@@ -84,7 +87,13 @@ def above(number: arb) -> float:
     """
     if not number.is_finite():
         return math.inf
-    return _float_above(exact(number.upper()))
+    upper = number.upper()
+    mantissa, exponent = (int(part) for part in upper.man_exp())
+    size = mantissa.bit_length() + exponent  # 2**size is above the magnitude
+    if mantissa and abs(size) > _MOST_BITS:  # such a fraction may be too long for the memory
+        low = size < 0
+        return (math.ulp(0.0) if low else math.inf) if mantissa > 0 else (0.0 if low else -_LARGEST)
+    return _float_above(exact(upper))
 
 
 def below(number: arb) -> float:
@@ -96,7 +105,7 @@ def _float_above(value: Fraction) -> float:
     try:
         nearest = float(value)
     except OverflowError:
-        return math.inf if value > 0 else -math.nextafter(math.inf, 0)
+        return math.inf if value > 0 else -_LARGEST
     return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)
 
 
@@ -154,4 +163,7 @@ def binary_logarithm(number: arb) -> float:
     if not bits:
         return -math.inf
     shift = max(bits - 53, 0)
-    return math.log2(abs(int(mantissa)) >> shift) + shift + int(exponent)
+    largest = 10**18
+    return math.log2(abs(int(mantissa)) >> shift) + max(
+        -largest, min(shift + int(exponent), largest)
+    )

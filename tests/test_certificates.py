@@ -573,6 +573,19 @@ def test_more_bits_than_needed_are_verified(cheap):
     verify(cheap[0].certify(bits=640), cheap[0])
 
 
+def test_precision_that_a_network_needs_is_found_again(cheap):
+    """Its envelope is 1e-60, the difference of two numbers near one, and its weights are 1e60."""
+
+    def change(trial):
+        trial.tau = 1e60
+        trial.network.theta[9] = 1e60
+
+    other = damaged(cheap[0], change)
+    certificate = other.certify()
+    assert certificate.bits > 2 * cheap[1].bits
+    verify(certificate, other)
+
+
 # -- solutions that no proof is about --------------------------------------------------------------
 
 

@@ -253,6 +253,18 @@ def test_decimals_of_tiny_numbers_are_directed(value):
         assert upper == lower == "0"
 
 
+@pytest.mark.parametrize("exponent", [2**40, 2**60])
+def test_numbers_far_beyond_floats_have_bounds(exponent):
+    """Without their digits, which no memory would hold."""
+    with working(64):
+        large = arb(2) ** exponent
+        small = 1 / large
+    assert (above(large), below(large)) == (math.inf, math.nextafter(math.inf, 0))
+    assert (above(-large), below(-large)) == (-math.nextafter(math.inf, 0), -math.inf)
+    assert (above(small), below(small)) == (math.ulp(0.0), 0.0)
+    assert (above(-small), below(-small)) == (0.0, -math.ulp(0.0))
+
+
 def test_precision_is_given_back_after_an_error():
     from flint import ctx
 
