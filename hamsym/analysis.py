@@ -94,9 +94,13 @@ class Analysis:
     def eigenvalues(self, t: np.ndarray) -> np.ndarray:
         """Eigenvalues of the Hessian along the trajectory, ascending, shape (*t.shape, dim).
 
-        The matrix is symmetric: its singular values are their magnitudes.
+        The matrix is symmetric: its singular values are their magnitudes. They are nan where it
+        is not finite.
         """
-        return np.linalg.eigvalsh(self.solution.hessians(np.asarray(t, float)))
+        matrices = self.solution.hessians(np.asarray(t, float))
+        finite = np.isfinite(matrices).all(axis=(-2, -1))
+        values = np.linalg.eigvalsh(np.where(finite[..., None, None], matrices, 0.0))
+        return np.where(finite[..., None], values, np.nan)
 
     @cached_property
     def _scanned(self) -> np.ndarray:
@@ -116,7 +120,7 @@ class Analysis:
         """
         if self.is_always_singular:
             return np.empty(0)
-        times, unit = self.solution.scan_times, np.abs(self._scanned).max()
+        times, unit = self.solution.scan_times, np.nanmax(np.abs(self._scanned), initial=0.0) or 1.0
 
         def determinant(t: np.ndarray, _: object = None) -> np.ndarray:
             return np.prod(self.eigenvalues(t) / unit, axis=-1)
@@ -128,7 +132,8 @@ class Analysis:
     def sigma_min(self) -> float:
         """Smallest singular value of the Hessian along the trajectory.
 
-        Zero where an eigenvalue changes its sign on the way, between the points of any grid.
+        Zero where an eigenvalue changes its sign on the way, between the points of any grid, and
+        where the Hessian is not finite, which bounds nothing.
         """
         return self._smallest[0]
 
@@ -140,6 +145,9 @@ class Analysis:
     @cached_property
     def _smallest(self) -> tuple[float, float]:
         largest = np.abs(self._scanned).max()
+        if not np.isfinite(largest):
+            lost = np.flatnonzero(np.isnan(self._scanned).any(axis=1))
+            return 0.0, float(self.solution.scan_times[lost[0]])
         negative = (self._scanned < 0).sum(axis=1)
         changed = np.flatnonzero(negative != negative[0])
         if self.is_always_singular or len(changed) or largest == 0:
@@ -181,18 +189,23 @@ class Analysis:
         error = self.linearized_error(times)[..., None]
         rate = (generators(hessians) @ error)[..., 0] - self.solution.residual(times)
         speed = np.linalg.norm(rate, axis=-1)
-        norm, sigma = np.abs(np.linalg.eigvalsh(hessians)).max(axis=-1), self.sigma_min
+        norm, sigma = np.abs(self.eigenvalues(times)).max(axis=-1), self.sigma_min
         root = (sigma * self.ell_max) ** 2 - speed**2 * (sigma**2 - norm**2)
         return (speed * norm + np.sqrt(root)) / sigma**2
 
     def _largest(self, function: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
-        """max of a function of time and where: a fine scan, then a search around its peaks."""
+        """max of a function of time and where: a fine scan, then a search around its peaks.
+
+        Infinite where the function is not a number.
+        """
         times = self.solution.scan_times
         # Beside the joints of windows, not on them: a force that is switched there has at that one
         # time a value that no solution follows.
         times = times + 1e-9 * np.append(np.diff(times), times[-2] - times[-1])
-        values = function(times)
+        values = np.nan_to_num(function(times), nan=np.inf, posinf=np.inf, neginf=-np.inf)
         best = int(np.argmax(values))
+        if values[best] == np.inf:
+            return math.inf, float(times[best])
         found = [(float(values[best]), float(times[best]))]
         for index in np.argsort(values)[-3:]:
             ends = times[max(index - 1, 0)], times[min(index + 1, len(times) - 1)]
@@ -203,4 +216,4 @@ class Analysis:
                 options={"xatol": 1e-6 * abs(ends[1] - ends[0])},
             )
             found.append((-float(peak.fun), float(peak.x)))
-        return max(found)
+        return max(pair for pair in found if not math.isnan(pair[0]))

@@ -15,6 +15,7 @@ __all__ = [
     "ParameterError",
     "ParseError",
     "SeparabilityError",
+    "StepSizeWarning",
     "VacuousBoundWarning",
     "VariableError",
 ]
@@ -73,3 +74,7 @@ class FileError(HamsymError):
 
 class VacuousBoundWarning(UserWarning):
     """An error bound says nothing, because the Hessian is singular along the trajectory."""
+
+
+class StepSizeWarning(UserWarning):
+    """Time steps are too long: H drifts, or halving the step changes the result."""

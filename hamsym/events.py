@@ -1,4 +1,8 @@
-"""Events on a solution, as scipy's solve_ivp has them."""
+"""Events on a solution, as scipy's solve_ivp has them.
+
+The event function is looked at on a grid of times and just after each of them, which gives its
+slope; :mod:`hamsym.surfaces` says which zeros between the times are found with that.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.settings import is_positive, require
-from hamsym.surfaces import parse_surface, refine, sign_changes
+from hamsym.settings import is_positive, require, require_number
+from hamsym.surfaces import parse_surface, suspects, zeros
 
 if TYPE_CHECKING:
     from hamsym.solution import Solution
@@ -18,6 +22,8 @@ __all__ = ["Event", "Events", "find_events"]
 
 #: A surface such as "x = 0, p_x > 0", or a function of (t, z) as solve_ivp takes it.
 Event = str | Callable[[float, np.ndarray], float]
+
+_AFTER = 1e-4  # of an interval: where the slope of an event is read
 
 
 class Events(NamedTuple):
@@ -67,7 +73,7 @@ def _zeros(solution: Solution, event: Event, times: np.ndarray) -> np.ndarray:
         conditions = surface.holds
 
         def value(t: np.ndarray) -> np.ndarray:
-            return surface.value(solution(t), t)
+            return np.asarray(surface.value(solution(t), t), dtype=float)
 
     elif callable(event):
 
@@ -77,10 +83,39 @@ def _zeros(solution: Solution, event: Event, times: np.ndarray) -> np.ndarray:
 
     else:
         raise InputError(f"{event!r} is not an event; give a text such as 'x = 0' or a function")
-    step = sign_changes(value(times), getattr(event, "direction", 0.0) or 0.0)[0]
-    t = refine(lambda t, _: value(t), times[step], times[step + 1])
-    t = t[np.isfinite(t)]
+    direction = getattr(event, "direction", 0.0) or 0.0
+    require_number("direction", direction)
+    # The last slope is read before the end of the span, beyond which there is no solution.
+    aside = _AFTER * np.append(np.diff(times), times[-2] - times[-1])
+    with np.errstate(all="ignore"):
+        values = value(times)
+        _require_numbers(event, times, values)
+        slopes = np.append(np.ones(len(times) - 1), -1) * (value(times + aside) - values)
+    (step,), dips = suspects(values, slopes)
+
+    def when(share: np.ndarray, index: np.ndarray) -> np.ndarray:
+        # Exact at both ends, where a solution has its span.
+        return (1 - share) * times[step[index]] + share * times[step[index] + 1]
+
+    share, index = zeros(
+        lambda share, index: value(when(share, index)),
+        values[step],
+        values[step + 1],
+        dips,
+        direction,
+    )
+    t = when(share, index)
     return t if conditions is None or not len(t) else t[conditions(solution(t), t)]
+
+
+def _require_numbers(event: Event, times: np.ndarray, values: np.ndarray) -> None:
+    """Refuse an event that has no value somewhere: what happens there would go unseen."""
+    if np.isnan(values).any():
+        name = f"'{event}'" if isinstance(event, str) else "an event"
+        first = times[np.isnan(values)][0]
+        raise InputError(
+            f"{name} is not a number at t = {first:.6g}; write one that has a value all along"
+        )
 
 
 def _number(value: Any) -> float:

@@ -12,15 +12,17 @@ from __future__ import annotations
 import math
 import os
 import time
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hamsym import schemes
 from hamsym.adaptive import Adaptive, reference, run_dop853, run_odeint
-from hamsym.errors import InputError, SeparabilityError
+from hamsym.drift import AIM, COARSE, Attempt, Choice, EnergyDrift, choose
+from hamsym.errors import InputError, SeparabilityError, StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.schemes import Doubled, RungeKutta, Scheme, Splitting
 from hamsym.settings import require_number, require_positive, require_whole
@@ -37,6 +39,7 @@ __all__ = [
     "Trajectory",
     "checked_span",
     "checked_steps",
+    "choose_steps",
     "fastest_rate",
     "fixed_step",
     "integrate",
@@ -162,6 +165,8 @@ INTEGRATORS: dict[str, Integrator] = {
 #: Steps in one call, at most; numbers beyond are no longer whole.
 MAX_STEPS = 2**53
 _INTERRUPTED = "interrupted"
+_FEWEST = 1_000  # steps that are chosen
+_KEPT, _KEPT_NUMBERS = 16_000, 20_000_000  # states and numbers kept where steps are chosen
 
 #: Other names of the same coefficients.
 ALIASES = {"yoshida4": "forest_ruth"}
@@ -205,6 +210,10 @@ class Trajectory:
     message : str
         What happened, in words. A trajectory that had to stop ends there; in an ensemble its
         later states are nan.
+    drift : float
+        Largest change of H beyond round-off, at the states that are kept, relative to the energy
+        that the motion exchanges between coordinates and momenta (:mod:`hamsym.drift`); the worst
+        of an ensemble. Infinite where H is not a number on the way, nan if H depends on time.
     """
 
     t: np.ndarray = field(repr=False)
@@ -219,6 +228,7 @@ class Trajectory:
     success: bool
     message: str
     interrupted: bool = False
+    drift: float = math.nan
 
     def plot(self) -> Figure:
         """Components, phase space and the change of H, as a figure."""
@@ -231,11 +241,11 @@ def integrate(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     span: tuple[float, float],
-    method: str = "symplectic_euler",
+    method: str | None = None,
     *,
     steps: int | None = None,
     dt: float | None = None,
-    save_every: int = 1,
+    save_every: int | None = None,
     compensated: bool = False,
     omega: float | None = None,
     rtol: float | None = None,
@@ -243,6 +253,14 @@ def integrate(
     progress: bool | None = None,
 ) -> Trajectory:
     """Integrate Hamilton's equations from z0 over a time span.
+
+    Without ``method``, ``steps`` and ``dt`` the steps are 1,000 times a power of two, the smallest
+    at which every trajectory keeps H to 1e-9 of the energy that it exchanges between coordinates
+    and momenta, or to round-off, and which resolve the fastest linear motion on the way (at most
+    0.2 rad in a step). Where H depends on time, halving the step must change no component by more
+    than 1e-9 of its range. A message says what was found, and a warning that it was not reached,
+    as near collisions, or where chaos magnifies round-off. Relative errors of the states are often
+    a hundred times the drift; they grow with time, and far more in close encounters.
 
     Parameters
     ----------
@@ -253,18 +271,20 @@ def integrate(
         with arrays, is an ensemble; its trajectories share the processor's cores.
     span : (float, float)
         Start and end time; the end may be the earlier one.
-    method : str
-        A name in :data:`INTEGRATORS`. Splitting methods need H = T(p, t) + V(q, t); there V is
-        taken at a time that advances with the drifts of q, and T at one that advances with the
-        kicks of p. The symplectic Euler methods solve their implicit half by Newton's method where
-        H is not separable.
+    method : str, optional
+        A name in :data:`INTEGRATORS`; by default ``blanes_moan6`` for a separable H, otherwise
+        ``gauss6``, which need the fewest evaluations for a drift of 1e-9. Splitting methods need
+        H = T(p, t) + V(q, t); there V is taken at a time that advances with the drifts of q, and T
+        at one that advances with the kicks of p. The symplectic Euler methods solve their implicit
+        half by Newton's method where H is not separable.
     steps : int, optional
-        Number of equal steps (for an adaptive method: of equal output intervals), 20,000 unless
-        given.
+        Number of equal steps (for an adaptive method: of equal output intervals). With a method
+        20,000 unless given.
     dt : float, optional
         In place of ``steps``: the span is divided into the fewest equal steps no longer than this.
-    save_every : int
-        Keep every so many steps; divides the number of steps.
+    save_every : int, optional
+        Keep every so many steps; divides the number of steps. By default every step is kept, but
+        at most 16,000 states where the steps are chosen.
     compensated : bool
         Carry what rounding loses from one step to the next, for splitting methods over very many
         steps. The implicit Runge-Kutta methods always do.
@@ -284,67 +304,83 @@ def integrate(
         With ``success=False``, a message and the part before it if a step could not be solved,
         the states left the range of numbers, or Ctrl-C was pressed.
 
+    Warns
+    -----
+    StepSizeWarning
+        If steps that were chosen do not reach the drift above, or if with a given method or number
+        of steps H changes by more than 1 % of the energy exchanged or is not a number on the way
+        (which is not looked at where H depends on time). The message says so too.
+
     Raises
     ------
     InputError
         If a name, a number or the span cannot be used, H is not separable and the method needs
-        it, or the result would not fit into memory.
+        it, the result would not fit into memory, or more steps would have to be chosen than are
+        made unasked.
 
     Examples
     --------
     >>> H = Hamiltonian("p**2/2 + x**2/2")
-    >>> trajectory = integrate(H, [1.0, 0.0], (0, 2 * np.pi), "yoshida8", steps=100)
-    >>> trajectory.z[-1].round(9) + 0.0
-    array([1., 0.])
+    >>> trajectory = integrate(H, [1.0, 0.0], (0, 2 * np.pi))
+    >>> trajectory.z[-1].round(8) + 0.0, trajectory.drift < 1e-9
+    (array([1., 0.]), True)
+    >>> trajectory.message
+    'blanes_moan6: 1,000 steps to t = 6.28319, H kept to round-off'
     >>> integrate(H, {"x": np.linspace(0, 1, 5), "p": 0.0}, (0, 1), "gauss4", dt=0.1).z.shape
     (5, 11, 2)
     """
     H = Hamiltonian.of(H)
-    name = usable_method(H, method)
+    name = usual_method(H) if method is None else usable_method(H, method)
     states = H.states_from(z0)
     start, end = checked_span(span)
-    steps = checked_steps(end - start, steps, dt)
-    require_whole("save_every", save_every)
-    if steps % save_every:
-        raise InputError(f"save_every={save_every} does not divide steps={steps}; choose a divisor")
+    chosen = method is None and steps is None and dt is None
+    count = checked_steps(end - start, steps, dt)
+    if save_every is not None:
+        require_whole("save_every", save_every)
+    every = save_every or 1
+    if not chosen and count % every:
+        raise InputError(f"save_every={every} does not divide steps={count}; choose a divisor")
     scheme = INTEGRATORS[name].scheme
     if compensated and not isinstance(scheme, Splitting | RungeKutta):
-        raise InputError(f"compensated has no meaning for {method}; leave it out")
+        raise InputError(f"compensated has no meaning for {name}; leave it out")
     if omega is not None and not isinstance(scheme, Doubled):
-        raise InputError(f"omega has no meaning for {method}; it is for tao2 and tao4")
-    saves = steps // save_every
+        raise InputError(f"omega has no meaning for {name}; it is for tao2 and tao4")
     ensemble = np.atleast_2d(states)
-    _require_memory(saves, H.dim, len(ensemble))
-    times = np.linspace(start, end, saves + 1)
+    choice: Choice[_Run] | None = None
     began = time.perf_counter()
     if isinstance(scheme, Adaptive):
-        tolerances = _tolerances(rtol, atol)
-        z, evaluations, message = _run_adaptive(H, scheme, ensemble, times, tolerances)
+        _require_memory(count // every, H.dim, len(ensemble))
+        times = np.linspace(start, end, count // every + 1)
+        run = _run_adaptive(H, scheme, ensemble, times, _tolerances(rtol, atol))
     else:
         for option, value in (("rtol", rtol), ("atol", atol)):
             if value is not None:
-                raise InputError(f"{option} has no meaning for {method}; give steps or dt instead")
-        stepper = fixed_step(
-            H,
-            name,
-            ensemble,
-            np.full(len(ensemble), start),
-            np.full(len(ensemble), (end - start) / steps),
-            compensated=compensated,
-            omega=omega,
-        )
-        done = stepper.advance(saves, save_every, show=progress)
-        z = np.concatenate((ensemble[:, None], done.states), axis=1)
-        evaluations, message = done.evaluations, ""
-        if done.interrupted:
-            message = _INTERRUPTED
-        elif stepper.is_implicit and done.steps.min() < steps:
-            message = "the implicit step could not be solved; take more steps"
-    seconds, interrupted = time.perf_counter() - began, message == _INTERRUPTED
-    z, times, message = _reached(z, times, message)
+                raise InputError(f"{option} has no meaning for {name}; give steps or dt instead")
+        options: dict[str, Any] = {
+            "compensated": compensated,
+            "omega": omega,
+            "progress": progress,
+        }
+        if chosen:
+            choice = choose_steps(H, name, ensemble, (start, end), save_every, **options)
+            run, count = choice.attempt, choice.steps
+        else:
+            run = _stepped(H, name, ensemble, (start, end), count, every, **options)
+    seconds = time.perf_counter() - began
+    z, times, problem = _reached(run.z, run.times, run.problem)
     system = H.compile("numpy")
     with np.errstate(all="ignore"):  # the last state before an escape may be finite, its H not
         energy = system.energy(*system.arguments(z, times))
+    kept = EnergyDrift(H, len(z))
+    kept.add(z)
+    drift = float(kept.relative(count).max())
+    message = f"{name}: {count:,} steps to t = {end:.6g}"
+    found, warning = _verdict(H, drift, choice)
+    if found:
+        message = f"{message}, {found}"
+    if warning and not problem:
+        message = f"{message}: {warning}"
+        warnings.warn(message, StepSizeWarning, stacklevel=2)
     if states.ndim == 1:
         z, energy = z[0], energy[0]
     return Trajectory(
@@ -353,14 +389,107 @@ def integrate(
         energy=energy,
         names=H.names,
         method=name,
-        steps=steps,
-        dt=(end - start) / steps,
-        evaluations=evaluations,
+        steps=count,
+        dt=(end - start) / count,
+        evaluations=run.evaluations,
         seconds=seconds,
-        success=not message,
-        message=message or f"{name}: {steps:,} steps to t = {end:.6g}",
-        interrupted=interrupted,
+        success=not problem,
+        message=problem or message,
+        interrupted=run.interrupted,
+        drift=drift,
     )
+
+
+def _verdict(H: Hamiltonian, drift: float, choice: Choice[_Run] | None) -> tuple[str, str]:
+    """What is found about the steps, and what is wrong with that; "" for nothing."""
+    if H.time is None:
+        kept = "kept to round-off" if drift == 0 else f"kept to {drift:.1e} of its scale"
+        said = f"H {kept}" if math.isfinite(drift) else "H is not a number on the way"
+        fine = drift <= COARSE
+    elif choice is not None:
+        said = f"half as many change the motion by {choice.found:.1e} of its range"
+        fine = True
+    else:
+        return "", ""
+    if choice is None:
+        return said, "" if fine else "take more steps"
+    if choice.met and fine:
+        return said, ""
+    return said, (
+        f"that misses {AIM:.0e} and no more steps were tried; end the span before a close "
+        "encounter, or give a method and steps"
+    )
+
+
+@dataclass(frozen=True)
+class _Run(Attempt):
+    """What a method did, and why it had to stop, if it had to."""
+
+    evaluations: int
+    problem: str
+
+
+def choose_steps(
+    H: Hamiltonian,
+    name: str,
+    ensemble: np.ndarray,
+    span: tuple[float, float],
+    save_every: int | None = None,
+    **options: Any,
+) -> Choice[_Run]:
+    """So many steps that H is kept by all trajectories; see :func:`hamsym.drift.choose`."""
+    evaluations = 0
+
+    def run(steps: int) -> _Run:
+        nonlocal evaluations
+        saves = steps if save_every is None else steps // save_every
+        while save_every is None and saves > _FEWEST:
+            if saves <= _KEPT and saves * ensemble.size <= _KEPT_NUMBERS:
+                break
+            saves //= 2
+        found = _stepped(H, name, ensemble, span, steps, steps // saves, **options)
+        evaluations += found.evaluations
+        return replace(found, evaluations=evaluations)
+
+    each = save_every or 1
+    fewest = each * math.ceil(_FEWEST / each)
+    scheme = INTEGRATORS[name].scheme
+    assert not isinstance(scheme, Adaptive)
+    return choose(H, scheme, ensemble, span, run, fewest)
+
+
+def _stepped(
+    H: Hamiltonian,
+    name: str,
+    ensemble: np.ndarray,
+    span: tuple[float, float],
+    steps: int,
+    save_every: int,
+    *,
+    compensated: bool = False,
+    omega: float | None = None,
+    progress: bool | None = None,
+) -> _Run:
+    saves, (start, end) = steps // save_every, span
+    _require_memory(saves, H.dim, len(ensemble))
+    stepper = fixed_step(
+        H,
+        name,
+        ensemble,
+        np.full(len(ensemble), start),
+        np.full(len(ensemble), (end - start) / steps),
+        compensated=compensated,
+        omega=omega,
+    )
+    done = stepper.advance(saves, save_every, show=progress)
+    problem = ""
+    if done.interrupted:
+        problem = _INTERRUPTED
+    elif stepper.is_implicit and done.steps.min() < steps:
+        problem = "the implicit step could not be solved; take more steps"
+    z = np.concatenate((ensemble[:, None], done.states), axis=1)
+    times = np.linspace(start, end, saves + 1)
+    return _Run(times, z, done.interrupted, done.evaluations, problem)
 
 
 def fixed_step(
@@ -456,7 +585,7 @@ def checked_steps(length: float, steps: int | None, dt: float | None, default: i
     Raises
     ------
     InputError
-        If both or an unusable one are given.
+        If both or an unusable one are given, or a step longer than the span.
     """
     if dt is None:
         steps = default if steps is None else steps
@@ -468,6 +597,10 @@ def checked_steps(length: float, steps: int | None, dt: float | None, default: i
     count = abs(length) / float(dt)
     if not count <= MAX_STEPS:
         raise InputError(f"dt={dt!r} would take {count:.0e} steps; give a larger one")
+    if not count >= 1 - 1e-12:
+        raise InputError(
+            f"dt={dt!r} is longer than the span, {abs(length):.6g}; give a shorter one"
+        )
     # A dt that divides the span but for round-off is meant to.
     return max(1, math.ceil(count * (1 - 1e-12)))
 
@@ -478,7 +611,7 @@ def _run_adaptive(
     ensemble: np.ndarray,
     times: np.ndarray,
     tolerances: tuple[float, float | None],
-) -> tuple[np.ndarray, int, str]:
+) -> _Run:
     z = np.full((len(ensemble), len(times), H.dim), np.nan)
     z[:, 0] = ensemble
     evaluations, message = 0, ""
@@ -486,11 +619,11 @@ def _run_adaptive(
         try:
             states, count, problem = scheme.run(H, state, times, *tolerances)
         except KeyboardInterrupt:
-            return z, evaluations, _INTERRUPTED
+            return _Run(times, z, True, evaluations, _INTERRUPTED)
         z[i, : len(states)] = states
         evaluations += count
         message = message or problem
-    return z, evaluations, message
+    return _Run(times, z, False, evaluations, message)
 
 
 def _reached(z: np.ndarray, times: np.ndarray, message: str) -> tuple[np.ndarray, np.ndarray, str]:

@@ -5,24 +5,36 @@ Output: a :class:`Section` with the states of all crossings.
 
 The trajectories are stepped with a generated loop. Between two steps with different signs a
 crossing is found by taking part of a step: the point is on the curve that the method itself draws.
+A pair of crossings within one step is found from the slopes at its ends, which are those along the
+flow.
 """
 
 from __future__ import annotations
 
+import math
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hamsym.errors import InputError
+from hamsym.drift import AIM, COARSE, EnergyDrift
+from hamsym.errors import InputError, StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.integrators import checked_span, checked_steps, fixed_step, usual_method
+from hamsym.integrators import (
+    checked_span,
+    checked_steps,
+    choose_steps,
+    fixed_step,
+    usable_method,
+    usual_method,
+)
 from hamsym.progress import stepping_progress
 from hamsym.schemes import Doubled
 from hamsym.settings import require_number, require_whole
-from hamsym.surfaces import Surface, parse_surface, refine, sign_changes
+from hamsym.surfaces import Surface, parse_surface, suspects, zeros
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,6 +42,7 @@ if TYPE_CHECKING:
 __all__ = ["Section", "section"]
 
 _HELD = 2_000_000  # numbers held at once while crossings are looked for
+_ASIDE = 1e-3  # of a step: how far along the flow slopes are read
 
 
 @dataclass(frozen=True)
@@ -49,6 +62,9 @@ class Section:
         Number of the trajectory that each belongs to, shape (n,).
     energy_error : float
         Largest change of H at the crossings, nan if H depends on time.
+    drift : float
+        Largest change of H after any step, beyond round-off and relative to the energy that the
+        motion exchanges, as for :class:`hamsym.Trajectory`.
     method : str
     dt : float
         Length of the steps.
@@ -70,6 +86,7 @@ class Section:
     success: bool
     message: str
     axes: tuple[str, str] = field(repr=False)
+    drift: float = math.nan
 
     def plot(self, x: str | None = None, y: str | None = None) -> Figure:
         """The crossings in a plane, by default that of a pair that the surface leaves free."""
@@ -98,8 +115,9 @@ def section(
 ) -> Section:
     """Crossings of a surface by one trajectory or by each of an ensemble.
 
-    A trajectory that crosses twice within one step is not seen to cross; take smaller steps if
-    that may be. A start on the surface is no crossing.
+    A pair of crossings within one step is found if the surface is approached and left once there;
+    pairs where that happens more than once, and a third crossing, go unseen. A start on the surface
+    is no crossing.
 
     Parameters
     ----------
@@ -114,7 +132,9 @@ def section(
         A fixed-step method of :data:`hamsym.integrators.INTEGRATORS`; by default ``blanes_moan6``
         for a separable H, otherwise ``gauss6``.
     steps : int, optional
-        Number of steps, 20,000 unless given.
+        Number of steps. Without ``method``, ``steps`` and ``dt`` they are chosen as in
+        :func:`hamsym.integrate`, for an energy drift of 1e-9 over the whole span; with a method
+        20,000 unless given.
     dt : float, optional
         In place of ``steps``, the largest step.
     direction : float
@@ -127,6 +147,13 @@ def section(
     Returns
     -------
     Section
+        With ``success=False`` and a message if a trajectory is lost, has too few crossings, or
+        comes to where the surface has no value.
+
+    Warns
+    -----
+    StepSizeWarning
+        As in :func:`hamsym.integrate`.
 
     Raises
     ------
@@ -143,22 +170,30 @@ def section(
     H = Hamiltonian.of(H)
     states = np.atleast_2d(H.states_from(z0))
     start, end = checked_span(span)
+    chosen = method is None and steps is None and dt is None
     steps = checked_steps(end - start, steps, dt)
     if crossings is not None:
         require_whole("crossings", crossings)
     require_number("direction", direction)
     where = parse_surface(H, surface)
-    method = method or usual_method(H)
+    method = usual_method(H) if method is None else usable_method(H, method)
+    began = time.perf_counter()
+    doubt = ""
+    if chosen:
+        choice = choose_steps(H, method, states, (start, end), progress=progress)
+        steps = choice.steps
+        if not choice.met and not choice.attempt.interrupted:
+            doubt = f"steps were chosen for {AIM:.0e}, {choice.found:.1e} was reached"
     count, size = len(states), (end - start) / steps
     stepper = fixed_step(H, method, states, np.full(count, start), np.full(count, size))
     if isinstance(stepper.scheme, Doubled):
         raise InputError(f"{method} cannot take part of a step; choose another one, such as gauss4")
-    began = time.perf_counter()
     nothing = np.empty(0), np.empty((0, H.dim)), np.empty(0, dtype=int)
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = [nothing]
     numbers = np.zeros(count, dtype=int)
     piece = max(1, _HELD // (count * H.dim))
     message, done, last = "", 0, states
+    watched, undefined = EnergyDrift(H, count), math.nan
     with stepping_progress(steps, progress) as report:
         try:
             while done < steps:
@@ -167,7 +202,10 @@ def section(
                     raise KeyboardInterrupt
                 path = np.concatenate((last[:, None], moved.states), axis=1)
                 times = start + size * np.arange(done, done + path.shape[1])
-                found.append(_crossings(H, method, where, direction, path, times, size))
+                crossed, without = _crossings(H, method, where, direction, path, times, size)
+                found.append(crossed)
+                watched.add(path)
+                undefined = without if math.isnan(undefined) else undefined
                 numbers += np.bincount(found[-1][2], minlength=count)
                 done, last = done + path.shape[1] - 1, path[:, -1]
                 report(path.shape[1] - 1)
@@ -182,6 +220,7 @@ def section(
         order = order[np.arange(len(order)) - first < crossings]
     t, z, trajectory = t[order], z[order], trajectory[order]
     lost = ~np.isfinite(last).all(axis=-1)
+    drift = float(watched.relative(done).max())
     if message:
         message = f"stopped after t = {start + size * done:.6g}: {message}"
     elif lost.any():
@@ -189,11 +228,21 @@ def section(
             f"{lost.sum()} of {count:,} trajectories, such as number {int(np.argmax(lost))}, left "
             "the range of numbers or came to a step that could not be solved"
         )
+    elif not math.isnan(undefined):
+        message = f"{surface} is not a number at t = {undefined:.6g}; crossings there go unseen"
     elif crossings is not None and numbers.min() < crossings:
         message = (
             f"trajectory {int(np.argmin(numbers))} has only {numbers.min()} of {crossings} "
             f"crossings by t = {end:.6g}"
         )
+    said = f"{len(t):,} crossings of {surface}, {method} with dt = {size:.3g}"
+    if H.time is None:
+        said += f", H kept to {drift:.1e} of its scale" if drift else ", H kept to round-off"
+        if not drift <= COARSE:
+            doubt = "take smaller steps"
+    if doubt and not message:
+        said = f"{said}: {doubt}"
+        warnings.warn(said, StepSizeWarning, stacklevel=2)
     return Section(
         surface=surface,
         names=H.names,
@@ -205,8 +254,9 @@ def section(
         dt=size,
         seconds=time.perf_counter() - began,
         success=not message,
-        message=message or f"{len(t):,} crossings of {surface}, {method} with dt = {size:.3g}",
+        message=message or said,
         axes=_free_pair(H, where),
+        drift=drift,
     )
 
 
@@ -218,11 +268,19 @@ def _crossings(
     path: np.ndarray,
     times: np.ndarray,
     size: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times, states and trajectories of the crossings on paths of shape (n, steps + 1, dim)."""
+) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], float]:
+    """Crossings on paths of shape (n, steps + 1, dim), and where the surface has no value.
+
+    Times, states and trajectories of the crossings; the first time at which the state is finite
+    and the surface is nan, or nan.
+    """
+    at = np.broadcast_to(times, path.shape[:2])
     with np.errstate(all="ignore"):  # where a trajectory has escaped
-        values = where.value(path, np.broadcast_to(times, path.shape[:2]))
-    trajectory, step = sign_changes(values, direction)
+        values = np.asarray(where.value(path, at), dtype=float)
+        slopes = _slopes(H, where, path, at, size)
+    without = (np.isnan(values) & np.isfinite(path).all(axis=-1)).any(axis=0)
+    undefined = float(times[np.argmax(without)]) if without.any() else math.nan
+    (trajectory, step), dips = suspects(values, slopes)
     before, since = path[trajectory, step], times[step]
 
     def part_of_a_step(share: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -233,13 +291,23 @@ def _crossings(
     def value(share: np.ndarray, index: np.ndarray) -> np.ndarray:
         return where.value(part_of_a_step(share, index), since[index] + share * size)
 
-    share = refine(value, np.zeros(len(step)), np.ones(len(step)))
-    zeros = np.isfinite(share)
-    index, share = np.flatnonzero(zeros), share[zeros]
+    ends = values[trajectory, step], values[trajectory, step + 1]
+    share, index = zeros(value, *ends, dips, direction)
     z = part_of_a_step(share, index) if len(index) else before[:0]
     t = since[index] + share * size
     holds = where.holds(z, t)
-    return t[holds], z[holds], trajectory[index][holds]
+    return (t[holds], z[holds], trajectory[index][holds]), undefined
+
+
+def _slopes(
+    H: Hamiltonian, where: Surface, path: np.ndarray, at: np.ndarray, size: float
+) -> np.ndarray:
+    """Changes of what is zero on the surface, a little way along the flow."""
+    system, aside = H.compile("numpy"), _ASIDE * size
+    rates = np.asarray(system.vector_field(*system.arguments(path, at)))
+    ahead = where.value(path + aside * rates, at + aside)
+    behind = where.value(path - aside * rates, at - aside)
+    return np.asarray(ahead - behind, dtype=float)
 
 
 def _energy_error(

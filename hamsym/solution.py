@@ -450,6 +450,10 @@ class Solution:
             a number) ends the search for all events after so many of this one. A zero at the very
             start is no event, unlike there.
 
+        What goes unseen: between two neighbouring ``scan_times``, of which there are thousands
+        and at least nine in every window of a march, a pair of zeros if the event turns around
+        there more than once, and a third zero.
+
         Returns
         -------
         Events
@@ -458,7 +462,7 @@ class Solution:
         Raises
         ------
         InputError
-            If an event cannot be used.
+            If an event cannot be used, or is not a number somewhere.
 
         Examples
         --------

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hamsym.drift import COARSE, EnergyDrift
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators import (
@@ -29,7 +30,7 @@ from hamsym.integrators import (
 )
 from hamsym.progress import stepping_progress
 from hamsym.schemes import Doubled
-from hamsym.settings import require_whole
+from hamsym.settings import require_number, require_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +44,6 @@ _GROWTH_OF_ONE, _GROWTH_OF_SEVERAL = 200.0, 5.0
 _KEPT = 2_000  # points of the history
 _PARALLEL = 30.0  # e-folds by which one vector may outgrow another before they are one to round-off
 _PILOT_STEPS, _PILOTS = 1_000, 8
-_COARSE = 0.01  # of the scale of H; steps that change it by more draw another system
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,10 @@ def tangent_map(
 
     Parameters
     ----------
-    H, z0, span, steps, dt, progress
+    H, z0, span, dt, progress
         As in :func:`hamsym.integrate`, for one trajectory.
+    steps : int, optional
+        Number of steps, 20,000 unless given.
     method : str, optional
         A fixed-step method, not ``tao2`` or ``tao4``; by default ``blanes_moan6`` for a separable
         H, otherwise ``gauss6``.
@@ -122,7 +124,8 @@ def tangent_map(
     H = Hamiltonian.of(H)
     start, end = checked_span(span)
     steps = checked_steps(end - start, steps, dt)
-    method, state = method or usual_method(H), H.state_from(z0)
+    state = H.state_from(z0)
+    method = usual_method(H) if method is None else method
     stepper = _tangent_stepper(H, method, state, start, (end - start) / steps, np.eye(H.dim))
     done = stepper.advance(1, steps, show=progress)
     if done.interrupted:
@@ -164,7 +167,7 @@ def monodromy(
     Raises
     ------
     InputError
-        If the period cannot be used or the tolerance cannot be met.
+        If the period cannot be used, the tolerance cannot be met, or the matrix is not finite.
 
     Examples
     --------
@@ -176,13 +179,19 @@ def monodromy(
     """
     from hamsym.solving import solve  # torch is slow to import
 
+    require_number("period", period)
+    require_number("start", start)
     span = checked_span((start, start + period))
     solution = solve(H, z0, span, tol=tol)
     if not solution.success:
         raise InputError(f"the trajectory cannot be had to tol={tol:g}: {solution.message}")
-    return TangentMap(
-        solution.z0, solution(span[1]), np.asarray(solution.sensitivity(span[1])), "features"
-    )
+    matrix = np.asarray(solution.sensitivity(span[1]))
+    if not np.isfinite(matrix).all():
+        raise InputError(
+            "nearby trajectories separate beyond the range of numbers within the period; give a "
+            "shorter one"
+        )
+    return TangentMap(solution.z0, solution(span[1]), matrix, "features")
 
 
 @dataclass(frozen=True)
@@ -194,7 +203,7 @@ class LyapunovExponents:
     t : numpy.ndarray
         Times of the history, shape (n,).
     exponents : numpy.ndarray
-        log of the growth up to t, over t, the largest first, shape (n, count).
+        log of the growth up to t, over t, the largest first at every time, shape (n, count).
     start : float
         Time at the start.
     energy_error : float
@@ -203,8 +212,8 @@ class LyapunovExponents:
     dt : float
     seconds : float
     success : bool
-        Whether the trajectory reached the end and kept H to 1 % of its scale; not whether the
-        exponent has converged.
+        Whether the trajectory reached the end and kept H to 1 % of the energy that the motion
+        exchanges (:mod:`hamsym.drift`); not whether the exponent has converged.
     message : str
     is_integrable : bool
         Whether H has one degree of freedom and no explicit time, which excludes chaos.
@@ -268,6 +277,8 @@ class LyapunovExponents:
                 "and was still changing, neither level nor falling like log(t)/t. That decides "
                 "nothing; take a longer time."
             )
+        if not self.success:
+            verdict = f"{verdict} But the run was no success: {self.message}."
         return f"{begin}, {verdict}"
 
     def plot(self) -> Figure:
@@ -334,13 +345,14 @@ def lyapunov(
     H = Hamiltonian.of(H)
     start, end = checked_span(span)
     state = H.state_from(z0)
-    method = method or usual_method(H)
+    method = usual_method(H) if method is None else method
     require_whole("count", count, 1, H.dim)
     require_whole("seed", seed, 0)
     rate = _fastest_rate(H, method, state, start, end)
     usual = steps is None and dt is None
     if usual:
         dt = 1 / (_STEPS_PER_RADIAN * rate) if rate > 0 else abs(end - start) / 20_000
+        dt = min(dt, abs(end - start))
     steps = checked_steps(end - start, steps, dt)
     size = (end - start) / steps
     vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(H.dim, count)))[0]
@@ -368,7 +380,9 @@ def lyapunov(
                 growth = growth + grown
                 if done == steps or block in rows:
                     times.append(start + size * done)
-                    history.append(growth / abs(size * done))
+                    # The order in which vectors are made orthogonal is that of their growth only
+                    # after a long time.
+                    history.append(np.sort(growth)[::-1] / abs(size * done))
                 else:
                     path.pop()
         except KeyboardInterrupt:
@@ -378,11 +392,14 @@ def lyapunov(
     if message:
         message = f"stopped after t = {times[-1]:.6g}: {message}"
     states = np.array(path[: len(history) + 1])
-    energy_error, share = _energy_errors(H, states)
+    watched = EnergyDrift(H, 1)
+    watched.add(states[None])
+    energy_error = math.nan if H.time is not None else float(watched.change[0])
+    share = float(watched.relative(steps)[0])
     fastest = fastest_rate(H, states, np.array([start, *times]))
-    if share > _COARSE and not message:
+    if H.time is None and not share <= COARSE and not message:
         message = f"H changed by {energy_error:.1e}, {share:.0%} of its scale: take a smaller dt"
-    elif usual and not message and fastest > 3 * max(rate, 1 / abs(size)):
+    elif usual and not message and not fastest <= 3 * max(rate, 1 / abs(size)):
         message = f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
     return LyapunovExponents(
         t=np.array(times),
@@ -397,17 +414,6 @@ def lyapunov(
         title=H.formula,
         is_integrable=H.dof == 1 and H.time is None,
     )
-
-
-def _energy_errors(H: Hamiltonian, states: np.ndarray) -> tuple[float, float]:
-    """Largest change of H, and its share of max |z . grad H|; nan if H depends on time."""
-    if H.time is not None:
-        return math.nan, math.nan
-    system = H.compile("numpy")
-    energy = system.energy(states)
-    error = float(np.abs(energy - energy[0]).max())
-    scale = float(np.abs(np.sum(states * system.gradient(states), axis=-1)).max())
-    return error, error / scale if scale > 0 else 0.0
 
 
 def _tangent_stepper(

@@ -176,6 +176,36 @@ def test_integrate_prints_ends_and_writes_states(
         assert table[0].tolist() == [0.0, 1.3, 1.0, 2.059025]
 
 
+def test_integrate_chooses_method_and_steps(capsys: Captured) -> None:
+    arguments = ["integrate", OSCILLATOR, "--z0", "1.3,1", "--t-end", "4*pi"]
+    status, out, err = run(capsys, *arguments)
+    assert (status, err) == (0, "")
+    assert out.startswith("blanes_moan6: 1,000 steps to t = 12.5664, H kept to ")
+    change = next(line for line in out.splitlines() if line.startswith("largest change of H: "))
+    assert float(change.split()[-1]) < 1e-9
+
+
+@pytest.mark.parametrize("command", ["integrate", "section"])
+def test_a_large_drift_is_a_warning_and_exits_with_0(capsys: Captured, command: str) -> None:
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "40", "--dt", "1/5"]
+    arguments += ["--method", "symplectic_euler"] + ["--at", "x = 0"] * (command == "section")
+    status, out, err = run(capsys, command, *arguments)
+    assert status == 0
+    assert err.startswith("hamsym: warning: ")
+    assert err.count("\n") == 1
+    assert "of its scale: take " in err
+    assert "of its scale: take " in " ".join(out.split())
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_an_energy_that_is_no_number_is_shown(capsys: Captured) -> None:
+    arguments = ["p**2/2 + log(x)", "--z0", "-1,1", "--t-end", "0.5", "--steps", "100"]
+    status, out, err = run(capsys, "integrate", *arguments)
+    assert status == 0
+    assert "largest change of H: nan" in out
+    assert "H is not a number on the way: take more steps" in err
+
+
 def test_integrate_lists_its_methods(capsys: Captured) -> None:
     status, out, _ = run(capsys, "integrate", "--list")
     assert status == 0
@@ -288,7 +318,7 @@ def test_ctrl_c_prints_what_was_done(capsys: Captured, monkeypatch: pytest.Monke
     monkeypatch.setattr(stepping, "_PIECE", 1_000)
     monkeypatch.setattr(stepping.Stepper, "_run", interrupted)
     arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "10", "--steps", "5000"]
-    status, out, _ = run(capsys, "integrate", *arguments)
+    status, out, _ = run(capsys, "integrate", *arguments, "--method", "symplectic_euler")
     assert status == 1
     assert out.startswith("stopped after t = 3: interrupted")
     assert "largest change of H" in out
@@ -341,6 +371,7 @@ BAD = [
     (["solve", *SOLVE, "--plot", "no/such/f.png"], "no folder"),
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--method", "rk4"], "'rk4'"),
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "-o", "x.txt"], "neither .csv"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--dt", "2"], "longer than the span"),
     (["integrate", "p**2/m", "--q", "x", "--p", "p", "--z0", "1,1", "--t-end", "1"], "m has no"),
     (["integrate", OSCILLATOR, "--z0", "1,1", "--z0", "1", "--t-end", "1"], "shape"),
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--dt", "0"], "dt=0.0"),

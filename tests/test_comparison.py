@@ -57,7 +57,7 @@ def test_steps_to_match_are_just_enough(comparison: Comparison) -> None:
     problem = harmonic_oscillator()
 
     def error(n: int) -> float:
-        trajectory = hamsym.integrate(problem.H, problem.z0, (0, 1.5), steps=n)
+        trajectory = hamsym.integrate(problem.H, problem.z0, (0, 1.5), "symplectic_euler", steps=n)
         return float(np.linalg.norm(trajectory.z - problem.exact(trajectory.t), axis=1).max())
 
     assert error(steps) <= target * (1 + 1e-6)

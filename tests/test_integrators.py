@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import math
 import signal
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,7 +14,8 @@ import scipy.optimize
 
 import hamsym
 from hamsym import Hamiltonian, InputError, stepping
-from hamsym.errors import SeparabilityError
+from hamsym.drift import EnergyDrift
+from hamsym.errors import SeparabilityError, StepSizeWarning
 from hamsym.integrators import ALIASES, INTEGRATORS, fixed_step, listing, reference
 from hamsym.schemes import Doubled, RungeKutta, Splitting
 from hamsym.systems import (
@@ -22,6 +25,9 @@ from hamsym.systems import (
     double_pendulum,
     nonlinear_oscillator,
 )
+
+# Steps that are too long are what many of these tests are about.
+pytestmark = pytest.mark.filterwarnings("ignore::hamsym.errors.StepSizeWarning")
 
 FIXED = [name for name, row in INTEGRATORS.items() if not row.adaptive]
 ADAPTIVE = [name for name, row in INTEGRATORS.items() if row.adaptive]
@@ -246,7 +252,9 @@ def test_compensated_summation_keeps_round_off_small() -> None:
 def test_symplectic_euler_on_the_papers_oscillator(steps: int, within: float) -> None:
     """max |delta z| times steps is 119.4, by independent computation."""
     problem = nonlinear_oscillator()
-    trajectory = hamsym.integrate(problem.H, problem.z0, problem.span, steps=steps)
+    trajectory = hamsym.integrate(
+        problem.H, problem.z0, problem.span, "symplectic_euler", steps=steps
+    )
     distance = np.linalg.norm(trajectory.z - problem.exact(trajectory.t), axis=1).max()
     assert distance * steps == pytest.approx(119.4, rel=within)
 
@@ -399,7 +407,8 @@ def test_dt_divides_the_span() -> None:
     assert hamsym.integrate(problem.H, problem.z0, (0, 1), dt=0.1).steps == 10
     assert hamsym.integrate(problem.H, problem.z0, (0, 1), dt=0.3).steps == 4
     assert hamsym.integrate(problem.H, problem.z0, (0, -1), dt=0.3).dt == -0.25
-    assert hamsym.integrate(problem.H, problem.z0, (0, 1), dt=7.0).steps == 1
+    assert hamsym.integrate(problem.H, problem.z0, (0, 1), dt=1.0).steps == 1
+    assert hamsym.integrate(problem.H, problem.z0, (0, 0.3), dt=0.1 * 3).steps == 1
 
 
 def test_evaluations_are_counted() -> None:
@@ -451,7 +460,7 @@ def heard() -> Iterator[None]:
 @pytest.mark.usefixtures("heard")
 def test_ctrl_c_returns_what_was_done(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = nonlinear_oscillator()
-    hamsym.integrate(problem.H, problem.z0, (0, 1))  # compiled
+    hamsym.integrate(problem.H, problem.z0, (0, 1), "symplectic_euler")  # compiled
     monkeypatch.setattr(stepping, "_PIECE", 100_000)
     original = stepping.Stepper._run
 
@@ -462,7 +471,9 @@ def test_ctrl_c_returns_what_was_done(monkeypatch: pytest.MonkeyPatch) -> None:
         return out
 
     monkeypatch.setattr(stepping.Stepper, "_run", with_a_signal)
-    found = hamsym.integrate(problem.H, problem.z0, (0, 1e6), steps=10**7, save_every=10**5)
+    found = hamsym.integrate(
+        problem.H, problem.z0, (0, 1e6), "symplectic_euler", steps=10**7, save_every=10**5
+    )
     assert not found.success
     assert found.message == "stopped after t = 20000: interrupted"
     assert found.t.tolist() == [0.0, 10_000.0, 20_000.0]
@@ -471,8 +482,8 @@ def test_ctrl_c_returns_what_was_done(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_progress_is_drawn_where_asked(capsys: pytest.CaptureFixture[str]) -> None:
     problem = nonlinear_oscillator()
-    hamsym.integrate(problem.H, problem.z0, (0, 1e6), steps=200_000_000, save_every=10**7,
-                     progress=True)  # fmt: skip
+    hamsym.integrate(problem.H, problem.z0, (0, 1e6), "symplectic_euler", steps=200_000_000,
+                     save_every=10**7, progress=True)  # fmt: skip
     assert "stepping" in capsys.readouterr().err
     hamsym.integrate(problem.H, problem.z0, (0, 1), progress=False)
     assert capsys.readouterr().err == ""
@@ -491,8 +502,10 @@ def test_progress_is_drawn_where_asked(capsys: pytest.CaptureFixture[str]) -> No
         ({"dt": 0.1, "steps": 10}, "say the same thing; give one"),
         ({"save_every": 0}, "save_every=0"),
         ({"steps": 10, "save_every": 3}, "does not divide"),
-        ({"rtol": 1e-9}, "rtol has no meaning for symplectic_euler"),
-        ({"omega": 1.0}, "omega has no meaning for symplectic_euler; it is for tao2 and tao4"),
+        ({"rtol": 1e-9}, "rtol has no meaning for blanes_moan6"),
+        ({"omega": 1.0}, "omega has no meaning for blanes_moan6; it is for tao2 and tao4"),
+        ({"dt": 100.0}, "dt=100.0 is longer than the span, 12.5664; give a shorter one"),
+        ({"span": (0, 1e9)}, "asks for .* steps, too many to be chosen; give steps or dt, or a"),
         ({"method": "tao2", "omega": -1.0}, "omega=-1.0"),
         ({"method": "tao2", "omega": "2"}, "omega='2'"),
         ({"method": "dop853", "rtol": "a"}, "rtol='a'"),
@@ -518,6 +531,184 @@ def test_unusable_settings(arguments: dict[str, object], message: str) -> None:
 def test_reference_refuses_a_span_without_solution() -> None:
     with pytest.raises(InputError, match="no solution beyond t = "):
         reference(Hamiltonian("p**2/2 - x**4/4"), np.array([1.0, 1.0]), (0.0, 5.0))
+
+
+# -- how many steps ----------------------------------------------------------------------------
+
+PLANE_KEPLER = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
+
+
+@pytest.mark.parametrize(
+    ("system", "within"),
+    [
+        ("nonlinear_oscillator", 1e-8),
+        ("morse_oscillator", 1e-8),
+        ("kepler", 1e-8),
+        ("driven_oscillator", 1e-8),
+        ("charged_particle", 1e-8),
+    ],
+)
+def test_default_steps_are_accurate(system: str, within: float) -> None:
+    """A quadratic H, such as that of the particle, is kept by Gauss steps of any length."""
+    problem = CATALOGUE[system]()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = hamsym.integrate(problem.H, problem.z0, problem.span)
+    assert found.success
+    assert found.method == ("blanes_moan6" if problem.H.is_separable else "gauss6")
+    assert np.abs(found.z - problem.exact(found.t)).max() < within
+    assert found.steps % 1_000 == 0
+    assert f"{found.steps:,} steps to t = " in found.message
+
+
+def test_chosen_steps_keep_the_energy() -> None:
+    """Once they are the fewest, half as many do not; H is evaluated here, not there."""
+    problem = CATALOGUE["kepler"](0.9)
+    found = hamsym.integrate(problem.H, problem.z0, (0, 300))
+    x, y, p_x, p_y = found.z.T
+    energy = (p_x**2 + p_y**2) / 2 - 1 / np.hypot(x, y)
+    assert found.drift <= 1e-9
+    assert np.abs(energy - energy[0]).max() < 1e-8
+    assert f"H kept to {found.drift:.1e} of its scale" in found.message
+    assert len(found.t) <= 16_001
+    assert np.all(np.diff(found.t) > 0)
+    half = hamsym.integrate(
+        problem.H, problem.z0, (0, 300), "blanes_moan6", steps=found.steps // 2,
+        save_every=found.steps // 2 // (len(found.t) - 1) or 1,
+    )  # fmt: skip
+    assert half.drift > 1e-9
+
+
+def test_longer_spans_get_more_steps() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2")
+    found = hamsym.integrate(H, [1.0, 0.0], (0, 1e4))
+    assert found.dt <= 0.2
+    assert np.abs(found.z[:, 0] - np.cos(found.t)).max() < 1e-4
+    some = hamsym.integrate(H, [1.0, 0.0], (0, 1e4), save_every=3_000)
+    assert some.steps % 3_000 == 0
+    assert len(some.t) == 1 + some.steps // 3_000
+
+
+def test_steps_are_chosen_for_the_worst_of_an_ensemble() -> None:
+    starts = np.array([[1.0, 0, 0, 1], [0.1, 0, 0, 4.3]])  # a circle, and e = 0.85
+    alone = [hamsym.integrate(PLANE_KEPLER, start, (0, 20)).steps for start in starts]
+    together = hamsym.integrate(PLANE_KEPLER, starts, (0, 20))
+    assert alone[0] < alone[1] <= together.steps
+    assert together.drift <= 1e-9
+
+
+def test_late_starts_are_as_good_as_early_ones() -> None:
+    for formula in ("p**2/2 + x**2/2", "p**2/2 + x**2/2 + x*p/5"):
+        early = hamsym.integrate(formula, [1.0, 0.0], (0, 10))
+        late = hamsym.integrate(formula, [1.0, 0.0], (1e7, 1e7 + 10))
+        assert late.success
+        assert late.steps == early.steps
+        np.testing.assert_allclose(late.z, early.z, atol=1e-13)
+    forced = hamsym.integrate("p**2/2 + x**2/2 - x*cos(2*t)", [0, 0], (1e7, 1e7 + 10))
+    s = forced.t - 1e7
+    a, b = np.cos(2e7), -np.sin(2e7)  # the force is a cos(2 s) + b sin(2 s)
+    x = a * (np.cos(s) - np.cos(2 * s)) / 3 + b * (2 * np.sin(s) - np.sin(2 * s)) / 3
+    assert np.abs(forced.z[:, 0] - x).max() < 1e-7
+
+
+def test_a_collision_is_warned_of() -> None:
+    """Radial fall: the steps jump over the centre, and every state on the way is finite."""
+    fall = ([1.0, 0, 0, 0], (0, 3))
+    with pytest.warns(StepSizeWarning, match="misses 1e-09 .* before a close encounter"):
+        found = hamsym.integrate(PLANE_KEPLER, *fall)
+    assert found.drift > 0.01
+    with pytest.warns(StepSizeWarning, match="of its scale: take more steps"):
+        jumped = hamsym.integrate(PLANE_KEPLER, *fall, "gauss4", steps=19)
+    assert jumped.success
+    assert "take more steps" in jumped.message
+    assert np.isfinite(jumped.z).all()
+
+
+@pytest.mark.parametrize(
+    ("formula", "start", "span", "options"),
+    [
+        ("p**2/2 + x**2/2", [1, 0], (0, 100), {"method": "yoshida8", "steps": 50}),
+        ("p**2/2 + x**2/2", [1, 0], (0, 1e4), {"method": "symplectic_euler"}),
+        ("p**2/2 + x**2/2", [1, 0], (0, 100), {"steps": 25}),
+        ("p**2/2 + x**2/2", [1, 0], (0, 10), {"method": "dop853", "rtol": 0.1, "atol": 0.1}),
+        ("p**2/2 + log(x)", [-1, 1], (0, 0.5), {}),  # a force, but no energy
+        ("p**2/2 + log(x)", [-1, 1], (0, 0.5), {"method": "gauss4", "steps": 100}),
+        ("p**2/2 - (1 + sin(t)/2)*cos(x)", [1.5, 0], (0, 3_000), {}),  # chaos
+    ],
+)
+def test_steps_that_are_too_long_are_warned_of(
+    formula: str, start: list[float], span: tuple[float, float], options: dict[str, object]
+) -> None:
+    with pytest.warns(StepSizeWarning) as caught:
+        found = hamsym.integrate(formula, start, span, **options)
+    assert found.success
+    assert str(caught[0].message) == found.message
+    assert caught[0].filename == __file__
+    assert not found.drift <= 0.01
+
+
+def test_steps_that_are_short_enough_are_silent() -> None:
+    problem = nonlinear_oscillator()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for method in FIXED:
+            hamsym.integrate(problem.H, problem.z0, (0, 10), method)
+        hamsym.integrate(problem.H, [0.0, 0.0], (0, 10))
+        hamsym.integrate(problem.H, problem.z0, (0, -10))
+        hamsym.integrate("p**2/2 - cos(x)", [1e-9, 0], (0, 10))  # H is -1 and round-off
+        hamsym.integrate("p**2/2 - cos(x)", [0, 100], (0, 100))  # x grows, and means nothing
+        hamsym.integrate("p**2/2 + (x - 1e6)**2/2", [1e6 + 1, 0], (0, 10))
+
+
+def test_an_escape_is_no_reason_to_search_on() -> None:
+    found = hamsym.integrate("p**2/2 - x**4/4", [1.0, 1.0], (0, 5))
+    assert not found.success
+    assert found.t[-1] == pytest.approx(1.31103, abs=0.01)
+    assert found.steps <= 10_000
+    assert "left the range of numbers" in found.message
+
+
+@pytest.mark.usefixtures("heard")
+def test_ctrl_c_ends_the_choice_of_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    original, calls = stepping.Stepper._run, []
+
+    def with_a_signal(self: stepping.Stepper, *arguments: object) -> np.ndarray:
+        calls.append(1)
+        if len(calls) == 2:
+            signal.raise_signal(signal.SIGINT)
+        return original(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(stepping.Stepper, "_run", with_a_signal)
+    # From the apocentre, where nothing yet asks for short steps.
+    found = hamsym.integrate(PLANE_KEPLER, [1.9, 0, 0, 0.23], (0, 30))
+    assert found.interrupted
+    assert not found.success
+    assert found.message.endswith("interrupted")
+    assert len(calls) == 2
+
+
+def test_drift_does_not_mind_units_and_origins() -> None:
+    """The same motion in other terms, with a constant, a distant origin, and other units."""
+    plain = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+    moved = Hamiltonian("a*(p**2/2 + (x - 64)**2/2 + (x - 64)**4/4 + 5)", parameters={"a": 1e-20})
+    t = np.linspace(0, 12, 5_000)
+    path = np.stack((1.3 * np.cos(t), -1.3 * np.sin(t)), axis=-1)  # no solution: H changes
+    drifts = []
+    for H, origin in ((plain, 0), (moved, 64)):
+        drift = EnergyDrift(H, 1)
+        for first in range(0, 4_999, 500):  # piece by piece
+            drift.add(path[None, first : first + 501] + [origin, 0])
+        drifts.append(drift.relative(5_000)[0])
+        assert drift.scale[0] > 0
+    assert drifts[0] > 0.1
+    assert drifts[1] == pytest.approx(drifts[0], rel=1e-9)
+
+
+def test_drift_that_is_no_number_is_never_small() -> None:
+    H = Hamiltonian("p**2/2 + log(x)")
+    drift = EnergyDrift(H, 2)
+    drift.add(np.array([[[1.0, 0.0], [1.0, 0.0]], [[1.0, 0.0], [-1.0, 0.0]]]))
+    assert drift.relative(1).tolist() == [0.0, math.inf]
 
 
 # -- where it could go wrong -------------------------------------------------------------------

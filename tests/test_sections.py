@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import scipy.integrate
 
 import hamsym
 from hamsym import Hamiltonian, InputError, sections, stepping
-from hamsym.surfaces import parse_surface, sign_changes
+from hamsym.errors import StepSizeWarning
+from hamsym.surfaces import parse_surface, refine, sign_changes
 from hamsym.systems import double_pendulum, harmonic_oscillator, henon_heiles, kepler
 
 CHAOTIC = {"x": 0, "y": -0.15, "p_y": 0}
@@ -63,6 +66,15 @@ def test_sign_changes_count_a_zero_once() -> None:
     assert sign_changes(values)[0].tolist() == [1, 3, 6]
     assert sign_changes(values, 1)[0].tolist() == [3]
     assert sign_changes(values, -1)[0].tolist() == [1, 6]
+
+
+def test_no_zero_where_a_function_is_no_number() -> None:
+    """The sign changes across a gap: its ends are not zeros."""
+
+    def gap(x: np.ndarray, _: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(x) < 0.5, np.nan, np.sign(x))
+
+    assert np.isnan(refine(gap, np.array([-1.0]), np.array([0.9]))).all()
 
 
 # -- sections ----------------------------------------------------------------------------------
@@ -177,6 +189,68 @@ def test_section_is_drawn_in_the_free_plane(start: np.ndarray) -> None:
         found.plot("q")
 
 
+def both_sides(level: float, end: float) -> np.ndarray:
+    """When cos(t) passes a level, up to an end."""
+    turns = 2 * np.pi * np.arange(end // (2 * np.pi) + 2)
+    away = 2 * np.arcsin(np.sqrt((1 - level) / 2))  # arccos, without cancellation
+    times = np.sort(np.concatenate((turns + away, turns - away)))
+    return times[(times > 0) & (times < end)]
+
+
+@pytest.mark.parametrize("level", [0.99, 0.9999, 0.999999])
+@pytest.mark.parametrize("options", [{}, {"dt": 0.1}, {"dt": 0.4, "method": "yoshida8"}])
+def test_pairs_of_crossings_within_a_step(level: float, options: dict[str, object]) -> None:
+    H, expected = harmonic_oscillator().H, both_sides(level, 300.0)
+    found = hamsym.section(H, [1.0, 0.0], (0, 300), f"x = {level}", **options)
+    np.testing.assert_allclose(found.t, expected, atol=2e-3)
+    assert np.abs(found.z[:, 0] - level).max() < 1e-15
+    rising = hamsym.section(H, [1.0, 0.0], (0, 300), f"x = {level}", direction=1, **options)
+    np.testing.assert_array_equal(rising.t, found.t[found.z[:, 1] > 0])
+    half = hamsym.section(H, [1.0, 0.0], (0, 300), f"x = {level}, p < 0", **options)
+    np.testing.assert_array_equal(half.t, found.t[found.z[:, 1] < 0])
+    back = hamsym.section(H, [1.0, 0.0], (0, -300), f"x = {level}", **options)
+    np.testing.assert_allclose(back.t, -expected, atol=2e-3)
+
+
+def test_a_return_within_the_first_step() -> None:
+    """From the surface across it and back, x = t - 5 t^2, before the first step ends."""
+    H = Hamiltonian("p**2/2 + 10*x")
+    found = hamsym.section(H, [0.0, 1.0], (0, 1), "x = 0", dt=0.25)
+    np.testing.assert_allclose(found.t, [0.2], atol=1e-12)
+
+
+def test_steps_of_a_section_are_chosen() -> None:
+    problem = kepler(0.9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = hamsym.section(problem.H, problem.z0, (0, 100), "y = 0, x < 0")
+    assert found.drift < 1e-8
+    np.testing.assert_allclose(found.t, np.pi * np.arange(1, 32, 2), atol=1e-5)
+    assert "of its scale" in found.message
+    driven = hamsym.systems.driven_oscillator()
+    found = hamsym.section(driven.H, driven.z0, (0, 50), "x = 0")
+    assert np.abs(driven.exact(found.t)[:, 0]).max() < 1e-8
+    assert np.isnan(found.drift)
+
+
+def test_a_section_of_another_system_is_warned_of() -> None:
+    problem = kepler(0.9)
+    with pytest.warns(StepSizeWarning, match="of its scale: take smaller steps"):
+        found = hamsym.section(problem.H, problem.z0, (0, 100), "y = 0", dt=0.1)
+    assert found.drift > 0.01
+    assert found.message.endswith("take smaller steps")
+    with pytest.warns(StepSizeWarning, match="steps were chosen for 1e-09"):
+        hamsym.section("p**2/2 + abs(x)", [1.0, 0.0], (0, 30), "x = 1/2")
+
+
+def test_a_surface_without_a_value_is_no_success() -> None:
+    problem = harmonic_oscillator()
+    found = hamsym.section(problem.H, problem.z0, (0, 10), "sqrt(x) = 1/2", dt=0.01)
+    assert not found.success
+    assert "sqrt(x) = 1/2 is not a number at t = 1.58" in found.message
+    assert len(found.t) == 3
+
+
 # -- events on solutions -----------------------------------------------------------------------
 
 
@@ -251,6 +325,73 @@ def test_terminal_that_cannot_be_used(orbit: hamsym.Solution) -> None:
     event.terminal = 0.5  # type: ignore[attr-defined]
     with pytest.raises(InputError, match="terminal=0.5 cannot be used"):
         orbit.events(event)
+
+
+@pytest.fixture(scope="module")
+def circle() -> hamsym.Solution:
+    return hamsym.solve(harmonic_oscillator().H, [1.0, 0.0], (0, 300), tol=1e-11)
+
+
+@pytest.mark.parametrize("level", [0.99, 0.9999, 0.999999])
+def test_pairs_of_events_between_scan_times(circle: hamsym.Solution, level: float) -> None:
+    expected = both_sides(level, 300.0)
+
+    def above(t: float, z: np.ndarray) -> float:
+        return z[0] - level
+
+    def rising(t: float, z: np.ndarray) -> float:
+        return above(t, z)
+
+    rising.direction = 1.0  # type: ignore[attr-defined]
+    texts = [f"x = {level}", f"x = {level}, p < 0"]
+    found = circle.events([*texts, above, rising]).t_events
+    np.testing.assert_allclose(found[0], expected, atol=1e-6)
+    np.testing.assert_allclose(found[2], found[0], atol=1e-9)
+    after = np.sin(found[0]) > 0  # x falls
+    np.testing.assert_allclose(found[1], found[0][after], atol=1e-9)
+    np.testing.assert_allclose(found[3], found[0][~after], atol=1e-9)
+    back = hamsym.solve(circle.H, [1.0, 0.0], (0, -300), tol=1e-11)
+    np.testing.assert_allclose(back.events(texts[0]).t_events[0], -expected, atol=1e-6)
+
+
+def test_a_tangency_is_found_or_not(circle: hamsym.Solution) -> None:
+    """x = 1 is touched 47 times, each to round-off: no event, one, or two."""
+    touched = circle.events("x = 1").t_events[0]
+    turns = touched / (2 * np.pi)
+    assert np.abs(turns - turns.round()).max(initial=0.0) < 1e-6
+    assert np.unique(turns.round(), return_counts=True)[1].max(initial=0) <= 2
+    assert len(circle.events("x = 1.001").t_events[0]) == 0
+    found = hamsym.section(circle.H, [1.0, 0.0], (0, 300), "x = 1", dt=0.1)
+    turns = found.t / (2 * np.pi)
+    assert np.abs(turns - turns.round()).max(initial=0.0) < 1e-6
+
+
+def test_events_far_from_the_origin_of_time() -> None:
+    solution = hamsym.solve(harmonic_oscillator().H, [1.0, 0.0], (1e4, 1e4 + 60), tol=1e-9)
+    found = solution.events("x = 0.9999").t_events[0]
+    np.testing.assert_allclose(found, 1e4 + both_sides(0.9999, 60.0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        ("sqrt(x) = 1/2", "'sqrt.x. = 1/2' is not a number at t = 1.5"),
+        (lambda t, z: np.nan, "an event is not a number at t = 0; write one that has a value"),
+    ],
+)
+def test_events_that_are_no_numbers(circle: hamsym.Solution, event: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        circle.events([event])  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize("direction", ["up", float("nan")])
+def test_directions_that_cannot_be_used(circle: hamsym.Solution, direction: object) -> None:
+    def event(t: float, z: np.ndarray) -> float:
+        return z[0]
+
+    event.direction = direction  # type: ignore[attr-defined]
+    with pytest.raises(InputError, match="direction=.* cannot be used; give a number"):
+        circle.events(event)
 
 
 # -- where it could go wrong -------------------------------------------------------------------

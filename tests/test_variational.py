@@ -119,6 +119,13 @@ def test_a_period_that_cannot_be_used() -> None:
         hamsym.monodromy(Hamiltonian("p**2/2 - x**4/4"), [1.0, 1.0], 5.0)
 
 
+@pytest.mark.parametrize("period", ["x", float("nan"), None])
+def test_periods_that_are_no_numbers(period: object) -> None:
+    problem = harmonic_oscillator()
+    with pytest.raises(InputError, match="period=.* cannot be used; give a number"):
+        hamsym.monodromy(problem.H, problem.z0, period)  # type: ignore[arg-type]
+
+
 # -- Lyapunov exponents ------------------------------------------------------------------------
 
 
@@ -130,6 +137,25 @@ def test_exponents_of_a_saddle_are_its_rates() -> None:
     assert found.exponents.shape[1] == 4
     assert abs(found.trend) < 0.2
     assert "if the motion is bounded and comes back" in found.statement
+
+
+def test_the_largest_exponent_comes_first() -> None:
+    """At every time, also while the vectors have not yet turned into their order."""
+    for problem, count in ((henon_heiles(), 3), (double_pendulum(), 4)):
+        found = hamsym.lyapunov(problem.H, problem.z0, (0, 300), count=count)
+        assert np.all(np.diff(found.exponents, axis=1) <= 0)
+        assert found.maximal == found.exponents[-1].max()
+        assert f"the largest exponent is {found.maximal:.3g}" in found.statement
+        drawn = found.plot().axes[0].lines[0].get_ydata()
+        assert drawn[-1] == found.maximal
+
+
+def test_exponents_without_an_energy_are_no_success() -> None:
+    """log(x) has a force where x is negative, but no value."""
+    found = hamsym.lyapunov(Hamiltonian("p**2/2 + log(x)"), [-1.0, 1.0], (0, 0.5), dt=1e-3)
+    assert not found.success
+    assert "H changed by inf" in found.message
+    assert "the run was no success" in found.statement
 
 
 def test_one_degree_of_freedom_is_never_called_chaotic() -> None:
