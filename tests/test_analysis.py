@@ -12,6 +12,7 @@ import torch
 
 import hamsym
 from hamsym import Hamiltonian, Solution
+from hamsym.analysis import Analysis
 from hamsym.errors import VacuousBoundWarning
 from hamsym.systems import harmonic_oscillator, henon_heiles, nonlinear_oscillator
 
@@ -176,3 +177,21 @@ def test_what_is_switched_at_a_joint_is_no_residual(formula: str, stops: list[fl
     t = np.linspace(0, 5, 5_000)[1:-1]
     beside = np.linalg.norm(solution.residual(t), axis=-1).max()
     assert 0.9 * beside <= solution.ell_max < 1e-8
+
+
+def test_what_is_no_number_is_never_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Hessian or a residual that is nan from t = 3 on bounds nothing."""
+    solution = hamsym.solve("p**2/2 + x**2/2", [1.0, 0.0], (0, 6))
+    hessians, residual = solution.hessians, solution.residual
+
+    def lost(values: np.ndarray, t: np.ndarray) -> np.ndarray:
+        late = np.reshape(np.asarray(t) > 3, np.shape(t) + (1,) * (values.ndim - np.ndim(t)))
+        return np.where(late, np.nan, values)
+
+    monkeypatch.setattr(solution, "hessians", lambda t: lost(hessians(t), t))
+    found = Analysis(solution)
+    assert (found.sigma_min, found.bound) == (0.0, np.inf)
+    assert found.sigma_min_time == pytest.approx(3, abs=0.01)
+    assert np.isnan(found.eigenvalues(np.array([1.0, 4.0]))).tolist() == [[False] * 2, [True] * 2]
+    monkeypatch.setattr(solution, "residual", lambda t: lost(residual(t), t))
+    assert Analysis(solution).ell_max == np.inf

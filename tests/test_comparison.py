@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -276,3 +277,24 @@ def test_figure(comparison: Comparison) -> None:
 def test_figure_of_many(several: Comparison) -> None:
     axes = several.plot().axes
     assert len(axes[0].lines) == 1 + len(METHODS)
+
+
+def test_a_reference_that_is_no_number_makes_no_error_small() -> None:
+    problem = harmonic_oscillator()
+    solution = quick(problem)
+
+    def gap(t: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(t[:, None] - 1) < 0.1, np.nan, problem.exact(t))
+
+    found = hamsym.compare(solution, points=3, exact=gap, max_steps=1_000)
+    for row in found.rows:
+        assert row.error == row.energy_error == np.inf
+        assert np.all(row.component_errors == np.inf)
+
+
+def test_comparing_coarse_steps_does_not_warn() -> None:
+    problem = nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 20), tol=1e-6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        hamsym.compare(solution, points=20, exact=problem.exact, max_steps=1_000)
