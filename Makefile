@@ -25,7 +25,7 @@ test: $(VENV)/installed ## Run the test suite
 test-slow: $(VENV)/installed ## Run the slow checks too
 	$(BIN)/python -m pytest -n 2
 
-test-wheel: $(VENV)/installed ## Build a wheel, install it elsewhere, run the tests against it
+test-wheel: $(VENV)/installed ## Build a wheel, install it elsewhere, see that it works
 	VENV_BIN="$(abspath $(BIN))" PYTHON="$(PYTHON)" TORCH="$(TORCH)" bash tests/wheel.sh
 
 lint: $(VENV)/installed ## Check style, formatting and types

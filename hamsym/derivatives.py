@@ -8,6 +8,7 @@ its derivatives have in common is found again by :func:`common_subexpressions`.
 
 from __future__ import annotations
 
+import enum
 import itertools
 import random
 from collections import Counter, defaultdict
@@ -21,6 +22,7 @@ from hamsym.errors import CodeGenerationError
 
 __all__ = [
     "Effort",
+    "Narrow",
     "common_subexpressions",
     "connected_blocks",
     "gradient",
@@ -382,24 +384,39 @@ def switches(
     return found
 
 
+class Narrow(enum.IntEnum):
+    """What an argument belongs to, and so where and how fast its function acts.
+
+    Of exp, tanh and the like: near zeros and turning points, while it changes by 1. The base of a
+    negative or broken power: near turning points, while it changes by its own size. Of abs, sign,
+    Min and Max: at its zeros at once, and near turning points as a base.
+    """
+
+    FUNCTION, BASE, SWITCH = range(3)
+
+
 def narrow_arguments(
     expr: sympy.Expr, variables: Sequence[sympy.Symbol]
-) -> list[tuple[sympy.Expr, bool]]:
+) -> list[tuple[sympy.Expr, Narrow]]:
     """Arguments of functions that may act in a small part of phase space or of time only.
 
-    Those of exp, tanh, erf and the like, False, and the bases of negative and of broken powers,
-    True: near where an argument is zero or extreme, pulses, steps and poles have their place.
+    Near where an argument is zero or extreme, pulses, steps and poles have their place.
 
     Examples
     --------
     >>> x, t = sympy.symbols("x t", real=True)
-    >>> narrow_arguments(x**2 + sympy.exp(-100 * t**2) / sympy.sqrt(x**2 + 1), [x, t])
-    [(-100*t**2, False), (x**2 + 1, True)]
+    >>> [(str(g), kind.name) for g, kind in narrow_arguments(sympy.exp(-t**2) / x, [x, t])]
+    [('-t**2', 'FUNCTION'), ('x', 'BASE')]
     """
     known = set(variables)
-    found = {(function.args[0], False) for function in expr.atoms(*_BRIEF)}
+    found = {(function.args[0], Narrow.FUNCTION) for function in expr.atoms(*_BRIEF)}
     for power in expr.atoms(sympy.Pow):
         exponent = power.exp
         if exponent.is_number and (exponent.is_negative or not exponent.is_integer):
-            found.add((power.base, True))
+            found.add((power.base, Narrow.BASE))
+    switches = (sympy.Abs, sympy.sign, sympy.Heaviside)
+    found |= {(switch.args[0], Narrow.SWITCH) for switch in expr.atoms(*switches)}
+    for choice in expr.atoms(sympy.Min, sympy.Max):
+        pairs = itertools.combinations(choice.args, 2)
+        found |= {(one - other, Narrow.SWITCH) for one, other in pairs}
     return sorted((entry for entry in found if entry[0].free_symbols & known), key=str)

@@ -36,7 +36,7 @@ RESOLUTIONS = ((48, 28), (72, 40))
 _PERTURBATIONS = 4  # random vectors that stand for round-off
 _EPS = float(np.finfo(float).eps)
 _RESOLVED = 1e-3  # residual, relative to the rates, that a smooth force leaves at most
-_ROUND_OFF = 0.5  # calibrated against estimates whose residual is taken in extended precision
+_ROUND_OFF = 1.0  # calibrated against estimates whose residual is taken in extended precision
 _LOST = 1.0  # error, in units of the motion, beyond which the linear equation says nothing
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged
 _ACCURACY = 1e-5  # of the maps of all windows together
@@ -96,7 +96,7 @@ class MarchError:
         """The largest ratio of estimate and floor to what is allowed; infinite if it is unknown."""
         with np.errstate(all="ignore"):
             ratios = np.where(self.largest == 0, 0.0, self.largest / allowed)
-        return float(np.nan_to_num(ratios, nan=np.inf).max())
+        return float(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf).max())
 
     def _place(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         t = t - self.origin
@@ -248,7 +248,8 @@ class _Estimation:
         """What rounding in the residual moves each window by, shape (windows, dim)."""
         signs = self._generator.choice((-1.0, 1.0), size=z.shape)
         disturbed = (z * (1 + _EPS / 2 * signs)).reshape(-1, z.shape[-1])
-        noise = self._flow.vector_field(disturbed, times.ravel()).reshape(z.shape) - rates
+        late = times.ravel() * (1 + _EPS / 2 * self._generator.choice((-1.0, 1.0), times.size))
+        noise = self._flow.vector_field(disturbed, late).reshape(z.shape) - rates
         noise = np.sqrt((noise**2).mean(axis=1)) + _EPS * np.abs(dz).max(axis=1)
         # The nodes average it.
         return _ROUND_OFF * np.abs(self._lengths[part])[:, None] * noise / math.sqrt(z.shape[1])

@@ -103,7 +103,12 @@ class FeatureBasis:
 
         They are evaluated from the stored series, and so are columns of the solution itself.
         """
-        return _columns(self.series, s)
+        return _columns(self.series, self.rate_series, s)
+
+    @cached_property
+    def rate_series(self) -> np.ndarray:
+        """Chebyshev series of dN/ds, derived from that of N."""
+        return rate_series(self.series)
 
 
 @functools.lru_cache(maxsize=8)
@@ -125,7 +130,7 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
 
     def columns(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         # A rounded table carries its error into every window, each time the same.
-        values, rates = _columns(series, s.astype(np.longdouble))
+        values, rates = _columns(series, series, s.astype(np.longdouble))
         return values.astype(float), rates.astype(float)
 
     at_nodes, rates_at_nodes = columns(nodes)
@@ -142,7 +147,7 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
         integration=at_nodes @ fit,
         to_between=to_between,
         rates_between=rates_between,
-        end=_columns(series, np.ones(1, dtype=np.longdouble))[0][0],
+        end=_columns(series, series, np.ones(1, dtype=np.longdouble))[0][0],
         series=series,
     )
 
@@ -179,14 +184,16 @@ def _bessel(w: mpmath.mpf, count: int) -> list[mpmath.mpf]:
     return [value / norm for value in values[:count]]
 
 
-def _columns(series: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """f N and its derivative at s, from the Chebyshev series of N, in the precision of s."""
-    series = series.astype(s.dtype)
+def _columns(series: np.ndarray, rates: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f N and its derivative at s, from Chebyshev series of N and dN/ds, in the precision of s."""
+    if s.dtype != series.dtype:  # more digits of the derivative of exactly this series
+        series = series.astype(s.dtype)
+        rates = rate_series(series)
     angles = np.arccos(np.clip(2 * s - 1, -1, 1))
     polynomials = np.cos(np.multiply.outer(angles, np.arange(len(series), dtype=s.dtype)))
     f = -np.expm1(-s)[:, None]
     network = polynomials @ series
-    slopes = polynomials @ rate_series(series)
+    slopes = polynomials @ rates
     return f * network, (1 - f) * network + f * slopes
 
 

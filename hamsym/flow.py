@@ -32,8 +32,8 @@ class Flow:
     energy : callable, optional
         (z, t) -> H, shape (n,), where H is conserved.
     narrow_arguments : callable, optional
-        (z, t) -> arguments of the functions in H that may act briefly, shape (n, k), and whether
-        each is the base of a power, shape (k,); see :attr:`hamsym.Hamiltonian.narrow_arguments`.
+        (z, t) -> arguments of the functions in H that may act briefly, shape (n, k), and what
+        each belongs to, shape (k,); see :attr:`hamsym.Hamiltonian.narrow_arguments`.
     rounded : bool
         Whether H has numbers that float64 does not hold.
     loop : callable

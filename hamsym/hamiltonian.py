@@ -592,7 +592,8 @@ class Hamiltonian:
         """A function of (z, t), where pulses, steps and poles of H have their places.
 
         Its values, shapes (n, dim), (n,) -> (n, k), are the arguments of exp, tanh, erf and the
-        like and the bases of negative and of broken powers; shape (k,), which of them are bases.
+        like, of abs and of Max, and the bases of negative and of broken powers; and what each is, a
+        :class:`~hamsym.derivatives.Narrow`, shape (k,).
         None where H has no such functions.
         """
         real = self._real
@@ -601,11 +602,11 @@ class Hamiltonian:
         if not found:
             return None
         function = self._function(tuple(argument for argument, _ in found))
-        bases = np.array([is_base for _, is_base in found])
+        kinds = np.array([kind for _, kind in found])
 
         def values(z: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             columns = [np.broadcast_to(column, len(z)) for column in function(z, t)]
-            return np.stack(columns, axis=-1), bases
+            return np.stack(columns, axis=-1), kinds
 
         return values
 

@@ -13,6 +13,7 @@ Stage 3  Some tens of windows at a time are checked at times that were not used
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Sequence
@@ -93,8 +94,7 @@ class _Marching:
             abs(self._end - self._start), abs(self._start), abs(self._end)
         )
         dim, columns = len(z0), basis.mixing.shape[1]
-        generator = np.random.default_rng(basis.seed)
-        self._signs = generator.choice((-1.0, 1.0), size=(len(basis.between), dim))
+        self._signs = _signs(basis, dim)
         # What the loop carries from call to call.
         self._rate = np.empty((1, dim))
         flow.rates(z0[None], np.array([self._start]), self._rate)
@@ -330,6 +330,12 @@ def newton(
             return None, step
         last = change
     return None, _NEWTON_ITERATIONS
+
+
+@functools.lru_cache(maxsize=64)
+def _signs(basis: FeatureBasis, dim: int) -> np.ndarray:
+    generator = np.random.default_rng(basis.seed)
+    return generator.choice((-1.0, 1.0), size=(len(basis.between), dim))
 
 
 def _origin(flow: Flow, span: tuple[float, float]) -> float:

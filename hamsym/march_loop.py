@@ -100,8 +100,8 @@ def march_windows(
     floors : array (dim,)
         Sizes that components count as having at least.
     signs : array (between, dim)
-        1 and -1 at random. What the rates change by when the states change by a unit in the last
-        place, with these signs, is their round-off.
+        1 and -1 at random. What the rates change by when states and times change by a unit in
+        the last place, with these signs, is their round-off.
     shortest : float
         Length below which a window is not tried.
     longest : float
@@ -178,7 +178,8 @@ def march_windows(
                     # A component may stay away from its limit by the round-off of its rate.
                     looks += 1
                     inner = disturbed[: len(nodes)]
-                    rates(nearby * (1 + EPS * signs[: len(nodes)]), times, inner)
+                    late = times * (1 + EPS * signs[: len(nodes), 0])
+                    rates(nearby * (1 + EPS * signs[: len(nodes)]), late, inner)
                     evaluations += 1
                     noise = typical_sizes(inner - values)
                     if (changes <= enough * scale + NOISE * length * noise).all():
@@ -215,7 +216,8 @@ def march_windows(
         error = (defects / allowed).max()
         if not error <= WELL:
             # That is many units of the rates where large terms cancel.
-            rates(middle * (1 + EPS * signs), t + h * between, disturbed)
+            late = (t + h * between) * (1 + EPS * signs[:, 0])
+            rates(middle * (1 + EPS * signs), late, disturbed)
             evaluations += 1
             allowed = allowed + NOISE * length * typical_sizes(disturbed - flow)
             error = (defects / allowed).max()

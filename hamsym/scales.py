@@ -26,7 +26,7 @@ def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.nd
     coupling : numpy.ndarray
         |A|, its mean along the trajectory, shape (dim, dim).
     time : float
-        tau where rho is 0, as for a free particle: the span.
+        The longest tau: the span, beyond which no weak coupling acts.
 
     Examples
     --------
@@ -36,7 +36,7 @@ def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.nd
     if not np.isfinite(coupling).all():
         return sizes
     radius = float(np.abs(np.linalg.eigvals(coupling)).max(initial=0.0))
-    tau = 1 / radius if radius > 0 else time
+    tau = min(time, 1 / radius) if radius > 0 else time
     found = sizes
     for _ in range(len(sizes)):
         found = np.maximum(found, tau * coupling @ found)

@@ -325,7 +325,7 @@ class Solution:
         times = _times(t)
         with np.errstate(invalid="ignore"):
             change = np.abs(self._finer_estimate(times) - self.error_estimate(times))
-        return np.nan_to_num(change, nan=np.inf)
+        return np.nan_to_num(change, nan=np.inf, posinf=np.inf)
 
     @cached_property
     def _finer_estimate(self) -> Callable[[np.ndarray], np.ndarray]:
@@ -352,14 +352,15 @@ class Solution:
         errors = self.largest_error
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios = np.where(errors == 0, 0.0, errors / self._coupled_scales)
-        return float(np.nan_to_num(ratios, nan=np.inf).max())
+        return float(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf).max())
 
     @cached_property
     def _coupled_scales(self) -> np.ndarray:
         start, end = self.span
         with np.errstate(all="ignore"):
             coupling = np.abs(generators(self.hessians(self.scan_times))).mean(axis=0)
-        return coupled_sizes(self.scale, coupling, abs(end - start))
+        # Of a short span the motion is what it would be in a longer one.
+        return coupled_sizes(self.scale, coupling, 10 * abs(end - start))
 
     @cached_property
     def _error(self) -> Callable[[np.ndarray], np.ndarray]:

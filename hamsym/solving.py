@@ -74,16 +74,18 @@ def solve(
 
         tol : float, default 1e-9
             Wanted accuracy: |z^_i(t) - z_i(t)| <= atol_i + tol s_i for every component and all t,
-            with s_i the largest |z^_i|; where that is below 1e-8 of the largest among the
-            coordinates (or momenta), that floor takes its place.
+            with s_i the largest |z^_i|. A component that is zero, or below 1e-8 of what the terms
+            of its own equation give it, has that as its s_i (:mod:`hamsym.scales`): less could not
+            be told from the round-off of these terms. Units of components do not matter.
         atol : float or sequence, default 0
             Absolute part, in the units of the components.
 
         breakpoints : sequence of float, default ()
             Times at which a window must end, such as jumps of a force.
         max_window : float, optional
-            Longest window, an eighth of the span by default. H is looked at at about a hundred
-            times in each window: give a shorter one where something brief happens in between.
+            Longest window, an eighth of the span by default. Pulses and steps of H are found by
+            their places in the formula, at random places and by the change of H
+            (:mod:`hamsym.window_checks`); give a shorter one where something brief escapes that.
 
         For all methods that train a deep network:
 
@@ -148,7 +150,8 @@ def solve(
     -------
     Solution
         ``success`` tells whether the estimated error, round-off included, is as asked
-        (``"features"``); whether the target loss was reached or, without one, whether the
+        (``"features"``; never beyond a jump of the force, nor where the estimate is not finite);
+        whether the target loss was reached or, without one, whether the
         estimated error stays below 1 % of the motion (``"adam"``). What was found is returned
         either way; a march that had to stop spans the time up to there.
 

@@ -6,8 +6,8 @@ again:
 
 1. *Places from the formula.* Pulses, steps and poles of H have their places where the argument of
    exp, tanh, erf and the like, or the base of a negative or broken power, is zero or extreme.
-   These arguments are smooth along the trajectory, so the times are found from their Chebyshev
-   series, with the width of what happens there, and the residual is taken at and around them.
+   These arguments vary slowly along the trajectory, so that samples of them show where; the
+   residual is taken at and around these times, as far as the width of what happens there.
 2. *Random places*, seeded: the residual again.
 3. *Energy.* Where H does not depend on time, it may change over a window by no more than the local
    error that the tolerance allows. A step of the potential that was passed over unseen changes it.
@@ -18,12 +18,13 @@ place cannot be read from the formula in this way, and which no sampled time mee
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
+from hamsym.derivatives import Narrow
 from hamsym.features import FeatureBasis
 from hamsym.flow import Flow
 from hamsym.march_loop import EPS, NOISE, ROUND_OFF, TINY
@@ -31,13 +32,16 @@ from hamsym.tangent import collocation
 
 __all__ = ["Failure", "WindowChecks"]
 
-_NODES = 32  # of the series of the arguments
+_NODES, _DENSE = 32, 400  # places where arguments are sampled, of which the first make a series
+_RESOLVED = 1e-2  # last coefficients of that series, relative to the largest
 _NARROW = 0.1  # of a window: what is wider is seen by the march
+_AT_ONCE = 1e-7  # of a window
 _AROUND = np.array([-1.5, -0.7, 0.0, 0.7, 1.5])  # places of the residual, in widths
 _RANDOM = 2  # places in each window
 _SLACK = 10.0  # of what the march allows at its own places
 _BISECTIONS = 40
-_NEWTON = 3  # steps, each of which doubles the digits
+_SECTIONS, _HALVINGS = 70, 40  # of the interval of a zero or a turning point
+_GOLDEN = (3 - 5**0.5) / 2
 
 
 class Failure(NamedTuple):
@@ -128,7 +132,7 @@ class WindowChecks:
         return worst, places
 
     def _round_off(self, windows: Windows, window: np.ndarray) -> np.ndarray:
-        """What a unit in the last place of the states changes in the rates, shape (n, dim).
+        """What a unit in the last place of states and times changes in the rates, shape (n, dim).
 
         As is usual in the window: where something narrow happens the rates change by far more.
         """
@@ -136,55 +140,126 @@ class WindowChecks:
         s = self.basis.nodes
         z, _, t = self._at(windows, np.repeat(used, len(s)), np.tile(s, len(used)))
         disturbed = z * (1 + EPS * self._generator.choice((-1.0, 1.0), size=z.shape))
-        noise = np.abs(self.flow.vector_field(disturbed, t) - self.flow.vector_field(z, t))
+        late = t * (1 + EPS * self._generator.choice((-1.0, 1.0), size=t.shape))
+        noise = np.abs(self.flow.vector_field(disturbed, late) - self.flow.vector_field(z, t))
         return np.asarray(np.median(noise.reshape(len(used), len(s), -1), axis=1)[index])
 
     def _narrow_places(self, windows: Windows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where something narrow may happen: windows, places s and widths, in window lengths."""
-        assert self.flow.narrow_arguments is not None
-        rule, count = collocation(_NODES), len(windows.readouts)
-        s = np.concatenate(([0.0], rule.nodes, [1.0]))
-        window = np.repeat(np.arange(count), len(s))
-        z, _, t = self._at(windows, window, np.tile(s, count))
-        arguments, bases = self.flow.narrow_arguments(z, t)
-        g = arguments.reshape(count, len(s), -1)
-        steps = np.diff(s)[:, None]
-        slopes = np.diff(g, axis=1) / steps
-        curvatures = 2 * np.diff(slopes, axis=1) / (steps[1:] + steps[:-1])
-        # Twice as wide as wanted, since differences are coarse.
-        coarse = 2 * _NARROW
-        crosses = (g[:, :-1] * g[:, 1:] <= 0) & (np.abs(slopes) * coarse > 1) & ~bases
-        turns = (slopes[:, :-1] * slopes[:, 1:] <= 0) & (
-            np.abs(curvatures) * coarse**2 > 2 * np.where(bases, np.abs(g[:, 1:-1]), 1.0)
+        count = len(windows.readouts)
+        s, values, to_series = _table(self.basis, _NODES)
+        g, kinds = self._arguments(windows, np.arange(count), s, values)
+        series = np.abs(to_series @ g[:, 1:-1].transpose(2, 1, 0))  # (argument, degree, window)
+        tails = series[:, -4:].max(axis=1)
+        # An argument that oscillates within the window is sampled more densely.
+        fast = np.flatnonzero(~(tails <= _RESOLVED * series.max(axis=1)).all(axis=0))
+        found = [
+            self._candidates(np.delete(np.arange(count), fast), s, np.delete(g, fast, 0), kinds)
+        ]
+        if len(fast):
+            s, values, _ = _table(self.basis, _DENSE)
+            dense, _ = self._arguments(windows, fast, s, values)
+            found.append(self._candidates(fast, s, dense, kinds))
+        low, high, window, which, turns = (
+            np.concatenate(parts) for parts in zip(*found, strict=True)
         )
-        places: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-        for found, order in ((crosses, 0), (turns, 1)):
-            w, i, k = np.nonzero(found)
-            if not len(w):
-                continue
-            series = np.einsum("ln,wn->lw", rule.to_series, g[:, 1:-1][w, :, k])
-            low, high = s[i], s[i + 1 + order]
-            guesses = 2 * (s[i + order] if order else (low + high) / 2) - 1
-            x = _newton(chebyshev.chebder(series, order), guesses, 2 * low - 1, 2 * high - 1)
-            rate = np.abs(_values(chebyshev.chebder(series, 2 if order else 1), x))
-            with np.errstate(all="ignore"):
-                if order:
-                    unit = np.where(bases[k], np.abs(_values(series, x)), 1.0)
-                    width = np.sqrt(2 * unit / (4 * rate))
-                else:
-                    width = 1 / (2 * rate)
-            narrow = width < _NARROW
-            places.append((w[narrow], (x[narrow] + 1) / 2, width[narrow]))
-        if not places:
+        if not len(window):
             return np.empty(0, dtype=int), np.empty(0), np.empty(0)
-        w, s, width = (np.concatenate(parts) for parts in zip(*places, strict=True))
+        place, width = self._located(windows, low, high, window, which, turns, kinds)
+        # What is switched acts at once, and goes on.
+        switched = (kinds[which] == Narrow.SWITCH) & (turns == 0)
+        lasting = np.where(switched, 1.0, np.minimum(4 * width, 1.0))
+        width = np.where(switched, _AT_ONCE, width)
+        narrow = width < _NARROW
+        place, width, window = place[narrow], width[narrow], window[narrow]
         # Inside the window: at a breakpoint the equations of the next one may hold.
-        around = np.clip(s[:, None] + width[:, None] * _AROUND, 1e-9, 1 - 1e-9)
+        around = np.clip(place[:, None] + width[:, None] * _AROUND, 1e-9, 1 - 1e-9)
+        lasting = np.repeat(lasting[narrow], len(_AROUND))
+        return np.repeat(window, len(_AROUND)), around.ravel(), lasting
+
+    def _arguments(
+        self, windows: Windows, window: np.ndarray, s: np.ndarray, values: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The arguments at the same places of windows, shape (windows, places, arguments)."""
+        assert self.flow.narrow_arguments is not None
+        z = windows.states[window, None] + values @ windows.readouts[window]
+        t = windows.edges[window, None] + np.diff(windows.edges)[window, None] * s
+        arguments, kinds = self.flow.narrow_arguments(z.reshape(-1, z.shape[-1]), t.ravel())
+        return arguments.reshape(*t.shape, -1), kinds
+
+    def _candidates(
+        self, window: np.ndarray, s: np.ndarray, g: np.ndarray, kinds: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Zeros and turning points of arguments that are steep there, between samples.
+
+        Returns
+        -------
+        tuple of numpy.ndarray
+            Both ends of the interval, the window, the argument, and the sign of a maximum or
+            minimum, 0 for a zero; shape (n,) each.
+        """
+        changes = np.diff(g, axis=1)
+        # Within a tenth of a window the argument must change by 1, or a base by its size: here it
+        # does so between two samples, or between its neighbours.
+        steps = np.diff(s)[:, None]
+        steep = np.abs(changes) * _NARROW > steps
+        acts = (steep & (kinds == Narrow.FUNCTION)) | (kinds == Narrow.SWITCH)
+        crosses = (g[:, :-1] * g[:, 1:] <= 0) & acts
+        ratio = np.minimum(_NARROW / (steps[:-1] + steps[1:]), 1.0) ** 2
+        drop = np.maximum(np.abs(changes[:, :-1]), np.abs(changes[:, 1:])) * 2 * ratio
+        unit = np.where(kinds == Narrow.FUNCTION, 1.0, np.abs(g[:, 1:-1]))
+        turns = (changes[:, :-1] * changes[:, 1:] <= 0) & (drop > unit)
+        w, i, k = np.nonzero(crosses)
+        v, j, m = np.nonzero(turns)
         return (
-            np.repeat(w, len(_AROUND)),
-            around.ravel(),
-            np.repeat(np.minimum(4 * width, 1.0), len(_AROUND)),
+            np.concatenate((s[i], s[j])),
+            np.concatenate((s[i + 1], s[j + 2])),
+            window[np.concatenate((w, v))],
+            np.concatenate((k, m)),
+            np.concatenate((np.zeros(len(w)), np.sign(changes[v, j, m]))),
         )
+
+    def _located(
+        self,
+        windows: Windows,
+        low: np.ndarray,
+        high: np.ndarray,
+        window: np.ndarray,
+        which: np.ndarray,
+        turns: np.ndarray,
+        kinds: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Places of candidates to round-off, and the distance in which the argument changes by 1.
+
+        By bisection for a zero and golden sections for a turning point, of the argument itself: its
+        digits near a multiple zero are lost in any series.
+        """
+        narrow_arguments = self.flow.narrow_arguments
+        assert narrow_arguments is not None
+
+        def values(s: np.ndarray) -> np.ndarray:
+            z, _, t = self._at(windows, window, s)
+            return np.asarray(narrow_arguments(z, t)[0][np.arange(len(s)), which])
+
+        span, at_low = high - low, values(low)
+        sign = np.where(turns == 0, 1.0, turns)
+        for _ in range(_SECTIONS):
+            inner, outer = low + _GOLDEN * (high - low), high - _GOLDEN * (high - low)
+            at_inner, at_outer = values(inner), values(outer)
+            # A zero beyond the first point, or a peak beyond it.
+            beyond = np.where(turns == 0, at_low * at_inner > 0, sign * at_inner < sign * at_outer)
+            low = np.where(beyond, inner, low)
+            high = np.where(beyond, high, np.where(turns == 0, inner, outer))
+        place = (low + high) / 2
+        at_place = np.where(turns == 0, 0.0, values(place))
+        unit = np.where(kinds[which] == Narrow.FUNCTION, 1.0, np.abs(at_place))
+        width = np.ones(len(place))
+        for halvings in range(_HALVINGS):
+            distance = span * 2.0**-halvings
+            near = [np.clip(place + side * distance, 0.0, 1.0) for side in (-1, 1)]
+            change = np.max([np.abs(values(s) - at_place) for s in near], axis=0)
+            width = np.where(change >= unit, distance, width)
+        return place, width
 
     def _energy_changes(self, windows: Windows, sizes: np.ndarray) -> np.ndarray:
         """The change of H over each window, in units of what is allowed."""
@@ -234,23 +309,16 @@ class WindowChecks:
         return z, dz, windows.edges[window] + lengths * s
 
 
+@functools.lru_cache(maxsize=16)
+def _table(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nodes of a rule with both ends, Q there, and values at the nodes -> Chebyshev series."""
+    rule = collocation(count)
+    s = np.concatenate(([0.0], rule.nodes, [1.0]))
+    return s, basis.columns(s)[0], rule.to_series
+
+
 def _excess(values: np.ndarray, allowed: np.ndarray) -> np.ndarray:
     """The largest ratio in each row, infinite where it is not a number."""
     with np.errstate(all="ignore"):
-        ratios = values / np.maximum(allowed, TINY)
-    return np.asarray(np.nan_to_num(ratios, nan=np.inf).max(axis=1))
-
-
-def _newton(series: np.ndarray, x: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Zeros of Chebyshev series, one in each column, near x and between low and high."""
-    slope = chebyshev.chebder(series)
-    for _ in range(_NEWTON):
-        with np.errstate(all="ignore"):
-            moved = x - _values(series, x) / _values(slope, x)
-        x = np.clip(np.where(np.isfinite(moved), moved, x), low, high)
-    return x
-
-
-def _values(series: np.ndarray, x: np.ndarray) -> np.ndarray:
-    degrees = np.arange(len(series))[:, None]
-    return np.asarray((series * np.cos(degrees * np.arccos(np.clip(x, -1, 1)))).sum(axis=0))
+        largest = (values / np.maximum(allowed, TINY)).max(axis=1)
+    return np.where(np.isnan(largest), np.inf, largest)
