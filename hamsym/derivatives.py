@@ -55,6 +55,9 @@ _MOST_GROWTH = 100  # the same for each of H itself: many bodies have fewer
 _LONG_PRODUCT = 8  # factors from which on parts of products are shared
 
 
+_HIGH_POWER = 4  # above which a power of a base acts while that changes by far less than its size
+
+
 class _Magnitude(sympy.Function):  # type: ignore[misc]
     """abs of a real expression; sympy differentiates its own into derivatives of re and im."""
 
@@ -388,8 +391,8 @@ class Narrow(enum.IntEnum):
     """What an argument belongs to, and so where and how fast its function acts.
 
     Of exp, tanh and the like: near zeros and turning points, while it changes by 1. The base of a
-    negative or broken power: near turning points, while it changes by its own size. Of abs, sign,
-    Min and Max: at its zeros at once, and near turning points as a base.
+    negative or broken power, and what is a pole or the end of a domain where it is zero: there,
+    and near turning points, while it changes by its own size. Of abs, sign, Min and Max: the same.
     """
 
     FUNCTION, BASE, SWITCH = range(3)
@@ -412,8 +415,15 @@ def narrow_arguments(
     found = {(function.args[0], Narrow.FUNCTION) for function in expr.atoms(*_BRIEF)}
     for power in expr.atoms(sympy.Pow):
         exponent = power.exp
-        if exponent.is_number and (exponent.is_negative or not exponent.is_integer):
+        if not exponent.is_number:
+            found.add((exponent * sympy.log(power.base), Narrow.FUNCTION))
+        elif exponent.is_negative or not exponent.is_integer:
             found.add((power.base, Narrow.BASE))
+        if exponent.is_number and abs(exponent) > _HIGH_POWER:
+            found.add((exponent * sympy.log(sympy.Abs(power.base)), Narrow.FUNCTION))
+    found |= {(f.args[0], Narrow.BASE) for f in expr.atoms(sympy.log, sympy.coth, sympy.csch)}
+    found |= {(sympy.cos(f.args[0]), Narrow.BASE) for f in expr.atoms(sympy.tan, sympy.sec)}
+    found |= {(sympy.sin(f.args[0]), Narrow.BASE) for f in expr.atoms(sympy.cot, sympy.csc)}
     switches = (sympy.Abs, sympy.sign, sympy.Heaviside)
     found |= {(switch.args[0], Narrow.SWITCH) for switch in expr.atoms(*switches)}
     for choice in expr.atoms(sympy.Min, sympy.Max):

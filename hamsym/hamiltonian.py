@@ -598,7 +598,8 @@ class Hamiltonian:
         """
         real = self._real
         variables = [*real.z, *([] if real.time is None else [real.time])]
-        found = derivatives.narrow_arguments(real.expr, variables)
+        bound = {symbol: value for symbol, value in real.parameters.values() if value is not None}
+        found = derivatives.narrow_arguments(real.expr.xreplace(bound), variables)
         if not found:
             return None
         function = self._function(tuple(argument for argument, _ in found))

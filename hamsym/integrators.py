@@ -564,17 +564,17 @@ def checked_span(span: tuple[float, float]) -> tuple[float, float]:
     Raises
     ------
     InputError
-        If the span is not two finite numbers that differ.
+        If the span is not two finite numbers, or its length is not one.
     """
     try:
         start, end = (float(value) for value in span)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"span={span!r} is not a pair of times; give (t_start, t_end)") from None
     # Below the smallest normal number nothing can be divided by a span.
-    distinct = abs(end - start) > 1e-300
+    distinct = 1e-300 < abs(end - start) < math.inf
     if not (math.isfinite(start) and math.isfinite(end)) or not distinct:
         raise InputError(
-            f"span={span!r} cannot be used; give two different finite times, 1e-300 apart"
+            f"span={span!r} cannot be used; give two finite times, from 1e-300 to 1e308 apart"
         )
     return start, end
 

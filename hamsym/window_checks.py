@@ -35,6 +35,7 @@ __all__ = ["Failure", "WindowChecks"]
 _NODES, _DENSE = 32, 400  # places where arguments are sampled, of which the first make a series
 _RESOLVED = 1e-2  # last coefficients of that series, relative to the largest
 _NARROW = 0.1  # of a window: what is wider is seen by the march
+_ENDS = np.array([0.0, 1e-9, 1e-8, 1e-7, 1e-6])  # before the first node, less for the last
 _AT_ONCE = 1e-7  # of a window
 _AROUND = np.array([-1.5, -0.7, 0.0, 0.7, 1.5])  # places of the residual, in widths
 _RANDOM = 2  # places in each window
@@ -149,7 +150,8 @@ class WindowChecks:
         count = len(windows.readouts)
         s, values, to_series = _table(self.basis, _NODES)
         g, kinds = self._arguments(windows, np.arange(count), s, values)
-        series = np.abs(to_series @ g[:, 1:-1].transpose(2, 1, 0))  # (argument, degree, window)
+        inner = slice(len(_ENDS), -len(_ENDS))
+        series = np.abs(to_series @ g[:, inner].transpose(2, 1, 0))  # (argument, degree, window)
         tails = series[:, -4:].max(axis=1)
         # An argument that oscillates within the window is sampled more densely.
         fast = np.flatnonzero(~(tails <= _RESOLVED * series.max(axis=1)).all(axis=0))
@@ -166,8 +168,8 @@ class WindowChecks:
         if not len(window):
             return np.empty(0, dtype=int), np.empty(0), np.empty(0)
         place, width = self._located(windows, low, high, window, which, turns, kinds)
-        # What is switched acts at once, and goes on.
-        switched = (kinds[which] == Narrow.SWITCH) & (turns == 0)
+        # A switch or a pole acts at once, and goes on.
+        switched = (kinds[which] != Narrow.FUNCTION) & (turns == 0)
         lasting = np.where(switched, 1.0, np.minimum(4 * width, 1.0))
         width = np.where(switched, _AT_ONCE, width)
         narrow = width < _NARROW
@@ -203,7 +205,7 @@ class WindowChecks:
         # does so between two samples, or between its neighbours.
         steps = np.diff(s)[:, None]
         steep = np.abs(changes) * _NARROW > steps
-        acts = (steep & (kinds == Narrow.FUNCTION)) | (kinds == Narrow.SWITCH)
+        acts = steep | (kinds != Narrow.FUNCTION)
         crosses = (g[:, :-1] * g[:, 1:] <= 0) & acts
         ratio = np.minimum(_NARROW / (steps[:-1] + steps[1:]), 1.0) ** 2
         drop = np.maximum(np.abs(changes[:, :-1]), np.abs(changes[:, 1:])) * 2 * ratio
@@ -311,9 +313,9 @@ class WindowChecks:
 
 @functools.lru_cache(maxsize=16)
 def _table(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The nodes of a rule with both ends, Q there, and values at the nodes -> Chebyshev series."""
+    """Nodes of a rule and places near both ends, Q there, and values at the nodes -> series."""
     rule = collocation(count)
-    s = np.concatenate(([0.0], rule.nodes, [1.0]))
+    s = np.concatenate((_ENDS, rule.nodes, 1 - _ENDS[::-1]))
     return s, basis.columns(s)[0], rule.to_series
 
 

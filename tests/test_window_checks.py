@@ -155,3 +155,49 @@ def test_small_step_of_a_large_potential_is_a_jump() -> None:
     solution = hamsym.solve(H, [1.0, -1.0], (0, 5), tol=1e-6)
     assert not solution.success
     assert "H jumps at t = 0.69" in solution.message
+
+
+@pytest.mark.parametrize(
+    ("wall", "z0"),
+    [
+        ("1e-20/(x - 1)**2", [0.0, 1.0]),
+        ("1e-20*tan(x)**2", [0.0, 1.0]),
+        ("1e-14*sec(x)", [0.0, 1.0]),
+        ("-1e-9*log((x - 1)**2)", [0.0, 1.0]),
+        ("1e-20/x", [1.0, -1.0]),
+        ("-1e-20/x", [1.0, -1.0]),
+        ("1e-20/sin(x)**2", [1.0, -1.0]),
+    ],
+)
+def test_poles_are_not_tunnelled_through(wall: str, z0: list[float]) -> None:
+    solution = hamsym.solve(f"p**2/2 + {wall}", z0, (0, 3), tol=1e-6)
+    # A wall reflects: the momentum changes its sign and keeps its size.
+    assert not solution.success or solution(3.0)[1] == pytest.approx(-z0[1], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("pulse", "impulse"),
+    [
+        ("2**(-1e8*(t - 3.37)**2)", math.sqrt(math.pi / math.log(2)) / 1e4),
+        ("(1 + w*(t - 3.37)**2)**(-n)", 0.396 / 1e4),
+        ("(cos(t - 3.37)**2)**m", math.sqrt(math.pi) / 1e4),
+    ],
+)
+def test_powers_that_are_pulses_are_found(pulse: str, impulse: float) -> None:
+    values = {"w": 1e8, "n": 20.0, "m": 1e8}
+    used = {name: value for name, value in values.items() if name in pulse.replace("cos", "")}
+    H = Hamiltonian(f"p**2/2 + x*{pulse}", parameters=used)
+    solution = hamsym.solve(H, [0.0, 1.0], (0.5, 5.0), tol=1e-8)
+    assert solution.success, solution.message
+    if "w" in used:
+        t = np.linspace(-3e-3, 3e-3, 400_001)
+        impulse = float(np.trapezoid((1 + 1e8 * t**2) ** -20.0, t))
+    assert solution(5.0)[1] == pytest.approx(1 - impulse, abs=2e-8)
+
+
+@pytest.mark.parametrize(("place", "stops"), [(1e-5, []), (3.37001, [3.37]), (9.999995, [])])
+def test_pulses_beside_the_ends_of_windows_are_found(place: float, stops: list[float]) -> None:
+    H = Hamiltonian(f"p**2/2 + 100*x*exp(-1e14*(t - {place})**2)")
+    solution = hamsym.solve(H, [0.0, 1.0], (0, 10), tol=1e-8, breakpoints=stops)
+    assert solution.success, solution.message
+    assert solution(10.0)[1] == pytest.approx(1 - math.sqrt(math.pi) / 1e5, abs=2e-8)

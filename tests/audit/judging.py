@@ -26,7 +26,7 @@ _SEEN = 1e-14  # relative: below it the state itself is rounded
 _FACTOR = 10  # between an estimate and the truth
 _PESSIMISM = 50  # between the round-off that a refusal gives as its reason and the truth
 _SMALL = 1e-8  # of the largest of its half: the scale of a component that is zero
-_HELD = re.compile(r"held until t = ([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)")
+_HELD = re.compile(r"(?:held|met only) until t = ([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)")
 _TIME = re.compile(r"\bt = [-+]?[0-9]")
 
 

@@ -756,7 +756,6 @@ SYSTEMS: tuple[System, ...] = (
         z0=(math.pi - 1e-6, 0.0),
         span=(0.0, 60.0),
         fast=(1e-4,),
-        must_succeed=(1e-4,),
     ),
     System(
         name="pendulum_nearly_up",
