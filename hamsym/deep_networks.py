@@ -365,7 +365,10 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
     )
     if training.stopped == "interrupted":
         return False, f"interrupted after {done}: {state}"
-    jump = first_jump(solution, solution.scan_times, unresolved(solution))
+
+    def jump() -> str | None:
+        return first_jump(solution, solution.scan_times, unresolved(solution))
+
     targets = {
         "target loss": options.target_loss,
         "target ell_max": options.target_ell_max,
@@ -375,8 +378,8 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
     asked = {name: value for name, value in targets.items() if value is not None}
     if training.stopped in asked:
         value = asked[training.stopped]
-        if training.stopped == "target error" and jump is not None:
-            return False, f"{jump} ({state})"
+        if training.stopped == "target error" and (found := jump()) is not None:
+            return False, f"{found} ({state})"
         return True, f"{training.stopped} {value:.2e} reached after {done}: {state}"
     ends = {
         "iterations": f"in {done}",
@@ -392,8 +395,8 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
                 "; the accuracy means nothing here, because sigma_min is 0 along the trajectory"
             )
         return False, f"{missed} not reached {end}: {state}"
-    if relative <= _CONVERGED and jump is not None:
-        return False, f"{jump} ({state})"
+    if relative <= _CONVERGED and (found := jump()) is not None:
+        return False, f"{found} ({state})"
     if relative <= _CONVERGED:
         return True, f"{end.removeprefix('in ')}: {state}"
     return False, f"not converged {'after' + end[2:]}: {state}, more than {_CONVERGED:g}"
