@@ -130,7 +130,7 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
 
     def columns(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         # A rounded table carries its error into every window, each time the same.
-        values, rates = _columns(series, series, s.astype(np.longdouble))
+        values, rates = _columns(series, rate_series(series), s.astype(np.longdouble))
         return values.astype(float), rates.astype(float)
 
     at_nodes, rates_at_nodes = columns(nodes)
@@ -147,7 +147,7 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
         integration=at_nodes @ fit,
         to_between=to_between,
         rates_between=rates_between,
-        end=_columns(series, series, np.ones(1, dtype=np.longdouble))[0][0],
+        end=_columns(series, rate_series(series), np.ones(1, dtype=np.longdouble))[0][0],
         series=series,
     )
 

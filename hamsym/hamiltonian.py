@@ -598,8 +598,7 @@ class Hamiltonian:
         """
         real = self._real
         variables = [*real.z, *([] if real.time is None else [real.time])]
-        bound = {symbol: value for symbol, value in real.parameters.values() if value is not None}
-        found = derivatives.narrow_arguments(real.expr.xreplace(bound), variables)
+        found = derivatives.narrow_arguments(real.expr.xreplace(self._bound), variables)
         if not found:
             return None
         function = self._function(tuple(argument for argument, _ in found))
@@ -620,15 +619,20 @@ class Hamiltonian:
             if not isinstance(number, sympy.Float)
         ) or any(power.is_number for power in self.expr.atoms(sympy.Pow))
 
+    @property
+    def _bound(self) -> dict[sympy.Symbol, float]:
+        """Values of the parameters that have one, by their real symbols."""
+        known = self._real.parameters.values()
+        return {symbol: value for symbol, value in known if value is not None}
+
     def _function(self, expr: Any) -> Callable[..., Any]:
         """Values of expressions in real symbols, from (z, t) of shapes (..., dim) and (...)."""
         real = self._real
         time = real.time or sympy.Dummy("t")
-        values = {symbol: value for symbol, value in real.parameters.values() if value is not None}
         exprs = (
-            tuple(entry.xreplace(values) for entry in expr)
+            tuple(entry.xreplace(self._bound) for entry in expr)
             if isinstance(expr, tuple)
-            else expr.xreplace(values)
+            else expr.xreplace(self._bound)
         )
         # Names are dummies there, and what is printed are functions of the parser's list.
         function = sympy.lambdify(

@@ -260,7 +260,8 @@ class WindowChecks:
             distance = span * 2.0**-halvings
             near = [np.clip(place + side * distance, 0.0, 1.0) for side in (-1, 1)]
             change = np.max([np.abs(values(s) - at_place) for s in near], axis=0)
-            width = np.where(change >= unit, distance, width)
+            # Where the argument is not a number the residual is to decide.
+            width = np.where(change < unit, width, distance)
         return place, width
 
     def _energy_changes(self, windows: Windows, sizes: np.ndarray) -> np.ndarray:
