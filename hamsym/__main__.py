@@ -2,6 +2,6 @@
 
 import sys
 
-from hamsym.cli import main
+from hamsym.cli.commands import main
 
 sys.exit(main())

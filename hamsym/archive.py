@@ -21,17 +21,18 @@ import sympy
 import torch
 from torch import Tensor
 
-from hamsym.call_limit import CallLimitExceededError, call_limit
 from hamsym.errors import FileError, HamsymError, InputError
-from hamsym.estimates import MarchError
-from hamsym.features import FeatureTrial, March
-from hamsym.files import one_line, read_tensors, write_tensors
+from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
+from hamsym.formula.parser import MAX_BITS, MAX_EFFORT, MAX_SECONDS, parse_expression
+from hamsym.formula.printer import FormulaPrinter
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.parsing import MAX_BITS, MAX_EFFORT, MAX_SECONDS, parse_expression
-from hamsym.printing import FormulaPrinter
-from hamsym.solution import Solution
-from hamsym.training import History, Training
-from hamsym.trial import ComponentNetworks, Network, TrialSolution
+from hamsym.networks.training import History, Training
+from hamsym.networks.trial import ComponentNetworks, Network, TrialSolution
+from hamsym.random_features.error_estimate import MarchError
+from hamsym.random_features.trial import FeatureTrial
+from hamsym.random_features.windows import March
+from hamsym.solution.solution import Solution
+from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
 __all__ = ["assembled", "digest", "load", "parts", "save"]
 

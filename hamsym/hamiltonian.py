@@ -2,7 +2,7 @@
 
 Input:  a formula or a sympy expression, pairs of coordinates and momenta, parameter values.
 Output: Hamilton's equations, the Hessian and what follows from them, as sympy objects; and,
-        through :mod:`hamsym.codegen`, source text and callables for each backend.
+        through :mod:`hamsym.codegen.generate`, source text and callables for each backend.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from typing import Any, NoReturn, TypeAlias
 import numpy as np
 import sympy
 
-from hamsym import codegen, compiled, derivatives
+from hamsym.codegen.generate import extract, generate
+from hamsym.codegen.system import System, load
 from hamsym.errors import InputError, ParameterError, VariableError
-from hamsym.pairing import find_pairs, natural_order
-from hamsym.parsing import canonical_name, parse_expression
-from hamsym.printing import FormulaPrinter
-from hamsym.realform import RealForm
-from hamsym.settings import require_number
-from hamsym.symbols import (
+from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.formula.printer import FormulaPrinter
+from hamsym.support.validation import require_number
+from hamsym.symbolic import derivatives
+from hamsym.symbolic.checks import (
     as_list,
     by_name,
     check_state,
@@ -31,11 +31,11 @@ from hamsym.symbols import (
     checked_expression,
     checked_values,
     name_of,
-    state_array,
     state_symbol,
-    states_array,
 )
-from hamsym.system import System
+from hamsym.symbolic.equations import Equations
+from hamsym.symbolic.pairing import find_pairs, natural_order
+from hamsym.symbolic.states import state_array, states_array
 
 __all__ = ["Hamiltonian", "HamiltonianLike"]
 
@@ -52,11 +52,11 @@ class Hamiltonian:
     Parameters
     ----------
     expression : str or sympy.Expr
-        The Hamiltonian. Text is parsed by :func:`hamsym.parsing.parse_expression`, never
+        The Hamiltonian. Text is parsed by :func:`hamsym.formula.parser.parse_expression`, never
         evaluated.
     q, p : sequence of str or sympy.Symbol, optional
         Coordinates and momenta, in the order wanted. Without them pairs are found from the
-        names (:func:`hamsym.pairing.find_pairs`) and ordered as people count.
+        names (:func:`hamsym.symbolic.pairing.find_pairs`) and ordered as people count.
     parameters : mapping of name to number, optional
         Values of parameters, in the units of H. The others need a value when numbers are
         asked for.
@@ -141,7 +141,7 @@ class Hamiltonian:
 
     @cached_property
     def _identity(self) -> tuple[Any, ...]:
-        real = self._real
+        real = self.real_equations
         return (real.expr, *(symbol.name for symbol in self.z), *sorted(self.parameters.items()))
 
     def __eq__(self, other: object) -> bool:
@@ -369,23 +369,27 @@ class Hamiltonian:
     # -- what follows from H -----------------------------------------------------------------
 
     @cached_property
-    def _real(self) -> RealForm:
-        return RealForm(self)
+    def real_equations(self) -> Equations:
+        """H and its derivatives in real symbols, from which code and proofs are made."""
+        values = {name: self.parameters.get(name) for name in self.parameter_names}
+        return Equations(self.expr, self.z, self.time, values)
 
     def _own(self, expr: sympy.Expr) -> sympy.Expr:
         """An expression in real symbols, in the symbols of H.expr."""
-        back = self._real.back
+        back = self.real_equations.back
         return expr.xreplace(back) if back else expr
 
     @cached_property
     def gradient(self) -> sympy.ImmutableDenseMatrix:
         """grad H, a column of length dim."""
-        return sympy.ImmutableDenseMatrix([self._own(entry) for entry in self._real.gradient])
+        return sympy.ImmutableDenseMatrix(
+            [self._own(entry) for entry in self.real_equations.gradient]
+        )
 
     @cached_property
     def hessian(self) -> sympy.ImmutableDenseMatrix:
         """The matrix of second derivatives, dim x dim."""
-        entries = {index: self._own(entry) for index, entry in self._real.hessian.items()}
+        entries = {index: self._own(entry) for index, entry in self.real_equations.hessian.items()}
         return sympy.ImmutableDenseMatrix(sympy.SparseMatrix(self.dim, self.dim, entries))
 
     @cached_property
@@ -398,7 +402,7 @@ class Hamiltonian:
     @cached_property
     def vector_field(self) -> sympy.ImmutableDenseMatrix:
         """J grad H, the right-hand side of Hamilton's equations, a column of length dim."""
-        return sympy.ImmutableDenseMatrix([self._own(e) for e in self._real.vector_field])
+        return sympy.ImmutableDenseMatrix([self._own(e) for e in self.real_equations.vector_field])
 
     @cached_property
     def equations(self) -> list[sympy.Eq]:
@@ -419,14 +423,16 @@ class Hamiltonian:
     @property
     def is_separable(self) -> bool:
         """Whether H = T(p) + V(q), that is all mixed second derivatives vanish identically."""
-        return self._real.is_separable
+        return self.real_equations.is_separable
 
     @cached_property
     def _split(self) -> tuple[sympy.Expr, sympy.Expr] | None:
         if not self.is_separable:
             return None
         return derivatives.split(
-            self._real.expr, self._real.z[: self.dof], self._real.z[self.dof :]
+            self.real_equations.expr,
+            self.real_equations.z[: self.dof],
+            self.real_equations.z[self.dof :],
         )
 
     @property
@@ -448,7 +454,7 @@ class Hamiltonian:
         >>> Hamiltonian("p_r**2/2 + p_phi**2/(2*r**2) - 1/r").cyclic_coordinates
         (phi,)
         """
-        gradient = self._real.gradient[: self.dof]
+        gradient = self.real_equations.gradient[: self.dof]
         return tuple(
             q for q, slope in zip(self.q, gradient, strict=True) if derivatives.vanishes(slope)
         )
@@ -479,7 +485,7 @@ class Hamiltonian:
         (True, False)
         """
         observable = self._observable(f)
-        rate = self._real_bracket(observable, self._real.expr)
+        rate = self._real_bracket(observable, self.real_equations.expr)
         if _TIME not in {*self.names, *self.parameters}:
             rate += observable.diff(sympy.Symbol(_TIME, real=True))
         return derivatives.vanishes(rate)
@@ -498,7 +504,7 @@ class Hamiltonian:
         return expr.xreplace(meant)
 
     def _real_bracket(self, f: sympy.Expr, g: sympy.Expr) -> sympy.Expr:
-        z, d = self._real.z, self.dof
+        z, d = self.real_equations.z, self.dof
         of_f, of_g = derivatives.gradient(f, z), derivatives.gradient(g, z)
         return sympy.Add(*(of_f[i] * of_g[d + i] - of_f[d + i] * of_g[i] for i in range(d)))
 
@@ -571,7 +577,7 @@ class Hamiltonian:
         >>> H.sigma_min
         Min(1, Abs(2*sqrt(x**2 + y**2) - 1))
         """
-        return derivatives.smallest_singular_value(self._real.hessian, self.dim)
+        return derivatives.smallest_singular_value(self.real_equations.hessian, self.dim)
 
     @cached_property
     def switches(self) -> list[tuple[Callable[..., Any], Callable[..., Any]]]:
@@ -580,7 +586,7 @@ class Hamiltonian:
         Such as x for H = p**2/2 + abs(x); z has shape (..., dim); the jumps are dim + 1 numbers,
         that of H last.
         """
-        real = self._real
+        real = self.real_equations
         found: list[tuple[Callable[..., Any], Callable[..., Any]]] = []
         for argument, jumps in derivatives.switches(real.expr, real.gradient, real.z):
             pair = (self._function(argument), self._function(sympy.Matrix([jumps])))
@@ -593,10 +599,10 @@ class Hamiltonian:
 
         Its values, shapes (n, dim), (n,) -> (n, k), are the arguments of exp, tanh, erf and the
         like, of abs and of Max, and the bases of negative and of broken powers; and what each is, a
-        :class:`~hamsym.derivatives.Narrow`, shape (k,).
+        :class:`~hamsym.symbolic.derivatives.Narrow`, shape (k,).
         None where H has no such functions.
         """
-        real = self._real
+        real = self.real_equations
         variables = [*real.z, *([] if real.time is None else [real.time])]
         found = derivatives.narrow_arguments(real.expr.xreplace(self._bound), variables)
         if not found:
@@ -622,12 +628,12 @@ class Hamiltonian:
     @property
     def _bound(self) -> dict[sympy.Symbol, float]:
         """Values of the parameters that have one, by their real symbols."""
-        known = self._real.parameters.values()
+        known = self.real_equations.parameters.values()
         return {symbol: value for symbol, value in known if value is not None}
 
     def _function(self, expr: Any) -> Callable[..., Any]:
         """Values of expressions in real symbols, from (z, t) of shapes (..., dim) and (...)."""
-        real = self._real
+        real = self.real_equations
         time = real.time or sympy.Dummy("t")
         exprs = (
             tuple(entry.xreplace(self._bound) for entry in expr)
@@ -672,15 +678,13 @@ class Hamiltonian:
         """
         source = self._sources.get(backend)
         if source is None:
-            source = self._sources[backend] = codegen.generate(self._real, backend)
-        return source if part is None else codegen.extract(source, part)
+            source = self._sources[backend] = generate(self.real_equations, backend)
+        return source if part is None else extract(source, part)
 
     def compile(self, backend: str = "torch") -> System:
         """The generated functions of one backend, ready to call; cached.
 
-        For ``"numba"`` this also compiles what :func:`hamsym.solve` marches with, which is then
-        used for this Hamiltonian: about a second, once on a machine about ten, and some
-        thousandths of a second where it was done before.
+        For ``"numba"`` nothing is compiled yet: numba does that at the first call of a function.
 
         Examples
         --------
@@ -688,10 +692,7 @@ class Hamiltonian:
         >>> H.compile("numpy").vector_field([1.0, 2.0])
         array([ 2., -2.])
         """
-        system = codegen.load(self.source(backend), backend, self.names)
-        if system.rates is not None:
-            compiled.prepare(self, system.rates)
-        return system
+        return load(self.source(backend), backend, self.names)
 
 
 #: What the solvers take; see :meth:`Hamiltonian.of`.

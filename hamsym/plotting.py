@@ -1,35 +1,63 @@
-"""Figures of solutions and comparisons."""
+"""plot: one figure a type of result."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from functools import singledispatch
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from hamsym.features import March
+from hamsym.dynamics.lyapunov import LyapunovExponents
+from hamsym.dynamics.sections import Section
+from hamsym.errors import InputError
+from hamsym.integrators.integrate import Trajectory
+from hamsym.random_features.windows import March
+from hamsym.solution.solution import Solution
+from hamsym.study.compare import Comparison, Row
 
-if TYPE_CHECKING:
-    from hamsym.comparison import Comparison, Row
-    from hamsym.integrators import Trajectory
-    from hamsym.sections import Section
-    from hamsym.solution import Solution
-    from hamsym.variational import LyapunovExponents
-
-__all__ = [
-    "plot_comparison",
-    "plot_lyapunov",
-    "plot_section",
-    "plot_solution",
-    "plot_trajectory",
-]
+__all__ = ["plot"]
 
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito
 _SAMPLES = 2_001
 _MAX_LINES = 8
 
 
-def plot_solution(solution: Solution) -> Figure:
+@singledispatch
+def plot(result: Any, *args: Any, **options: Any) -> Figure:
+    """A figure of a result: a solution, trajectory, section, comparison or Lyapunov exponents.
+
+    Parameters
+    ----------
+    result : Solution, Trajectory, Section, Comparison or LyapunovExponents
+    *args, **options
+        As in the method ``plot`` of the result.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        To show, or to save with ``.savefig(path)``.
+
+    Raises
+    ------
+    InputError
+        If there is no figure of such a result.
+
+    Examples
+    --------
+    >>> import hamsym
+    >>> figure = plot(hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 10)))
+    >>> [axis.get_title() for axis in figure.axes][:2]
+    ['Trajectory', 'Phase space']
+    """
+    raise InputError(
+        f"a {type(result).__name__} cannot be plotted; give a solution, a trajectory, a section, "
+        "a comparison or Lyapunov exponents"
+    )
+
+
+@plot.register
+def _plot_solution(solution: Solution) -> Figure:
     """Components, phase space, residual and energy error, and the loss, in four panels."""
     figure, axes = _panels(f"H = {solution.H.formula}")
     t = np.linspace(*solution.span, _SAMPLES)
@@ -75,7 +103,8 @@ def plot_solution(solution: Solution) -> Figure:
     return figure
 
 
-def plot_trajectory(trajectory: Trajectory) -> Figure:
+@plot.register
+def _plot_trajectory(trajectory: Trajectory) -> Figure:
     """Components, phase space and the change of H over time, in four panels.
 
     Of an ensemble the first trajectories are drawn in phase space, and the first one alone over
@@ -107,7 +136,8 @@ def plot_trajectory(trajectory: Trajectory) -> Figure:
     return figure
 
 
-def plot_section(section: Section, x: str, y: str) -> Figure:
+@plot.register
+def _plot_section(section: Section, x: str, y: str) -> Figure:
     """Crossings of a surface, a colour for each trajectory."""
     figure = Figure(figsize=(7, 6), layout="constrained")
     axis = figure.subplots()
@@ -120,7 +150,8 @@ def plot_section(section: Section, x: str, y: str) -> Figure:
     return figure
 
 
-def plot_lyapunov(found: LyapunovExponents) -> Figure:
+@plot.register
+def _plot_lyapunov(found: LyapunovExponents) -> Figure:
     """Finite-time exponents over time, beside the fall of a regular trajectory."""
     figure = Figure(figsize=(7, 5), layout="constrained")
     axis = figure.subplots()
@@ -140,7 +171,8 @@ def plot_lyapunov(found: LyapunovExponents) -> Figure:
     return figure
 
 
-def plot_comparison(comparison: Comparison) -> Figure:
+@plot.register
+def _plot_comparison(comparison: Comparison) -> Figure:
     """Size of the error and energies over time; the error in phase space; error against work."""
     solution = comparison.solution
     figure, axes = _panels(f"H = {solution.H.formula}")

@@ -11,10 +11,11 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.integrators import checked_span
-from hamsym.settings import require_whole
+from hamsym.support.validation import require_positive, require_whole
 
-__all__ = ["InitialValueProblem"]
+__all__ = ["MAX_STEPS", "InitialValueProblem", "checked_span", "checked_steps"]
+
+MAX_STEPS = 2**53
 
 
 @dataclass(frozen=True)
@@ -73,3 +74,50 @@ def _initial_energy(H: Hamiltonian, state: np.ndarray, start: float) -> float:
     if not (math.isfinite(energy) and np.all(np.isfinite(rates))):
         raise InputError("H or its gradient is not finite at z0; start elsewhere")
     return energy
+
+
+def checked_span(span: tuple[float, float]) -> tuple[float, float]:
+    """Start and end of a time span as floats.
+
+    Raises
+    ------
+    InputError
+        If the span is not two finite numbers, or its length is not one.
+    """
+    try:
+        start, end = (float(value) for value in span)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"span={span!r} is not a pair of times; give (t_start, t_end)") from None
+    # Below the smallest normal number nothing can be divided by a span.
+    distinct = 1e-300 < abs(end - start) < math.inf
+    if not (math.isfinite(start) and math.isfinite(end)) or not distinct:
+        raise InputError(
+            f"span={span!r} cannot be used; give two finite times, from 1e-300 to 1e308 apart"
+        )
+    return start, end
+
+
+def checked_steps(length: float, steps: int | None, dt: float | None, default: int = 20_000) -> int:
+    """The number of equal steps in a span of this length.
+
+    Raises
+    ------
+    InputError
+        If both or an unusable one are given, or a step longer than the span.
+    """
+    if dt is None:
+        steps = default if steps is None else steps
+        require_whole("steps", steps, 1, MAX_STEPS)
+        return int(steps)
+    if steps is not None:
+        raise InputError(f"steps={steps!r} and dt={dt!r} say the same thing; give one of them")
+    require_positive("dt", dt)
+    count = abs(length) / float(dt)
+    if not count <= MAX_STEPS:
+        raise InputError(f"dt={dt!r} would take {count:.0e} steps; give a larger one")
+    if not count >= 1 - 1e-12:
+        raise InputError(
+            f"dt={dt!r} is longer than the span, {abs(length):.6g}; give a shorter one"
+        )
+    # A dt that divides the span but for round-off is meant to.
+    return max(1, math.ceil(count * (1 - 1e-12)))

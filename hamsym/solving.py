@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.deep_networks import (
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.networks.method import (
     AdamOptions,
     LBFGSOptions,
     LevenbergMarquardtOptions,
     solve_by_training,
 )
-from hamsym.errors import InputError
-from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.marching import FeatureOptions, solve_by_features
+from hamsym.networks.training import TrainingState
 from hamsym.problem import InitialValueProblem
-from hamsym.solution import Solution
-from hamsym.training import TrainingState
+from hamsym.random_features.method import FeatureOptions, solve_by_features
+from hamsym.solution.solution import Solution
 
 __all__ = ["METHODS", "checked_options", "solve"]
 
@@ -68,15 +68,16 @@ def solve(
         Of all that is random: same seed, same machine, same result.
     progress : bool or callable, optional
         Draw progress on standard error; by default where that is a terminal. A callable is given
-        a :class:`~hamsym.training.TrainingState` now and then instead, by the methods that train.
+        a :class:`~hamsym.networks.training.TrainingState` now and then instead, by the methods
+        that train.
     **options
         For ``"features"``:
 
         tol : float, default 1e-9
             Wanted accuracy: |z^_i(t) - z_i(t)| <= atol_i + tol s_i for every component and all t,
             with s_i the largest |z^_i|. A component that is zero, or below 1e-8 of what the terms
-            of its own equation give it, has that as its s_i (:mod:`hamsym.scales`): less could not
-            be told from the round-off of these terms. Units of components do not matter.
+            of its own equation give it, has that as its s_i (:mod:`hamsym.numerics.scales`): less
+            could not be told from the round-off of these terms. Units of components do not matter.
         atol : float or sequence, default 0
             Absolute part, in the units of the components.
 
@@ -85,7 +86,12 @@ def solve(
         max_window : float, optional
             Longest window, an eighth of the span by default. Pulses and steps of H are found by
             their places in the formula, at random places and by the change of H
-            (:mod:`hamsym.window_checks`); give a shorter one where something brief escapes that.
+            (:mod:`hamsym.random_features.window_checks`); give a shorter one where something brief
+            escapes that.
+
+        compiled : {"auto", True, False}
+            Whether windows are marched by compiled code: always, never, or where compiling is
+            predicted to take less time than it saves. The solution is the same.
 
         For all methods that train a deep network:
 
@@ -143,7 +149,7 @@ def solve(
 
         epochs, learning_rate, betas, schedule, noise
             50,000, 8e-3, (0.9, 0.999), "cosine" and three spacings of the points; see
-            :class:`~hamsym.optimizers.Adam`.
+            :class:`~hamsym.networks.optimizers.Adam`.
         dtype : {"float64", "float32"}
 
     Returns

@@ -19,7 +19,7 @@ from sympy.polys.matrices import DomainMatrix
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.settings import require_whole
+from hamsym.support.validation import require_whole
 
 __all__ = [
     "CATALOGUE",

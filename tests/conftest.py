@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from hamsym.printing import PRINTERS
+from hamsym.codegen.printers import PRINTERS
 from hamsym.systems import CATALOGUE, Problem
 
 # Workers side by side, each with as many threads as there are cores, would wait for each other.

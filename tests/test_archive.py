@@ -27,7 +27,7 @@ import torch
 import hamsym
 from hamsym import FileError, Hamiltonian, InputError, archive
 from hamsym.archive import digest, parts
-from hamsym.files import read_tensors, write_tensors
+from hamsym.support.tensor_files import read_tensors, write_tensors
 from hamsym.systems import Problem
 
 METHODS = {
@@ -195,7 +195,7 @@ def test_pipes_and_devices_are_written_into(tmp_path: Path) -> None:
 @pytest.mark.parametrize("to", ["file", "pipe"])
 def test_standard_output_is_written_into(to: str, tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from hamsym.atomic import write_atomically;"
+        "import sys; from pathlib import Path; from hamsym.support.atomic import write_atomically;"
         "print('before', flush=True); write_atomically(Path('/dev/stdout'), b'content')"
     )
     with open(tmp_path / "out", "w+b") as file:

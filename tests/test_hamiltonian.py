@@ -13,8 +13,8 @@ import sympy
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import ParameterError, VariableError
-from hamsym.parsing import parse_expression
-from hamsym.printing import FormulaPrinter
+from hamsym.formula.parser import parse_expression
+from hamsym.formula.printer import FormulaPrinter
 from hamsym.systems import Problem
 
 OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"

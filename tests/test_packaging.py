@@ -6,7 +6,7 @@ import importlib.resources
 from importlib.metadata import distribution
 
 import hamsym
-from hamsym.codegen import BACKENDS
+from hamsym.codegen.generate import BACKENDS
 
 
 def test_templates_are_package_data() -> None:
@@ -22,7 +22,7 @@ def test_package_is_typed_and_versioned() -> None:
 
 def test_command_is_installed() -> None:
     names = {entry.name: entry.value for entry in distribution("hamsym").entry_points}
-    assert names["hamsym"] == "hamsym.cli:main"
+    assert names["hamsym"] == "hamsym.cli.commands:main"
 
 
 def test_import_changes_no_global_state() -> None:
@@ -34,7 +34,7 @@ def test_import_changes_no_global_state() -> None:
 import numpy as np, torch
 before = (torch.get_default_dtype(), torch.get_num_threads(), np.geterr(), np.get_printoptions(),
           torch.get_rng_state().sum().item(), np.random.get_state()[1].sum())
-import hamsym, hamsym.solving, hamsym.comparison, hamsym.systems, hamsym.plotting, hamsym.cli
+import hamsym, hamsym.solving, hamsym.study.compare, hamsym.plotting, hamsym.cli.commands
 after = (torch.get_default_dtype(), torch.get_num_threads(), np.geterr(), np.get_printoptions(),
          torch.get_rng_state().sum().item(), np.random.get_state()[1].sum())
 assert before == after, (before, after)

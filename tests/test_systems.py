@@ -10,8 +10,8 @@ import pytest
 import sympy
 
 from hamsym import InputError, systems
-from hamsym.integrators import reference
-from hamsym.parsing import parse_expression
+from hamsym.formula.parser import parse_expression
+from hamsym.integrators.integrate import reference
 from hamsym.systems import CATALOGUE, Problem, fermi_pasta_ulam_tsingou
 
 Make = Callable[[], Problem]

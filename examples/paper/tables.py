@@ -2,7 +2,7 @@
 
 import math
 
-from hamsym.atomic import write_atomically
+from hamsym.support.atomic import write_atomically
 
 
 def spread(values):

@@ -14,7 +14,7 @@ import numpy as np
 
 import hamsym
 from hamsym import systems
-from hamsym.integrators import reference
+from hamsym.integrators.integrate import reference
 
 HEADER = f"{'problem':<22}{'solution':<16}{'true error':>11}{'bound':>10}{'ratio':>7}"
 HEADER += f"{'/lower':>7}{'time s':>8}"

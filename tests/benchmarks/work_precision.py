@@ -46,8 +46,9 @@ from training_epoch import usual
 
 import hamsym
 from hamsym import systems
-from hamsym.features import FeatureBasis, FeatureTrial, feature_basis, march
-from hamsym.marching import _flow
+from hamsym.random_features.basis import FeatureBasis, feature_basis, march
+from hamsym.random_features.method import _flow
+from hamsym.random_features.trial import FeatureTrial
 
 ASKED = (1e-6, 1e-9, 1e-11)
 TIMES = 4_001

@@ -1,0 +1,29 @@
+from . import systems as systems
+from .archive import load as load
+from .archive import save as save
+from .codegen.system import System as System
+from .dynamics.lyapunov import LyapunovExponents as LyapunovExponents
+from .dynamics.lyapunov import lyapunov as lyapunov
+from .dynamics.monodromy import monodromy as monodromy
+from .dynamics.sections import Section as Section
+from .dynamics.sections import section as section
+from .errors import CertificationError as CertificationError
+from .errors import FileError as FileError
+from .errors import HamsymError as HamsymError
+from .errors import InputError as InputError
+from .hamiltonian import Hamiltonian as Hamiltonian
+from .integrators.integrate import Trajectory as Trajectory
+from .integrators.integrate import integrate as integrate
+from .networks.objective import Regularizer as Regularizer
+from .plotting import plot as plot
+from .proof.certificate import Certificate as Certificate
+from .proof.prove import certify as certify
+from .proof.prove import verify as verify
+from .solution.solution import Solution as Solution
+from .solving import solve as solve
+from .study.compare import Comparison as Comparison
+from .study.compare import compare as compare
+from .study.sweep import Sweep as Sweep
+from .study.sweep import sweep as sweep
+
+__version__: str

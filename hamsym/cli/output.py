@@ -1,0 +1,121 @@
+"""What commands print, and the files that they write."""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.support.atomic import write_atomically
+
+__all__ = [
+    "WIDTH",
+    "check_figure",
+    "check_folder",
+    "check_table",
+    "echo_wrapped",
+    "report",
+    "save_figure",
+    "write_table",
+]
+
+WIDTH = 80  # of the text
+
+
+def echo_wrapped(start: str, text: str) -> None:
+    """Print what belongs to a label, broken at blanks where 80 columns do not hold it."""
+    click.echo(
+        textwrap.fill(
+            text,
+            WIDTH,
+            initial_indent=start,
+            subsequent_indent=" " * len(start),
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    )
+
+
+def report(solution: Any) -> None:
+    """Print whether it converged, how wrong it is, and what it took."""
+    echo_wrapped("converged: " if solution.success else "", solution.message)
+    sigma = solution.sigma_min
+    bound = (
+        f"{solution.error_bound:.2e} (heuristic)"
+        if sigma > 0
+        else "infinite: the Hessian is singular on the trajectory"
+    )
+    click.echo(f"ell_max {solution.ell_max:.2e}, sigma_min {sigma:.3g}")
+    click.echo(f"bound ell_max/sigma_min: {bound}")
+    training = solution.training
+    if solution.method == "features":
+        width = max(map(len, solution.H.names))
+        click.echo(f"{'':<{width}}  {'scale':>10}  {'estimated error':>16}")
+        for name, scale, error in zip(
+            solution.H.names, solution.scale, solution.largest_error, strict=True
+        ):
+            click.echo(f"{name:<{width}}  {scale:>10.4g}  {error:>16.1e}")
+        click.echo(f"time {training.seconds:.3f} s for the last march")
+    else:
+        each = 1e3 * training.cpu_seconds / max(training.iterations, 1)
+        unit = "epoch" if solution.method == "adam" else "iteration"
+        click.echo(f"time {training.seconds:.1f} s, {each:.2f} ms of CPU per {unit}")
+
+
+_FIGURE_ENDINGS = (".png", ".pdf", ".svg")
+
+
+def check_figure(path: str | None) -> None:
+    """Refuse a figure that could not be written before hours of work, not after."""
+    if path is None:
+        return
+    if Path(path).suffix not in _FIGURE_ENDINGS:
+        listed = ", ".join(_FIGURE_ENDINGS)
+        raise InputError(f"'{path}' is not a figure file; choose one of {listed}")
+    check_folder(path)
+
+
+def check_folder(path: str | None) -> None:
+    """Refuse a file whose folder is not there."""
+    if path is not None and not Path(path).absolute().parent.is_dir():
+        raise InputError(f"'{path}' has no folder to stand in; make the folder first")
+
+
+def save_figure(figure: Any, path: str) -> None:
+    """Write a figure in one step, in the format of the file's ending."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=Path(path).suffix[1:], dpi=130)
+    write_atomically(Path(path), buffer.getvalue())
+    click.echo(f"wrote {path}")
+
+
+def check_table(path: str | None) -> None:
+    """Refuse a table that could not be written."""
+    if path is not None and Path(path).suffix not in (".csv", ".npz"):
+        raise InputError(f"'{path}' is neither .csv nor .npz; choose one of these endings")
+    check_folder(path)
+
+
+def write_table(
+    path: str, columns: list[tuple[str, np.ndarray]], arrays: dict[str, np.ndarray]
+) -> None:
+    """Columns as .csv, or arrays as .npz; of two columns with one name the second gets a mark."""
+    buffer = io.BytesIO()
+    if Path(path).suffix == ".npz":
+        np.savez(buffer, allow_pickle=False, **arrays)
+    else:
+        table = np.column_stack([values for _, values in columns])
+        names: list[str] = []
+        for name, _ in columns:
+            while name in names:
+                name += "_"
+            names.append(name)
+        header = ",".join(names)
+        np.savetxt(buffer, table, fmt="%.17g", delimiter=",", header=header, comments="")
+    write_atomically(Path(path), buffer.getvalue())
+    click.echo(f"wrote {path}")

@@ -1,0 +1,81 @@
+"""Printers of expressions in the dialects of torch, numpy and numba."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import sympy
+
+from hamsym.formula.printer import _COMMON, _MUL, _POW, Printer, _table
+
+__all__ = ["PRINTERS", "NumbaPrinter", "NumpyPrinter", "TorchPrinter"]
+
+
+class TorchPrinter(Printer):
+    """Torch code on tensors ``z`` of shape (..., dim).
+
+    Torch functions refuse Python numbers, and some refuse to mix them with tensors; an argument
+    that does not depend on the state is therefore spread over the batch.
+    """
+
+    backend = "torch"
+    functions = _table("torch.{}", abs="torch.abs", min="torch.minimum", max="torch.maximum")
+    sqrt = "torch.sqrt"
+
+    def __init__(
+        self, names: Mapping[sympy.Symbol, str], state: frozenset[sympy.Symbol], like: str
+    ) -> None:
+        super().__init__(names)
+        self.state, self.like = state, like
+
+    def argument(self, expr: sympy.Expr) -> str:
+        return self.spread(expr)
+
+    def spread(self, expr: sympy.Expr) -> str:
+        """The text of an expression that has the batch's shape, dtype and device."""
+        expr = self.lower(expr)
+        if expr == 0:
+            return f"torch.zeros_like({self.like})"
+        if expr == 1:
+            return f"torch.ones_like({self.like})"
+        if not expr.free_symbols & self.state:
+            return f"{self._wrapped(expr, _MUL)}*torch.ones_like({self.like})"
+        return self._render(expr)[0]
+
+
+class NumpyPrinter(Printer):
+    """Numpy code on arrays, broadcasting."""
+
+    backend = "numpy"
+    functions = _table(
+        "np.{}",
+        **{name: f"np.arc{name[1:]}" for name in _COMMON if name[0] == "a"},
+        abs="np.abs",
+        min="np.minimum",
+        max="np.maximum",
+        erf="_erf",
+    )
+    sqrt = "np.sqrt"
+
+    def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
+        # numpy is fast at squares and slow at every other integer power.
+        if base.is_Symbol and exponent in (3, 4):
+            name = self.names[base]
+            return (f"{name}*{name}**2", _MUL) if exponent == 3 else (f"({name}**2)**2", _POW)
+        return super().power(base, exponent)
+
+
+class NumbaPrinter(Printer):
+    """Scalar code for numba's compiled loops."""
+
+    backend = "numba"
+    functions = _table("math.{}", sign="np.sign", abs="abs", min="np.minimum", max="np.maximum")
+    sqrt = "math.sqrt"
+
+
+#: The printer of each backend.
+PRINTERS: dict[str, type[Printer]] = {
+    "torch": TorchPrinter,
+    "numpy": NumpyPrinter,
+    "numba": NumbaPrinter,
+}

@@ -1,0 +1,1 @@
+"""Properties of motions: Lyapunov exponents, monodromy matrices, Poincare sections."""

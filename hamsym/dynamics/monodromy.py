@@ -1,0 +1,192 @@
+"""Tangent maps of trajectories and the multipliers of periodic ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.integrators.coefficients import Doubled
+from hamsym.integrators.integrate import (
+    fixed_step,
+    usual_method,
+)
+from hamsym.problem import checked_span, checked_steps
+from hamsym.support.validation import require_number
+
+if TYPE_CHECKING:
+    pass
+
+
+__all__ = ["TangentMap", "monodromy", "tangent_map"]
+
+
+@dataclass(frozen=True)
+class TangentMap:
+    """The derivative of the flow along a trajectory.
+
+    Attributes
+    ----------
+    z0, z : numpy.ndarray
+        Start and end, shape (dim,).
+    matrix : numpy.ndarray
+        dz/dz0, shape (dim, dim); of a period it is the monodromy matrix.
+    method : str
+    """
+
+    z0: np.ndarray
+    z: np.ndarray
+    matrix: np.ndarray
+    method: str
+
+    @cached_property
+    def multipliers(self) -> np.ndarray:
+        """Eigenvalues of the matrix, the largest first, shape (dim,), complex."""
+        values = np.linalg.eigvals(self.matrix).astype(complex)
+        return values[np.argsort(-np.abs(values), kind="stable")]
+
+    @property
+    def closure(self) -> float:
+        """|z - z0|, the 2-norm: how far the trajectory is from closed."""
+        return float(np.linalg.norm(self.z - self.z0))
+
+    @property
+    def symplecticity_error(self) -> float:
+        """|M^T J M - J|, the largest entry."""
+        d = len(self.z) // 2
+        J = np.kron([[0, 1], [-1, 0]], np.eye(d))
+        return float(np.abs(self.matrix.T @ J @ self.matrix - J).max())
+
+
+def tangent_map(
+    H: HamiltonianLike,
+    z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
+    span: tuple[float, float],
+    method: str | None = None,
+    *,
+    steps: int | None = None,
+    dt: float | None = None,
+    progress: bool | None = None,
+) -> TangentMap:
+    """The derivative of the numerical flow: the variational equations, solved with the trajectory.
+
+    Parameters
+    ----------
+    H, z0, span, dt, progress
+        As in :func:`hamsym.integrate`, for one trajectory.
+    steps : int, optional
+        Number of steps, 20,000 unless given.
+    method : str, optional
+        A fixed-step method, not ``tao2`` or ``tao4``; by default ``blanes_moan6`` for a separable
+        H, otherwise ``gauss6``.
+
+    Returns
+    -------
+    TangentMap
+
+    Raises
+    ------
+    InputError
+        If an option cannot be used, or the trajectory does not reach the end.
+
+    Examples
+    --------
+    >>> H = Hamiltonian("p**2/2 + x**2/2")
+    >>> tangent_map(H, [1.0, 0.0], (0, np.pi / 2)).matrix.round(9) + 0.0
+    array([[ 0.,  1.],
+           [-1.,  0.]])
+    """
+    H = Hamiltonian.of(H)
+    start, end = checked_span(span)
+    steps = checked_steps(end - start, steps, dt)
+    state = H.state_from(z0)
+    method = usual_method(H) if method is None else method
+    stepper = tangent_stepper(H, method, state, start, (end - start) / steps, np.eye(H.dim))
+    done = stepper.advance(1, steps, show=progress)
+    if done.interrupted:
+        raise KeyboardInterrupt
+    if not np.isfinite(done.states).all() or not np.isfinite(stepper.tangents).all():
+        raise InputError(f"the trajectory does not reach t = {end:.6g}; end the span before it")
+    return TangentMap(state, done.states[0, -1], stepper.tangents[0], method)
+
+
+def monodromy(
+    H: HamiltonianLike,
+    z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
+    period: float,
+    *,
+    tol: float = 1e-10,
+    start: float = 0.0,
+) -> TangentMap:
+    """The monodromy matrix of a periodic orbit, from a trajectory of the given tolerance.
+
+    Its eigenvalues, the Floquet multipliers, come in pairs m and 1/m; off the unit circle they
+    mean instability. Two are 1 for every orbit of an H without explicit time.
+
+    Parameters
+    ----------
+    H : Hamiltonian, str or sympy.Expr
+    z0 : sequence or mapping
+        A state on the orbit.
+    period : float
+    tol : float
+        As in :func:`hamsym.solve`.
+    start : float
+        Time of z0, where H depends on time.
+
+    Returns
+    -------
+    TangentMap
+        Whose ``closure`` says whether the orbit is closed.
+
+    Raises
+    ------
+    InputError
+        If the period cannot be used, the tolerance cannot be met, or the matrix is not finite.
+
+    Examples
+    --------
+    >>> from hamsym import systems
+    >>> problem = systems.kepler()
+    >>> found = monodromy(problem.H, problem.z0, problem.period)
+    >>> found.closure < 1e-9, bool(np.allclose(found.multipliers, 1, atol=1e-3))
+    (True, True)
+    """
+    from hamsym.solving import solve  # torch is slow to import
+
+    require_number("period", period)
+    require_number("start", start)
+    span = checked_span((start, start + period))
+    solution = solve(H, z0, span, tol=tol)
+    if not solution.success:
+        raise InputError(f"the trajectory cannot be had to tol={tol:g}: {solution.message}")
+    matrix = np.asarray(solution.sensitivity(span[1]))
+    if not np.isfinite(matrix).all():
+        raise InputError(
+            "nearby trajectories separate beyond the range of numbers within the period; give a "
+            "shorter one"
+        )
+    return TangentMap(solution.z0, solution(span[1]), matrix, "features")
+
+
+def tangent_stepper(
+    H: Hamiltonian, method: str, state: np.ndarray, start: float, size: float, vectors: np.ndarray
+) -> Any:
+    stepper = fixed_step(
+        H,
+        method,
+        state[None],
+        np.array([start]),
+        np.array([size]),
+        tangents=np.ascontiguousarray(vectors)[None],
+    )
+    if isinstance(stepper.scheme, Doubled):
+        raise InputError(
+            f"{method} steps in a doubled phase space; choose another one, such as gauss4"
+        )
+    return stepper

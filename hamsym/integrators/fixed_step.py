@@ -1,0 +1,228 @@
+"""Steps of equal size with the generated loops, for one trajectory or an ensemble of them.
+
+Input:  a Hamiltonian, a scheme of :mod:`hamsym.integrators.coefficients`, states of shape (n, dim).
+Output: states of shape (n, saves, dim), and what became of each trajectory.
+
+The work is cut into pieces of about a tenth of a second, so that progress can be shown and an
+interruption keeps what was done, and ensembles are divided between the processor's cores. Neither
+changes a bit of the result.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hamsym.codegen.system import load
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
+from hamsym.support.progress import stepping_progress
+
+__all__ = ["NOT_ONLY_SEPARABLE", "Stepper", "Stepping"]
+
+#: Splitting methods that have a loop of their own, with an implicit half, for any other H.
+NOT_ONLY_SEPARABLE = ("symplectic_euler", "symplectic_euler_p")
+
+# Component updates in a piece, and from where on a second core pays.
+_PIECE, _WORTH_THREADS = 20_000_000, 200_000
+# From so many trajectories on, taking each flow together is faster than one after the other.
+_ENSEMBLE = 4
+
+
+@dataclass
+class Stepping:
+    """What a number of steps led to.
+
+    Attributes
+    ----------
+    states : numpy.ndarray
+        After every save_every steps, shape (n, saves, dim); nan after the last step that could be
+        done.
+    steps : numpy.ndarray
+        Steps done by each trajectory, shape (n,).
+    evaluations : int
+        Of the force, the gradient or the vector field, all trajectories together.
+    interrupted : bool
+        Whether Ctrl-C ended it.
+    """
+
+    states: np.ndarray = field(repr=False)
+    steps: np.ndarray
+    evaluations: int
+    interrupted: bool = False
+
+
+class Stepper:
+    """Trajectories that advance together, step by step, and keep their place between calls.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+        With a value for every parameter.
+    scheme : Scheme
+    name : str
+        The method's; where H is not separable a splitting scheme must be one of
+        :data:`NOT_ONLY_SEPARABLE`.
+    states : numpy.ndarray
+        Shape (n, dim).
+    starts, sizes : numpy.ndarray
+        First time and step size of each trajectory, shape (n,).
+    compensated : bool
+        Whether round-off is carried from step to step.
+    tangents : numpy.ndarray, optional
+        Vectors to be moved, in place, by the derivative of the steps, shape (n, width, k), where
+        width is dim (for a :class:`Doubled` scheme 2 dim).
+    omega : float
+        Coupling of a :class:`Doubled` scheme.
+    """
+
+    def __init__(
+        self,
+        H: Hamiltonian,
+        scheme: Scheme,
+        name: str,
+        states: np.ndarray,
+        starts: np.ndarray,
+        sizes: np.ndarray,
+        *,
+        compensated: bool = False,
+        tangents: np.ndarray | None = None,
+        omega: float = 0.0,
+    ) -> None:
+        count, self._dim = states.shape
+        self.scheme = scheme
+        self._loop = _loop(H, scheme, name, count, compensated, tangents is not None)
+        self._states = np.zeros((count, scheme.width(self._dim)))
+        self._states[:, : self._dim] = states
+        if isinstance(scheme, Doubled):
+            self._states[:, self._dim :] = states
+        self._low = np.zeros_like(self._states)
+        self.tangents = np.zeros((count, 1, 0)) if tangents is None else tangents
+        self._done = np.zeros((count, 2), dtype=np.int64)
+        self._starts, self._sizes = np.ascontiguousarray(starts), np.ascontiguousarray(sizes)
+        self._first = 0
+        implicit_euler = isinstance(scheme, Splitting) and not H.is_separable
+        #: Whether a step solves equations, which may have no solution.
+        self.is_implicit = implicit_euler or isinstance(scheme, RungeKutta)
+        self._constants: list[Any] = [] if implicit_euler else list(scheme.arrays)
+        if isinstance(scheme, Doubled):
+            self._constants.append(float(omega))
+        self._constants += [H.parameters[parameter] for parameter in H.parameter_names]
+
+    @property
+    def states(self) -> np.ndarray:
+        """Where the trajectories are, shape (n, dim)."""
+        return self._states[:, : self._dim]
+
+    def turn_back(self) -> None:
+        """From here on, step towards where the trajectories came from."""
+        self._starts = self._starts + self._sizes * self._first
+        self._sizes = -self._sizes
+        self._first = 0
+
+    def step(self, count: int) -> np.ndarray:
+        """Do so many steps at once, and nothing else; the states then, shape (n, dim)."""
+        return self._run(None, 1, 1, count)[:, 0]
+
+    def advance(self, saves: int, save_every: int = 1, *, show: bool | None = None) -> Stepping:
+        """Do saves*save_every steps and keep the states after every save_every of them."""
+        count = len(self._states)
+        before = self._done.copy()
+        out = np.full((count, saves, self._dim), np.nan)
+        interrupted = False
+        work = count * self._dim * self.scheme.stages
+        cores = min(_cores(), count) if work * saves * save_every > _WORTH_THREADS else 1
+        with stepping_progress(saves * save_every, show) as progress:
+            pool = ThreadPoolExecutor(cores) if cores > 1 else None
+            try:
+                for rows, part, every in _pieces(saves, save_every, max(1, _PIECE // work)):
+                    moved = self._run(pool, cores, part, every)
+                    if rows is not None:
+                        out[:, rows] = moved
+                    progress(part * every)
+                    if not np.isfinite(self._states).all(axis=1).any():
+                        break
+            except KeyboardInterrupt:
+                interrupted = True
+            finally:
+                if pool is not None:
+                    pool.shutdown()
+        steps, counted = (self._done - before).T
+        # Where the number depends on iterations it was counted.
+        evaluations = counted.sum() if counted.any() else steps.sum() * self.scheme.stages
+        return Stepping(out, steps, int(evaluations), interrupted)
+
+    def _run(
+        self, pool: ThreadPoolExecutor | None, cores: int, saves: int, every: int
+    ) -> np.ndarray:
+        out = np.full((len(self._states), saves, self._dim), np.nan)
+        before = self._done[:, 0].copy()
+        edges = np.linspace(0, len(self._states), cores + 1).astype(int)
+        futures = []
+        for group in map(slice, edges[:-1], edges[1:]):
+            arguments = (
+                self._states[group],
+                self._low[group],
+                self.tangents[group],
+                out[group],
+                self._done[group],
+                self._starts[group],
+                self._sizes[group],
+                self._first,
+                saves,
+                every,
+                *self._constants,
+            )
+            if pool is None:
+                self._loop(*arguments)
+            else:
+                futures.append(pool.submit(self._loop, *arguments))
+        for future in futures:
+            future.result()
+        self._first += saves * every
+        # Where a step could not be solved there is nothing to go on from.
+        self._states[self._done[:, 0] - before < saves * every] = np.nan
+        return out
+
+
+def _loop(
+    H: Hamiltonian, scheme: Scheme, name: str, count: int, compensated: bool, tangent: bool
+) -> Callable[..., None]:
+    # H.compile("numba") would compile more than this loop.
+    loops = load(H.source("numba"), "numba", H.names).step_loops
+    if isinstance(scheme, RungeKutta):
+        return loops["implicit"]
+    if isinstance(scheme, Doubled):
+        return loops["doubled"]
+    if H.is_separable:
+        if tangent:
+            return loops["splitting_tangent"]
+        ensemble = "_ensemble" if count >= _ENSEMBLE else ""
+        return loops[f"splitting{ensemble}{'_compensated' if compensated else ''}"]
+    return loops[name]
+
+
+def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[slice | None, int, int]]:
+    """(rows of the output, saves, steps each); no rows on the way to a save of several pieces."""
+    if save_every <= piece:
+        together = piece // save_every
+        for save in range(0, saves, together):
+            count = min(together, saves - save)
+            yield slice(save, save + count), count, save_every
+        return
+    for save in range(saves):
+        for step in range(0, save_every, piece):
+            last = step + piece >= save_every
+            yield slice(save, save + 1) if last else None, 1, min(piece, save_every - step)
+
+
+def _cores() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not every system can say
+        return os.cpu_count() or 1

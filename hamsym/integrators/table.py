@@ -1,0 +1,146 @@
+"""The table of integrators by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from hamsym.integrators import coefficients
+from hamsym.integrators.adaptive import Adaptive, run_dop853, run_odeint
+from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
+
+if TYPE_CHECKING:
+    pass
+
+
+__all__ = ["ALIASES", "INTEGRATORS", "Integrator", "listing"]
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """A row of the table: how a method steps, and what the literature calls it.
+
+    Attributes
+    ----------
+    order : int
+    summary, source : str
+    scheme : Scheme or Adaptive
+    """
+
+    order: int
+    summary: str
+    source: str
+    scheme: Scheme | Adaptive = field(repr=False)
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the method chooses its own steps, to rtol and atol."""
+        return isinstance(self.scheme, Adaptive)
+
+    @property
+    def symplectic(self) -> bool:
+        """Whether a step is a symplectic map of phase space."""
+        return self.scheme.is_symplectic
+
+    @property
+    def kind(self) -> str:
+        """splitting (for separable H), implicit, doubled (any H) or adaptive (any H)."""
+        return _KINDS[type(self.scheme)]
+
+    @property
+    def stages(self) -> int | None:
+        """Evaluations of the force or the gradient in a step; implicit methods repeat them."""
+        return None if isinstance(self.scheme, Adaptive) else self.scheme.stages
+
+
+_KINDS: dict[type, str] = {
+    Splitting: "splitting",
+    RungeKutta: "implicit",
+    Doubled: "doubled",
+    Adaptive: "adaptive",
+}
+
+
+#: Every integrator by name.
+INTEGRATORS: dict[str, Integrator] = {
+    "symplectic_euler": Integrator(
+        1,
+        "q first with p_n, then p with q_n+1; implicit for non-separable H",
+        "de Vogelaere 1956; the paper",
+        coefficients.SYMPLECTIC_EULER,
+    ),
+    "symplectic_euler_p": Integrator(
+        1,
+        "its adjoint, p first; implicit for non-separable H",
+        "de Vogelaere 1956",
+        coefficients.SYMPLECTIC_EULER_P,
+    ),
+    "stormer_verlet": Integrator(
+        2,
+        "half a drift, a kick, half a drift",
+        "Stormer 1907, Verlet 1967",
+        coefficients.STORMER_VERLET,
+    ),
+    "ruth3": Integrator(3, "splitting", "Ruth 1983", coefficients.RUTH3),
+    "forest_ruth": Integrator(
+        4,
+        "triple jump of Stormer-Verlet; alias yoshida4",
+        "Forest & Ruth 1990, Yoshida 1990",
+        coefficients.FOREST_RUTH,
+    ),
+    "mclachlan4": Integrator(
+        4,
+        "composition of symplectic Euler and its adjoint",
+        "McLachlan 1995",
+        coefficients.MCLACHLAN4,
+    ),
+    "blanes_moan4": Integrator(4, "splitting S6", "Blanes & Moan 2002", coefficients.BLANES_MOAN4),
+    "blanes_moan6": Integrator(6, "splitting S10", "Blanes & Moan 2002", coefficients.BLANES_MOAN6),
+    "yoshida6": Integrator(
+        6, "composition of Stormer-Verlet, solution A", "Yoshida 1990", coefficients.YOSHIDA6
+    ),
+    "yoshida8": Integrator(
+        8, "composition of Stormer-Verlet, solution D", "Yoshida 1990", coefficients.YOSHIDA8
+    ),
+    "implicit_midpoint": Integrator(
+        2,
+        "implicit, any H",
+        "Hairer, Lubich & Wanner 2006, II.1",
+        coefficients.IMPLICIT_MIDPOINT,
+    ),
+    "gauss4": Integrator(
+        4, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", coefficients.GAUSS4
+    ),
+    "gauss6": Integrator(
+        6, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", coefficients.GAUSS6
+    ),
+    "tao2": Integrator(
+        2, "explicit, any H; symplectic in a doubled phase space", "Tao 2016", coefficients.TAO2
+    ),
+    "tao4": Integrator(4, "triple jump of tao2", "Tao 2016", coefficients.TAO4),
+    "dop853": Integrator(
+        8,
+        "Dormand-Prince 8(5,3) from scipy, adaptive, any H",
+        "Hairer, Norsett & Wanner 1993, II.5",
+        Adaptive(run_dop853),
+    ),
+    "odeint": Integrator(
+        12,
+        "LSODA from scipy, adaptive, any H; the paper's ground truth",
+        "Hindmarsh 1983",
+        Adaptive(run_odeint),
+    ),
+}
+
+
+#: Other names of the same coefficients.
+ALIASES = {"yoshida4": "forest_ruth"}
+
+
+def listing() -> str:
+    """The table of integrators as text, a line of at most 80 columns for each."""
+    lines = [f"{'method':<18}{'order':>6}{'stages':>8}  {'kind':<11}source"]
+    for name, row in INTEGRATORS.items():
+        stages = "-" if row.stages is None else str(row.stages)
+        lines.append(f"{name:<18}{row.order:>6}{stages:>8}  {row.kind:<11}{row.source}")
+    return "\n".join(lines)

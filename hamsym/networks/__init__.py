@@ -1,0 +1,1 @@
+"""The methods that train a network: optimisers, objective, stopping rules, checkpoints."""

@@ -1,0 +1,278 @@
+"""Levenberg-Marquardt for trial solutions: least squares with more weights than residuals.
+
+With J the derivative of the m K residual rows r in the weights, the step is -J^T y with
+(J J^T + mu) y = r: a system of the size of the residuals. J itself is never made. Each layer of a
+network contributes to J J^T sums of elementwise products of small Gram matrices: with x the input
+of the layer and xd its derivative in s, and U, V the sensitivities of the rows to a layer's
+pre-activations and to their derivatives,
+
+    (U U^T) (x x^T + 1) + (U V^T) (x xd^T) + (V U^T) (xd x^T) + (V V^T) (xd xd^T).
+
+A second-order correction along the step, geodesic acceleration (Transtrum & Sethna 2012), costs
+one more solution with the same factor and spares most of the iterations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from hamsym.errors import InputError
+from hamsym.networks.objective import Objective
+from hamsym.networks.points import fresh_points, points_between
+from hamsym.networks.trial import ACTIVATIONS, ComponentNetworks, Network, TrialSolution
+from hamsym.support.validation import is_positive, require_whole
+
+__all__ = ["LevenbergMarquardt"]
+
+_MU_FIRST, _MU_LEAST = 1e-3, 1e-14  # relative to the mean diagonal of J J^T
+_ATTEMPTS = 10
+_FAILURES = 3  # iterations in a row without an acceptable step, before it has stalled
+_FEWEST_POINTS = 60
+_PROBE = 0.1  # part of the step over which its curvature is measured
+
+
+class LevenbergMarquardt:
+    """Levenberg-Marquardt on fresh random points in every iteration.
+
+    Parameters
+    ----------
+    points : int
+        Collocation points K on the whole span; short spans of sequential training have fewer.
+
+    Raises
+    ------
+    InputError
+        If a trial solution has weights outside of a :class:`~hamsym.networks.trial.Network`, or the
+        objective has regularisers, which have no least-squares form.
+    """
+
+    check_every = 5
+
+    def __init__(self, *, points: int = 200) -> None:
+        require_whole("points", points, 2)
+        self.points = points
+
+    @property
+    def stalled(self) -> bool:
+        """Whether several iterations in a row found no acceptable step."""
+        return self._failures >= _FAILURES
+
+    def bind(
+        self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
+    ) -> None:
+        if objective.regularizers:
+            raise InputError(
+                "regularizers have no least-squares form; use method 'adam' or 'lbfgs' with them"
+            )
+        if not isinstance(trial, TrialSolution):
+            raise InputError("the trial solution is not a TrialSolution; use Adam or LBFGS for it")
+        network = trial.network
+        parts = network.networks if isinstance(network, ComponentNetworks) else [network]
+        self._networks = [part for part in parts if isinstance(part, Network)]
+        self._trial, self._objective, self._generator = trial, objective, generator
+        self._dtype = self._networks[0].theta.dtype
+        self.reset()
+
+    def reset(self) -> None:
+        self._mu, self._failures = _MU_FIRST, 0
+
+    def fixed_points(self, span: tuple[float, float]) -> Tensor:
+        """Midpoints between twice as many points of the same density."""
+        return points_between(span, self.points, self._dtype)
+
+    @torch.no_grad()
+    def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
+        count = max(min(_FEWEST_POINTS, self.points), round(share * self.points))
+        t = fresh_points(span, count, self._dtype, self._generator)
+        z, dz = self._trial(t)
+        rows = self._rows(t, z, dz)
+        rates = _Linearised(self._trial, self._networks, t, *self._slopes(t, z, dz))
+        gram = rates.gram()
+        # Rows in the order (component, point), as in the Gram matrix.
+        residual = rows.T.reshape(-1)
+        square = float(residual @ residual)
+        before = [network.theta.clone() for network in self._networks]
+        diagonal = gram.diagonal().clone()
+        unit = float(diagonal.mean())
+        for _ in range(_ATTEMPTS):
+            damping = self._mu * unit
+            gram.diagonal().copy_(diagonal + damping)
+            factor, failed = torch.linalg.cholesky_ex(gram)
+            if failed:
+                self._mu *= 10
+                continue
+            y = _solved(factor, residual)
+            step = [-part for part in rates.transposed(y)]
+            # The derivative of the rows along the step needs no derivative: J J^T y = r - mu y.
+            along = damping * y - residual
+            self._move(before, step, _PROBE)
+            bend = (2 / _PROBE) * ((self._residual(t) - residual) / _PROBE - along)
+            second = [-0.5 * part for part in rates.transposed(_solved(factor, bend))]
+            if _norm(second) < 0.375 * _norm(step):
+                step = [one + two for one, two in zip(step, second, strict=True)]
+            self._move(before, step, 1.0)
+            new = self._residual(t)
+            left = float(new @ new)
+            if left < square:
+                predicted = square - damping**2 * float(y @ y)
+                good = square - left > 0.25 * predicted
+                self._mu = max(self._mu / 4, _MU_LEAST) if good else 2 * self._mu
+                self._failures = 0
+                break
+            self._mu *= 3
+        else:
+            self._move(before, [torch.zeros_like(theta) for theta in before], 0.0)
+            self._failures += 1
+        return square / count, float(dz.square().sum(-1).mean())
+
+    def _rows(self, t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
+        return (self._objective.rows or self._objective.residual)(t, z, dz)
+
+    def _slopes(self, t: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
+        if self._objective.slopes is not None:
+            return self._objective.slopes(t, z, dz)
+        with torch.enable_grad():
+            z, dz = z.requires_grad_(), dz.requires_grad_()
+            rows = self._rows(t, z, dz)
+            pairs = [
+                torch.autograd.grad(
+                    rows[:, i].sum(), (z, dz), retain_graph=True, materialize_grads=True
+                )
+                for i in range(rows.shape[1])
+            ]
+        in_z, in_dz = zip(*pairs, strict=True)
+        return torch.stack(in_z, 1), torch.stack(in_dz, 1)
+
+    def _residual(self, t: Tensor) -> Tensor:
+        return self._rows(t, *self._trial(t)).T.reshape(-1)
+
+    def _move(self, start: list[Tensor], step: list[Tensor], length: float) -> None:
+        for network, theta, part in zip(self._networks, start, step, strict=True):
+            network.theta.copy_(theta + length * part)
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        return {}, {"mu": self._mu, "failures": self._failures}
+
+    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
+        mu, failures = values["mu"], values["failures"]
+        if tensors or not (is_positive(mu) and isinstance(failures, int)):
+            raise ValueError("its damping is not that of this method")
+        self._mu, self._failures = mu, failures
+
+
+def _solved(factor: Tensor, right: Tensor) -> Tensor:
+    return torch.cholesky_solve(right.unsqueeze(1), factor).squeeze(1)
+
+
+def _norm(parts: list[Tensor]) -> float:
+    return float(torch.cat(parts).norm())
+
+
+@dataclass(frozen=True)
+class _Layer:
+    """A layer at K points: its input x and the input's derivative, and what follows it.
+
+    ``slope`` is the activation's derivative f'(a), ``bend`` f''(a) a', both (K, neurons); None
+    for the last layer, which is linear.
+    """
+
+    matrix: Tensor
+    x: Tensor
+    xd: Tensor
+    slope: Tensor | None
+    bend: Tensor | None
+
+
+class _Linearised:
+    """The derivative J of the rows in the weights, as products with it; rows (component, point)."""
+
+    def __init__(
+        self,
+        trial: TrialSolution,
+        networks: list[Network],
+        t: Tensor,
+        in_z: Tensor,
+        in_dz: Tensor,
+    ) -> None:
+        s, f, f_dot = (part.unsqueeze(1) for part in trial.envelope_at(t))
+        # z = z0 + f N and dz = (f' N + f dN/ds) / tau; shapes (m, K, dim).
+        in_z, in_dz = in_z.transpose(0, 1), in_dz.transpose(0, 1)
+        self._to_value = f * in_z + f_dot / trial.tau * in_dz
+        self._to_rate = f / trial.tau * in_dz
+        self._layers = [_forward(network, s) for network in networks]
+        outputs = torch.tensor([network.sizes[-1] for network in networks])
+        ends = outputs.cumsum(0).tolist()
+        self._columns = [slice(e - n, e) for e, n in zip(ends, outputs.tolist(), strict=True)]
+
+    def gram(self) -> Tensor:
+        """J J^T, of which only the blocks on and below the diagonal are filled."""
+        m, count, _ = self._to_value.shape
+        gram = self._to_value.new_zeros(m * count, m * count)
+        for layers, columns in zip(self._layers, self._columns, strict=True):
+            sensitivities = _backward(
+                layers, self._to_value[..., columns], self._to_rate[..., columns]
+            )
+            for layer, u, v in sensitivities:
+                _add_gram(gram, layer, u, v)
+        return gram
+
+    def transposed(self, y: Tensor) -> list[Tensor]:
+        """J^T y, one vector for each network."""
+        weights = y.view(*self._to_value.shape[:2], 1)
+        value, rate = (weights * self._to_value).sum(0), (weights * self._to_rate).sum(0)
+        result = []
+        for layers, columns in zip(self._layers, self._columns, strict=True):
+            parts = []
+            for layer, u, v in _backward(layers, value[:, columns], rate[:, columns]):
+                parts += [u.sum(0), (u.T @ layer.x + v.T @ layer.xd).reshape(-1)]
+            result.append(torch.cat(parts[::-1]))
+        return result
+
+
+def _forward(network: Network, s: Tensor) -> list[_Layer]:
+    activation = ACTIVATIONS[network.activation]
+    *hidden, (last, _) = network.layers
+    x, xd, layers = s, torch.ones_like(s), []
+    for matrix, bias in hidden:
+        a, a_dot = x @ matrix.T + bias, xd @ matrix.T
+        h = activation.value(a)
+        slope = activation.slope(a, h)
+        layers.append(_Layer(matrix, x, xd, slope, activation.curvature(h, slope) * a_dot))
+        x, xd = h, slope * a_dot
+    return [*layers, _Layer(last, x, xd, None, None)]
+
+
+def _backward(layers: list[_Layer], u: Tensor, v: Tensor) -> list[tuple[_Layer, Tensor, Tensor]]:
+    """Sensitivities to each layer's pre-activations and their derivatives, last layer first."""
+    found = []
+    for layer in reversed(layers):
+        if layer.slope is not None and layer.bend is not None:
+            u, v = u * layer.slope + v * layer.bend, v * layer.slope
+        found.append((layer, u, v))
+        u, v = u @ layer.matrix, v @ layer.matrix
+    return found
+
+
+def _add_gram(gram: Tensor, layer: _Layer, u: Tensor, v: Tensor) -> None:
+    blocks, count, _ = u.shape
+    views = gram.view(blocks, count, blocks, count)
+    if layer.x.shape[1] == 1:
+        # With one input the rows of J are shorter than the sums of products.
+        rows = torch.cat((u * layer.x + v * layer.xd, u), -1)
+        for i in range(blocks):
+            for j in range(i + 1):
+                views[i, :, j].addmm_(rows[i], rows[j].T)
+        return
+    values = torch.addmm(torch.ones(1, 1, dtype=u.dtype), layer.x, layer.x.T)
+    mixed, rates = layer.x @ layer.xd.T, layer.xd @ layer.xd.T
+    for i in range(blocks):
+        for j in range(i + 1):
+            block = views[i, :, j]
+            block.addcmul_(u[i] @ u[j].T, values)
+            block.addcmul_(v[i] @ v[j].T, rates)
+            block.addcmul_(u[i] @ v[j].T, mixed)
+            block.addcmul_(v[i] @ u[j].T, mixed.T)

@@ -1,0 +1,252 @@
+"""First-order and quasi-Newton optimisers of torch, as the trainer takes them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from hamsym.networks.objective import Objective
+from hamsym.networks.points import fresh_points, midpoints, points_between
+from hamsym.support.validation import is_positive, require, require_positive, require_whole
+
+__all__ = ["LBFGS", "Adam"]
+
+
+class _OfTorch:
+    """What the optimisers that torch has share."""
+
+    def bind(
+        self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
+    ) -> None:
+        self._trial, self._objective, self._generator = trial, objective, generator
+        self._parameters = list(trial.parameters())
+        self.reset()
+
+    def reset(self) -> None:
+        raise NotImplementedError
+
+
+class Adam(_OfTorch):
+    """Adam (Kingma & Ba 2015) on noisy points, as in the paper.
+
+    Each iteration moves the collocation points by Gaussian noise, reflected into the span, so
+    that the equation is enforced everywhere and not at K points only.
+
+    Parameters
+    ----------
+    learning_rate : float
+    betas : (float, float)
+        Decay rates of the moment estimates.
+    schedule : {"constant", "cosine"}
+        The learning rate stays, as in the paper, or falls to zero along half a cosine.
+    points : int
+        Collocation points K, equally spaced over the span.
+    noise : float, optional
+        Standard deviation of the noise, in units of time; by default three times the spacing of
+        the points, which is what the paper's settings are.
+    """
+
+    check_every = 50
+    stalled = False
+
+    def __init__(
+        self,
+        *,
+        learning_rate: float = 8e-3,
+        betas: tuple[float, float] = (0.9, 0.999),
+        schedule: str = "cosine",
+        points: int = 200,
+        noise: float | None = None,
+    ) -> None:
+        require_whole("points", points, 2)
+        require_positive("learning_rate", learning_rate)
+        require(noise is None or noise == 0 or is_positive(noise), "noise", noise, "0 or more")
+        require(
+            isinstance(betas, (tuple, list))
+            and len(betas) == 2
+            and all(isinstance(beta, (int, float)) and 0 <= beta < 1 for beta in betas),
+            "betas",
+            betas,
+            "two numbers from 0 to below 1",
+        )
+        require(schedule in ("constant", "cosine"), "schedule", schedule, "'constant' or 'cosine'")
+        self.learning_rate, self.betas, self.schedule = learning_rate, betas, schedule
+        self.points, self.noise = points, noise
+
+    def reset(self) -> None:
+        self._adam = torch.optim.Adam(
+            self._parameters, lr=self.learning_rate, betas=self.betas, fused=True
+        )
+
+    def fixed_points(self, span: tuple[float, float]) -> Tensor:
+        """The midpoints of a grid twice as fine."""
+        return midpoints(span, 2 * self.points, self._parameters[0].dtype)
+
+    def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
+        if self.schedule == "cosine":
+            rate = self.learning_rate * (1 + math.cos(math.pi * done)) / 2
+            self._adam.param_groups[0]["lr"] = rate
+        t = self._noisy_points(min(span), max(span))
+        self._adam.zero_grad(set_to_none=True)
+        z, dz = self._trial(t)
+        loss = self._objective(t, z, dz)
+        loss.backward()
+        self._adam.step()
+        motion = 0.0 if share == 1 else float(dz.detach().square().sum(-1).mean())
+        return loss.item(), motion
+
+    def _noisy_points(self, start: float, end: float) -> Tensor:
+        length, dtype = end - start, self._parameters[0].dtype
+        grid = torch.linspace(start, end, self.points, dtype=dtype)
+        noise = 3 * length / (self.points - 1) if self.noise is None else self.noise
+        if not noise:
+            return grid
+        moved = torch.randn(grid.shape, generator=self._generator, dtype=dtype)
+        moved.mul_(noise).add_(grid).sub_(start)
+        # Reflection at both ends, as often as needed.
+        return end - moved.remainder_(2 * length).sub_(length).abs_()
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        states = self._adam.state_dict()["state"]
+        return {f"{i}.{name}": v for i, state in states.items() for name, v in state.items()}, {}
+
+    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
+        states: dict[int, dict[str, Tensor]] = {}
+        for key, tensor in tensors.items():
+            index, name = key.split(".", 1)
+            states.setdefault(int(index), {})[name] = tensor
+        if values or (states and {*states} != {*range(len(self._parameters))}):
+            raise ValueError("its moments are not those of the weights")
+        for position, of_weights in states.items():
+            like = self._parameters[position]
+            shapes = {"step": (), "exp_avg": like.shape, "exp_avg_sq": like.shape}
+            if {name: tensor.shape for name, tensor in of_weights.items()} != shapes:
+                raise ValueError("its moments are not those of the weights")
+        groups = self._adam.state_dict()["param_groups"]
+        self._adam.load_state_dict({"state": states, "param_groups": groups})
+
+
+class LBFGS(_OfTorch):
+    """L-BFGS with a strong Wolfe line search (Liu & Nocedal 1989), of torch.
+
+    The points stay while its memory of curvature lasts, and are drawn anew, with the memory
+    emptied, now and then and whenever the line search finds no way on.
+
+    Parameters
+    ----------
+    points : int
+        Collocation points K.
+    memory : int
+        Pairs of steps and gradient changes that are kept.
+    refresh : int
+        Iterations after which the points are drawn anew.
+    """
+
+    check_every = 10
+    _PATIENCE = 5  # fresh starts in a row without a step, before it has stalled
+
+    def __init__(self, *, points: int = 200, memory: int = 50, refresh: int = 200) -> None:
+        require_whole("points", points, 2)
+        require_whole("memory", memory, 1)
+        require_whole("refresh", refresh, 1)
+        self.points, self.memory, self.refresh = points, memory, refresh
+
+    @property
+    def stalled(self) -> bool:
+        """Whether fresh points and an empty memory led to no step several times in a row."""
+        return self._failures >= self._PATIENCE
+
+    def reset(self) -> None:
+        self._lbfgs = torch.optim.LBFGS(
+            self._parameters,
+            max_iter=1,
+            max_eval=25,
+            history_size=self.memory,
+            line_search_fn="strong_wolfe",
+            tolerance_grad=0,
+            tolerance_change=0,
+        )
+        self._t: Tensor | None = None
+        self._age, self._failures, self._share = 0, 0, 0.0
+
+    def fixed_points(self, span: tuple[float, float]) -> Tensor:
+        """Midpoints between twice as many points of the same density."""
+        return points_between(span, self.points, self._parameters[0].dtype)
+
+    def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
+        if self._t is None or self._age >= self.refresh or share != self._share:
+            failures = self._failures
+            self.reset()
+            self._t = fresh_points(span, self.points, self._parameters[0].dtype, self._generator)
+            self._failures, self._share = failures, share
+        t, motion = self._t, 0.0
+
+        def closure() -> Tensor:
+            nonlocal motion
+            self._lbfgs.zero_grad(set_to_none=True)
+            z, dz = self._trial(t)
+            motion = float(dz.detach().square().sum(-1).mean())
+            loss = self._objective(t, z, dz)
+            loss.backward()
+            return loss
+
+        before = [parameter.detach().clone() for parameter in self._parameters]
+        loss = float(self._lbfgs.step(closure).detach())
+        self._age += 1
+        moved = any(not torch.equal(b, p) for b, p in zip(before, self._parameters, strict=True))
+        if moved:
+            self._failures = 0
+        else:
+            self._failures += 1
+            self._t = None
+        return loss, motion
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        tensors: dict[str, Tensor] = {}
+        values: dict[str, Any] = {
+            "age": self._age,
+            "failures": self._failures,
+            "share": self._share,
+            "lists": {},
+            "numbers": {},
+        }
+        if self._t is not None:
+            tensors["points"] = self._t
+        for name, value in self._lbfgs.state_dict()["state"].get(0, {}).items():
+            if name == "al":  # scratch space
+                continue
+            if isinstance(value, Tensor):
+                tensors[f"state.{name}"] = value
+            elif isinstance(value, list):
+                values["lists"][name] = len(value)
+                tensors |= {f"state.{name}.{i}": entry for i, entry in enumerate(value)}
+            else:
+                values["numbers"][name] = value
+        return tensors, values
+
+    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
+        self._age, self._failures, self._share = (
+            values[name] for name in ("age", "failures", "share")
+        )
+        self._t = tensors.get("points")
+        state: dict[str, Any] = dict(values["numbers"])
+        for name, length in values["lists"].items():
+            state[name] = [tensors[f"state.{name}.{i}"] for i in range(length)]
+        for key, tensor in tensors.items():
+            name = key.removeprefix("state.")
+            if key.startswith("state.") and "." not in name:
+                state[name] = tensor
+        total = sum(parameter.numel() for parameter in self._parameters)
+        for key, tensor in tensors.items():
+            shapes = [(self.points,)] if key == "points" else [(), (total,)]
+            if tensor.shape not in shapes or tensor.dtype != self._parameters[0].dtype:
+                raise ValueError(f"its {key} has another shape or type")
+        groups = self._lbfgs.state_dict()["param_groups"]
+        states = {0: state} if state else {}
+        self._lbfgs.load_state_dict({"state": states, "param_groups": groups})
+
+
+# -- points ----------------------------------------------------------------------------------

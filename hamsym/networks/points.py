@@ -1,0 +1,45 @@
+"""Collocation points of a training."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+__all__ = ["fresh_points", "midpoints", "points_between"]
+
+
+def midpoints(span: tuple[float, float], count: int, dtype: torch.dtype) -> Tensor:
+    """The midpoints of equal cells of a span, shape (count,)."""
+    return min(span) + _cells(count, dtype) * abs(span[1] - span[0])
+
+
+def fresh_points(
+    span: tuple[float, float], count: int, dtype: torch.dtype, generator: torch.Generator
+) -> Tensor:
+    """Random times, one in each of ``count`` cells of a span, and both its ends."""
+    u = (
+        torch.arange(count, dtype=dtype) + torch.rand(count, generator=generator, dtype=dtype)
+    ) / count
+    u[0], u[-1] = 0.0, 1.0
+    return spread(span, u)
+
+
+def points_between(span: tuple[float, float], count: int, dtype: torch.dtype) -> Tensor:
+    """Midpoints of twice as many cells and one, of the density of :func:`fresh_points`."""
+    return spread(span, _cells(2 * count + 1, dtype))
+
+
+def spread(span: tuple[float, float], u: Tensor) -> Tensor:
+    """u in [0, 1] to times, half of them denser at the ends as Chebyshev points are.
+
+    A residual that is not held down at the very start offsets the whole trajectory.
+    """
+    start, end = span
+    s = 0.5 * u + 0.25 * (1 - torch.cos(math.pi * u))
+    return start + s * (end - start)
+
+
+def _cells(count: int, dtype: torch.dtype) -> Tensor:
+    return (torch.arange(count, dtype=dtype) + 0.5) / count

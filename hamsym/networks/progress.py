@@ -1,0 +1,50 @@
+"""Progress of a training on a terminal, silence elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from hamsym.networks.training import TrainingState
+
+__all__ = ["training_progress"]
+
+
+@contextmanager
+def training_progress(
+    iterations: int, show: bool | Callable[[TrainingState], None] | None = None
+) -> Iterator[list[Callable[[TrainingState], None]]]:
+    """Callbacks that draw loss, ell_max and the time left on standard error.
+
+    Parameters
+    ----------
+    iterations : int
+    show : bool or callable, optional
+        By default only where standard error is a terminal. A callable takes its place.
+    """
+    if callable(show):
+        yield [show]
+        return
+    console = Console(stderr=True, force_terminal=show)
+    if not (console.is_terminal if show is None else show):
+        yield []
+        return
+    columns = (
+        TextColumn("training"),
+        BarColumn(bar_width=16),
+        TaskProgressColumn(),
+        TextColumn("loss {task.fields[loss]:.1e}  ell_max {task.fields[ell_max]:.1e}  left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("", total=iterations, loss=float("nan"), ell_max=float("nan"))
+
+        def update(state: TrainingState) -> None:
+            progress.update(
+                task, completed=state.iteration, loss=state.best_loss, ell_max=state.ell_max
+            )
+
+        yield [update]

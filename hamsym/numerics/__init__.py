@@ -1,0 +1,1 @@
+"""Numerical methods that take arrays and functions: collocation, tangent maps, roots, scales."""

@@ -1,0 +1,141 @@
+"""Sign changes of sampled functions, and zeros between samples, vectorised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.optimize import elementwise
+
+__all__ = ["refine", "sign_changes", "suspects", "zeros"]
+
+
+_ASIDE = 1e-3  # of an interval: how far from its ends the search for a turning point begins
+
+
+_SAME_SIGNS = -1  # the status of scipy for a bracket whose ends have one sign
+
+
+def sign_changes(values: np.ndarray, direction: float = 0.0) -> tuple[np.ndarray, ...]:
+    """Indices (..., i) where values, shape (..., n), change their sign from i to i + 1.
+
+    A zero belongs to the interval that ends there, so that none is counted twice. A direction above
+    zero asks for those that rise, below zero for those that fall.
+    """
+    return np.nonzero(_changes(values[..., :-1], values[..., 1:], direction))
+
+
+def _changes(before: np.ndarray, after: np.ndarray, direction: float = 0.0) -> np.ndarray:
+    rising, falling = (before < 0) & (after >= 0), (before > 0) & (after <= 0)
+    if direction > 0:
+        return rising
+    return falling if direction < 0 else rising | falling
+
+
+def suspects(values: np.ndarray, slopes: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """Intervals between nodes in which there may be zeros.
+
+    Parameters
+    ----------
+    values, slopes : numpy.ndarray
+        Of the function at the nodes, shape (..., n); of the slopes the sign counts, in the
+        direction from node to node.
+
+    Returns
+    -------
+    where : tuple of numpy.ndarray
+        Indices (..., i) of intervals from i to i + 1.
+    dips : numpy.ndarray
+        Which of them begin and end on one side of zero, shape (k,).
+    """
+    before, after = np.sign(values[..., :-1]), np.sign(values[..., 1:])
+    side = np.where(after == 0, before, after)
+    towards, away = np.sign(slopes[..., :-1]) * side < 0, np.sign(slopes[..., 1:]) * side > 0
+    dips = (before * side >= 0) & towards & away
+    where = np.nonzero(_changes(before, after) | dips)
+    return where, dips[where]
+
+
+def zeros(
+    function: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    before: np.ndarray,
+    after: np.ndarray,
+    dips: np.ndarray,
+    direction: float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Zeros in the intervals that :func:`suspects` found.
+
+    Parameters
+    ----------
+    function : callable
+        (share, index) -> values, where share runs from 0 to 1 in the interval of that index.
+    before, after : numpy.ndarray
+        Values at the ends of the intervals, shape (k,).
+    dips : numpy.ndarray
+        Which of the intervals begin and end on one side of zero, shape (k,).
+    direction : float
+        As in :func:`sign_changes`.
+
+    Returns
+    -------
+    share, index : numpy.ndarray
+        Shape (n,), in the order of the intervals and within them.
+    """
+    whole, dip = np.flatnonzero(~dips), np.flatnonzero(dips)
+    side = np.where(after == 0, np.sign(before), np.sign(after))[dip]
+    turn, value = _turning_points(function, side, dip)
+    low = np.concatenate((np.zeros(len(whole) + len(dip)), turn))
+    high = np.concatenate((np.ones(len(whole)), turn, np.ones(len(dip))))
+    at_low = np.concatenate((before[whole], before[dip], value))
+    at_high = np.concatenate((after[whole], value, after[dip]))
+    index = np.concatenate((whole, dip, dip))
+    crossed = np.flatnonzero(_changes(at_low, at_high, direction))
+    index = index[crossed]
+    share = refine(lambda x, k: function(x, index[k]), low[crossed], high[crossed])
+    order = np.lexsort((share, index))
+    order = order[np.isfinite(share[order])]
+    return share[order], index[order]
+
+
+def _turning_points(
+    function: Callable[[np.ndarray, np.ndarray], np.ndarray], side: np.ndarray, index: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the function comes closest to zero, or furthest beyond, and its values there."""
+    if not len(index):
+        return np.empty(0), np.empty(0)
+
+    def height(share: np.ndarray, k: np.ndarray) -> np.ndarray:
+        return side[k] * function(share, index[k])
+
+    number, share = np.arange(len(index)), np.full(len(index), _ASIDE)
+    with np.errstate(all="ignore"):
+        left, right = height(share, number), height(1 - share, number)
+        middle = np.where(left <= right, share, 1 - share)
+        ends = np.zeros(len(index)), middle, np.ones(len(index))
+        found = elementwise.find_minimum(height, ends, args=(number,))
+        # Where the turning point is beside an end there is no bracket, and nothing to gain.
+        better = found.success & (found.f_x <= np.minimum(left, right))
+    return (
+        np.where(better, found.x, middle),
+        side * np.where(better, found.f_x, np.minimum(left, right)),
+    )
+
+
+def refine(
+    function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Zeros to round-off, all at once, of function(x, index) between low and high, shape (n,).
+
+    By Chandrupatla's method, as scipy has it; nan where the sign changes at a pole, or the
+    function is not a number on the way.
+    """
+    if not len(low):
+        return np.empty(0)
+    index = np.arange(len(low))
+    with np.errstate(all="ignore"):
+        result = elementwise.find_root(function, (low, high), args=(index,))
+        ends = np.abs([function(low, index), function(high, index)])
+        # A zero at an end may have the other sign by round-off when it is computed again.
+        nearer = np.where(ends[0] < ends[1], low, high)
+        found = np.where(result.status == _SAME_SIGNS, nearer, result.x)
+        return np.where(np.abs(function(found, index)) <= ends.max(axis=0), found, np.nan)

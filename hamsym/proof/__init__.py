@@ -1,0 +1,1 @@
+"""Proofs of a solution's error in ball arithmetic, and their certificates."""

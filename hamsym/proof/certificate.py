@@ -1,0 +1,288 @@
+"""Certificates: what was proven about a solution, as data, text and JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import reprlib
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from hamsym.errors import FileError, InputError
+from hamsym.proof.balls import decimal, decimal_above, decimal_below
+from hamsym.proof.error_bounds import (
+    MOST_LEAVES,
+)
+
+__all__ = ["Certificate"]
+
+
+_KIND, _VERSION = "hamsym certificate", 1
+
+
+# What bounds may differ by in any case, in the same units: nothing below it is of interest.
+FLOOR = 2.0**-60
+
+
+FEWEST_BITS, MOST_BITS = 64, 2_048
+LEAST_RTOL, MOST_RTOL = 1e-6, 1e6
+_MOST_EDGES = MOST_LEAVES + 2  # what a proof can have: a leaf more than that is not halved
+
+
+_LONGEST_TEXT = 16 * 2**20  # of a certificate with so many edges
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Proven two-sided bounds on the error of one solution, the largest over its span.
+
+    Attributes
+    ----------
+    bound, lower : float
+        The largest |z^(t) - z(t)| over the span, in the 2-norm, is between lower and bound.
+    component_bounds, component_lowers : tuple of float
+        The same for each component, dim of them.
+    energy_bound, energy_lower : float
+        For max_t |H(z^(t)) - H(z(t))|; the bound is infinite where H is singular along z^.
+    ell_max_bound, ell_max_lower : float
+        For max_t |dz^/dt - J grad H(z^)|, the 2-norm.
+    edges : tuple of float
+        Times that divide the span into pieces, in its direction; no two are equal.
+    piece_bounds : tuple of float
+        On each piece, both edges included, a bound on |z^(t) - z(t)|. Where two windows of a
+        solution meet, z^ has two values, which differ by round-off: at such an edge the bound of a
+        piece is on the value of the window in that piece, and :meth:`bound_at` bounds both.
+    rtol : float
+        How close upper and lower bounds were to come.
+    bits : int
+        Working precision.
+    digest : str
+        SHA-256 of what defines the solution: H, its parameters, z0, the span and all weights.
+    seconds : float
+        What the proof took. Of ``rtol``, ``bits`` and ``seconds`` nothing is proven.
+    """
+
+    bound: float
+    lower: float
+    component_bounds: tuple[float, ...]
+    component_lowers: tuple[float, ...]
+    energy_bound: float
+    energy_lower: float
+    ell_max_bound: float
+    ell_max_lower: float
+    edges: tuple[float, ...] = field(repr=False)
+    piece_bounds: tuple[float, ...] = field(repr=False)
+    rtol: float
+    bits: int
+    digest: str = field(repr=False)
+    seconds: float = field(compare=False)
+
+    def bound_at(self, t: Any) -> Any:
+        """A proven bound on |z^(t) - z(t)|, the 2-norm, at times t of the span.
+
+        Parameters
+        ----------
+        t : float or array
+
+        Returns
+        -------
+        float or numpy.ndarray
+            Shaped as t; at an edge the larger bound of the two pieces that meet there.
+
+        Raises
+        ------
+        InputError
+            If a time is outside the span.
+        """
+        try:
+            times = np.asarray(t, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("t is not a number or an array of numbers; give times") from None
+        values = np.array([self._bound_at(float(time)) for time in times.ravel()])
+        return float(values[0]) if times.ndim == 0 else values.reshape(times.shape)
+
+    def _bound_at(self, t: float) -> float:
+        direction = 1 if self.edges[-1] > self.edges[0] else -1
+        edges = [direction * edge for edge in self.edges]
+        # Both neighbours of an edge: there z^ may have the values of two windows.
+        first = bisect_left(edges, direction * t) - 1
+        last = bisect_right(edges, direction * t) - 1
+        if last < 0 or first >= len(self.piece_bounds) or not math.isfinite(t):
+            raise InputError(
+                f"t = {t:.6g} is outside the span from {self.edges[0]:.6g} to {self.edges[-1]:.6g}"
+            )
+        places = range(max(first, 0), min(last, len(self.piece_bounds) - 1) + 1)
+        return max(self.piece_bounds[place] for place in places)
+
+    @property
+    def statement(self) -> str:
+        """What is proven, in words."""
+        return (
+            f"Proven: the largest |z^(t) - z(t)| (2-norm) for t from {self.edges[0]!r} to "
+            f"{self.edges[-1]!r} is at least {decimal(self.lower)} and at most "
+            f"{decimal(self.bound)}. Here z is the exact solution of Hamilton's equations "
+            "from z0, and z^ the real function that the stored weights of the solution define, "
+            "without the rounding of its evaluation in floating point, which comes on top. z0, the "
+            "span, the parameters and all weights are taken as the exact binary fractions that "
+            "they are, numbers in the formula of H as the exact numbers written there. The proof "
+            "solves the equation once more: Taylor polynomials with a rigorous bound on their "
+            "distance from the exact solution (defect and logarithmic norm), and Taylor expansions "
+            f"of z^ with remainders, in ball arithmetic of {self.bits} bits (Arb), every rounding "
+            "outward. It rests on the correctness of Arb and of this program; verify() runs it "
+            f"again. SHA-256 of the solution: {self.digest}."
+        )
+
+    # -- as text ---------------------------------------------------------------------------
+
+    def to_json(self) -> str:
+        """The certificate as text.
+
+        Its bounds are decimals of nine digits, upper bounds rounded up, lower bounds down: they
+        hold as they are written, and the attributes are the float64 numbers nearest to them.
+        """
+        values: dict[str, Any] = {"kind": _KIND, "version": _VERSION, "statement": self.statement}
+        for name in (*UPPER, *LOWER):
+            values[name] = _texts(getattr(self, name))
+        values["edges"] = [repr(edge) for edge in self.edges]
+        values |= {"rtol": repr(self.rtol), "seconds": repr(self.seconds)}
+        values |= {"bits": self.bits, "digest": self.digest}
+        return json.dumps(values, indent=1)
+
+    @classmethod
+    def from_json(cls, text: str) -> Certificate:
+        """The certificate that :meth:`to_json` wrote.
+
+        Raises
+        ------
+        FileError
+            If the text is no certificate, or one of a later version.
+        """
+        try:
+            if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
+                raise ValueError(f"a certificate is a text of up to {_LONGEST_TEXT} characters")
+            values = json.loads(
+                text, object_pairs_hook=_without_repetition, parse_constant=_no_number
+            )
+            if not isinstance(values, dict) or values.get("kind") != _KIND:
+                raise ValueError("it is something else")
+            if type(values.get("version")) is not int or values["version"] != _VERSION:
+                raise ValueError("it is of another version")
+            if values.keys() != NAMES:
+                raise ValueError("it lacks what a certificate has, or holds what none has")
+            known: dict[str, Any] = {name: _numbers(values[name]) for name in (*UPPER, *LOWER)}
+            known |= {name: _numbers(values[name], repr) for name in WRITTEN_OUT}
+            certificate = cls(**known, bits=values["bits"], digest=values["digest"])
+            certificate._check()
+            if values["statement"] != certificate.statement:
+                raise ValueError("its statement is not what its numbers say")
+        except (ValueError, RecursionError) as error:
+            raise FileError(f"this text is not a certificate that hamsym reads: {error}") from None
+        return certificate
+
+    def _check(self) -> None:
+        """Refuse what cannot be a certificate.
+
+        Raises
+        ------
+        ValueError
+            Saying what is wrong.
+        """
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name in LISTS:
+                known = isinstance(value, tuple) and all(type(part) is float for part in value)
+            elif entry.name in ("bits", "digest"):
+                known = type(value) is (int if entry.name == "bits" else str)
+            else:
+                known = type(value) is float
+            if not known:
+                raise ValueError(f"its {entry.name} is of another type than certify writes")
+        pieces, edges = self.piece_bounds, self.edges
+        if len(edges) != len(pieces) + 1 or not pieces or len(edges) > _MOST_EDGES:
+            raise ValueError("its pieces do not fit together")
+        direction = 1 if edges[-1] > edges[0] else -1
+        if not all(
+            math.isfinite(low) and math.isfinite(high) and direction * low < direction * high
+            for low, high in pairwise(edges)
+        ):
+            raise ValueError("its edges are not in order")
+        if not FEWEST_BITS <= self.bits <= MOST_BITS:
+            raise ValueError("its precision is out of range")
+        if not LEAST_RTOL <= self.rtol <= MOST_RTOL:
+            raise ValueError("its rtol is out of range")
+        if not 0 <= self.seconds < math.inf:
+            raise ValueError("its seconds are not a time")
+        if not re.fullmatch("[0-9a-f]{64}", self.digest):
+            raise ValueError("its digest is no SHA-256")
+        if len(self.component_bounds) != len(self.component_lowers):
+            raise ValueError("its components do not fit together")
+        lowers = (self.lower, *self.component_lowers, self.energy_lower, self.ell_max_lower)
+        uppers = (self.bound, *self.component_bounds, self.energy_bound, self.ell_max_bound)
+        if not all(
+            0 <= low <= high and math.isfinite(low)
+            for low, high in zip(lowers, uppers, strict=True)
+        ):
+            raise ValueError("its bounds are not in order")
+        if not all(bound >= 0 for bound in pieces):
+            raise ValueError("its bounds on pieces are not bounds")
+
+
+UPPER = ("bound", "component_bounds", "energy_bound", "ell_max_bound", "piece_bounds")
+
+
+LOWER = ("lower", "component_lowers", "energy_lower", "ell_max_lower")
+
+
+LISTS = ("component_bounds", "component_lowers", "edges", "piece_bounds")
+
+
+WRITTEN_OUT = ("edges", "rtol", "seconds")  # with all digits
+
+
+NAMES = {"kind", "version", "statement"} | {entry.name for entry in fields(Certificate)}
+assert {*UPPER, *LOWER, *LISTS, *WRITTEN_OUT} < NAMES
+
+
+def _texts(value: float | tuple[float, ...]) -> Any:
+    return [decimal(number) for number in value] if isinstance(value, tuple) else decimal(value)
+
+
+def _numbers(value: Any, written: Callable[[float], str] = decimal) -> float | tuple[float, ...]:
+    if isinstance(value, list):
+        return tuple(_number(text, written) for text in value)
+    return _number(value, written)
+
+
+def _number(text: Any, written: Callable[[float], str]) -> float:
+    """A number as it is written; more digits than are written would claim more than is checked."""
+    try:
+        value = float(text) if isinstance(text, str) else math.nan
+    except ValueError:
+        value = math.nan
+    if written(value) != text:
+        raise ValueError(f"{reprlib.repr(text)} is not a number as certificates have them")
+    return value
+
+
+def _no_number(text: str) -> float:
+    raise ValueError(f"'{text}' is not a number as certificates have them")
+
+
+def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(dict(pairs)) != len(pairs):
+        raise ValueError("a name occurs twice")
+    return dict(pairs)
+
+
+def rounded_up(value: float) -> float:
+    return float(decimal_above(value))
+
+
+def rounded_down(value: float) -> float:
+    return float(decimal_below(value))

@@ -1,0 +1,241 @@
+"""Units and precision for a proof, guessed from a trajectory in floating-point numbers.
+
+Nothing here is proven and nothing has to be: a bad guess makes a proof slower, or makes it fail.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import scipy.integrate
+
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.symplectic import generators
+
+__all__ = ["Scout", "scout"]
+
+_SAMPLES = 1_000
+_CALLS = 60_000  # of the vector field
+_SWEEPS = 6
+_FINEST = 96  # bits, with which everything starts
+_COARSEST = 32  # steps of the precision
+_CALM = 7.0  # growth, as a natural logarithm, below which one set of units serves
+_MOST_PARTS = 300  # of the time, with units of their own
+_ROUNDS = 6  # of choosing those parts
+_RANGE = 1_000  # of powers of two that are sizes, which stay floats
+
+
+#: (elapsed time from which on, units of the components), one after the other
+Schedule = tuple[tuple[float, tuple[float, ...]], ...]
+
+
+class _TooManyCalls(Exception):  # noqa: N818
+    pass
+
+
+@dataclass(frozen=True)
+class Scout:
+    """What a trajectory in floating-point numbers suggests.
+
+    Attributes
+    ----------
+    scales : tuple of float
+        Sizes of the components, powers of two.
+    units : tuple of (float, tuple of float)
+        From which elapsed time on errors are best measured in which units, powers of two: those in
+        which the logarithmic norm is small.
+    times, growths : numpy.ndarray
+        Elapsed times, and log2 of the growth of errors until then, by the logarithmic norm and by
+        changes of units, about; shape (n,).
+    energy_scale, rate_scale : float
+        Sizes of changes of H across the motion, and of the vector field (2-norm).
+    """
+
+    scales: tuple[float, ...]
+    units: Schedule
+    times: np.ndarray = field(repr=False)
+    growths: np.ndarray = field(repr=False)
+    energy_scale: float
+    rate_scale: float
+
+    @property
+    def bits(self) -> int:
+        """Precision at which the reference is likely to be accurate enough."""
+        needed = _FINEST + max(0.0, 1.1 * float(self.growths[-1]) - 10)
+        return _COARSEST * math.ceil(min(needed, 1e6) / _COARSEST)
+
+    def until(self, bits: int) -> float:
+        """The elapsed time for which that precision is likely to do."""
+        return float(self.times[np.searchsorted(self.growths, bits - _FINEST, side="right") - 1])
+
+
+def scout(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.ndarray) -> Scout:
+    """Follow the trajectory roughly.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+    z0 : numpy.ndarray
+        Shape (dim,).
+    span : (float, float)
+    guess : numpy.ndarray
+        Sizes of the components, shape (dim,), for scaling.
+    """
+    with np.errstate(all="ignore"):
+        times, states = _trajectory(H, z0, span, guess)
+        system = H.compile("numpy")
+        matrices = generators(np.asarray(system.hessian(*system.arguments(states, times))))
+        rates = np.asarray(system.vector_field(*system.arguments(states, times)))
+        usable = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(rates).all(axis=1)
+        times, matrices, rates = times[usable], matrices[usable], rates[usable]
+        exponents = _exponents(np.abs(states[usable]).max(axis=0, initial=0.0))
+        scales = 2.0**exponents
+        if len(times) < 2:
+            nothing = np.zeros(1)
+            return Scout(_numbers(scales), ((0.0, _numbers(scales)),), nothing, nothing, 1.0, 1.0)
+        elapsed = np.abs(times - span[0])
+        schedule, growths = _schedule(elapsed, matrices, exponents)
+        slopes = np.roll(np.abs(rates), H.dof, axis=1)
+    return Scout(
+        scales=_numbers(scales),
+        units=schedule,
+        times=elapsed,
+        growths=growths / math.log(2),
+        energy_scale=float((slopes * scales).sum(axis=1).max()),
+        rate_scale=float(np.linalg.norm(rates, axis=1).max()),
+    )
+
+
+def _numbers(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
+
+
+def _schedule(
+    times: np.ndarray, matrices: np.ndarray, exponents: np.ndarray
+) -> tuple[Schedule, np.ndarray]:
+    """Units for parts of the time, and the growth until each time.
+
+    Larger units make errors smaller numbers, and cost nothing; going back to smaller ones costs
+    the ratio. Near a close encounter that is far less than what fixed units cost.
+    """
+    units, total = _calmest(times, matrices, exponents)
+    rates = _norms(matrices, units)
+    growth = np.concatenate(([0.0], np.cumsum(np.diff(times) * (rates[1:] + rates[:-1]) / 2)))
+    best: tuple[Schedule, np.ndarray] = ((0.0, _numbers(2.0**units)),), growth
+    if not _CALM <= total < math.inf:
+        return best
+    for _ in range(_ROUNDS):
+        found, growth = _parts(times, matrices, units, growth)
+        if not growth[-1] < 0.8 * best[1][-1]:
+            break
+        best = found, growth
+    return best
+
+
+def _parts(
+    times: np.ndarray, matrices: np.ndarray, units: np.ndarray, growth: np.ndarray
+) -> tuple[Schedule, np.ndarray]:
+    """Units for parts of the time in each of which errors grow alike, and the growth then."""
+    total = float(growth[-1])
+    count = int(min(total / _CALM * 2, _MOST_PARTS))
+    joints = np.searchsorted(growth, np.linspace(0, total, count + 1)[1:-1])
+    end = len(times) - 1
+    joints = np.unique(np.concatenate(([0], np.clip(joints, 0, end), [end])))
+    found: list[tuple[float, tuple[float, ...]]] = []
+    costs, current = np.zeros(len(times)), None
+    for first, last in pairwise(joints):
+        part = slice(first, last + 1)
+        start = units if current is None else current
+        chosen, _ = _calmest(times[part], matrices[part], start, current)
+        rates = _norms(matrices[part], chosen)
+        costs[first + 1 : last + 1] = np.diff(times[part]) * (rates[1:] + rates[:-1]) / 2
+        if current is not None:
+            costs[first + 1] += math.log(2) * max(0.0, float((current - chosen).max()))
+        current = chosen
+        found.append((float(times[first]), _numbers(2.0**current)))
+    return tuple(found), np.cumsum(costs)
+
+
+def _trajectory(
+    H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states, shapes (n,) and (n, dim), as far as it goes."""
+    system, calls = H.compile("numpy"), 0
+    found = [(span[0], z0)]
+    # Before an escape the largest sizes say nothing of the start; at rest the start says nothing.
+    at_rest = ~np.abs(z0).reshape(2, -1).any(axis=1).repeat(H.dof)
+    own, largest = _exponents(np.abs(z0)), _exponents(guess)
+    unit = 2.0 ** np.where(at_rest, largest, np.minimum(own, largest))
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        if calls > _CALLS:
+            raise _TooManyCalls
+        return np.asarray(system.vector_field(*system.arguments(y * unit, t))) / unit
+
+    try:
+        solver = scipy.integrate.DOP853(rate, span[0], z0 / unit, span[1], rtol=1e-8, atol=1e-12)
+        while solver.status == "running":
+            solver.step()
+            if solver.status == "failed" or not np.isfinite(solver.y).all():
+                break
+            dense = solver.dense_output()
+            share = abs(solver.t - solver.t_old) / abs(span[1] - span[0])
+            for t in np.linspace(solver.t_old, solver.t, 3 + int(_SAMPLES * share))[1:]:
+                found.append((float(t), dense(t) * unit))
+    except (_TooManyCalls, ValueError, OverflowError, FloatingPointError):
+        pass
+    return np.array([t for t, _ in found]), np.array([z for _, z in found])
+
+
+def _exponents(sizes: np.ndarray) -> np.ndarray:
+    """Powers of two of the sizes; those of the same half where a component does not move."""
+    halves = np.where(np.isfinite(sizes), sizes, 0.0).reshape(2, -1)
+    largest = halves.max(axis=1, keepdims=True)
+    known = np.where(halves > 1e-8 * largest, halves, largest)
+    known = np.where(known > 0, known, 1.0)
+    return np.asarray(np.ceil(np.log2(known)).clip(-_RANGE, _RANGE).ravel())
+
+
+def _norms(matrices: np.ndarray, exponents: np.ndarray) -> np.ndarray:
+    """Gershgorin's bound on the logarithmic norm of each matrix, in units 2**exponents."""
+    units = 2.0**exponents
+    scaled = matrices * (units / units[:, None])
+    symmetric = (scaled + scaled.transpose(0, 2, 1)) / 2
+    own = np.einsum("nii->ni", symmetric)
+    circles = own + np.abs(symmetric).sum(axis=2) - np.abs(own)
+    return np.asarray(np.maximum(circles.max(axis=1), 0))
+
+
+def _calmest(
+    times: np.ndarray,
+    matrices: np.ndarray,
+    exponents: np.ndarray,
+    previous: np.ndarray | None = None,
+) -> tuple[np.ndarray, float]:
+    """Units in which the logarithmic norm integrates to little, and what that costs."""
+    steps = np.diff(times)
+
+    def cost(exponents: np.ndarray) -> float:
+        norms = _norms(matrices, exponents)
+        total = float((steps * (norms[1:] + norms[:-1])).sum() / 2)
+        if previous is not None:
+            total += math.log(2) * max(0.0, float((previous - exponents).max()))
+        return total
+
+    best = cost(exponents)
+    dim = len(exponents)
+    # All coordinates against all momenta first, then each component alone.
+    moves = [np.repeat([1.0, 0.0], dim // 2), np.repeat([0.0, 1.0], dim // 2), *np.eye(dim)]
+    for _ in range(_SWEEPS):
+        before = best
+        for move, sign in ((move, sign) for move in moves for sign in (1, -1)):
+            while (found := cost(exponents + sign * move)) < 0.999 * best:
+                exponents, best = exponents + sign * move, found
+        if best >= 0.99 * before:
+            break
+    return exponents, best

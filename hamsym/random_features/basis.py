@@ -1,0 +1,212 @@
+"""Random sine features marched to a tolerance: a network of which only the readout is solved for.
+
+On each window [t_a, t_a + h] the solution has the trial form z^ = z_a + f(s) N(s), s = (t - t_a)/h,
+f(s) = 1 - exp(-s), where N is one hidden layer of sine neurons whose inner weights are random and
+fixed (an extreme learning machine: Dong & Li 2021, Fabiani et al. 2023). Windows join exactly,
+because the form reproduces z_a whatever the readout.
+
+Stage 1  The basis f(s) sin(a s + b) is orthonormalised once (:class:`FeatureBasis`); it knows no H.
+Stage 2  Windows are marched over a span (:mod:`hamsym.random_features.march`) and become a
+         :class:`~hamsym.random_features.windows.March`.
+Stage 3  As a function of time that is a :class:`~hamsym.random_features.trial.FeatureTrial`.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import mpmath
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from hamsym.numerics.collocation import chebyshev_points
+from hamsym.random_features import window_loop
+
+__all__ = ["FeatureBasis", "feature_basis"]
+
+_NEURONS = 60
+NODES = 24  # collocation points of a window
+_BETWEEN = 27  # points at which the residual is judged
+_TRUNCATION = 1e-14  # of singular values, relative
+DEGREE = 47  # of the Chebyshev series of the columns, which are entire functions
+_BITS = 200  # of the sums that its coefficients are
+_INNER_RANGE = 10.0  # inner weights a are uniform within +- this
+
+
+@dataclass(frozen=True, eq=False)  # one object a seed, so that tables of it can be cached
+class FeatureBasis:
+    """Orthonormal combinations Q = f(s) sin(a s + b) W of the features, for s in [0, 1].
+
+    Attributes
+    ----------
+    seed : int
+        What a and b were drawn with.
+    inner, shift : numpy.ndarray
+        a and b, shape (M,).
+    mixing : numpy.ndarray
+        W, shape (M, m): raw readout weights of each orthonormal column.
+    nodes, between : numpy.ndarray
+        Chebyshev points of the first kind in (0, 1), and points in between, almost to both ends.
+    fit : numpy.ndarray
+        Values dz/ds at the nodes -> coefficients, shape (m, nodes).
+    integration : numpy.ndarray
+        Values dz/ds at the nodes -> z - z_a there, shape (nodes, nodes).
+    to_between, rates_between : numpy.ndarray
+        Q and dQ/ds at the points in between.
+    end : numpy.ndarray
+        Q at s = 1 in extended precision, shape (m,).
+    tables : tuple of numpy.ndarray
+        What :func:`~hamsym.random_features.window_loop.march_windows` takes, in its order.
+    series : numpy.ndarray
+        Chebyshev series of N = sin(a s + b) W in 2 s - 1, shape (degree + 1, m). It is the same
+        function to the last bit or two, without the cancellation in that product.
+    """
+
+    seed: int
+    inner: np.ndarray
+    shift: np.ndarray
+    mixing: np.ndarray
+    nodes: np.ndarray
+    between: np.ndarray
+    fit: np.ndarray
+    integration: np.ndarray
+    to_between: np.ndarray
+    rates_between: np.ndarray
+    end: np.ndarray
+    series: np.ndarray
+
+    @cached_property
+    def tables(self) -> tuple[np.ndarray, ...]:
+        end = self.end.astype(float)
+        # The polynomial of degree 2 through the last rates of a window, in s - 1.
+        tail = np.linalg.pinv(np.vander(self.nodes[-window_loop.TAIL :] - 1, 3, increasing=True))
+        arrays = (
+            self.nodes,
+            self.integration,
+            self.fit,
+            self.between,
+            self.to_between,
+            self.rates_between,
+            end,
+            (self.end - end).astype(float),
+            tail,
+        )
+        return tuple(np.ascontiguousarray(array) for array in arrays)
+
+    def columns(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Q and dQ/ds at s of shape (n,), in the precision of s; each of shape (n, m).
+
+        They are evaluated from the stored series, and so are columns of the solution itself.
+        """
+        return _columns(self.series, self.rate_series, s)
+
+    @cached_property
+    def rate_series(self) -> np.ndarray:
+        """Chebyshev series of dN/ds, derived from that of N."""
+        return rate_series(self.series)
+
+
+@functools.lru_cache(maxsize=8)
+def feature_basis(seed: int = 0) -> FeatureBasis:
+    """The basis of a seed; made once, since it depends on nothing else."""
+    generator = np.random.default_rng(seed)
+    inner = generator.uniform(-_INNER_RANGE, _INNER_RANGE, _NEURONS)
+    shift = generator.uniform(-math.pi, math.pi, _NEURONS)
+    dense = chebyshev_points(160)
+    values, rates = _raw_columns(inner, shift, dense)
+    _, sizes, right = np.linalg.svd(np.vstack((values, rates)), full_matrices=False)
+    kept = sizes > _TRUNCATION * sizes[0]
+    mixing = right[kept].T / sizes[kept]
+    nodes = chebyshev_points(NODES)
+    # Just inside the window: at a breakpoint the equations of the next one may hold.
+    between = np.clip(np.linspace(0.0, 1.0, _BETWEEN), 1e-9, 1 - 1e-9)
+
+    series = _series(inner, shift, mixing)
+
+    def columns(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        # A rounded table carries its error into every window, each time the same.
+        values, rates = _columns(series, rate_series(series), s.astype(np.longdouble))
+        return values.astype(float), rates.astype(float)
+
+    at_nodes, rates_at_nodes = columns(nodes)
+    fit = np.linalg.pinv(rates_at_nodes, rcond=1e-14)
+    to_between, rates_between = columns(between)
+    return FeatureBasis(
+        seed=seed,
+        inner=inner,
+        shift=shift,
+        mixing=mixing,
+        nodes=nodes,
+        between=between,
+        fit=fit,
+        integration=at_nodes @ fit,
+        to_between=to_between,
+        rates_between=rates_between,
+        end=_columns(series, rate_series(series), np.ones(1, dtype=np.longdouble))[0][0],
+        series=series,
+    )
+
+
+def _series(inner: np.ndarray, shift: np.ndarray, mixing: np.ndarray) -> np.ndarray:
+    """Chebyshev coefficients of sin(a s + b) W in x = 2 s - 1, shape (degree + 1, m).
+
+    sin(a s + b) = sin(c) cos(w x) + cos(c) sin(w x) with w = a/2, c = a/2 + b, and the coefficients
+    of cos(w x) and sin(w x) are Bessel functions of w (Jacobi and Anger). The features are nearly
+    dependent and W is large, so the sums are taken in integers: only the result is rounded. Noise
+    of high degree would be small in z^ and large in its derivative.
+    """
+    count, unit = DEGREE + 1, 1 << _BITS
+    rows = np.empty((count, len(inner)), dtype=object)
+    with mpmath.workprec(_BITS):
+        for j, (a, b) in enumerate(zip(inner.tolist(), shift.tolist(), strict=True)):
+            w = mpmath.mpf(a) / 2
+            phases = mpmath.cos_sin(w + mpmath.mpf(b))
+            for degree, bessel in enumerate(_bessel(w, count)):
+                # sin(c) with cos(w x), of even degrees; cos(c) with sin(w x), of odd ones.
+                sign = (1, 1, -1, -1)[degree % 4] * (2 if degree else 1)
+                rows[degree, j] = int(mpmath.nint(sign * bessel * phases[1 - degree % 2] * unit))
+    weights = np.array([[int(Fraction(w) * unit) for w in row] for row in mixing.tolist()], object)
+    return np.array([[float(Fraction(n, unit**2)) for n in row] for row in rows @ weights])
+
+
+def _bessel(w: mpmath.mpf, count: int) -> list[mpmath.mpf]:
+    """J_0(w) .. J_(count-1)(w) by Miller's backward recurrence."""
+    values = [mpmath.mpf(0), mpmath.mpf(1)]  # from a degree where they are negligible
+    for k in range(count + 20, 0, -1):
+        values.append(2 * k / w * values[-1] - values[-2])
+    values.reverse()
+    norm = values[0] + 2 * mpmath.fsum(values[2::2])
+    return [value / norm for value in values[:count]]
+
+
+def _columns(series: np.ndarray, rates: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f N and its derivative at s, from Chebyshev series of N and dN/ds, in the precision of s."""
+    if s.dtype != series.dtype:  # more digits of the derivative of exactly this series
+        series = series.astype(s.dtype)
+        rates = rate_series(series)
+    angles = np.arccos(np.clip(2 * s - 1, -1, 1))
+    polynomials = np.cos(np.multiply.outer(angles, np.arange(len(series), dtype=s.dtype)))
+    f = -np.expm1(-s)[:, None]
+    network = polynomials @ series
+    slopes = polynomials @ rates
+    return f * network, (1 - f) * network + f * slopes
+
+
+def rate_series(series: np.ndarray) -> np.ndarray:
+    """Chebyshev series of the derivative in s of series in x = 2 s - 1, of the same length."""
+    rates = np.zeros_like(series)
+    rates[:-1] = 2 * chebyshev.chebder(series)
+    return rates
+
+
+def _raw_columns(
+    inner: np.ndarray, shift: np.ndarray, s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    phase = np.multiply.outer(s, inner) + shift
+    features, slopes = np.sin(phase), np.cos(phase) * inner
+    f = -np.expm1(-s)[:, None]
+    return f * features, (1 - f) * features + f * slopes

@@ -1,0 +1,196 @@
+"""The method "features": random sine features marched until the estimated error is as asked.
+
+Stage 1  March with a local tolerance (:mod:`hamsym.random_features.march`).
+Stage 2  Estimate the global error and the round-off along the march
+         (:mod:`hamsym.random_features.error_estimate`).
+Stage 3  If both together exceed what was asked, march again with a tighter local tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.problem import InitialValueProblem
+from hamsym.random_features.basis import feature_basis
+from hamsym.random_features.error_estimate import Estimate, estimate_error
+from hamsym.random_features.flow import flow_of
+from hamsym.random_features.march import MAX_WINDOWS, march
+from hamsym.random_features.trial import FeatureTrial
+from hamsym.random_features.windows import March
+from hamsym.solution.discontinuities import first_jump
+from hamsym.solution.solution import Solution
+
+__all__ = ["FeatureOptions", "solve_by_features"]
+
+_SMALLEST_TOL = 1e-12  # below it float64 cannot hold the answer
+_SMALLEST_LOCAL = 1e-13  # residuals cannot be told from round-off below
+_STEP = 1e-4  # of the local tolerance from one march to the next, at most
+_ATTEMPTS = 6
+_JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
+_FEWEST_WINDOWS = 8  # so that a short event in a long rest is not stepped over unseen
+
+
+@dataclass(frozen=True)
+class FeatureOptions:
+    """Options of the method "features"; see :func:`hamsym.solve`."""
+
+    tol: float = 1e-9
+    atol: float | Sequence[float] = 0.0
+    breakpoints: Sequence[float] = ()
+    max_window: float | None = None
+    compiled: bool | Literal["auto"] = "auto"
+
+
+def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> Solution:
+    """March to a tolerance; options as in :func:`hamsym.solve`."""
+    tol = options.tol
+    H = problem.H
+    if not (isinstance(tol, (int, float, np.floating)) and _SMALLEST_TOL <= tol < 1):
+        raise InputError(
+            f"tol={tol!r} cannot be used; give a number from {_SMALLEST_TOL:g} to below 1"
+        )
+    absolute = _checked_atol(options.atol, H.dim)
+    longest = _checked_window(options.max_window, problem.span)
+    stops = _checked_breakpoints(options.breakpoints, problem.span)
+    basis = feature_basis(problem.seed)
+    if options.compiled not in (True, False, "auto"):
+        raise InputError(
+            f'compiled={options.compiled!r} cannot be used; give True, False or "auto"'
+        )
+    flow = flow_of(H, options.compiled)
+    best: _Attempt | None = None
+    # The cost grows as the 18th root of the accuracy: a margin is cheaper than a second march.
+    local = max(0.1 * tol, _SMALLEST_LOCAL)
+    with np.errstate(all="ignore"):
+        for _ in range(_ATTEMPTS):
+            windows = march(
+                flow, problem.z0, problem.span, local, basis, breakpoints=stops, longest=longest
+            )
+            if not len(windows.readouts):
+                break
+            estimate = estimate_error(windows, basis, flow)
+            error = estimate.error
+            tried = _Attempt(windows, estimate, absolute + tol * error.scale)
+            if best is None or tried.is_better_than(best):
+                best = tried
+            # Where most of the error is round-off, no march gets below it.
+            floors = error.floors.max(axis=0)
+            hopeless = (
+                not estimate.limit
+                and (error.largest <= np.maximum(2 * floors, tried.allowed)).all()
+            )
+            if tried.excess <= 1 or hopeless or local <= _SMALLEST_LOCAL:
+                break
+            local = max(local * min(max(0.3 / tried.excess, _STEP), 0.3), _SMALLEST_LOCAL)
+    if best is None:
+        raise InputError(f"no solution beyond t = {windows.reached:.6g}: {windows.reason}")
+    windows = best.windows
+    solution = Solution(
+        H,
+        problem.z0,
+        (problem.span[0], windows.reached),
+        FeatureTrial.of_march(windows, basis),
+        method="features",
+        training=windows,
+        march_error=best.estimate.error,
+    )
+    solution.success, solution.message = _verdict(best, tol)
+    if solution.success or windows.doubt:
+        jump = first_jump(solution, windows.times(_JUMP_SAMPLES), best.estimate.unresolved)
+        if jump is not None:
+            solution.success, solution.message = False, f"{jump} ({solution.message})"
+    return solution
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """A march, its estimated error, and the error that is allowed, shape (dim,)."""
+
+    windows: March
+    estimate: Estimate
+    allowed: np.ndarray
+
+    @cached_property
+    def excess(self) -> float:
+        return self.estimate.error.excess(self.allowed)
+
+    def is_better_than(self, other: _Attempt) -> bool:
+        """Whether it reached further or, where both reached as far, is more accurate."""
+        own, others = (
+            abs(float(attempt.windows.edges[-1] - attempt.windows.edges[0]))
+            for attempt in (self, other)
+        )
+        return own > others or (own == others and self.excess < other.excess)
+
+
+def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
+    windows, excess = attempt.windows, attempt.excess
+    error, limit = attempt.estimate.error, attempt.estimate.limit
+    state = f"{len(windows.readouts):,} windows, estimated error {excess:.1e} of what was allowed"
+    held = error.until(attempt.allowed)
+    if windows.reason:
+        until, missing = f"t = {held:.6g}", abs(windows.reached - held)
+        if until == f"t = {windows.reached:.6g}":
+            until = f"{missing:.1e} before that" if missing else "there"
+        return False, (
+            f"stopped at t = {windows.reached:.6g}: {windows.reason}; tol {tol:.1e} held until "
+            f"{until}"
+        )
+    if windows.doubt:
+        return False, f"{windows.doubt}; a narrow pulse or a step is there, or a jump; {state}"
+    if excess <= 1:
+        return True, f"tol {tol:.1e} met: {state}"
+    if limit:
+        return False, f"tol {tol:.1e} met only until t = {held:.6g}: {limit}"
+    floors = error.floors.max(axis=0)
+    cause = (
+        "limited by float64 round-off"
+        if not (floors <= 0.3 * attempt.allowed).all()
+        else "the march could not be made accurate enough"
+    )
+    return False, f"tol {tol:.1e} met only until t = {held:.6g}: {cause}; {state}"
+
+
+def _checked_atol(atol: float | Sequence[float], dim: int) -> np.ndarray:
+    try:
+        values = np.broadcast_to(np.asarray(atol, dtype=float), (dim,))
+    except (TypeError, ValueError):
+        values = np.array([math.nan])
+    if not (np.all(np.isfinite(values)) and np.all(values >= 0)):
+        raise InputError(f"atol={atol!r} cannot be used; give a number from 0, or {dim} of them")
+    return values
+
+
+def _checked_window(max_window: float | None, span: tuple[float, float]) -> float:
+    if max_window is None:
+        return abs(span[1] - span[0]) / _FEWEST_WINDOWS
+    if not (isinstance(max_window, (int, float)) and max_window > 0):
+        raise InputError(f"max_window={max_window!r} cannot be used; give a time above 0")
+    if (shortest := abs(span[1] - span[0]) / MAX_WINDOWS) > max_window:
+        raise InputError(
+            f"max_window={max_window!r} makes more than {MAX_WINDOWS:,} windows; give "
+            f"{shortest:.3g} or more, or a shorter span"
+        )
+    return float(max_window)
+
+
+def _checked_breakpoints(breakpoints: Sequence[float], span: tuple[float, float]) -> list[float]:
+    """Breakpoints in the direction of the span, each once."""
+    try:
+        times = sorted({float(time) for time in breakpoints})
+    except (TypeError, ValueError):
+        raise InputError(f"breakpoints={breakpoints!r} is not a list of times; give one") from None
+    for time in times:
+        if not min(span) < time < max(span):
+            raise InputError(
+                f"breakpoint {time:.6g} is not inside the span from {min(span):.6g} to "
+                f"{max(span):.6g}; leave it out"
+            )
+    return times if span[0] < span[1] else times[::-1]

@@ -1,0 +1,327 @@
+"""Checks of windows at times that the march did not use.
+
+The march judges a window by its residual at fixed places. What happens between them, such as a
+pulse of the force that is narrower than their distance, leaves no trace there. Three checks look
+again:
+
+1. *Places from the formula.* Pulses, steps and poles of H have their places where the argument of
+   exp, tanh, erf and the like, or the base of a negative or broken power, is zero or extreme.
+   These arguments vary slowly along the trajectory, so that samples of them show where; the
+   residual is taken at and around these times, as far as the width of what happens there.
+2. *Random places*, seeded: the residual again.
+3. *Energy.* Where H does not depend on time, it may change over a window by no more than the local
+   error that the tolerance allows. A step of the potential that was passed over unseen changes it.
+
+Not detectable is a pulse that leaves H as it was, such as a narrow bump of the potential, whose
+place cannot be read from the formula in this way, and which no sampled time meets.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from hamsym.numerics.collocation import collocation
+from hamsym.random_features.basis import FeatureBasis
+from hamsym.random_features.flow import Flow
+from hamsym.random_features.window_loop import EPS, NOISE, ROUND_OFF, TINY
+from hamsym.symbolic.derivatives import Narrow
+
+__all__ = ["Failure", "WindowChecks"]
+
+_NODES, _DENSE = 32, 400  # places where arguments are sampled, of which the first make a series
+_RESOLVED = 1e-2  # last coefficients of that series, relative to the largest
+_NARROW = 0.1  # of a window: what is wider is seen by the march
+_ENDS = np.array([0.0, 1e-9, 1e-8, 1e-7, 1e-6])  # before the first node, less for the last
+_AT_ONCE = 1e-7  # of a window
+_AROUND = np.array([-1.5, -0.7, 0.0, 0.7, 1.5])  # places of the residual, in widths
+_RANDOM = 2  # places in each window
+_SLACK = 10.0  # of what the march allows at its own places
+_BISECTIONS = 40
+_SECTIONS, _HALVINGS = 70, 40  # of the interval of a zero or a turning point
+_GOLDEN = (3 - 5**0.5) / 2
+
+
+class Failure(NamedTuple):
+    """The first window that failed, times to look at, by how much it failed, and what did."""
+
+    window: int
+    times: list[float]
+    excess: float
+    cause: str
+
+
+class Windows(NamedTuple):
+    """Consecutive windows: edges (n + 1,), states (n + 1, dim) and readouts (n, m, dim)."""
+
+    edges: np.ndarray
+    states: np.ndarray
+    readouts: np.ndarray
+
+
+@dataclass
+class WindowChecks:
+    """The checks of one march.
+
+    Attributes
+    ----------
+    flow : Flow
+    basis : FeatureBasis
+    tolerance : float
+        Local tolerance of the march.
+    """
+
+    flow: Flow
+    basis: FeatureBasis
+    tolerance: float
+    _generator: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._generator = np.random.default_rng(self.basis.seed)
+
+    def first_failure(self, windows: Windows, sizes: np.ndarray) -> Failure | None:
+        """Check windows of which the components have these sizes; None if all pass."""
+        worst, place = self._residuals(windows, sizes)
+        by_energy: set[int] = set()
+        if self.flow.energy is not None:
+            changes = self._energy_changes(windows, sizes)
+            by_energy = set(np.flatnonzero(changes > worst).tolist())
+            worst = np.maximum(worst, changes)
+        failed = np.flatnonzero(worst > 1)
+        if not len(failed):
+            return None
+        first = int(failed[0])
+        if first in by_energy:
+            return Failure(first, [self._energy_jump(windows, first)], float(worst[first]), "H")
+        return Failure(first, place[first], float(worst[first]), "the residual")
+
+    def _residuals(
+        self, windows: Windows, sizes: np.ndarray
+    ) -> tuple[np.ndarray, dict[int, list[float]]]:
+        """The largest residual of each window, in units of what is allowed, and where it is."""
+        count = len(windows.readouts)
+        lengths = np.abs(np.diff(windows.edges))
+        window = np.repeat(np.arange(count), _RANDOM)
+        s = self._generator.random(len(window))
+        width = np.ones(len(window))
+        if self.flow.narrow_arguments is not None:
+            found = self._narrow_places(windows)
+            window, s, width = (
+                np.concatenate(pair) for pair in zip((window, s, width), found, strict=True)
+            )
+        z, dz, t = self._at(windows, window, s)
+        rates = self.flow.vector_field(z, t)
+        length = lengths[window, None]
+        defect = np.minimum(length, width[:, None] * length) * np.abs(dz - rates)
+        # At one place the rate may be zero: what it is elsewhere in the window counts.
+        largest = np.zeros((count, z.shape[1]))
+        np.maximum.at(largest, window, np.abs(dz))
+        allowed = self.tolerance * sizes + ROUND_OFF * length * largest[window]
+        excess = _excess(defect, _SLACK * allowed)
+        suspect = np.flatnonzero(excess > 1)
+        if len(suspect):
+            more = NOISE * length[suspect] * self._round_off(windows, window[suspect])
+            excess[suspect] = _excess(defect[suspect], _SLACK * (allowed[suspect] + more))
+        worst = np.zeros(count)
+        np.maximum.at(worst, window, excess)
+        places: dict[int, list[float]] = {}
+        for index in np.flatnonzero(excess > 1):
+            places.setdefault(int(window[index]), []).append(float(t[index]))
+        return worst, places
+
+    def _round_off(self, windows: Windows, window: np.ndarray) -> np.ndarray:
+        """What a unit in the last place of states and times changes in the rates, shape (n, dim).
+
+        As is usual in the window: where something narrow happens the rates change by far more.
+        """
+        used, index = np.unique(window, return_inverse=True)
+        s = self.basis.nodes
+        z, _, t = self._at(windows, np.repeat(used, len(s)), np.tile(s, len(used)))
+        disturbed = z * (1 + EPS * self._generator.choice((-1.0, 1.0), size=z.shape))
+        late = t * (1 + EPS * self._generator.choice((-1.0, 1.0), size=t.shape))
+        noise = np.abs(self.flow.vector_field(disturbed, late) - self.flow.vector_field(z, t))
+        return np.asarray(np.median(noise.reshape(len(used), len(s), -1), axis=1)[index])
+
+    def _narrow_places(self, windows: Windows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where something narrow may happen: windows, places s and widths, in window lengths."""
+        count = len(windows.readouts)
+        s, values, to_series = _table(self.basis, _NODES)
+        g, kinds = self._arguments(windows, np.arange(count), s, values)
+        inner = slice(len(_ENDS), -len(_ENDS))
+        series = np.abs(to_series @ g[:, inner].transpose(2, 1, 0))  # (argument, degree, window)
+        tails = series[:, -4:].max(axis=1)
+        # An argument that oscillates within the window is sampled more densely.
+        fast = np.flatnonzero(~(tails <= _RESOLVED * series.max(axis=1)).all(axis=0))
+        found = [
+            self._candidates(np.delete(np.arange(count), fast), s, np.delete(g, fast, 0), kinds)
+        ]
+        if len(fast):
+            s, values, _ = _table(self.basis, _DENSE)
+            dense, _ = self._arguments(windows, fast, s, values)
+            found.append(self._candidates(fast, s, dense, kinds))
+        low, high, window, which, turns = (
+            np.concatenate(parts) for parts in zip(*found, strict=True)
+        )
+        if not len(window):
+            return np.empty(0, dtype=int), np.empty(0), np.empty(0)
+        place, width = self._located(windows, low, high, window, which, turns, kinds)
+        # A switch or a pole acts at once, and goes on.
+        switched = (kinds[which] != Narrow.FUNCTION) & (turns == 0)
+        lasting = np.where(switched, 1.0, np.minimum(4 * width, 1.0))
+        width = np.where(switched, _AT_ONCE, width)
+        narrow = width < _NARROW
+        place, width, window = place[narrow], width[narrow], window[narrow]
+        # Inside the window: at a breakpoint the equations of the next one may hold.
+        around = np.clip(place[:, None] + width[:, None] * _AROUND, 1e-9, 1 - 1e-9)
+        lasting = np.repeat(lasting[narrow], len(_AROUND))
+        return np.repeat(window, len(_AROUND)), around.ravel(), lasting
+
+    def _arguments(
+        self, windows: Windows, window: np.ndarray, s: np.ndarray, values: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The arguments at the same places of windows, shape (windows, places, arguments)."""
+        assert self.flow.narrow_arguments is not None
+        z = windows.states[window, None] + values @ windows.readouts[window]
+        t = windows.edges[window, None] + np.diff(windows.edges)[window, None] * s
+        arguments, kinds = self.flow.narrow_arguments(z.reshape(-1, z.shape[-1]), t.ravel())
+        return arguments.reshape(*t.shape, -1), kinds
+
+    def _candidates(
+        self, window: np.ndarray, s: np.ndarray, g: np.ndarray, kinds: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Zeros and turning points of arguments that are steep there, between samples.
+
+        Returns
+        -------
+        tuple of numpy.ndarray
+            Both ends of the interval, the window, the argument, and the sign of a maximum or
+            minimum, 0 for a zero; shape (n,) each.
+        """
+        changes = np.diff(g, axis=1)
+        # Within a tenth of a window the argument must change by 1, or a base by its size: here it
+        # does so between two samples, or between its neighbours.
+        steps = np.diff(s)[:, None]
+        steep = np.abs(changes) * _NARROW > steps
+        acts = steep | (kinds != Narrow.FUNCTION)
+        crosses = (g[:, :-1] * g[:, 1:] <= 0) & acts
+        ratio = np.minimum(_NARROW / (steps[:-1] + steps[1:]), 1.0) ** 2
+        drop = np.maximum(np.abs(changes[:, :-1]), np.abs(changes[:, 1:])) * 2 * ratio
+        unit = np.where(kinds == Narrow.FUNCTION, 1.0, np.abs(g[:, 1:-1]))
+        turns = (changes[:, :-1] * changes[:, 1:] <= 0) & (drop > unit)
+        w, i, k = np.nonzero(crosses)
+        v, j, m = np.nonzero(turns)
+        return (
+            np.concatenate((s[i], s[j])),
+            np.concatenate((s[i + 1], s[j + 2])),
+            window[np.concatenate((w, v))],
+            np.concatenate((k, m)),
+            np.concatenate((np.zeros(len(w)), np.sign(changes[v, j, m]))),
+        )
+
+    def _located(
+        self,
+        windows: Windows,
+        low: np.ndarray,
+        high: np.ndarray,
+        window: np.ndarray,
+        which: np.ndarray,
+        turns: np.ndarray,
+        kinds: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Places of candidates to round-off, and the distance in which the argument changes by 1.
+
+        By bisection for a zero and golden sections for a turning point, of the argument itself: its
+        digits near a multiple zero are lost in any series.
+        """
+        narrow_arguments = self.flow.narrow_arguments
+        assert narrow_arguments is not None
+
+        def values(s: np.ndarray) -> np.ndarray:
+            z, _, t = self._at(windows, window, s)
+            return np.asarray(narrow_arguments(z, t)[0][np.arange(len(s)), which])
+
+        span, at_low = high - low, values(low)
+        sign = np.where(turns == 0, 1.0, turns)
+        for _ in range(_SECTIONS):
+            inner, outer = low + _GOLDEN * (high - low), high - _GOLDEN * (high - low)
+            at_inner, at_outer = values(inner), values(outer)
+            # A zero beyond the first point, or a peak beyond it.
+            beyond = np.where(turns == 0, at_low * at_inner > 0, sign * at_inner < sign * at_outer)
+            low = np.where(beyond, inner, low)
+            high = np.where(beyond, high, np.where(turns == 0, inner, outer))
+        place = (low + high) / 2
+        at_place = np.where(turns == 0, 0.0, values(place))
+        unit = np.where(kinds[which] == Narrow.FUNCTION, 1.0, np.abs(at_place))
+        width = np.ones(len(place))
+        for halvings in range(_HALVINGS):
+            distance = span * 2.0**-halvings
+            near = [np.clip(place + side * distance, 0.0, 1.0) for side in (-1, 1)]
+            change = np.max([np.abs(values(s) - at_place) for s in near], axis=0)
+            # Where the argument is not a number the residual is to decide.
+            width = np.where(change < unit, width, distance)
+        return place, width
+
+    def _energy_changes(self, windows: Windows, sizes: np.ndarray) -> np.ndarray:
+        """The change of H over each window, in units of what is allowed."""
+        assert self.flow.energy is not None
+        z, t = windows.states, windows.edges
+        energies = self.flow.energy(z, t)
+        # The gradient of H is the vector field turned by a right angle.
+        half = z.shape[1] // 2
+        slopes = np.abs(np.roll(self.flow.vector_field(z, t), half, axis=1))
+        slopes = np.maximum(slopes[:-1], slopes[1:])
+        size = np.maximum(np.abs(z[:-1]), np.abs(z[1:]))
+        rounding = ROUND_OFF * (np.abs(energies[:-1]) + (slopes * size).sum(axis=1))
+        allowed = self.tolerance * (slopes * sizes).sum(axis=1) + rounding
+        return _excess(np.abs(np.diff(energies))[:, None], _SLACK * allowed[:, None])
+
+    def _energy_jump(self, windows: Windows, index: int) -> float:
+        """The time in a window at which H changes fastest."""
+        assert self.flow.energy is not None
+        energy = self.flow.energy
+
+        def values(s: np.ndarray) -> np.ndarray:
+            z, _, t = self._at(windows, np.full(len(s), index), s)
+            return energy(z, t)
+
+        s = np.concatenate(([0.0], collocation(_NODES).nodes, [1.0]))
+        h = values(s)
+        widest = int(np.argmax(np.nan_to_num(np.abs(np.diff(h)), nan=np.inf)))
+        low, high, at_low, at_high = s[widest], s[widest + 1], h[widest], h[widest + 1]
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            at_middle = values(np.array([middle]))[0]
+            if abs(at_middle - at_low) > abs(at_high - at_middle):
+                high, at_high = middle, at_middle
+            else:
+                low, at_low = middle, at_middle
+        start, end = windows.edges[index : index + 2]
+        return float(start + (end - start) * (low + high) / 2)
+
+    def _at(
+        self, windows: Windows, window: np.ndarray, s: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """z^, dz^/dt and t at places s of windows, shapes (n, dim), (n, dim) and (n,)."""
+        values, rates = self.basis.columns(s)
+        readouts, lengths = windows.readouts[window], np.diff(windows.edges)[window]
+        z = windows.states[window] + np.einsum("nm,nmd->nd", values, readouts)
+        dz = np.einsum("nm,nmd->nd", rates, readouts) / lengths[:, None]
+        return z, dz, windows.edges[window] + lengths * s
+
+
+@functools.lru_cache(maxsize=16)
+def _table(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes of a rule and places near both ends, Q there, and values at the nodes -> series."""
+    rule = collocation(count)
+    s = np.concatenate((_ENDS, rule.nodes, 1 - _ENDS[::-1]))
+    return s, basis.columns(s)[0], rule.to_series
+
+
+def _excess(values: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """The largest ratio in each row, infinite where it is not a number."""
+    with np.errstate(all="ignore"):
+        largest = (values / np.maximum(allowed, TINY)).max(axis=1)
+    return np.where(np.isnan(largest), np.inf, largest)

@@ -1,0 +1,93 @@
+"""The equation that the error of a trajectory obeys, integrated along it.
+
+With z = z^ + delta and the residual r = dz^/dt - J grad H(z^), exactly
+
+    d(delta)/dt = J grad H(z^ + delta) - dz^/dt,        delta = 0 at the start,
+
+and to first order, the paper's eq. (ell), d(delta)/dt = J Hess(z^) delta - r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.integrate
+
+from hamsym.numerics.symplectic import generators
+
+if TYPE_CHECKING:
+    from hamsym.solution.solution import Solution
+
+__all__ = ["RESOLUTIONS", "integrated_error"]
+
+#: Relative tolerance and largest step, as a share of the span: of the estimate, and of its check.
+RESOLUTIONS = ((1e-6, 1 / 50), (1e-9, 1 / 200))
+_CALLS = 20_000  # evaluations, at most, at the first resolution
+
+
+class _TooManyCalls(Exception):  # noqa: N818
+    pass
+
+
+def integrated_error(
+    solution: Solution, *, linear: bool = False, resolution: int = 0
+) -> Callable[[np.ndarray], np.ndarray]:
+    """delta as a function of time, by DOP853; infinite from where the equation has no solution.
+
+    Parameters
+    ----------
+    solution : Solution
+    linear : bool
+        Solve the linearised equation.
+    resolution : int
+        Index of :data:`RESOLUTIONS`.
+
+    Returns
+    -------
+    callable
+        t -> delta, shape (*t.shape, dim).
+    """
+    H, system = solution.H, solution.H.compile("numpy")
+    size = solution.ell_max or 1.0  # errors are measured in units of ell_max
+    rtol, share = RESOLUTIONS[resolution]
+    most, calls = _CALLS * (1 + 3 * resolution), 0
+
+    def rate(t: float, error: np.ndarray) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        if calls > most:
+            raise _TooManyCalls
+        z, dz = solution.evaluate(t, extrapolate=True)
+        if linear:
+            residual = dz - system.vector_field(*system.arguments(z, t))
+            jacobian = generators(system.hessian(*system.arguments(z, t)))
+            return np.asarray(jacobian @ error - residual / size)
+        flow = system.vector_field(*system.arguments(z + size * error, t))
+        return np.asarray((flow - dz) / size)
+
+    start, end = solution.span
+    with np.errstate(all="ignore"):
+        try:
+            result = scipy.integrate.solve_ivp(
+                rate,
+                solution.span,
+                np.zeros(H.dim),
+                method="DOP853",
+                dense_output=True,
+                rtol=rtol,
+                atol=0.1 * rtol * abs(end - start),
+                max_step=share * abs(end - start),
+            )
+            reached, found = float(result.t[-1]), result.sol
+        except _TooManyCalls:  # a network this wild is no solution
+            reached, found = start, lambda t: np.zeros((H.dim, *np.shape(t)))
+    sign = np.sign(end - start)
+
+    def error(t: np.ndarray) -> np.ndarray:
+        known = sign * t <= sign * reached
+        values = size * found(np.where(known, t, reached)).T
+        return np.asarray(np.where(known[..., None], values, np.inf))
+
+    return error

@@ -1,0 +1,48 @@
+"""Progress on a terminal, silence elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+__all__ = ["stepping_progress"]
+
+
+@contextmanager
+def stepping_progress(steps: int, show: bool | None = None) -> Iterator[Callable[[int], None]]:
+    """A function that takes the number of steps done and, after a second, draws how far it is.
+
+    Parameters
+    ----------
+    steps : int
+    show : bool, optional
+        By default only where standard error is a terminal.
+    """
+    if not (sys.stderr.isatty() if show is None else show):
+        yield lambda _: None
+        return
+    columns = (
+        TextColumn("stepping"),
+        BarColumn(bar_width=16),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True, force_terminal=show)
+    progress = Progress(*columns, console=console, transient=True)
+    task = progress.add_task("", total=steps)
+    began = time.monotonic()
+
+    def update(more: int) -> None:
+        progress.update(task, advance=more)
+        if time.monotonic() - began > 1 and not progress.live.is_started:
+            progress.start()
+
+    try:
+        yield update
+    finally:
+        progress.stop()

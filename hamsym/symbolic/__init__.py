@@ -1,0 +1,1 @@
+"""Expressions to equations: pairs of variables, checks, gradient and Hessian of H."""

@@ -1,0 +1,70 @@
+"""Hamilton's equations in real symbols: the one place where H is differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import sympy
+
+from hamsym.symbolic import derivatives
+from hamsym.symbolic.checks import real_symbols
+
+__all__ = ["Equations"]
+
+
+class Equations:
+    """H with its gradient and Hessian, in symbols that are real whatever the caller's assume.
+
+    Without that, sympy differentiates abs(x) into derivatives of re(x) and im(x). Code generation,
+    proofs and the search for discontinuities all take their derivatives from here.
+
+    Attributes
+    ----------
+    expr : sympy.Expr
+        H.
+    z : tuple of sympy.Symbol
+        The state, coordinates first.
+    time : sympy.Symbol or None
+    dof : int
+        Degrees of freedom.
+    parameters : dict of name to (sympy.Symbol, float or None)
+        Parameters with their values, None where there is none.
+    back : dict of sympy.Symbol to sympy.Symbol
+        The caller's symbols, by the real ones that stand for them.
+    """
+
+    def __init__(
+        self,
+        expr: sympy.Expr,
+        z: Sequence[sympy.Symbol],
+        time: sympy.Symbol | None,
+        parameters: Mapping[str, float | None],
+    ) -> None:
+        forward = real_symbols({*expr.free_symbols, *z})
+        self.expr: sympy.Expr = expr.xreplace(forward) if forward else expr
+        self.z = tuple(forward.get(symbol, symbol) for symbol in z)
+        self.time = None if time is None else forward.get(time, time)
+        self.dof = len(z) // 2
+        self.parameters = {
+            name: (sympy.Symbol(name, real=True), value) for name, value in parameters.items()
+        }
+        self.back = {real: own for own, real in forward.items()}
+        self._effort = derivatives.Effort(self.expr)
+
+    @cached_property
+    def gradient(self) -> list[sympy.Expr]:
+        return derivatives.gradient(self.expr, self.z, self._effort)
+
+    @cached_property
+    def hessian(self) -> dict[tuple[int, int], sympy.Expr]:
+        return derivatives.hessian(self.gradient, self.z, self._effort)
+
+    @cached_property
+    def vector_field(self) -> list[sympy.Expr]:
+        return [*self.gradient[self.dof :], *(-slope for slope in self.gradient[: self.dof])]
+
+    @cached_property
+    def is_separable(self) -> bool:
+        mixed = [entry for (i, j), entry in self.hessian.items() if i < self.dof <= j]
+        return all(derivatives.vanishes(entry) for entry in mixed)

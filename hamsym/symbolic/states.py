@@ -1,0 +1,74 @@
+"""States as arrays, from sequences and mappings of names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hamsym.errors import VariableError
+from hamsym.formula.parser import canonical_name
+from hamsym.symbolic.checks import name_of
+
+__all__ = ["state_array", "states_array"]
+
+
+def state_array(
+    z0: Sequence[float] | Mapping[Any, float] | np.ndarray, names: Sequence[str]
+) -> np.ndarray:
+    """A state, given in order or by name, as an array in the order of the names."""
+    states = states_array(z0, names)
+    if states.ndim != 1:
+        raise VariableError(
+            f"z0 has shape {states.shape}; give the {len(names)} numbers {_order(names)}"
+        )
+    return states
+
+
+def states_array(z0: Any, names: Sequence[str]) -> np.ndarray:
+    """A state of shape (dim,), or states of shape (n, dim); by name also numbers beside arrays."""
+    order = _order(names)
+    try:
+        if isinstance(z0, Mapping):
+            z0 = np.stack(_alike(_in_order(z0, names), order), axis=-1)
+        states = np.array(z0, dtype=float)
+    except VariableError:
+        raise
+    except (
+        TypeError,
+        ValueError,
+        OverflowError,
+        RuntimeError,
+    ):  # the last from a tensor of torch's
+        raise VariableError(f"z0 holds something that is not a number; give {order}") from None
+    if states.ndim not in (1, 2) or states.shape[-1] != len(names) or not states.size:
+        raise VariableError(f"z0 has shape {states.shape}; give the {len(names)} numbers {order}")
+    if not np.all(np.isfinite(states)):
+        name = names[int(np.argwhere(~np.isfinite(states))[0, -1])]
+        raise VariableError(f"'{name}' is not finite in z0; give finite numbers")
+    return states
+
+
+def _order(names: Sequence[str]) -> str:
+    return ", ".join(names)
+
+
+def _alike(values: list[np.ndarray], order: str) -> tuple[np.ndarray, ...]:
+    try:
+        return np.broadcast_arrays(*values)
+    except ValueError:
+        shapes = ", ".join(str(value.shape) for value in values)
+        raise VariableError(f"z0 has arrays of shapes {shapes}; give {order} alike") from None
+
+
+def _in_order(z0: Mapping[Any, Any], names: Sequence[str]) -> list[np.ndarray]:
+    given = {canonical_name(name_of(key)): value for key, value in z0.items()}
+    wanted = [canonical_name(name) for name in names]
+    unknown = [name for name in given if name not in wanted]
+    missing = [name for name, key in zip(names, wanted, strict=True) if key not in given]
+    if unknown:
+        raise VariableError(f"'{unknown[0]}' is not a component of z; z0 has {_order(names)}")
+    if missing:
+        raise VariableError(f"'{missing[0]}' is missing in z0; give all of {_order(names)}")
+    return [np.array(given[key], dtype=float) for key in wanted]

@@ -1,0 +1,503 @@
+"""The command line, as a user types it: output, files, exit status, and one line for bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym import Certificate, Hamiltonian
+from hamsym.cli.commands import main
+from hamsym.integrators import fixed_step
+from hamsym.integrators.table import listing
+
+OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
+HENON_HEILES = "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
+SOLVE = [OSCILLATOR, "--z0", "x=1.3,p=1", "--t-end", "pi/8", "--method", "adam", "--points", "20"]
+QUICK = ["--epochs", "40", "--seed", "0"]
+
+Captured = pytest.CaptureFixture[str]
+
+
+def run(capsys: Captured, *arguments: str) -> tuple[int, str, str]:
+    status = main(list(arguments))
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    return status, captured.out, captured.err
+
+
+def test_derive_shows_everything(capsys: Captured) -> None:
+    status, out, err = run(capsys, "derive", HENON_HEILES)
+    assert (status, err) == (0, "")
+    for line in (
+        "H = p_x**2/2 + p_y**2/2 + x**2/2 + y**2/2 + x**2*y - y**3/3",
+        "z = (x, y, p_x, p_y)",
+        "  dx/dt   = p_x",
+        "  dy/dt   = p_y",
+        "  dp_x/dt = -x - 2*x*y",
+        "  dp_y/dt = -y - x**2 + y**2",
+        "  [1 + 2*y      2*x  0  0]",
+        "  [    2*x  1 - 2*y  0  0]",
+        "separable: yes",
+        "  T = p_x**2/2 + p_y**2/2",
+        "cyclic coordinates: none",
+        "sigma_min: min(1, abs(2*sqrt(x**2 + y**2) - 1))",
+    ):
+        assert line in out.splitlines()
+
+
+def test_derive_of_other_kinds(capsys: Captured) -> None:
+    _, out, _ = run(capsys, "derive", "p_r**2/2 + p_phi**2/(2*r**2) - k/r", "--param", "k=2")
+    assert "cyclic coordinates: phi" in out
+    assert "parameters: k = 2" in out
+    assert "separable: no" in out
+    _, out, _ = run(capsys, "derive", "u**2/2 + v**2", "--q", "v", "--p", "u")
+    assert "dv/dt = u" in out
+    long = " + ".join(f"p{i}**2/2 + q{i}**4*cos(q{i})" for i in range(1, 9))
+    _, out, _ = run(capsys, "derive", long)
+    assert max(map(len, out.splitlines())) <= 80
+    assert "d2H/dq1 dq1 = " in out
+
+
+def test_source_prints_what_the_library_returns(capsys: Captured) -> None:
+    H = Hamiltonian(OSCILLATOR)
+    assert run(capsys, "source", OSCILLATOR)[1] == H.source("torch")
+    _, out, _ = run(capsys, "source", OSCILLATOR, "--part", "loss")
+    assert out == H.source("torch", part="loss") + "\n"
+    _, out, _ = run(capsys, "source", OSCILLATOR, "--backend", "numba")
+    assert out == H.source("numba")
+
+
+def test_source_to_a_file(capsys: Captured, tmp_path: Path) -> None:
+    path = tmp_path / "f.py"
+    status, out, _ = run(capsys, "source", OSCILLATOR, "-o", str(path))
+    assert (status, out) == (0, f"wrote {path}\n")
+    assert path.read_text() == Hamiltonian(OSCILLATOR).source("torch")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_solve_reports_and_draws(capsys: Captured, tmp_path: Path) -> None:
+    figure = tmp_path / "s.png"
+    status, out, err = run(capsys, "solve", *SOLVE, *QUICK, "--plot", str(figure))
+    assert status == 1
+    assert err == ""
+    assert out.startswith("not converged after 40 epochs")
+    assert "ell_max" in out
+    assert "bound ell_max/sigma_min" in out
+    assert "ms of CPU per epoch" in out
+    assert figure.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_solve_exits_with_success(capsys: Captured) -> None:
+    settings = ["--epochs", "3000", "--tau", "1/4", "--noise", "0", "--schedule", "cosine"]
+    status, out, _ = run(capsys, "solve", *SOLVE, *settings, "--hidden", "20,20")
+    assert status == 0, out
+    assert out.startswith("converged: 3,000 epochs")
+
+
+def test_solve_by_least_squares_saves_and_resumes(capsys: Captured, tmp_path: Path) -> None:
+    saved, checkpoint = str(tmp_path / "s.hamsym"), str(tmp_path / "run")
+    settings = ["--method", "levenberg-marquardt", "--hidden", "10,10", "--points", "40"]
+    settings += ["--target-error", "1e-4", "--checkpoint", checkpoint, "-o", saved]
+    for _ in range(2):  # the second run finds all its work done
+        status, out, err = run(capsys, "solve", *SOLVE, *settings)
+        assert (status, err) == (0, "")
+        assert out.startswith("converged: target error 1.00e-04 reached after ")
+        assert f"wrote {saved}" in out
+    solution = hamsym.load(saved)
+    assert solution.relative_error_estimate <= 1e-4
+    status, _, err = run(capsys, "solve", *SOLVE, *settings, "--seed", "1")
+    assert status == 2
+    assert "is of a training with seed=0, this one has 1" in err
+
+
+def test_solve_with_breakpoints(capsys: Captured) -> None:
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "1", "--breakpoints", "1/4,0.5"]
+    status, out, _ = run(capsys, "solve", *arguments)
+    assert status == 0, out
+
+
+def test_solve_to_a_tolerance(capsys: Captured, tmp_path: Path) -> None:
+    arguments = [OSCILLATOR, "--z0", "x=1.3,p=1", "--t-end", "4*pi", "--tol", "1e-9"]
+    figure = tmp_path / "s.pdf"
+    status, out, err = run(capsys, "solve", *arguments, "--plot", str(figure))
+    assert (status, err) == (0, "")
+    assert out.startswith("converged: tol 1.0e-09 met: ")
+    assert "estimated error" in out
+    assert figure.read_bytes()[:4] == b"%PDF"
+    status, out, _ = run(capsys, "solve", "p**2/2 - x**4/4", "--z0", "1,1", "--t-end", "5")
+    assert status == 1
+    assert out.startswith("stopped at t = 1.31103: ")
+
+
+def test_compare_prints_the_table(capsys: Captured, tmp_path: Path) -> None:
+    figure = tmp_path / "c.svg"
+    status, out, _ = run(capsys, "compare", *SOLVE, *QUICK, "--plot", str(figure))
+    assert status == 1
+    assert "symplectic_euler       2,000        2,000" in out
+    assert "for the network's error" in out
+    assert max(map(len, out.splitlines()[:-1])) <= 80
+    assert b"<svg" in figure.read_bytes()
+
+
+def test_compare_with_any_integrators(capsys: Captured) -> None:
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "5", "--tol", "1e-6"]
+    status, out, _ = run(capsys, "compare", *arguments, "--with", "yoshida4,gauss6,dop853")
+    assert status == 0
+    assert out.count("gauss6") == out.count("forest_ruth") == out.count("dop853") == 4
+    assert max(map(len, out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("method", ["symplectic_euler", "dop853"])
+def test_integrate_prints_ends_and_writes_states(
+    capsys: Captured, tmp_path: Path, method: str
+) -> None:
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "pi/2", "--method", method]
+    for ending in ("csv", "npz"):
+        path = tmp_path / f"states.{ending}"
+        status, out, _ = run(
+            capsys, "integrate", *arguments, "--steps", "100", "--save-every", "10", "-o", str(path)
+        )
+        assert status == 0
+        assert "largest change of H" in out
+        if ending == "csv":
+            assert path.read_text().splitlines()[0] == "t,x,p,H"
+            table = np.loadtxt(path, delimiter=",", skiprows=1)
+        else:
+            stored = np.load(path)
+            table = np.column_stack((stored["t"], stored["z"], stored["energy"]))
+        assert table.shape == (11, 4)
+        assert table[0].tolist() == [0.0, 1.3, 1.0, 2.059025]
+
+
+def test_integrate_chooses_method_and_steps(capsys: Captured) -> None:
+    arguments = ["integrate", OSCILLATOR, "--z0", "1.3,1", "--t-end", "4*pi"]
+    status, out, err = run(capsys, *arguments)
+    assert (status, err) == (0, "")
+    assert out.startswith("blanes_moan6: 1,000 steps to t = 12.5664, H kept to ")
+    change = next(line for line in out.splitlines() if line.startswith("largest change of H: "))
+    assert float(change.split()[-1]) < 1e-9
+
+
+@pytest.mark.parametrize("command", ["integrate", "section"])
+def test_a_large_drift_is_a_warning_and_exits_with_0(capsys: Captured, command: str) -> None:
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "40", "--dt", "1/5"]
+    arguments += ["--method", "symplectic_euler"] + ["--at", "x = 0"] * (command == "section")
+    status, out, err = run(capsys, command, *arguments)
+    assert status == 0
+    assert err.startswith("hamsym: warning: ")
+    assert err.count("\n") == 1
+    assert "of its scale: take " in err
+    assert "of its scale: take " in " ".join(out.split())
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_an_energy_that_is_no_number_is_shown(capsys: Captured) -> None:
+    arguments = ["p**2/2 + log(x)", "--z0", "-1,1", "--t-end", "0.5", "--steps", "100"]
+    status, out, err = run(capsys, "integrate", *arguments)
+    assert status == 0
+    assert "largest change of H: nan" in out
+    assert "H is not a number on the way: take more steps" in err
+
+
+def test_integrate_lists_its_methods(capsys: Captured) -> None:
+    status, out, _ = run(capsys, "integrate", "--list")
+    assert status == 0
+    assert out.strip() == listing()
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_integrate_an_ensemble(capsys: Captured, tmp_path: Path) -> None:
+    path, figure = tmp_path / "many.csv", tmp_path / "many.png"
+    arguments = [OSCILLATOR, "--z0", "x=1.3,p=1", "--z0", "x=0.5,p=0", "--t-end", "1"]
+    arguments += ["--method", "yoshida4", "--dt", "pi/100", "--compensated"]
+    status, out, _ = run(capsys, "integrate", *arguments, "-o", str(path), "--plot", str(figure))
+    assert status == 0
+    assert "2 trajectories, the first of them" in out
+    assert path.read_text().splitlines()[0] == "trajectory,t,x,p,H"
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    assert table.shape == (2 * 33, 5)
+    assert figure.read_bytes()[1:4] == b"PNG"
+
+
+def test_columns_of_one_name_are_told_apart(capsys: Captured, tmp_path: Path) -> None:
+    path = tmp_path / "states.csv"
+    arguments = ["H**2/2 + t**2/2", "--q", "t", "--p", "H", "--z0", "1,2", "--t-end", "1"]
+    assert run(capsys, "integrate", *arguments, "--steps", "4", "-o", str(path))[0] == 0
+    assert path.read_text().splitlines()[0] == "t,t_,H,H_"
+    assert np.loadtxt(path, delimiter=",", skiprows=1)[0].tolist() == [0.0, 1.0, 2.0, 2.5]
+
+
+def test_lyapunov_says_what_it_found(capsys: Captured, tmp_path: Path) -> None:
+    path, figure = tmp_path / "history.csv", tmp_path / "history.png"
+    arguments = [HENON_HEILES, "--z0", "0.3,-0.3,0.3,0.15", "--t-end", "1e4", "--count", "2"]
+    status, out, _ = run(capsys, "lyapunov", *arguments, "-o", str(path), "--plot", str(figure))
+    assert status == 0
+    assert "falling like log(t)/t" in " ".join(out.split())
+    assert "blanes_moan6: " in out
+    assert max(map(len, out.splitlines()[:-2])) <= 80
+    assert path.read_text().splitlines()[0] == "t,exponent 1,exponent 2"
+    assert np.loadtxt(path, delimiter=",", skiprows=1)[-1, 0] == 1e4
+    assert figure.read_bytes()[1:4] == b"PNG"
+
+
+def test_section_of_an_ensemble(capsys: Captured, tmp_path: Path) -> None:
+    path, figure = tmp_path / "section.npz", tmp_path / "section.png"
+    arguments = [HENON_HEILES, "--z0", "x=0,y=-0.15,p_y=0", "--z0", "x=0,y=0.1,p_y=0"]
+    arguments += ["--energy", "1/8", "--t-end", "1e4", "--dt", "0.1", "--crossings", "50"]
+    arguments += ["--at", "x = 0, p_x > 0", "-o", str(path), "--plot", str(figure)]
+    status, out, _ = run(capsys, "section", *arguments)
+    assert status == 0
+    assert out.startswith("100 crossings of x = 0, p_x > 0, blanes_moan6 with dt = 0.1")
+    stored = np.load(path)
+    assert stored["z"].shape == (100, 4)
+    assert np.abs(stored["z"][:, 0]).max() < 1e-15
+    energy = Hamiltonian(HENON_HEILES).compile("numpy").energy(stored["z"])
+    np.testing.assert_allclose(energy, 1 / 8, atol=1e-10)
+    assert figure.read_bytes()[1:4] == b"PNG"
+
+
+def test_certify_and_verify(capsys: Captured, tmp_path: Path) -> None:
+    path = str(tmp_path / "orbit.hamsym")
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "3", "--tol", "1e-6", "-o", path]
+    assert run(capsys, "solve", *arguments)[0] == 0
+    status, out, _ = run(capsys, "certify", path)
+    assert status == 0
+    assert out.startswith("Proven: the largest |z^(t) - z(t)|")
+    rows = {line.split()[0]: line.split()[1:] for line in out.splitlines() if "e-" in line}
+    lower, upper = map(float, rows["|z|"])
+    assert 0.98 * upper < lower < upper < 1e-6
+    assert set(rows) >= {"x", "p", "H", "ell_max"}
+    certificate = tmp_path / "orbit.hamsym.certificate"
+    status, out, _ = run(capsys, "verify", path)
+    assert (status, out) == (0, "verified: every bound of the certificate is proven\n")
+    proven = Certificate.from_json(certificate.read_text())
+    # A little less than what was proven.
+    forged = dataclasses.replace(proven, bound=0.99 * lower, lower=0.5 * lower)
+    certificate.write_text(forged.to_json())
+    status, out, err = run(capsys, "verify", path)
+    assert (status, out) == (1, "")
+    assert "does not hold" in err
+    values = json.loads(proven.to_json()) | {"bound": "1e-30"}
+    certificate.write_text(json.dumps(values))
+    status, _, err = run(capsys, "verify", path)
+    assert status == 2
+    assert "not a certificate" in err
+    certificate.write_text("{}")
+    status, _, err = run(capsys, "verify", path)
+    assert status == 2
+    assert "not a certificate" in err
+
+
+def test_refusals_to_prove_exit_with_1(capsys: Captured, tmp_path: Path) -> None:
+    path = str(tmp_path / "kink.hamsym")
+    arguments = ["p**2/2 + abs(x)", "--z0", "2,0", "--t-end", "1", "-o", path]
+    assert run(capsys, "solve", *arguments)[0] == 0
+    status, out, err = run(capsys, "certify", path)
+    assert (status, out) == (1, "")
+    assert "abs" in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "kink.hamsym.certificate").exists()
+
+
+def test_ctrl_c_prints_what_was_done(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    original, calls = fixed_step.Stepper._run, []
+
+    def interrupted(self: object, *arguments: object) -> object:
+        calls.append(1)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return original(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(fixed_step, "_PIECE", 1_000)
+    monkeypatch.setattr(fixed_step.Stepper, "_run", interrupted)
+    arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "10", "--steps", "5000"]
+    status, out, _ = run(capsys, "integrate", *arguments, "--method", "symplectic_euler")
+    assert status == 1
+    assert out.startswith("stopped after t = 3: interrupted")
+    assert "largest change of H" in out
+
+
+def test_integrate_that_breaks_off(capsys: Captured) -> None:
+    arguments = ["p**2/2 - x**4/4", "--z0", "1,1", "--t-end", "5", "--steps", "1000"]
+    status, out, _ = run(capsys, "integrate", *arguments)
+    assert status == 1
+    assert "stopped after t = " in out
+
+
+BAD = [
+    (["derive", "p^2"], "'^' at column 2 is not a power; write ** for powers"),
+    (["derive", "x + m"], "no pair such as"),
+    (["derive", "p**2", "--q", "x"], "q and p are given together"),
+    (["derive", OSCILLATOR, "--param", "k=1"], "'k' does not occur in H"),
+    (["derive", "p**2 + k*x**2", "--param", "k"], "'k' in --param is not NAME=VALUE"),
+    (["derive", "p**2 + k*x**2", "--param", "k=one"], "is a variable"),
+    (["derive", "p**2 + k*x**2", "-P", "k=1", "-P", "k=2"], "'k' occurs twice"),
+    (["derive"], "Missing argument 'H'"),
+    (["derive", OSCILLATOR, "--colour"], "--colour"),
+    (["integral"], "No such command 'integral'"),
+    (["source", OSCILLATOR, "--part", "lagrangian"], "'lagrangian' is not a part"),
+    (["source", OSCILLATOR, "--backend", "jax"], "jax"),
+    (["source", OSCILLATOR, "-o", "no/such/folder/f.py"], "no/such/folder"),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--epochs", "5"], "'epochs' is not"),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--tol", "0"], "tol=0.0"),
+    (["solve", OSCILLATOR, "--z0", "1", "--t-end", "1", "--method", "adam"], "shape"),
+    (["solve", OSCILLATOR, "--z0", "x=1", "--t-end", "1", "--method", "adam"], "'p' is missing"),
+    (["solve", OSCILLATOR, "--z0", "x=1,p=y", "--t-end", "1", "--method", "adam"], "'y'"),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "0", "--method", "adam"], "span="),
+    (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "2**", "--method", "adam"], "too early"),
+    (
+        ["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--breakpoints", "9"],
+        "breakpoint 9 is not inside the span",
+    ),
+    (["solve", *SOLVE, "-o", "/no/such/folder/s"], "has no folder to stand in"),
+    (
+        ["solve", *SOLVE, "--method", "lbfgs", "--checkpoint", "/no/such/folder/s"],
+        "has no folder to stand in",
+    ),
+    (["solve", *SOLVE, "--method", "lbfgs", "--iterations", "0"], "iterations=0"),
+    (["solve", *SOLVE, "--method", "lbfgs", "--accuracy", "-1"], "accuracy=-1.0"),
+    (["solve", *SOLVE, "--method", "lbfgs", "--dtype", "float32"], "too coarse for lbfgs"),
+    (["solve", *SOLVE, "--epochs", "0"], "epochs=0"),
+    (["solve", *SOLVE, "--hidden", "50,x"], "'x' in --hidden"),
+    (["solve", *SOLVE, "--seed", "-1"], "seed=-1"),
+    (["solve", *SOLVE, "--plot", "figure.doc"], "'figure.doc' is not a figure file"),
+    (["solve", *SOLVE, "--plot", "no/such/f.png"], "no folder"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--method", "rk4"], "'rk4'"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "-o", "x.txt"], "neither .csv"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--dt", "2"], "longer than the span"),
+    (["integrate", "p**2/m", "--q", "x", "--p", "p", "--z0", "1,1", "--t-end", "1"], "m has no"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--z0", "1", "--t-end", "1"], "shape"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--dt", "0"], "dt=0.0"),
+    (["integrate", "x*p", "--z0", "1,1", "--t-end", "1", "--method", "ruth3"], "not separable"),
+    (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "9", "--steps", "9" * 14], "save_every"),
+    (["certify", "no/such/file"], "no/such/file"),
+    (["verify", "no/such/file"], "no/such/file"),
+    (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--count", "3"], "count=3"),
+    (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "-o", "h.txt"], "neither .csv"),
+    (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--seed", "-1"], "seed=-1"),
+    (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--dt", "1e-30"], "would take"),
+    (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1"], "Missing option '--at'"),
+    (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--at", "x == 0"], "is no equation"),
+    (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--at", "y = 0"], "'y' does not occ"),
+    (
+        ["section", OSCILLATOR, "--z0", "1", "--t-end", "1", "--at", "x = 0", "--energy", "1"],
+        "with --energy a start is given by name",
+    ),
+    (
+        ["section", OSCILLATOR, "--z0", "x=9", "--t-end", "1", "--at", "x = 0", "--energy", "1"],
+        "no p from 0 on gives the energy 1",
+    ),
+    (
+        ["compare", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--with", "rk4"],
+        "'rk4' is not a method",
+    ),
+    (
+        ["compare", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--method", "adam", "--tol", "1"],
+        "'tol'",
+    ),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD, ids=[" ".join(b[0])[:50] for b in BAD])
+def test_bad_input_gets_one_line_and_status_2(
+    capsys: Captured, arguments: list[str], message: str
+) -> None:
+    status, out, err = run(capsys, *arguments)
+    assert status == 2
+    assert out == ""
+    assert err.startswith("hamsym: ")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "command",
+    "derive source solve integrate lyapunov section compare certify verify".split(),
+)
+def test_every_command_has_help(capsys: Captured, command: str) -> None:
+    status, out, _ = run(capsys, command, "--help")
+    assert status == 0
+    assert out.startswith(f"Usage: hamsym {command}")
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_help_without_a_command(capsys: Captured) -> None:
+    status, out, _ = run(capsys)
+    assert status == 0
+    assert "derive" in out
+
+
+def test_failed_write_leaves_nothing_behind(
+    capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", "f.py")
+
+    monkeypatch.setattr(os, "replace", full)
+    status, _, err = run(capsys, "source", OSCILLATOR, "-o", str(tmp_path / "f.py"))
+    assert status == 2
+    assert "No space left" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_as_a_program() -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "hamsym", "derive", "p**2/2 + x**2/2"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "dx/dt = p" in result.stdout
+
+
+def test_deriving_does_not_wait_for_torch() -> None:
+    script = (
+        "import sys, hamsym; hamsym.Hamiltonian('p**2/2 + x**2/2').source('torch');"
+        "print([m for m in ('torch', 'numba', 'scipy', 'matplotlib') if m in sys.modules])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_closed_pipe_is_no_error() -> None:
+    command = f'"{sys.executable}" -m hamsym source "{OSCILLATOR}" | head -1'
+    result = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
+    assert result.stderr == ""
+
+
+def test_training_begins_with_the_weights_in_a_file(tmp_path, capsys):
+    first, second = str(tmp_path / "first"), str(tmp_path / "second")
+    settings = ["--method", "adam", "--hidden", "6,6", "--points", "20", "--target-loss", "1e9"]
+    state = ["p**2/2 + x**2/2", "--z0", "x=1,p=0"]
+    assert main(["solve", *state, "--t-end", "2", *settings, "-o", first]) == 0
+    begun = ["solve", *state, "--t-end", "3", *settings, "--initial"]
+    assert main([*begun, first, "-o", second]) == 0
+    one, two = hamsym.load(first), hamsym.load(second)
+    assert one.trial.network.sizes == two.trial.network.sizes
+    capsys.readouterr()
+    assert main([*begun, first, "--hidden", "7,6"]) == 2
+    assert "initial has 1-6-6-2 sin" in capsys.readouterr().err
+    assert main([*begun, str(tmp_path / "none")]) == 2
+    assert "none" in capsys.readouterr().err
+
+
+def test_a_closed_pipe_loses_no_solution(tmp_path: Path) -> None:
+    file = tmp_path / "orbit.hamsym"
+    command = [sys.executable, "-u", "-m", "hamsym", "solve", "p**2/2 + x**2/2", "--z0", "1,0"]
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as pipe:
+        options = ["--t-end", "1", "-o", str(file)]
+        ended = subprocess.run([*command, *options], stdout=pipe, check=False, timeout=60)
+    assert ended.returncode != 0
+    assert hamsym.load(file).success

@@ -1,0 +1,642 @@
+"""Every generated function of every backend against sympy, autograd and finite differences."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import inspect
+import itertools
+import keyword
+import math
+import os
+import subprocess
+import sys
+import textwrap
+import traceback
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy
+import torch
+
+from hamsym import Hamiltonian, InputError, integrate
+from hamsym.codegen.names import _TEMPLATE_NAMES
+from hamsym.codegen.printers import PRINTERS
+from hamsym.codegen.system import System
+from hamsym.errors import CodeGenerationError
+from hamsym.formula import parser
+from hamsym.symbolic import derivatives
+from hamsym.systems import Problem
+
+FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss")
+
+
+def array(value: object) -> np.ndarray:
+    return value.detach().numpy() if isinstance(value, torch.Tensor) else np.asarray(value)
+
+
+def states(H: Hamiltonian, around: np.ndarray, count: int = 5) -> np.ndarray:
+    return around + 0.2 * np.random.default_rng(1).normal(size=(count, H.dim))
+
+
+# At this time the functions of a Hamiltonian with explicit time are called.
+TIME = 0.4
+
+
+def call(system: System, name: str, *arguments: object, **keywords: object) -> np.ndarray:
+    if system.time_dependent and len(arguments) == (2 if name in ("residual", "loss") else 1):
+        arguments = (*arguments, TIME)
+    if system.backend == "torch":
+        arguments = tuple(torch.tensor(a) if isinstance(a, np.ndarray) else a for a in arguments)
+    return array(getattr(system, name)(*arguments, **keywords))
+
+
+def sympy_values(H: Hamiltonian, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Energy, gradient and Hessian at states (n, dim), from sympy in 30 digits."""
+    own = {symbol.name: symbol for symbol in H.expr.free_symbols}
+    real = {symbol: sympy.Symbol(name, real=True) for name, symbol in own.items()}
+    expr = H.expr.xreplace(real)
+    variables = [sympy.Symbol(name, real=True) for name in H.names]
+    first = [sympy.diff(expr, v) for v in variables]
+    second = [[sympy.diff(f, v) for v in variables] for f in first]
+    values = {sympy.Symbol(name, real=True): v for name, v in H.parameters.items()}
+    values[sympy.Symbol("t", real=True)] = TIME
+
+    def at(e: sympy.Expr, point: np.ndarray) -> float:
+        exact = dict(zip(variables, map(sympy.Float, point), strict=True))
+        return float(e.subs({k: sympy.Float(v) for k, v in values.items()}).evalf(30, subs=exact))
+
+    energy = np.array([at(expr, point) for point in z])
+    gradient = np.array([[at(f, point) for f in first] for point in z])
+    hessian = np.array([[[at(s, point) for s in row] for row in second] for point in z])
+    return energy, gradient, hessian
+
+
+def spellings(H: Hamiltonian) -> list[Hamiltonian]:
+    """The same Hamiltonian from text, and from sympy with three kinds of assumptions."""
+    variants = [H]
+    for assumptions in ({}, {"real": True}, {"positive": True}):
+        symbols = {s: sympy.Symbol(s.name, **assumptions) for s in H.expr.free_symbols}
+        names = {symbol.name: symbol for symbol in symbols.values()}
+        variants.append(
+            Hamiltonian(
+                H.expr.xreplace(symbols),
+                q=[names.get(n, n) for n in H.names[: H.dof]],
+                p=[names.get(n, n) for n in H.names[H.dof :]],
+                parameters=dict(H.parameters),
+            )
+        )
+    return variants
+
+
+def test_all_functions_against_sympy(problem: Problem, backend: str) -> None:
+    H = problem.H
+    z = states(H, np.array(problem.z0), count=3)
+    dz = np.random.default_rng(2).normal(size=z.shape)
+    energy, gradient, hessian = sympy_values(H, z)
+    J = np.array(H.poisson_matrix, dtype=float)
+    residual = dz - gradient @ J.T
+    loss = (residual**2).sum(axis=1).mean()
+    penalty = ((energy - 0.7) ** 2).mean()
+    for variant in spellings(H):
+        system = variant.compile(backend)
+        close = {"rtol": 1e-12, "atol": 1e-13}
+        np.testing.assert_allclose(call(system, "energy", z), energy, **close)
+        np.testing.assert_allclose(call(system, "gradient", z), gradient, **close)
+        np.testing.assert_allclose(call(system, "vector_field", z), gradient @ J.T, **close)
+        np.testing.assert_allclose(call(system, "hessian", z), hessian, **close)
+        np.testing.assert_allclose(call(system, "residual", z, dz), residual, **close)
+        if H.time is not None:  # there is no energy penalty then
+            np.testing.assert_allclose(call(system, "loss", z, dz), loss, **close)
+            continue
+        np.testing.assert_allclose(call(system, "loss", z, dz, 0.7), loss, **close)
+        weighted = call(system, "loss", z, dz, 0.7, 2.5)
+        np.testing.assert_allclose(weighted, loss + 2.5 * penalty, **close)
+
+
+def test_derivatives_against_autograd(problem: Problem, backend: str) -> None:
+    z = states(problem.H, np.array(problem.z0), count=4)
+    torch_system, system = problem.H.compile("torch"), problem.H.compile(backend)
+    for point in z:
+        arguments = torch_system.arguments(torch.tensor(point), TIME)
+        gradient = torch.func.grad(torch_system.energy)(*arguments).numpy()
+        hessian = torch.func.hessian(torch_system.energy)(*arguments).numpy()
+        np.testing.assert_allclose(call(system, "gradient", point), gradient, atol=1e-12)
+        np.testing.assert_allclose(call(system, "hessian", point), hessian, atol=1e-11)
+
+
+def test_derivatives_against_finite_differences(problem: Problem, backend: str) -> None:
+    H = problem.H
+    system = H.compile(backend)
+    z = states(H, np.array(problem.z0), count=2)
+    step = 1e-5
+    for i in range(H.dim):
+        shift = step * np.eye(H.dim)[i]
+        slope = (call(system, "energy", z + shift) - call(system, "energy", z - shift)) / (2 * step)
+        np.testing.assert_allclose(call(system, "gradient", z)[:, i], slope, rtol=1e-6, atol=1e-7)
+        slope = call(system, "gradient", z + shift) - call(system, "gradient", z - shift)
+        row = call(system, "hessian", z)[:, i]
+        np.testing.assert_allclose(row, slope / (2 * step), rtol=1e-6, atol=1e-6)
+
+
+def test_shapes_and_dtypes_follow_the_input(problem: Problem, backend: str) -> None:
+    H = problem.H
+    system, dim = H.compile(backend), H.dim
+    for dtype in (np.float32, np.float64):
+        for batch in ((), (4,), (2, 3)):
+            z = np.broadcast_to(np.array(problem.z0, dtype), (*batch, dim)).copy()
+            for name, shape in [
+                ("energy", batch),
+                ("gradient", (*batch, dim)),
+                ("vector_field", (*batch, dim)),
+                ("hessian", (*batch, dim, dim)),
+            ]:
+                value = call(system, name, z)
+                assert (value.shape, value.dtype) == (shape, dtype), name
+            assert call(system, "residual", z, z).shape == (*batch, dim)
+            assert call(system, "residual", z, z).dtype == dtype
+            penalty = (0.5, 1.0) if H.time is None else ()
+            assert call(system, "loss", z, z, *penalty).shape == ()
+
+
+def test_states_of_the_wrong_length_are_refused(backend: str) -> None:
+    system = Hamiltonian("p**2/2 + x**2/2").compile(backend)
+    for shape in ((3,), (2, 5), ()):
+        with pytest.raises((ValueError, RuntimeError, IndexError)):
+            call(system, "vector_field", np.ones(shape))
+
+
+# -- every function ------------------------------------------------------------------------------
+
+# Function, a point inside its domain.
+ELEMENTARY = {
+    **dict.fromkeys("sin cos tan sec csc asin acos atan acot sinh cosh tanh".split(), 0.4),
+    **dict.fromkeys("coth sech csch asinh atanh asech acsch exp log sqrt abs erf".split(), 0.4),
+    **dict.fromkeys("acosh acoth asec acsc cot sign".split(), 1.7),
+}
+FORMULAS = {
+    **{f"{name}(x)": at for name, at in ELEMENTARY.items()},
+    "abs(x)*x": -0.7,
+    "atan2(x, p)": 0.3,
+    "atan2(x, k)": 0.3,
+    "atan2(2, x)": 0.3,
+    "max(x, 1)": 1.4,
+    "max(x, p, k)": 0.3,
+    "min(x**2, k, 0.2)": 0.3,
+    "x**k": 0.6,
+    "k**x": 0.6,
+    "2**x": 0.6,
+    "x**2.5": 0.6,
+    "x**(-1/3)": 0.6,
+    "x**(-2)": -0.6,
+    "sqrt(k)*x**3": 0.6,
+    "exp(-k)*erf(k*x)": 0.6,
+    "max(k, 2)*x**2": 0.6,
+    "sqrt(2)*pi*x**3": 0.6,
+    "x": 0.6,
+    "3": 0.6,
+    "exp(x*p)/(1 + x**2)": 0.5,
+    "log(cosh(x))": 0.5,
+}
+
+
+@pytest.mark.parametrize("formula", FORMULAS)
+def test_every_function_in_every_backend(formula: str, backend: str) -> None:
+    has_k = "k" in formula
+    H = Hamiltonian(f"p**2/2 + {formula}", q=["x"], p=["p"], parameters={"k": 1.3} if has_k else {})
+    z = np.array([[FORMULAS[formula], 0.8], [FORMULAS[formula] + 0.01, -0.4]])
+    energy, gradient, hessian = sympy_values(H, z)
+    system = H.compile(backend)
+    np.testing.assert_allclose(call(system, "energy", z), energy, rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(call(system, "gradient", z), gradient, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(call(system, "hessian", z), hessian, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("formula", FORMULAS)
+def test_gradients_flow_twice_through_every_function(formula: str) -> None:
+    H = Hamiltonian(
+        f"p**2/2 + {formula}", q=["x"], p=["p"], parameters={"k": 1.3} if "k" in formula else {}
+    )
+    system = H.compile("torch")
+    z = torch.tensor([[FORMULAS[formula], 0.8]], dtype=torch.float64, requires_grad=True)
+
+    def slope(value: torch.Tensor) -> torch.Tensor:
+        if not value.requires_grad:  # it is constant
+            return torch.zeros_like(z)
+        return torch.autograd.grad(value, z, create_graph=True, materialize_grads=True)[0]
+
+    first = slope(system.energy(z).sum())
+    torch.testing.assert_close(first, system.gradient(z))
+    rows = [slope(first[0, i])[0] for i in range(2)]
+    torch.testing.assert_close(torch.stack(rows), system.hessian(z)[0])
+    assert torch.isfinite(slope(system.hessian(z).sum())).all()
+    twice = slope(slope(system.loss(z, z, 0.0, 1.0)).sum())
+    assert torch.isfinite(twice).all()
+    assert twice.any()
+
+
+x, p = sympy.symbols("x p", real=True)
+REFUSED = {
+    "gamma": sympy.gamma(x),
+    "sinc": sympy.sinc(x),
+    "besselj": sympy.besselj(0, x),
+    "LambertW": sympy.LambertW(x),
+    "floor": sympy.floor(x),
+    "Piecewise": sympy.Piecewise((x, x > 0), (0, True)),
+    "zeta": sympy.zeta(x),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_a_backend_lacks_is_refused_by_name_when_the_source_is_asked_for(
+    name: str, backend: str
+) -> None:
+    H = Hamiltonian(p**2 / 2 + REFUSED[name])
+    with pytest.raises(CodeGenerationError, match=f"'{name}' cannot be generated for {backend}"):
+        H.source(backend)
+
+
+@pytest.mark.parametrize(
+    "expr", [sympy.asin(2) * x, sympy.Rational(-2) ** sympy.Rational(1, 3) * x]
+)
+def test_complex_coefficients_are_refused(expr: sympy.Expr, backend: str) -> None:
+    with pytest.raises(InputError):
+        Hamiltonian(p**2 / 2 + expr).compile(backend)
+
+
+def test_coefficients_beyond_floating_point_are_refused(backend: str) -> None:
+    for power in (400, -400):
+        H = Hamiltonian(p**2 / 2 + sympy.Integer(10) ** power * x)
+        with pytest.raises(CodeGenerationError, match="choose other units"):
+            H.compile(backend)
+
+
+def test_many_arguments_and_rewrites_inside_each_other(backend: str) -> None:
+    q = sympy.symbols("q1:50", real=True)
+    H = Hamiltonian(p**2 / 2 + sympy.Max(*q) * x, q=["x"], p=["p"])
+    values = {symbol.name: float(i) for i, symbol in enumerate(q)}
+    H = H.with_parameters(**values)
+    assert call(H.compile(backend), "energy", np.array([2.0, 0.0])) == pytest.approx(2 * 48)
+    H = Hamiltonian("p**2/2 + csc(cot(x) - atan(2))")
+    z = np.array([[0.4, 0.3]])
+    np.testing.assert_allclose(call(H.compile(backend), "energy", z), sympy_values(H, z)[0])
+
+
+# -- parameters and time -------------------------------------------------------------------------
+
+
+def test_parameters_are_keywords_with_the_bound_values(backend: str) -> None:
+    H = Hamiltonian("p**2/(2*m) + k*x**2/2 + c", parameters={"k": 4.0, "m": 1})
+    system = H.compile(backend)
+    for name in FUNCTIONS:
+        signature = inspect.signature(getattr(system, name))
+        leading = {"residual": ["z", "dz"], "loss": ["z", "dz", "energy_0", "energy_weight"]}
+        assert list(signature.parameters) == [*leading.get(name, ["z"]), "c", "k", "m"]
+        kinds = [signature.parameters[n].kind for n in ("c", "k", "m")]
+        assert kinds == [inspect.Parameter.KEYWORD_ONLY] * 3
+        assert signature.parameters["c"].default is inspect.Parameter.empty
+        assert signature.parameters["k"].default == 4.0
+        assert signature.parameters["m"].default == 1.0
+    z = np.array([1.0, 2.0])
+    assert call(system, "energy", z, c=0.5) == pytest.approx(4.5)
+    assert call(system, "energy", z, c=0.5, k=0.0, m=2.0) == pytest.approx(1.5)
+    with pytest.raises(TypeError, match="'c'"):
+        call(system, "energy", z)
+
+
+def test_gradients_flow_to_parameters() -> None:
+    system = Hamiltonian("p**2/2 + sqrt(k)*x + k").compile("torch")
+    k = torch.tensor(4.0, dtype=torch.float64, requires_grad=True)
+    z = torch.tensor([[2.0, 0.0]], dtype=torch.float64)
+    (slope,) = torch.autograd.grad(system.energy(z, k=k).sum(), k)
+    assert slope.item() == pytest.approx(2 / (2 * 2.0) + 1)
+    (slope,) = torch.autograd.grad(system.gradient(z, k=k).sum(), k)
+    assert slope.item() == pytest.approx(1 / 4)
+
+
+def test_time_follows_the_state(backend: str) -> None:
+    H = Hamiltonian("p**2/2 + F*x*cos(w*t)", parameters={"F": 2.0, "w": 3.0})
+    system = H.compile(backend)
+    assert system.time_dependent
+    z = np.array([[1.0, 2.0], [0.5, 0.0]])
+    for t in (0.3, np.array([0.3, 0.4])):
+        force = -2 * np.cos(3 * np.broadcast_to(t, 2))
+        rate = np.stack((z[:, 1], force), axis=1)
+        np.testing.assert_allclose(call(system, "vector_field", z, t), rate, rtol=1e-14)
+        np.testing.assert_allclose(call(system, "residual", z, 0 * z, t), -rate, rtol=1e-14)
+        mean = (rate**2).sum(axis=1).mean()
+        np.testing.assert_allclose(call(system, "loss", z, 0 * z, t), mean, rtol=1e-14)
+    assert "energy_weight" not in inspect.signature(system.loss).parameters
+
+
+# -- the text ------------------------------------------------------------------------------------
+
+
+def test_loss_of_the_oscillator_reads_like_the_paper() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+    assert H.source("torch", part="loss") == textwrap.dedent('''\
+        def loss(z, dz, energy_0, energy_weight=0.0):
+            """Loss of a trajectory at K points, a scalar.
+
+            L = 1/K sum_n |dz_n - J grad H(z_n)|**2 + energy_weight/K sum_n (H(z_n) - energy_0)**2
+
+            H = p**2/2 + x**2/2 + x**4/4
+            z = (x, p), shape (K, 2)
+            dz, its time derivative, shape (K, 2)
+            """
+            x, p = z.unbind(-1)
+            dx, dp = dz.unbind(-1)
+            value = torch.mean((dx - p)**2 + (dp + x + x**3)**2)
+            if energy_weight:
+                energy_error = energy(z) - energy_0
+                value = value + energy_weight*torch.mean(energy_error**2)
+            return value''')
+
+
+def test_source_is_what_runs(problem: Problem, backend: str) -> None:
+    system = problem.H.compile(backend)
+    assert system.source == problem.H.source(backend)
+    for name in FUNCTIONS:
+        assert problem.H.source(backend, part=name) == inspect.getsource(
+            getattr(system, name)
+        ).rstrip("\n")
+    assert problem.H.compile(backend) is system
+
+
+def test_generated_text_is_tidy(problem: Problem, backend: str) -> None:
+    source = problem.H.source(backend)
+    assert max(map(len, source.splitlines())) <= 120
+    assert all(line == line.rstrip() for line in source.splitlines())
+    assert "\n\n\n\n" not in source
+    assert source.endswith("\n")
+    assert not source.endswith("\n\n")
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+            assert ast.get_docstring(node)
+
+
+def test_tracebacks_show_the_generated_line() -> None:
+    system = Hamiltonian("p**2/2 + x**2/2").compile("torch")
+    with pytest.raises(ValueError, match="unpack") as caught:
+        system.energy(torch.zeros(3))
+    assert "x, p = z.unbind(-1)" in "".join(traceback.format_tb(caught.tb))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("jax",), "'jax' is not a backend; choose one of torch, numpy, numba"),
+        (("torch", "lagrangian"), "'lagrangian' is not a part of the source; choose one of energy"),
+        (("torch", "_private"), "'_private' is not a part"),
+    ],
+)
+def test_unknown_backend_or_part(arguments: tuple[str, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Hamiltonian("p**2 + x**2").source(*arguments)
+
+
+def test_step_loops_are_parts_of_numba_source() -> None:
+    H = Hamiltonian("p**2 + x**2")
+    assert "x = x + drift*(2*p)" in H.source("numba", part="splitting")
+    assert "p = p - kick*(2*x)" in H.source("numba", part="splitting")
+
+
+# -- names ---------------------------------------------------------------------------------------
+
+
+def test_every_name_of_the_templates_is_reserved(problem: Problem, backend: str) -> None:
+    tree = ast.parse(problem.H.source(backend))
+    # No name of the user's gets into these.
+    tree.body = [n for n in tree.body if getattr(n, "name", "") not in ("_factor", "_floating")]
+    bound = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name)}
+    bound |= {a.arg for a in ast.walk(tree) if isinstance(a, ast.arg)}
+    bound |= {n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)}
+    H = problem.H
+    users = {f"{mark}{name}" for name in H.names for mark in ("", "d")} | set(H.parameter_names)
+    users |= {f"{name}_low" for name in H.names}
+    template = {n for n in bound - users if not n.startswith("_") and not n[1:].isdigit()}
+    assert template <= _TEMPLATE_NAMES | set(dir(builtins))
+
+
+AWKWARD = [
+    ("p_z**2/2 + z**2/2 + x**2 + p_x**2", {}),
+    ("p_dx**2/2 + dx**2/2 + x**2 + p_x**2", {}),
+    ("p**2/2 + lambda*x**2", {"lambda": 2.0}),
+    ("p**2/2 + torch*np*math*x**2", {"torch": 1.0, "np": 2.0, "math": 3.0}),
+    (
+        "p**2/2 + z*dz*energy_0*energy_weight*x**2",
+        dict.fromkeys("z dz energy_0 energy_weight".split(), 1.5),
+    ),
+    ("p**2/2 + out*value*abs(x)*u0*u1", {"out": 1.0, "value": 2.0, "u0": 1.0, "u1": 1.0}),
+    ("p**2/2 + step_size*steps*start*x**2", {"step_size": 2.0, "steps": 1.0, "start": 3.0}),
+    ("p**2/2 + E*I*S*N*Q*x**2", dict.fromkeys("EISNQ", 1.1)),
+    (
+        "p**2/2 + energy*loss*range*print*x**2",
+        dict.fromkeys("energy loss range print".split(), 1.2),
+    ),
+    ("p**2/2 + z*z_*x**2", {"z": 2.0, "z_": 3.0}),
+    ("p_θ**2/2 + ω**2*θ**2", {"ω": 2.0}),
+]
+
+
+@pytest.mark.parametrize(("formula", "parameters"), AWKWARD)
+def test_names_that_mean_something_in_the_code(
+    formula: str, parameters: dict[str, float], backend: str
+) -> None:
+    q = ["dx", "x"] if "dx**2" in formula else None
+    H = Hamiltonian(formula, q=q, p=["p_dx", "p_x"] if q else None, parameters=parameters)
+    z = states(H, np.ones(H.dim), count=2)
+    energy, gradient, hessian = sympy_values(H, z)
+    system = H.compile(backend)
+    np.testing.assert_allclose(call(system, "energy", z), energy, rtol=1e-13)
+    np.testing.assert_allclose(call(system, "gradient", z), gradient, rtol=1e-13)
+    np.testing.assert_allclose(call(system, "hessian", z), hessian, rtol=1e-13, atol=1e-14)
+    residual = z - call(system, "vector_field", z)
+    np.testing.assert_allclose(call(system, "residual", z, z), residual, rtol=1e-13)
+    loss = (residual**2).sum(axis=1).mean() + 2 * ((energy - 0.5) ** 2).mean()
+    assert call(system, "loss", z, z, 0.5, 2.0) == pytest.approx(loss, rel=1e-13)
+    identifiers = {n.id for n in ast.walk(ast.parse(system.source)) if isinstance(n, ast.Name)}
+    assert not any(keyword.iskeyword(name) for name in identifiers)
+    if backend == "numba":
+        for method in ("symplectic_euler", "gauss4", "tao2"):
+            first = integrate(H, z[0], (0, 1e-3), method, steps=1).z[-1]
+            np.testing.assert_allclose((first - z[0]) / 1e-3, z[0] - residual[0], atol=0.1)
+
+
+def test_large_systems_take_out_common_subexpressions() -> None:
+    """A result with temporaries is the same as without them."""
+    terms = " + ".join(f"exp(-(q{i} - q{i + 1})**2)*cos(q{i} - q{i + 1})" for i in range(1, 8))
+    kinetic = " + ".join(f"p{i}**2/2" for i in range(1, 9))
+    H = Hamiltonian(f"{kinetic} + {terms}")
+    assert "u0 = " in H.source("torch", part="gradient")
+    z = states(H, np.zeros(H.dim), count=2)
+    _, gradient, hessian = sympy_values(H, z)
+    for backend in PRINTERS:
+        np.testing.assert_allclose(call(H.compile(backend), "gradient", z), gradient, atol=1e-13)
+        np.testing.assert_allclose(call(H.compile(backend), "hessian", z), hessian, atol=1e-12)
+
+
+_SHAPES = {
+    "sum": ("({0})", lambda s: s, lambda s: 1 + 0 * s, lambda s: 0 * s),
+    "sine": ("sin({0})", np.sin, np.cos, lambda s: -np.sin(s)),
+    "cube": ("({0})**3", lambda s: s**3, lambda s: 3 * s**2, lambda s: 6 * s),
+    "quotient": ("1/({0})", lambda s: 1 / s, lambda s: -1 / s**2, lambda s: 2 / s**3),
+}
+
+
+@pytest.mark.parametrize("backend", ["torch", "numpy"])  # numba compiles as much for a minute
+@pytest.mark.parametrize("shape", _SHAPES)
+def test_long_products_share_their_factors(shape: str, backend: str) -> None:
+    """Of n factors f(q_i + p_i): 3 n multiplications, and three for each pair of factors."""
+    n = 11
+    text, value, slope, curvature = _SHAPES[shape]
+    H = Hamiltonian("2*" + "*".join(text.format(f"q{i} + p{i}") for i in range(n)))
+    system = H.compile(backend)
+    z = np.random.default_rng(3).uniform(0.4, 0.9, (3, 2 * n))
+    for point in z:
+        sums = point[:n] + point[n:]
+        f, product = value(sums), 2 * np.prod(value(sums))
+        log_slopes = slope(sums) / f
+        gradient = product * np.tile(log_slopes, 2)
+        block = product * np.outer(log_slopes, log_slopes)
+        np.fill_diagonal(block, product * curvature(sums) / f)
+        np.testing.assert_allclose(call(system, "gradient", point), gradient, rtol=1e-13)
+        np.testing.assert_allclose(
+            call(system, "hessian", point), np.tile(block, (2, 2)), rtol=1e-13, atol=1e-15
+        )
+    if shape == "sum":
+        for part, most in (("gradient", 3 * n + 2), ("hessian", 3 * n * (n - 1) / 2 + 3 * n)):
+            tree = ast.parse(H.source(backend, part=part))
+            assert sum(isinstance(node, ast.Mult) for node in ast.walk(tree)) <= most + 2 * n
+
+
+def test_sources_do_not_depend_on_the_process() -> None:
+    formula = "*".join(f"sin(q{i} + p{i})" for i in range(9))
+    script = f"import hamsym; print(hamsym.Hamiltonian('{formula}').source('numpy'))"
+    texts = [
+        subprocess.run(
+            [sys.executable, "-c", script],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "PYTHONHASHSEED": seed},
+        ).stdout
+        for seed in ("1", "2")
+    ]
+    assert texts[0] == texts[1]
+
+
+# -- effort --------------------------------------------------------------------------------------
+
+
+def test_short_formulas_of_endless_code_are_refused() -> None:
+    H = Hamiltonian("*".join(f"(q{i} + p{i})" for i in range(60)))
+    with pytest.raises(CodeGenerationError, match="many variables meet in one term"):
+        H.source("numpy")
+
+
+def test_the_catalogue_stays_far_below_the_effort(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(derivatives, "MAX_OPERATIONS", derivatives.MAX_OPERATIONS // 10)
+    H = problem.H
+    assert Hamiltonian(H.expr, q=H.q, p=H.p, parameters=dict(H.parameters)).hessian.shape
+
+
+def _chain(n: int) -> str:
+    q = ["0", *(f"q{i}" for i in range(n)), "0"]
+    stretches = [f"({b} - {a})" for a, b in itertools.pairwise(q)]
+    bonds = [f"{s}**2/2 + {s}**3/4 + {s}**4/8" for s in stretches]
+    return " + ".join([*(f"p{i}**2/2" for i in range(n)), *bonds])
+
+
+def _bodies(n: int) -> str:
+    kinetic = " + ".join(f"p_{axis}{i}**2/2" for i in range(n) for axis in "xyz")
+    distances = [
+        "sqrt(" + " + ".join(f"({axis}{i} - {axis}{j})**2" for axis in "xyz") + " + 1/100)"
+        for i, j in itertools.combinations(range(n), 2)
+    ]
+    return kinetic + "".join(f" - 1/{distance}" for distance in distances)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("formula", [_chain(64), _bodies(10)], ids=["chain", "bodies"])
+def test_many_particles_stay_far_below_the_effort(
+    formula: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(derivatives, "MAX_OPERATIONS", derivatives.MAX_OPERATIONS // 8)
+    monkeypatch.setattr(derivatives, "_MOST_GROWTH", 0)
+    monkeypatch.setattr(parser, "MAX_SECONDS", 60.0)
+    assert Hamiltonian(formula).hessian.shape
+
+
+# -- powers ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [2.0, 3.0, 4.0])
+def test_powers_with_a_parameter_have_derivatives_at_zero(n: float, backend: str) -> None:
+    system = Hamiltonian("p**2/2 + x**n/n", parameters={"n": n}).compile(backend)
+    for x in (0.0, -0.5):
+        z = np.array([[x, 1.0]])
+        np.testing.assert_allclose(call(system, "gradient", z), [[x ** (n - 1), 1.0]])
+        curvature = (n - 1) * x ** (n - 2)
+        np.testing.assert_allclose(call(system, "hessian", z), [[[curvature, 0], [0, 1]]])
+
+
+# -- torch ---------------------------------------------------------------------------------------
+
+
+def test_torch_functions_under_vmap_and_on_another_device(problem: Problem) -> None:
+    system = problem.H.compile("torch")
+    z = torch.tensor(states(problem.H, np.array(problem.z0)))
+    for name in ("energy", "gradient", "vector_field", "hessian"):
+        arguments = system.arguments((), torch.tensor(TIME, dtype=z.dtype))[1:]
+        function = getattr(system, name)
+        each = torch.func.vmap(lambda point, f=function, a=arguments: f(point, *a))(z)
+        torch.testing.assert_close(each, function(z, *arguments))
+        # The meta device computes shapes only, and refuses tensors that were made elsewhere.
+        assert function(z.to("meta"), *arguments).device.type == "meta"
+    more = arguments or (0.0, 1.0)
+    assert system.loss(z.to("meta"), z.to("meta"), *more).device.type == "meta"
+
+
+# -- alone -----------------------------------------------------------------------------------------
+
+_ALONE = """
+import sys
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {forbidden!r}:
+            raise ImportError("not installed here: " + name)
+sys.meta_path.insert(0, Refuse())
+sys.path.insert(0, {folder!r})
+import generated
+z = {make}
+print(float(generated.loss(z, z, 0.5, 1.0)))
+print(float(generated.hessian(z).sum()))
+"""
+
+
+def test_written_to_a_file_it_runs_without_hamsym(backend: str, tmp_path: Path) -> None:
+    H = Hamiltonian("p**2/2 + x**4/4 + erf(x) + x*p")
+    (tmp_path / "generated.py").write_text(H.source(backend), encoding="utf-8")
+    make = "torch.tensor([[1.0, 2.0], [0.5, 0.1]], dtype=torch.float64)"
+    make = f"__import__('torch') and {make}" if backend == "torch" else make
+    script = "import torch\n" if backend == "torch" else "import numpy as np\n"
+    if backend != "torch":
+        make = "np.array([[1.0, 2.0], [0.5, 0.1]])"
+    forbidden = {"hamsym", "scipy", "jinja2"} | ({"torch", "numba"} - {backend})
+    script += _ALONE.format(forbidden=sorted(forbidden), folder=str(tmp_path), make=make)
+    if backend == "torch":
+        script = script.replace("__import__('torch') and ", "")
+    result = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    z = np.array([[1.0, 2.0], [0.5, 0.1]])
+    system = H.compile("numpy")
+    loss, total = map(float, result.stdout.split())
+    assert loss == pytest.approx(float(system.loss(z, z, 0.5, 1.0)), rel=1e-12)
+    assert total == pytest.approx(float(system.hessian(z).sum()), rel=1e-12)
+    assert math.isfinite(loss)

@@ -1,0 +1,199 @@
+"""Compiled code: the same march, kept where only the user can write."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import py_compile
+import shutil
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym import Hamiltonian, InputError
+from hamsym.codegen import numba_cache
+from hamsym.random_features import compiled_loop, window_loop
+from hamsym.systems import Problem
+
+
+def test_compiled_and_plain_march_agree(problem: Problem) -> None:
+    plain = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9, compiled=False)
+    fast = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9, compiled=True)
+    assert (plain.history.compiled, fast.history.compiled) == (False, True)
+    assert fast.success
+    t = np.linspace(*problem.span, 501)
+    assert (np.abs(fast(t) - plain(t)) <= 2e-9 * plain.scale).all()
+    assert abs(len(fast.history.edges) - len(plain.history.edges)) <= 1
+
+
+def test_nothing_is_compiled_unasked() -> None:
+    code = (
+        "import sys, hamsym; hamsym.solve(hamsym.Hamiltonian('p**2 + x**2'), [1, 0], (0, 9));"
+        "sys.exit('numba' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_compiling_when_it_pays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled_loop, "cost", lambda: 0.0)
+    H = Hamiltonian("p**2/2 + x**2/2 + x**6/6")
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 200), tol=1e-9)
+    assert solution.success
+    assert solution.history.compiled
+    monkeypatch.setattr(compiled_loop, "cost", lambda: 100.0)
+    other = Hamiltonian("p**2/2 + x**2/2 + x**6/12 + x**6/12")
+    assert not hamsym.solve(other, [1.0, 0.0], (0, 1)).history.compiled  # equal, and compiled above
+
+
+@pytest.mark.parametrize("value", ["always", None, 2])
+def test_compiled_is_true_false_or_auto(value: object) -> None:
+    with pytest.raises(InputError, match="compiled="):
+        hamsym.solve("p**2/2 + x**2/2", [1.0, 0.0], (0, 1), compiled=value)
+
+
+def test_parameters_and_time_reach_compiled_code() -> None:
+    H = Hamiltonian("p**2/(2*m) + k*x**2/2 - x*cos(2*t)", parameters={"m": 2.0, "k": 3.0})
+    plain = hamsym.solve(H, [0.3, 0.1], (1.0, 9.0), tol=1e-10)
+    H.compile("numba")
+    fast = hamsym.solve(H, [0.3, 0.1], (1.0, 9.0), tol=1e-10)
+    assert fast.history.compiled
+    t = np.linspace(1, 9, 101)
+    np.testing.assert_allclose(fast(t), plain(t), atol=1e-9)
+
+
+def test_sizes_of_columns_agree() -> None:
+    values = np.random.default_rng(0).normal(size=(7, 3))
+    np.testing.assert_array_equal(
+        window_loop.column_sizes(values), window_loop.column_sizes_in_loops(values)
+    )
+    values[3, 1] = np.nan
+    assert np.isnan(window_loop.column_sizes_in_loops(values)[1])
+
+
+# -- the cache -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def fresh_cache(monkeypatch: pytest.MonkeyPatch):
+    numba_cache.cache_directory.cache_clear()
+    yield monkeypatch
+    monkeypatch.undo()
+    numba_cache.cache_directory.cache_clear()
+
+
+def test_cache_is_the_users_own(fresh_cache, tmp_path: Path) -> None:
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path / "a" / "cache"))
+    path = numba_cache.cache_directory()
+    assert path == (tmp_path / "a" / "cache").resolve()
+    assert stat.S_IMODE(path.stat().st_mode) == 0o700
+    module = numba_cache.load_module("VALUE = 3\n", "numba")
+    assert module.VALUE == 3
+    assert Path(module.__file__).parent == path
+    Path(module.__file__).write_text("VALUE = 4\n")
+    assert numba_cache.load_module("VALUE = 3\n", "numba").VALUE == 3
+    assert not [entry for entry in path.iterdir() if entry.name.startswith(".")]
+
+
+def test_planted_bytecode_does_not_run(fresh_cache, tmp_path: Path) -> None:
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
+    path = Path(numba_cache.load_module("VALUE = 3\n", "numba").__file__)
+    other = tmp_path / "other.py"
+    other.write_text("VALUE = 4\n")
+    planted = Path(importlib.util.cache_from_source(str(path)))
+    planted.parent.mkdir(exist_ok=True)
+    unchecked = py_compile.PycInvalidationMode.UNCHECKED_HASH  # as Python takes it unasked
+    py_compile.compile(str(other), str(planted), invalidation_mode=unchecked)
+    assert numba_cache.load_module("VALUE = 3\n", "numba").VALUE == 3
+
+
+def _entry(cache: Path, source: str, days: float, size: int) -> list[Path]:
+    """A source of the cache that was used so many days ago, and what was compiled of it."""
+    path = Path(numba_cache.load_module(source, "numba").__file__)
+    data = cache / "__pycache__" / f"{path.stem}.function-1.py311.1.nbc"
+    data.write_bytes(bytes(size))
+    then = time.time() - 86_400 * days
+    for file in (path, data):
+        os.utime(file, (then, then))
+    return [path, data]
+
+
+def test_the_cache_is_pruned(fresh_cache, tmp_path: Path) -> None:
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
+    fresh_cache.setattr(numba_cache, "_LARGEST", 3_000)
+    ages = {"new": 0.0, "recent": 1.5, "older": 30.0, "oldest": 60.0, "forgotten": 91.0}
+    entries = {name: _entry(tmp_path, f"NAME = '{name}'\n", age, 900) for name, age in ages.items()}
+
+    def left() -> set[str]:
+        both = {name: [file.exists() for file in files] for name, files in entries.items()}
+        assert all(one == other for one, other in both.values())
+        return {name for name, (there, _) in both.items() if there}
+
+    assert numba_cache.load_module("NAME = 'oldest'\n", "numba").NAME == "oldest"  # used again
+    numba_cache.load_module("VALUE = 1\n", "numba")
+    assert left() == {*ages}  # since it was done today
+    os.utime(tmp_path / "pruned", (0, 0))
+    numba_cache.load_module("VALUE = 2\n", "numba")
+    assert left() == {"new", "recent", "oldest"}
+    fresh_cache.setattr(numba_cache, "_LARGEST", 0)
+    os.utime(tmp_path / "pruned", (0, 0))
+    numba_cache.load_module("VALUE = 3\n", "numba")
+    assert left() == {"new", "oldest"}  # another process may be about to load them
+
+
+def test_using_the_cache_leaves_what_numba_judges_by(fresh_cache, tmp_path: Path) -> None:
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
+    path, _ = _entry(tmp_path, "VALUE = 3\n", 50.0, 1)
+    before = path.stat()
+    numba_cache.load_module("VALUE = 3\n", "numba")
+    after = path.stat()
+    assert (after.st_mtime_ns, after.st_size) == (before.st_mtime_ns, before.st_size)
+    assert time.time() - after.st_atime < 3_600
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no permission bits here")
+@pytest.mark.parametrize("unsafe", ["writable by others", "a link", "a file"])
+def test_a_directory_that_others_could_write_is_not_used(
+    fresh_cache, tmp_path: Path, unsafe: str
+) -> None:
+    path = tmp_path / "cache"
+    if unsafe == "a file":
+        path.write_text("")
+    elif unsafe == "a link":
+        (tmp_path / "elsewhere").mkdir(mode=0o700)
+        path.symlink_to(tmp_path / "elsewhere")
+    else:
+        path.mkdir()
+        path.chmod(0o777)
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(path))
+    used = numba_cache.cache_directory()
+    assert tmp_path.resolve() not in used.resolve().parents
+    assert stat.S_IMODE(used.stat().st_mode) == 0o700
+
+
+def _all_but_the_loop(folder: str, names: list[str]) -> list[str]:
+    return [name for name in names if not name.startswith(("window_loop_", "__pycache__"))]
+
+
+def test_damaged_cache_is_replaced(tmp_path: Path) -> None:
+    code = (
+        "import hamsym; H = hamsym.Hamiltonian('p**2/2 + x**4');"
+        "H.compile('numba'); print(hamsym.solve(H, [1, 0], (0, 1)).history.compiled)"
+    )
+    environment = {**os.environ, "HAMSYM_CACHE_DIR": str(tmp_path)}
+    run = [sys.executable, "-c", code]
+    # The loop of the march, the same for every H, is brought along: it takes long to compile.
+    Hamiltonian("p**2/2 + x**2/2").compile("numba")
+    shutil.copytree(
+        numba_cache.cache_directory(), tmp_path, ignore=_all_but_the_loop, dirs_exist_ok=True
+    )
+    subprocess.run(run, env=environment, check=True)
+    for file in (tmp_path / "__pycache__").glob("numba_*.nb?"):
+        file.write_bytes(b"damaged")
+    again = subprocess.run(run, env=environment, check=True, capture_output=True, text=True)
+    assert again.stdout == "True\n"

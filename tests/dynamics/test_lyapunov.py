@@ -1,0 +1,292 @@
+"""Tangent maps, monodromy matrices and Lyapunov exponents."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import scipy.integrate
+import sympy
+
+import hamsym
+from hamsym import Hamiltonian, InputError
+from hamsym.dynamics.lyapunov import LyapunovExponents
+from hamsym.dynamics.monodromy import tangent_map
+from hamsym.systems import (
+    CATALOGUE,
+    charged_particle,
+    double_pendulum,
+    driven_oscillator,
+    harmonic_oscillator,
+    henon_heiles,
+    kepler,
+    nonlinear_oscillator,
+    pendulum,
+)
+
+# -- equations ---------------------------------------------------------------------------------
+
+
+def test_variational_equations_are_j_hess_delta() -> None:
+    H = henon_heiles().H
+    equations = H.variational_equations
+    delta = [equation.lhs.args[0] for equation in equations]
+    assert [str(symbol) for symbol in delta] == ["delta_x", "delta_y", "delta_p_x", "delta_p_y"]
+    rates = sympy.Matrix([equation.rhs for equation in equations])
+    assert sympy.expand(rates - H.poisson_matrix * H.hessian * sympy.Matrix(delta)) == sympy.zeros(
+        4, 1
+    )
+
+
+def test_variational_equations_do_not_reuse_a_name() -> None:
+    H = Hamiltonian("p**2/2 + delta_x*x**2/2")
+    names = [str(equation.lhs.args[0]) for equation in H.variational_equations]
+    assert names == ["ddelta_x", "ddelta_p"]
+
+
+# -- tangent maps ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [henon_heiles, double_pendulum, driven_oscillator])
+def test_tangent_map_solves_the_variational_equations(make: object) -> None:
+    problem = make()  # type: ignore[operator]
+    H, dim = problem.H, problem.H.dim
+    system = H.compile("numpy")
+    J = np.array(H.poisson_matrix, dtype=float)
+
+    def rates(t: float, both: np.ndarray) -> np.ndarray:
+        z, M = both[:dim], both[dim:].reshape(dim, dim)
+        arguments = system.arguments(z, t)
+        return np.append(system.vector_field(*arguments), J @ system.hessian(*arguments) @ M)
+
+    start = np.append(problem.z0, np.eye(dim))
+    right = scipy.integrate.solve_ivp(rates, (0, 5), start, "DOP853", rtol=1e-12, atol=1e-12)
+    found = tangent_map(H, problem.z0, (0, 5), dt=0.01)
+    np.testing.assert_allclose(found.z, right.y[:dim, -1], atol=1e-9)
+    np.testing.assert_allclose(found.matrix.ravel(), right.y[dim:, -1], atol=1e-8)
+    assert found.symplecticity_error < 1e-11
+
+
+def test_tangent_map_that_cannot_be_had() -> None:
+    with pytest.raises(InputError, match="does not reach t = 5; end the span before it"):
+        tangent_map(Hamiltonian("p**2/2 - x**4/4"), [1.0, 1.0], (0, 5))
+    problem = henon_heiles()
+    with pytest.raises(InputError, match="tao4 steps in a doubled phase space; choose another"):
+        tangent_map(problem.H, problem.z0, (0, 5), "tao4")
+
+
+# -- monodromy ---------------------------------------------------------------------------------
+
+
+def test_monodromy_of_linear_systems_is_known() -> None:
+    """A harmonic oscillator returns after any time; in a magnetic field all orbits close."""
+    problem = harmonic_oscillator(2.0)
+    found = hamsym.monodromy(problem.H, problem.z0, problem.period)
+    np.testing.assert_allclose(found.matrix, np.eye(2), atol=1e-9)
+    found = hamsym.monodromy(problem.H, problem.z0, problem.period / 4)
+    np.testing.assert_allclose(found.multipliers, [1j, -1j], atol=1e-9)
+    assert found.closure > 0.5
+    particle = charged_particle()
+    found = hamsym.monodromy(particle.H, particle.z0, particle.period)
+    assert found.closure < 1e-9
+    np.testing.assert_allclose(found.multipliers, 1, atol=1e-4)  # a double eigenvalue splits
+
+
+@pytest.mark.parametrize("make", [nonlinear_oscillator, pendulum, kepler])
+def test_two_multipliers_of_a_closed_orbit_are_one(make: object) -> None:
+    problem = make()  # type: ignore[operator]
+    found = hamsym.monodromy(problem.H, problem.z0, problem.period)
+    assert found.closure < 1e-8
+    assert found.symplecticity_error < 1e-8
+    # The flow itself is carried into itself.
+    field = problem.H.compile("numpy").vector_field(problem.z0)
+    np.testing.assert_allclose(found.matrix @ field, field, atol=1e-7)
+
+
+def test_unstable_orbit_has_a_multiplier_outside_the_circle() -> None:
+    """x = 0 in a saddle: e^T and e^-T."""
+    H = Hamiltonian("p_x**2/2 - x**2/2 + p_y**2/2 + y**2/2")
+    found = hamsym.monodromy(H, {"x": 0, "y": 1, "p_x": 0, "p_y": 0}, 2 * math.pi)
+    np.testing.assert_allclose(abs(found.multipliers[0]), math.exp(2 * math.pi), rtol=1e-9)
+    np.testing.assert_allclose(abs(found.multipliers[-1]), math.exp(-2 * math.pi), atol=1e-6)
+
+
+def test_a_period_that_cannot_be_used() -> None:
+    problem = harmonic_oscillator()
+    with pytest.raises(InputError, match="span="):
+        hamsym.monodromy(problem.H, problem.z0, 0.0)
+    with pytest.raises(InputError, match="cannot be had to tol=1e-10"):
+        hamsym.monodromy(Hamiltonian("p**2/2 - x**4/4"), [1.0, 1.0], 5.0)
+
+
+@pytest.mark.parametrize("period", ["x", float("nan"), None])
+def test_periods_that_are_no_numbers(period: object) -> None:
+    problem = harmonic_oscillator()
+    with pytest.raises(InputError, match="period=.* cannot be used; give a number"):
+        hamsym.monodromy(problem.H, problem.z0, period)  # type: ignore[arg-type]
+
+
+# -- Lyapunov exponents ------------------------------------------------------------------------
+
+
+def test_exponents_of_a_saddle_are_its_rates() -> None:
+    """Motions e^{at} and e^{bt}: exponents a, b, -b, -a, to (log of a constant)/t."""
+    H = Hamiltonian("(p_x**2 - 9*x**2)/2 + (p_y**2 - y**2)/2")
+    found = hamsym.lyapunov(H, [1e-200, 1e-200, 0, 0], (0, 100), count=4)
+    np.testing.assert_allclose(found.exponents[-1], [3, 1, -1, -3], atol=0.03)
+    assert found.exponents.shape[1] == 4
+    assert abs(found.trend) < 0.2
+    assert "if the motion is bounded and comes back" in found.statement
+
+
+def test_the_largest_exponent_comes_first() -> None:
+    """At every time, also while the vectors have not yet turned into their order."""
+    for problem, count in ((henon_heiles(), 3), (double_pendulum(), 4)):
+        found = hamsym.lyapunov(problem.H, problem.z0, (0, 300), count=count)
+        assert np.all(np.diff(found.exponents, axis=1) <= 0)
+        assert found.maximal == found.exponents[-1].max()
+        assert f"the largest exponent is {found.maximal:.3g}" in found.statement
+        drawn = found.plot().axes[0].lines[0].get_ydata()
+        assert drawn[-1] == found.maximal
+
+
+def test_exponents_without_an_energy_are_no_success() -> None:
+    """log(x) has a force where x is negative, but no value."""
+    found = hamsym.lyapunov(Hamiltonian("p**2/2 + log(x)"), [-1.0, 1.0], (0, 0.5), dt=1e-3)
+    assert not found.success
+    assert "H changed by inf" in found.message
+    assert "the run was no success" in found.statement
+
+
+def test_one_degree_of_freedom_is_never_called_chaotic() -> None:
+    saddle = hamsym.lyapunov(Hamiltonian("p**2/2 - x**2/2"), [1e-200, 0], (0, 100))
+    assert saddle.maximal == pytest.approx(1, abs=0.05)
+    assert "this is no chaos" in saddle.statement
+    # Leaving the pendulum's unstable equilibrium the exponent rises.
+    rising = hamsym.lyapunov(pendulum().H, [math.pi, 0.0], (0, 30))
+    assert "chaos over" not in rising.statement
+
+
+def test_a_start_where_little_happens_does_not_set_the_steps() -> None:
+    """The Hessian at the start is far smaller than on the way, also with explicit time."""
+    driven = Hamiltonian("p**2/2 - (1 + sin(t)/2)*cos(x)")
+    found = hamsym.lyapunov(driven, [math.pi / 2, 0.0], (0, 1e4))
+    assert found.dt < 0.3
+    assert 1e-3 < found.maximal < 2e-2  # 3.5e-3 with steps of 0.02
+    quartic = Hamiltonian("(p_x**2 + p_y**2)/2 + x**2*y**2/2 + (x**4 + y**4)/400")
+    found = hamsym.lyapunov(quartic, [0.0, 0.0, 1.0, 0.5], (0, 1e5), count=4)
+    assert found.success
+    assert abs(found.exponents[-1].sum()) < 1e-3
+    assert found.maximal == pytest.approx(0.34, abs=0.02)
+
+
+@pytest.mark.parametrize("method", [None, "gauss4", "stormer_verlet"])
+def test_start_of_the_paper_is_not_seen_to_be_chaotic(method: str | None) -> None:
+    """The paper has 0.069; here the exponent falls like log(t)/t, as on a torus."""
+    problem = henon_heiles()
+    found = hamsym.lyapunov(problem.H, problem.z0, (0, 2e4), method=method, dt=0.05)
+    assert found.maximal < 6e-4
+    at_300 = np.interp(300, found.t, found.exponents[:, 0])
+    assert 5e-3 < at_300 < 2e-2
+    assert found.trend < -0.7
+    assert "falling like log(t)/t" in found.statement
+    assert found.success
+
+
+def test_chaotic_orbit_of_henon_heiles() -> None:
+    problem = henon_heiles()
+    start = problem.H.state_at_energy(1 / 6, {"x": 0, "y": -0.15, "p_y": 0})
+    assert start[2] == pytest.approx(0.5555, abs=1e-4)
+    found = hamsym.lyapunov(problem.H, start, (0, 3e4), count=4)
+    assert found.maximal == pytest.approx(0.13, abs=0.015)
+    assert abs(found.trend) < 0.2
+    assert "chaos over this time" in found.statement
+    # In pairs, and two of them zero, since H is conserved.
+    assert np.abs(found.exponents[-1] + found.exponents[-1][::-1]).max() < 1e-3
+    assert np.abs(found.exponents[-1][1:3]).max() < 1e-3
+    assert found.energy_error < 1e-9
+
+
+def test_undecided_is_a_statement_too() -> None:
+    t = np.geomspace(1, 1e4, 200)
+    made = LyapunovExponents(
+        t, t[:, None] ** -0.35, 0.0, 0.0, "gauss4", 0.1, 1.0, success=True, message=""
+    )
+    assert "That decides nothing; take a longer time" in made.statement
+    short = LyapunovExponents(
+        t[:3], t[:3, None], 0.0, 0.0, "gauss4", 0.1, 1.0, success=True, message=""
+    )
+    assert math.isnan(short.trend)
+    assert "decides nothing" in short.statement
+
+
+def test_same_seed_same_result_and_seeds_agree_late() -> None:
+    problem = henon_heiles()
+    start = problem.H.state_at_energy(1 / 6, {"x": 0, "y": -0.15, "p_y": 0})
+    first, again, other = (
+        hamsym.lyapunov(problem.H, start, (0, 5e3), seed=seed) for seed in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(first.exponents, again.exponents)
+    assert other.maximal == pytest.approx(first.maximal, abs=2e-3)
+    assert other.maximal != first.maximal
+
+
+def test_backward_time_and_explicit_time_have_exponents() -> None:
+    problem = driven_oscillator()
+    found = hamsym.lyapunov(problem.H, problem.z0, (10, -990))
+    assert found.t[-1] == -990
+    assert abs(found.maximal) < 1e-2
+    assert math.isnan(found.energy_error)
+
+
+def test_steps_that_are_too_long_are_no_success() -> None:
+    problem = henon_heiles()
+    found = hamsym.lyapunov(problem.H, problem.z0, (0, 1e3), method="symplectic_euler", dt=0.3)
+    assert not found.success
+    assert "of its scale: take a smaller dt" in found.message
+
+
+def test_an_escape_keeps_what_was_done() -> None:
+    H = Hamiltonian("p**2/2 - x**4/4")
+    found = hamsym.lyapunov(H, [0.5, 0.5], (0, 20), dt=1e-3)
+    assert not found.success
+    assert "stopped after t = " in found.message
+    assert np.isfinite(found.exponents).all()
+    assert found.t[-1] < 20
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"count": 0}, "count=0 cannot be used; give a whole number from 1 to 4"),
+        ({"count": 5}, "count=5"),
+        ({"method": "dop853"}, "dop853 chooses its own steps"),
+        ({"method": "tao2"}, "doubled phase space"),
+        ({"dt": -1}, "dt=-1"),
+        ({"dt": 1e-30}, "dt=1e-30 would take"),
+        ({"seed": -1}, "seed=-1 cannot be used; give a whole number from 0"),
+        ({"count": True}, "count=True"),
+    ],
+)
+def test_exponents_that_cannot_be_had(options: dict[str, object], message: str) -> None:
+    problem = henon_heiles()
+    with pytest.raises(InputError, match=message):
+        hamsym.lyapunov(problem.H, problem.z0, (0, 10), **options)
+
+
+def test_exponents_are_drawn() -> None:
+    problem = henon_heiles()
+    figure = hamsym.lyapunov(problem.H, problem.z0, (0, 1e3)).plot()
+    labels = [line.get_label() for line in figure.axes[0].lines]
+    assert labels == ["finite-time exponent", "log(t)/t"]
+
+
+@pytest.mark.parametrize(
+    "name", ["spring_pendulum", "toda_chain", "calogero_moser", "morse_oscillator"]
+)
+def test_integrable_and_other_systems_run(name: str) -> None:
+    problem = CATALOGUE[name]()
+    found = hamsym.lyapunov(problem.H, problem.z0, (0, 200))
+    assert found.success
+    assert np.isfinite(found.exponents).all()

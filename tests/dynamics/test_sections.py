@@ -1,0 +1,471 @@
+"""Poincare sections and events: what is located, how well, and what is refused."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+import scipy.integrate
+
+import hamsym
+from hamsym import Hamiltonian, InputError
+from hamsym.dynamics import sections
+from hamsym.errors import StepSizeWarning
+from hamsym.integrators import fixed_step
+from hamsym.numerics.roots import refine, sign_changes
+from hamsym.surface import parse_surface
+from hamsym.systems import double_pendulum, harmonic_oscillator, henon_heiles, kepler
+
+CHAOTIC = {"x": 0, "y": -0.15, "p_y": 0}
+
+
+@pytest.fixture(scope="module")
+def start() -> np.ndarray:
+    return henon_heiles().H.state_at_energy(1 / 6, CHAOTIC)
+
+
+# -- surfaces ----------------------------------------------------------------------------------
+
+
+def test_surface_of_several_parts() -> None:
+    H = henon_heiles().H
+    surface = parse_surface(H, " max(x, -y) = 2*y , p_x > 0,p_y < x")
+    z = np.array([[1.0, 0.5, 0.1, 0.5], [0.0, 0.0, -0.1, 0.0], [1.0, 1.0, 0.1, 2.0]])
+    np.testing.assert_allclose(surface.value(z, 0.0), [0.0, 0.0, -1.0])
+    assert surface.holds(z, np.zeros(3)).tolist() == [True, False, False]
+    assert surface.names == {"x", "y"}
+
+
+def test_surfaces_know_parameters_and_time() -> None:
+    H = Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 4.0})
+    assert parse_surface(H, "k*x = t").value(np.array([[1.0, 0.0]]), np.array([3.0])) == [1.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x", "'x' is no equation and no inequality; write such as x = 0, p_x > 0"),
+        ("p_x > 0", "has no equation"),
+        ("x = 0, y = 0", "has two equations"),
+        ("x == 0", "'x == 0' is no equation"),
+        ("x >= 0", "'x >= 0' is no equation"),
+        ("x = 0 = y", "is no equation"),
+        ("x = 0,", "'' is no equation"),
+        ("1 = 0", "holds everywhere or nowhere; name a component"),
+        ("a = 0", "'a' does not occur in H"),
+        ("x^2 = 0", "write \\*\\* for powers"),
+        ("x = 0, __import__('os') > 0", "__import__"),
+        (3, "a surface is a str"),
+    ],
+)
+def test_surfaces_that_cannot_be_used(text: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parse_surface(henon_heiles().H, text)  # type: ignore[arg-type]
+
+
+def test_sign_changes_count_a_zero_once() -> None:
+    values = np.array([0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 2.0, -1.0])
+    assert sign_changes(values)[0].tolist() == [1, 3, 6]
+    assert sign_changes(values, 1)[0].tolist() == [3]
+    assert sign_changes(values, -1)[0].tolist() == [1, 6]
+
+
+def test_no_zero_where_a_function_is_no_number() -> None:
+    """The sign changes across a gap: its ends are not zeros."""
+
+    def gap(x: np.ndarray, _: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(x) < 0.5, np.nan, np.sign(x))
+
+    assert np.isnan(refine(gap, np.array([-1.0]), np.array([0.9]))).all()
+
+
+# -- sections ----------------------------------------------------------------------------------
+
+
+def test_section_of_a_circle_is_exact() -> None:
+    problem = harmonic_oscillator()
+    found = hamsym.section(problem.H, problem.z0, (0, 100), "x = 0, p > 0", method="yoshida8",
+                           dt=0.05)  # fmt: skip
+    expected = 1.5 * np.pi + 2 * np.pi * np.arange(16)
+    np.testing.assert_allclose(found.t, expected[expected <= 100], atol=1e-11)
+    np.testing.assert_allclose(found.z[:, 1], 1, atol=1e-12)
+    assert np.abs(found.z[:, 0]).max() < 1e-15  # to round-off
+    assert found.success
+
+
+def test_henon_heiles_section_against_dop853(start: np.ndarray) -> None:
+    H = henon_heiles().H
+    found = hamsym.section(H, start, (0, 60), "x = 0, p_x > 0", dt=0.02)
+
+    def crossing(t: float, z: np.ndarray) -> float:
+        return z[0]
+
+    crossing.direction = 1.0  # type: ignore[attr-defined]
+    field = H.compile("numpy").vector_field
+    right = scipy.integrate.solve_ivp(
+        lambda t, z: field(z), (0, 60), start, "DOP853", events=crossing, rtol=1e-13, atol=1e-13
+    )
+    times = right.t_events[0][right.t_events[0] > 1e-6]
+    np.testing.assert_allclose(found.t, times, atol=1e-8)
+    np.testing.assert_allclose(found.z, right.y_events[0][-len(times) :], atol=1e-8)
+
+
+def test_ensembles_are_sections_of_each(start: np.ndarray) -> None:
+    H = henon_heiles().H
+    starts = np.array([start, henon_heiles().z0, 0.5 * start])
+    together = hamsym.section(H, starts, (0, 100), "x = 0, p_x > 0", dt=0.1)
+    for number, one in enumerate(starts):
+        alone = hamsym.section(H, one, (0, 100), "x = 0, p_x > 0", dt=0.1)
+        mine = together.trajectory == number
+        np.testing.assert_allclose(together.t[mine], alone.t, atol=1e-12)
+        np.testing.assert_allclose(together.z[mine], alone.z, atol=1e-12)
+        assert np.all(np.diff(together.t[mine]) > 0)
+    assert np.all(np.diff(together.trajectory) >= 0)
+    assert together.energy_error < 1e-10
+
+
+def test_direction_and_number_of_crossings(start: np.ndarray) -> None:
+    H = henon_heiles().H
+    both = hamsym.section(H, start, (0, 100), "x = 0", dt=0.1)
+    rising = hamsym.section(H, start, (0, 100), "x = 0", dt=0.1, direction=1)
+    falling = hamsym.section(H, start, (0, 100), "x = 0", dt=0.1, direction=-1)
+    assert np.array_equal(np.sort(np.concatenate((rising.t, falling.t))), both.t)
+    assert np.all(rising.z[:, 2] > 0)
+    assert np.all(falling.z[:, 2] < 0)
+    few = hamsym.section(H, [start, 0.9 * start], (0, 1e7), "x = 0", dt=0.1, crossings=5)
+    assert np.bincount(few.trajectory).tolist() == [5, 5]
+    np.testing.assert_array_equal(few.t[:5], both.t[:5])
+
+
+def test_other_methods_backward_time_and_explicit_time() -> None:
+    problem = double_pendulum()
+    for method in (None, "gauss4", "symplectic_euler"):
+        found = hamsym.section(problem.H, problem.z0, (0, -20), "theta1 = theta2", method=method,
+                               dt=0.01)  # fmt: skip
+        assert np.abs(found.z[:, 0] - found.z[:, 1]).max() < 1e-14
+        assert np.all(np.diff(found.t) < 0)
+    driven = hamsym.systems.driven_oscillator()
+    found = hamsym.section(driven.H, driven.z0, (0, 50), "sin(Omega*t/2) = 0", dt=0.05)
+    period = 2 * np.pi / driven.H.parameters["Omega"]
+    np.testing.assert_allclose(found.t, period * np.arange(1, len(found.t) + 1), atol=1e-9)
+    np.testing.assert_allclose(found.z, driven.exact(found.t), atol=1e-7)
+    assert np.isnan(found.energy_error)
+
+
+def test_what_is_missing_is_said() -> None:
+    H = Hamiltonian("p**2/2 - x**4/4")
+    found = hamsym.section(H, [[1.0, 1.0], [0.1, 0.0]], (0, 10), "x = 2", dt=0.01)
+    assert not found.success
+    assert "1 of 2 trajectories, such as number 0, left the range" in found.message
+    assert found.trajectory.tolist()[0] == 0
+    oscillator = harmonic_oscillator()
+    few = hamsym.section(oscillator.H, [1.0, 0.0], (0, 10), "x = 0", crossings=50)
+    assert not few.success
+    assert "has only 3 of 50 crossings by t = 10" in few.message
+    none = hamsym.section(oscillator.H, [1.0, 0.0], (0, 10), "x = 5")
+    assert none.success
+    assert none.z.shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "tao2"}, "tao2 cannot take part of a step"),
+        ({"method": "dop853"}, "dop853 chooses its own steps; choose one of"),
+        ({"crossings": 0}, "crossings=0"),
+        ({"steps": 10, "dt": 1.0}, "say the same thing"),
+    ],
+)
+def test_sections_that_cannot_be_made(options: dict[str, object], message: str) -> None:
+    problem = harmonic_oscillator()
+    with pytest.raises(InputError, match=message):
+        hamsym.section(problem.H, problem.z0, (0, 1), "x = 0", **options)
+
+
+def test_section_is_drawn_in_the_free_plane(start: np.ndarray) -> None:
+    found = hamsym.section(henon_heiles().H, start, (0, 100), "x = 0, p_x > 0", dt=0.1)
+    axis = found.plot().axes[0]
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("y", "p_y")
+    assert found.plot("p_x", "y").axes[0].get_xlabel() == "p_x"
+    with pytest.raises(InputError, match="'q' is not a component of z; choose one of x"):
+        found.plot("q")
+
+
+def both_sides(level: float, end: float) -> np.ndarray:
+    """When cos(t) passes a level, up to an end."""
+    turns = 2 * np.pi * np.arange(end // (2 * np.pi) + 2)
+    away = 2 * np.arcsin(np.sqrt((1 - level) / 2))  # arccos, without cancellation
+    times = np.sort(np.concatenate((turns + away, turns - away)))
+    return times[(times > 0) & (times < end)]
+
+
+@pytest.mark.parametrize("level", [0.99, 0.9999, 0.999999])
+@pytest.mark.parametrize("options", [{}, {"dt": 0.1}, {"dt": 0.4, "method": "yoshida8"}])
+def test_pairs_of_crossings_within_a_step(level: float, options: dict[str, object]) -> None:
+    H, expected = harmonic_oscillator().H, both_sides(level, 300.0)
+    found = hamsym.section(H, [1.0, 0.0], (0, 300), f"x = {level}", **options)
+    np.testing.assert_allclose(found.t, expected, atol=2e-3)
+    assert np.abs(found.z[:, 0] - level).max() < 1e-15
+    rising = hamsym.section(H, [1.0, 0.0], (0, 300), f"x = {level}", direction=1, **options)
+    np.testing.assert_array_equal(rising.t, found.t[found.z[:, 1] > 0])
+    half = hamsym.section(H, [1.0, 0.0], (0, 300), f"x = {level}, p < 0", **options)
+    np.testing.assert_array_equal(half.t, found.t[found.z[:, 1] < 0])
+    back = hamsym.section(H, [1.0, 0.0], (0, -300), f"x = {level}", **options)
+    np.testing.assert_allclose(back.t, -expected, atol=2e-3)
+
+
+def test_a_return_within_the_first_step() -> None:
+    """From the surface across it and back, x = t - 5 t^2, before the first step ends."""
+    H = Hamiltonian("p**2/2 + 10*x")
+    found = hamsym.section(H, [0.0, 1.0], (0, 1), "x = 0", dt=0.25)
+    np.testing.assert_allclose(found.t, [0.2], atol=1e-12)
+
+
+def test_steps_of_a_section_are_chosen() -> None:
+    problem = kepler(0.9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = hamsym.section(problem.H, problem.z0, (0, 100), "y = 0, x < 0")
+    assert found.drift < 1e-8
+    np.testing.assert_allclose(found.t, np.pi * np.arange(1, 32, 2), atol=1e-5)
+    assert "of its scale" in found.message
+    driven = hamsym.systems.driven_oscillator()
+    found = hamsym.section(driven.H, driven.z0, (0, 50), "x = 0")
+    assert np.abs(driven.exact(found.t)[:, 0]).max() < 1e-8
+    assert np.isnan(found.drift)
+
+
+def test_a_section_of_another_system_is_warned_of() -> None:
+    problem = kepler(0.9)
+    with pytest.warns(StepSizeWarning, match="of its scale: take smaller steps"):
+        found = hamsym.section(problem.H, problem.z0, (0, 100), "y = 0", dt=0.1)
+    assert found.drift > 0.01
+    assert found.message.endswith("take smaller steps")
+    with pytest.warns(StepSizeWarning, match="steps were chosen for 1e-09"):
+        hamsym.section("p**2/2 + abs(x)", [1.0, 0.0], (0, 30), "x = 1/2")
+
+
+def test_a_surface_without_a_value_is_no_success() -> None:
+    problem = harmonic_oscillator()
+    found = hamsym.section(problem.H, problem.z0, (0, 10), "sqrt(x) = 1/2", dt=0.01)
+    assert not found.success
+    assert "sqrt(x) = 1/2 is not a number at t = 1.58" in found.message
+    assert len(found.t) == 3
+
+
+# -- events on solutions -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def orbit() -> hamsym.Solution:
+    problem = kepler()
+    return hamsym.solve(problem.H, problem.z0, (0, 20), tol=1e-10)
+
+
+def test_events_as_scipy_has_them(orbit: hamsym.Solution) -> None:
+    def far(t: float, z: np.ndarray) -> float:
+        return np.hypot(z[0], z[1]) - 1.2
+
+    def inward(t: float, z: np.ndarray) -> float:
+        return far(t, z)
+
+    inward.direction = -1  # type: ignore[attr-defined]
+    found = orbit.events([far, inward, "y = 0, x < 0"])
+    field = orbit.H.compile("numpy").vector_field
+    right = scipy.integrate.solve_ivp(
+        lambda t, z: field(z), (0, 20), orbit.z0, "DOP853", events=[far, inward], rtol=1e-13,
+        atol=1e-13,
+    )  # fmt: skip
+    for mine, scipys in zip(found.t_events, right.t_events, strict=False):
+        np.testing.assert_allclose(mine, scipys, atol=1e-8)
+    np.testing.assert_allclose(found.y_events[1], right.y_events[1], atol=1e-7)
+    np.testing.assert_allclose(found.t_events[2], np.pi * np.array([1, 3, 5]), atol=1e-8)
+    radius = np.hypot(found.y_events[0][:, 0], found.y_events[0][:, 1])
+    assert np.abs(radius - 1.2).max() < 1e-14
+
+
+def test_a_terminal_event_ends_the_search_for_all(orbit: hamsym.Solution) -> None:
+    def third(t: float, z: np.ndarray) -> float:
+        return z[1]
+
+    third.terminal = 3  # type: ignore[attr-defined]
+    times = orbit.events([third, "x = 0"]).t_events
+    np.testing.assert_allclose(times[0], np.pi * np.array([1, 2, 3]), atol=1e-8)
+    assert times[1].max() < 3 * np.pi
+    assert len(orbit.events("x = 0").t_events[0]) > len(times[1])
+
+
+def test_events_on_a_trained_network_and_backward() -> None:
+    problem = harmonic_oscillator()
+    trained = hamsym.solve(
+        problem.H, problem.z0, (0, 6), method="levenberg-marquardt", target_error=1e-6
+    )
+    times = trained.events("x = 0").t_events[0]
+    np.testing.assert_allclose(times, [np.pi / 2, 1.5 * np.pi], atol=1e-5)
+    back = hamsym.solve(problem.H, problem.z0, (0, -6), tol=1e-9)
+    times = back.events("x = 0").t_events[0]
+    np.testing.assert_allclose(times, [-np.pi / 2, -1.5 * np.pi], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        (3.0, "3.0 is not an event; give a text"),
+        (lambda t, z: "no", "an event returned 'no'; it must return a number"),
+        ("x", "is no equation"),
+    ],
+)
+def test_events_that_cannot_be_used(orbit: hamsym.Solution, event: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        orbit.events([event])  # type: ignore[list-item]
+
+
+def test_terminal_that_cannot_be_used(orbit: hamsym.Solution) -> None:
+    def event(t: float, z: np.ndarray) -> float:
+        return z[0]
+
+    event.terminal = 0.5  # type: ignore[attr-defined]
+    with pytest.raises(InputError, match="terminal=0.5 cannot be used"):
+        orbit.events(event)
+
+
+@pytest.fixture(scope="module")
+def circle() -> hamsym.Solution:
+    return hamsym.solve(harmonic_oscillator().H, [1.0, 0.0], (0, 300), tol=1e-11)
+
+
+@pytest.mark.parametrize("level", [0.99, 0.9999, 0.999999])
+def test_pairs_of_events_between_scan_times(circle: hamsym.Solution, level: float) -> None:
+    expected = both_sides(level, 300.0)
+
+    def above(t: float, z: np.ndarray) -> float:
+        return z[0] - level
+
+    def rising(t: float, z: np.ndarray) -> float:
+        return above(t, z)
+
+    rising.direction = 1.0  # type: ignore[attr-defined]
+    texts = [f"x = {level}", f"x = {level}, p < 0"]
+    found = circle.events([*texts, above, rising]).t_events
+    np.testing.assert_allclose(found[0], expected, atol=1e-6)
+    np.testing.assert_allclose(found[2], found[0], atol=1e-9)
+    after = np.sin(found[0]) > 0  # x falls
+    np.testing.assert_allclose(found[1], found[0][after], atol=1e-9)
+    np.testing.assert_allclose(found[3], found[0][~after], atol=1e-9)
+    back = hamsym.solve(circle.H, [1.0, 0.0], (0, -300), tol=1e-11)
+    np.testing.assert_allclose(back.events(texts[0]).t_events[0], -expected, atol=1e-6)
+
+
+def test_a_tangency_is_found_or_not(circle: hamsym.Solution) -> None:
+    """x = 1 is touched 47 times, each to round-off: no event, one, or two."""
+    touched = circle.events("x = 1").t_events[0]
+    turns = touched / (2 * np.pi)
+    assert np.abs(turns - turns.round()).max(initial=0.0) < 1e-6
+    assert np.unique(turns.round(), return_counts=True)[1].max(initial=0) <= 2
+    assert len(circle.events("x = 1.001").t_events[0]) == 0
+    found = hamsym.section(circle.H, [1.0, 0.0], (0, 300), "x = 1", dt=0.1)
+    turns = found.t / (2 * np.pi)
+    assert np.abs(turns - turns.round()).max(initial=0.0) < 1e-6
+
+
+def test_events_far_from_the_origin_of_time() -> None:
+    solution = hamsym.solve(harmonic_oscillator().H, [1.0, 0.0], (1e4, 1e4 + 60), tol=1e-9)
+    found = solution.events("x = 0.9999").t_events[0]
+    np.testing.assert_allclose(found, 1e4 + both_sides(0.9999, 60.0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        ("sqrt(x) = 1/2", "'sqrt.x. = 1/2' is not a number at t = 1.5"),
+        (lambda t, z: np.nan, "an event is not a number at t = 0; write one that has a value"),
+    ],
+)
+def test_events_that_are_no_numbers(circle: hamsym.Solution, event: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        circle.events([event])  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize("direction", ["up", float("nan")])
+def test_directions_that_cannot_be_used(circle: hamsym.Solution, direction: object) -> None:
+    def event(t: float, z: np.ndarray) -> float:
+        return z[0]
+
+    event.direction = direction  # type: ignore[attr-defined]
+    with pytest.raises(InputError, match="direction=.* cannot be used; give a number"):
+        circle.events(event)
+
+
+# -- where it could go wrong -------------------------------------------------------------------
+
+
+def test_crossings_at_the_very_steps_are_not_lost() -> None:
+    """A stroboscopic section whose period is a whole number of steps."""
+    H = Hamiltonian("p**2/2 + x**2/2 + x**4/4 - x*cos(w*t)/2", parameters={"w": 1.3})
+    period = 2 * np.pi / 1.3
+    found = hamsym.section(H, [0.5, 0], (0, 200 * period), "sin(w*t/2) = 0", steps=200 * 64)
+    assert len(found.t) >= 199
+    np.testing.assert_allclose(found.t, period * np.arange(1, len(found.t) + 1), rtol=1e-12)
+    assert np.isfinite(found.z).all()
+    kept = hamsym.section(
+        H, [0.5, 0], (0, 200 * period), "sin(w*t/2) = 0, p > -100", steps=200 * 64
+    )
+    np.testing.assert_array_equal(kept.t, found.t)
+
+
+def test_poles_are_no_crossings(orbit: hamsym.Solution) -> None:
+    problem = harmonic_oscillator()
+    found = hamsym.section(problem.H, problem.z0, (0, 20), "tan(2*x) = 1", dt=0.01)
+    assert len(found.t) == 19 - 13
+    np.testing.assert_allclose(np.tan(2 * found.z[:, 0]), 1, atol=1e-12)
+    assert len(hamsym.section(problem.H, problem.z0, (0, 20), "1/x = 0", dt=0.01).t) == 0
+    assert len(orbit.events("1/y = 0").t_events[0]) == 0
+
+
+def test_a_zero_at_the_start_is_no_event() -> None:
+    problem = harmonic_oscillator()
+    solution = hamsym.solve(problem.H, [0.0, 1.0], (0, 10), tol=1e-9)
+    np.testing.assert_allclose(solution.events("x = 0").t_events[0], np.pi * np.arange(1, 4))
+    found = hamsym.section(problem.H, [0.0, 1.0], (0, 10), "x = 0")
+    np.testing.assert_allclose(found.t, np.pi * np.arange(1, 4), atol=1e-9)
+
+
+def test_ctrl_c_keeps_the_crossings_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = harmonic_oscillator()
+    full = hamsym.section(problem.H, problem.z0, (0, 100), "x = 0", dt=0.1)
+    monkeypatch.setattr(sections, "_HELD", 400)
+    calls = []
+    original = fixed_step.Stepper.step
+
+    def interrupted(self: fixed_step.Stepper, count: int) -> np.ndarray:
+        calls.append(1)
+        if len(calls) > 30:  # in the midst of locating a crossing
+            raise KeyboardInterrupt
+        return original(self, count)
+
+    monkeypatch.setattr(fixed_step.Stepper, "step", interrupted)
+    found = hamsym.section(problem.H, problem.z0, (0, 100), "x = 0", dt=0.1)
+    assert not found.success
+    assert found.message.endswith("interrupted")
+    assert 0 < len(found.t) < len(full.t)
+    np.testing.assert_array_equal(found.t, full.t[: len(found.t)])
+
+
+def test_numbers_from_numpy_are_numbers() -> None:
+    problem = harmonic_oscillator()
+    found = hamsym.section(problem.H, problem.z0, (0, 50), "x = 0", crossings=np.int64(2))
+    assert len(found.t) == 2
+    solution = hamsym.solve(problem.H, problem.z0, (0, 20), tol=1e-6)
+
+    def event(t: float, z: np.ndarray) -> float:
+        return z[0]
+
+    event.terminal = np.int64(2)  # type: ignore[attr-defined]
+    assert len(solution.events(event).t_events[0]) == 2
+    event.terminal = np.True_  # type: ignore[attr-defined]
+    assert len(solution.events(event).t_events[0]) == 1
+    with pytest.raises(InputError, match="direction='up'"):
+        hamsym.section(problem.H, problem.z0, (0, 50), "x = 0", direction="up")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="would take .* steps; give a larger one"):
+        hamsym.section(problem.H, problem.z0, (0, 50), "x = 0", dt=1e-300)

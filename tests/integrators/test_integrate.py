@@ -1,0 +1,795 @@
+"""Order, symplecticity, tangent maps and agreement with known figures, for every integrator."""
+
+from __future__ import annotations
+
+import functools
+import math
+import signal
+import warnings
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+import hamsym
+from hamsym import Hamiltonian, InputError
+from hamsym.errors import SeparabilityError, StepSizeWarning
+from hamsym.integrators import fixed_step
+from hamsym.integrators.coefficients import Doubled, RungeKutta, Splitting
+from hamsym.integrators.energy_drift import EnergyDrift
+from hamsym.integrators.integrate import fixed_step as stepper_of
+from hamsym.integrators.integrate import reference
+from hamsym.integrators.table import ALIASES, INTEGRATORS, listing
+from hamsym.systems import (
+    CATALOGUE,
+    Problem,
+    charged_particle,
+    double_pendulum,
+    nonlinear_oscillator,
+)
+
+# Steps that are too long are what many of these tests are about.
+pytestmark = pytest.mark.filterwarnings("ignore::hamsym.errors.StepSizeWarning")
+
+FIXED = [name for name, row in INTEGRATORS.items() if not row.adaptive]
+ADAPTIVE = [name for name, row in INTEGRATORS.items() if row.adaptive]
+SYMPLECTIC = [name for name, row in INTEGRATORS.items() if row.symplectic]
+ANY_H = [
+    name
+    for name in FIXED
+    if name.startswith("symplectic_euler") or not isinstance(INTEGRATORS[name].scheme, Splitting)
+]
+# One of each kind: separable, with explicit time, not separable and linear, not separable.
+KINDS = ["henon_heiles", "driven_oscillator", "charged_particle", "double_pendulum"]
+ON_KINDS = [
+    (system, method)
+    for system in KINDS
+    for method in (FIXED if CATALOGUE[system]().H.is_separable else ANY_H)
+]
+
+
+@functools.cache
+def truth(system: str):
+    problem = CATALOGUE[system]()
+    return problem.exact or reference(problem.H, np.array(problem.z0), problem.span)
+
+
+def error(system: str, method: str, steps: int) -> float:
+    problem = CATALOGUE[system]()
+    every = max(1, steps // 1000)
+    steps = -(-steps // every) * every
+    found = hamsym.integrate(
+        problem.H, problem.z0, problem.span, method, steps=steps, save_every=every
+    )
+    return float(np.abs(found.z - truth(system)(found.t)).max()) if found.success else np.inf
+
+
+# -- order -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("system", ["nonlinear_oscillator", "henon_heiles"])
+@pytest.mark.parametrize("method", FIXED)
+def test_errors_fall_with_the_order(system: str, method: str) -> None:
+    """The slope over all errors from 1e-3 to 1e-11 that up to 400,000 steps reach."""
+    points = []
+    for k in range(105):
+        steps = int(20 * 1.1**k)
+        if steps > 400_000:
+            break
+        found = error(system, method, steps)
+        if found < 2e-11:  # DOP853 as a reference is good to 2e-13
+            break
+        if found < 1e-3:
+            points.append((np.log(steps), -np.log(found)))
+    assert len(points) >= 4
+    x, y = np.array(points).T
+    slope = np.polyfit(x, y, 1)[0]
+    assert slope >= INTEGRATORS[method].order - 0.3
+    # Once the steps are small it is the order and no more.
+    assert abs((y[-1] - y[-3]) / (x[-1] - x[-3]) - INTEGRATORS[method].order) < 0.6
+
+
+@pytest.mark.parametrize(("system", "method"), ON_KINDS)
+def test_order_on_every_kind_of_system(system: str, method: str) -> None:
+    order = INTEGRATORS[method].order
+    coarse = error(system, method, 400 if order > 1 else 4_000)
+    steps = 800 if order > 1 else 8_000
+    while coarse > 1e-3 and steps < 10_000:
+        coarse, steps = error(system, method, steps), 2 * steps
+    fine = error(system, method, steps)
+    assert fine < 1e-10 or np.log2(coarse / fine) > order - 0.3
+
+
+def test_explicit_time_in_both_halves_keeps_the_order() -> None:
+    """Kicks take the time of the drifts, and drifts that of the kicks."""
+    H = Hamiltonian("p**2*(1 + sin(t)/2)/2 + x**2*(1 + cos(2*t)/3)/2 + x**4/4")
+    exact = reference(H, np.array([1.0, 0.3]), (0.0, 3.0))(np.array([3.0]))[0]
+    for method in FIXED:
+        order = INTEGRATORS[method].order
+        steps = 1000 if order < 3 else 60 if order < 8 else 30
+        errors = [
+            np.abs(hamsym.integrate(H, [1.0, 0.3], (0, 3), method, steps=n).z[-1] - exact).max()
+            for n in (steps, 2 * steps)
+        ]
+        assert errors[1] < 1e-11 or np.log2(errors[0] / errors[1]) > order - 0.4, method
+
+
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_adaptive_methods_are_accurate(problem: Problem, method: str) -> None:
+    if problem.exact is None:
+        span = (0.0, 5.0)
+        right = reference(problem.H, problem.z0, span)
+    else:
+        span, right = problem.span, problem.exact
+    trajectory = hamsym.integrate(problem.H, problem.z0, span, method, steps=100)
+    assert trajectory.success
+    assert trajectory.evaluations > 100
+    assert np.abs(trajectory.z - right(trajectory.t)).max() < 1e-8
+
+
+# -- geometry ----------------------------------------------------------------------------------
+
+
+def step_map(problem: Problem, method: str, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """One step and its derivative as the generated code has them, in the method's phase space."""
+    dim = problem.H.dim
+    width = 2 * dim if isinstance(INTEGRATORS[method].scheme, Doubled) else dim
+    z0 = np.array(problem.z0) + 0.05 * np.arange(dim)
+    stepper = stepper_of(
+        problem.H,
+        method,
+        z0[None],
+        np.array([0.2]),
+        np.array([h]),
+        omega=3.0 if width > dim else None,
+        tangents=np.eye(width)[None],
+    )
+    stepper.advance(1)
+    return z0, stepper.tangents[0]
+
+
+@pytest.mark.parametrize(("system", "method"), ON_KINDS)
+def test_step_map_is_symplectic(system: str, method: str) -> None:
+    problem = CATALOGUE[system]()
+    _, M = step_map(problem, method, 0.1)
+    J = np.array(problem.H.poisson_matrix, dtype=float)
+    copies = len(M) // len(J)  # the doubled phase space has two pairs of coordinates and momenta
+    J = np.kron(np.eye(copies), J)
+    assert np.abs(M.T @ J @ M - J).max() <= 1e-12 * max(1, np.linalg.norm(M, 2) ** 2)
+    # A tangent map to first order, as that of explicit Euler, is far from symplectic.
+    hessian = problem.H.compile("numpy").hessian
+    time = (0.2,) if problem.H.time is not None else ()
+    explicit = np.eye(len(J)) + 0.1 * J @ np.kron(np.eye(copies), hessian(problem.z0, *time))
+    assert np.abs(explicit.T @ J @ explicit - J).max() > 1e-4
+
+
+@pytest.mark.parametrize(("system", "method"), ON_KINDS)
+def test_tangent_map_is_the_derivative_of_the_step(system: str, method: str) -> None:
+    problem = CATALOGUE[system]()
+    z0, M = step_map(problem, method, 0.1)
+    dim = problem.H.dim
+    if len(M) > dim:  # a perturbed start is copied
+        M = M[:dim] @ np.tile(np.eye(dim), (2, 1))
+        options = {"omega": 3.0}
+    else:
+        options = {}
+
+    def step(z: np.ndarray) -> np.ndarray:
+        return hamsym.integrate(problem.H, z, (0.2, 0.3), method, steps=1, **options).z[-1]
+
+    h = 1e-3
+    columns = [
+        8 * (step(z0 + h * d) - step(z0 - h * d)) - step(z0 + 2 * h * d) + step(z0 - 2 * h * d)
+        for d in np.eye(dim)
+    ]
+    np.testing.assert_allclose(M, np.array(columns).T / (12 * h), rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(("system", "method"), ON_KINDS)
+def test_symmetric_methods_return_to_the_start(system: str, method: str) -> None:
+    problem = CATALOGUE[system]()
+    start = np.array([problem.z0])
+    stepper = stepper_of(problem.H, method, start, np.array([0.0]), np.array([0.05]))
+    stepper.advance(1, 100)
+    moved = np.abs(stepper.states - start).max()
+    stepper.turn_back()
+    stepper.advance(1, 100)
+    back = np.abs(stepper.states - start).max()
+    assert moved > 0.1
+    if INTEGRATORS[method].scheme.is_symmetric:
+        assert back < 1e-12
+    elif system != "charged_particle":  # there symplectic Euler is of second order
+        assert back > 1e-8
+
+
+@pytest.mark.parametrize("method", SYMPLECTIC)
+def test_energy_does_not_drift_over_a_million_steps(method: str) -> None:
+    problem = nonlinear_oscillator()
+    trajectory = hamsym.integrate(
+        problem.H, problem.z0, (0, 1e5), method, dt=0.1, save_every=50, compensated=True
+    )
+    assert trajectory.steps == 1_000_000
+    change = trajectory.energy - trajectory.energy[0]
+    first, last = change[: len(change) // 10], change[-len(change) // 10 :]
+    size = np.abs(first).max()
+    assert abs(last.mean() - first.mean()) < 0.02 * size + 1e-14
+    assert np.abs(last).max() < 1.2 * size + 1e-14
+
+
+def test_dop853_drifts_where_symplectic_methods_do_not() -> None:
+    """The test above can fail."""
+    problem = nonlinear_oscillator()
+    trajectory = hamsym.integrate(
+        problem.H, problem.z0, (0, 2e3), "dop853", steps=2000, rtol=1e-5, atol=1e-5
+    )
+    change = trajectory.energy - trajectory.energy[0]
+    first, last = change[:200], change[-200:]
+    assert abs(last.mean() - first.mean()) > 0.5 * np.abs(first).max()
+
+
+def test_compensated_summation_keeps_round_off_small() -> None:
+    problem = nonlinear_oscillator()
+    spread = []
+    for compensated in (False, True):
+        trajectory = hamsym.integrate(
+            problem.H,
+            problem.z0,
+            (0, 1e4),
+            "blanes_moan6",
+            dt=0.01,
+            save_every=1000,
+            compensated=compensated,
+        )
+        spread.append(np.abs(trajectory.energy - trajectory.energy[0]).max())
+    assert spread[1] < 6e-15
+    assert spread[1] < 0.05 * spread[0]
+
+
+# -- single methods ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("steps", "within"), [(2_000, 0.02), (4_000, 0.02), (5_000, 0.01), (20_000, 0.01)]
+)
+def test_symplectic_euler_on_the_papers_oscillator(steps: int, within: float) -> None:
+    """max |delta z| times steps is 119.4, by independent computation."""
+    problem = nonlinear_oscillator()
+    trajectory = hamsym.integrate(
+        problem.H, problem.z0, problem.span, "symplectic_euler", steps=steps
+    )
+    distance = np.linalg.norm(trajectory.z - problem.exact(trajectory.t), axis=1).max()
+    assert distance * steps == pytest.approx(119.4, rel=within)
+
+
+def test_symplectic_euler_steps_as_the_paper_writes_it() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+    h, (x, p) = 0.1, (1.3, 1.0)
+    first = hamsym.integrate(H, (x, p), (0, h), "symplectic_euler", steps=1).z[-1]
+    x1 = x + h * p
+    np.testing.assert_allclose(first, [x1, p - h * (x1 + x1**3)], rtol=1e-15)
+    other = hamsym.integrate(H, (x, p), (0, h), "symplectic_euler_p", steps=1).z[-1]
+    p1 = p - h * (x + x**3)
+    np.testing.assert_allclose(other, [x + h * p1, p1], rtol=1e-15)
+
+
+@pytest.mark.parametrize("make", [charged_particle, double_pendulum])
+def test_implicit_steps_satisfy_their_equations(make: object) -> None:
+    problem = make()  # type: ignore[operator]
+    H, d, h = problem.H, problem.H.dof, 0.05
+    gradient = H.compile("numpy").gradient
+    z0 = np.array(problem.z0) + 0.1
+    for method, q_first in (("symplectic_euler", True), ("symplectic_euler_p", False)):
+        z1 = hamsym.integrate(H, z0, (0, h), method, steps=1).z[-1]
+        mixed = np.concatenate((z1[:d], z0[d:]) if q_first else (z0[:d], z1[d:]))
+        slope = gradient(mixed)
+        np.testing.assert_allclose(z1[:d], z0[:d] + h * slope[d:], atol=1e-15)
+        np.testing.assert_allclose(z1[d:], z0[d:] - h * slope[:d], atol=1e-15)
+    middle = hamsym.integrate(H, z0, (0, h), "implicit_midpoint", steps=1).z[-1]
+    slope = H.compile("numpy").vector_field((z0 + middle) / 2)
+    np.testing.assert_allclose(middle, z0 + h * slope, atol=1e-15)
+
+
+@pytest.mark.parametrize("method", ["implicit_midpoint", "gauss4", "gauss6"])
+def test_gauss_methods_do_not_mind_the_units(method: str) -> None:
+    """Coordinates of 1e12 beside momenta of 1e-9, far below what one tolerance would resolve."""
+    unit = Hamiltonian("p**2/2 + x**2/2 + x**4/4 + x*p/5")
+    a, b = 1e12, 1e-9
+    H = Hamiltonian(
+        "a*b*((p/b)**2/2 + (x/a)**2/2 + (x/a)**4/4 + (x/a)*(p/b)/5)", parameters={"a": a, "b": b}
+    )
+    plain = hamsym.integrate(unit, [1.0, 0.5], (0, 10), method, steps=100).z
+    scaled = hamsym.integrate(H, [a, 0.5 * b], (0, 10), method, steps=100).z
+    np.testing.assert_allclose(scaled / [a, b], plain, atol=1e-12)
+
+
+def test_unsolvable_step_is_reported_with_what_was_done() -> None:
+    # q' = q + h q'^2 has no real solution once h q exceeds 1/4.
+    H = Hamiltonian("p*q**2", q=["q"], p=["p"])
+    for method in ("symplectic_euler", "gauss4"):
+        trajectory = hamsym.integrate(H, [1.0, 1.0], (0, 2), method, steps=20)
+        assert not trajectory.success
+        assert "could not be solved; take more steps" in trajectory.message
+        assert 1 < len(trajectory.t) < 21
+        assert np.all(np.isfinite(trajectory.z))
+
+
+@pytest.mark.parametrize("method", INTEGRATORS)
+def test_escape_to_infinity_is_reported(method: str) -> None:
+    H = Hamiltonian("p**2/2 - x**4/4")
+    trajectory = hamsym.integrate(H, [1.0, 1.0], (0, 5), method, steps=1000)
+    assert not trajectory.success
+    assert "stopped after t = " in trajectory.message
+    assert np.all(np.isfinite(trajectory.z))
+    assert len(trajectory.t) == len(trajectory.z) == len(trajectory.energy) < 1001
+
+
+@pytest.mark.parametrize("method", INTEGRATORS)
+def test_backward_time_and_explicit_time(method: str) -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 - x*cos(2*t)")
+    t = np.linspace(0, -3, 3001)
+    exact = (np.cos(t) - np.cos(2 * t)) / 3
+    trajectory = hamsym.integrate(H, [0, 0], (0, -3), method, steps=3000)
+    assert np.array_equal(trajectory.t, t)
+    assert np.abs(trajectory.z[:, 0] - exact).max() < 5e-3
+
+
+def test_time_is_that_of_the_drift() -> None:
+    H = Hamiltonian("p**2/2 + x*t")
+    z = hamsym.integrate(H, [0, 0], (1.0, 1.5), "symplectic_euler", steps=1).z[-1]
+    assert z.tolist() == [0.0, -0.5 * 1.5]
+    z = hamsym.integrate(H, [0, 0], (1.0, 1.5), "symplectic_euler_p", steps=1).z[-1]
+    assert z.tolist() == [-0.25, -0.5]
+
+
+# -- how it is called --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", FIXED)
+def test_save_every_keeps_the_same_states(method: str) -> None:
+    problem = nonlinear_oscillator()
+    every = hamsym.integrate(problem.H, problem.z0, (0, 1), method, steps=100)
+    some = hamsym.integrate(problem.H, problem.z0, (0, 1), method, steps=100, save_every=20)
+    np.testing.assert_array_equal(some.z, every.z[::20])
+    np.testing.assert_allclose(some.t, every.t[::20], rtol=1e-15)
+    assert some.steps == 100
+    assert some.dt == 0.01
+
+
+@pytest.mark.parametrize("compensated", [False, True])
+@pytest.mark.parametrize(("system", "method"), ON_KINDS)
+def test_ensembles_are_many_trajectories(
+    system: str, method: str, compensated: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last bit, whatever the pieces and the threads are."""
+    scheme = INTEGRATORS[method].scheme
+    separable = CATALOGUE[system]().H.is_separable
+    if compensated and not (isinstance(scheme, RungeKutta) or separable):
+        return
+    options = {"compensated": True} if compensated and not isinstance(scheme, Doubled) else {}
+    if isinstance(scheme, Doubled):
+        options["omega"] = 2.0
+    problem = CATALOGUE[system]()
+    starts = np.array(problem.z0) + 0.01 * np.random.default_rng(0).normal(size=(70, problem.H.dim))
+    many = hamsym.integrate(problem.H, starts, (0, 3), method, steps=60, save_every=20, **options)
+    assert many.z.shape == (70, 4, problem.H.dim)
+    assert many.energy.shape == (70, 4)
+    monkeypatch.setattr(fixed_step, "_PIECE", 1_000)
+    monkeypatch.setattr(fixed_step, "_WORTH_THREADS", 0)
+    pieces = hamsym.integrate(problem.H, starts, (0, 3), method, steps=60, save_every=20, **options)
+    np.testing.assert_array_equal(pieces.z, many.z)
+    for i in (0, 64, 69):
+        one = hamsym.integrate(
+            problem.H, starts[i], (0, 3), method, steps=60, save_every=20, **options
+        )
+        np.testing.assert_array_equal(many.z[i], one.z)
+
+
+def test_ensembles_by_name() -> None:
+    H = nonlinear_oscillator().H
+    found = hamsym.integrate(H, {"p": 0.0, "x": np.array([0.5, 1.0, 1.5])}, (0, 1), steps=10)
+    assert found.z.shape == (3, 11, 2)
+    assert found.z[:, 0].tolist() == [[0.5, 0], [1, 0], [1.5, 0]]
+
+
+def test_one_escape_does_not_hide_the_others() -> None:
+    H = Hamiltonian("p**2/2 - x**4/4")
+    for method in ("yoshida8", "gauss6", "dop853"):
+        found = hamsym.integrate(H, [[0.1, 0.0], [1.0, 1.0]], (0, 5), method, steps=1000)
+        assert not found.success
+        assert found.message.startswith("1 of 2 trajectories stopped, number 1 first, stopped af")
+        assert np.isfinite(found.z[0]).all()
+        gone = np.isnan(found.z[1]).all(axis=-1)
+        assert gone[-1]
+        assert not gone[0]
+        assert np.array_equal(np.sort(gone), gone)
+
+
+def test_dt_divides_the_span() -> None:
+    problem = nonlinear_oscillator()
+    assert hamsym.integrate(problem.H, problem.z0, (0, 1), dt=0.1).steps == 10
+    assert hamsym.integrate(problem.H, problem.z0, (0, 1), dt=0.3).steps == 4
+    assert hamsym.integrate(problem.H, problem.z0, (0, -1), dt=0.3).dt == -0.25
+    assert hamsym.integrate(problem.H, problem.z0, (0, 1), dt=1.0).steps == 1
+    assert hamsym.integrate(problem.H, problem.z0, (0, 0.3), dt=0.1 * 3).steps == 1
+
+
+def test_evaluations_are_counted() -> None:
+    problem = nonlinear_oscillator()
+
+    def count(method: str) -> int:
+        return hamsym.integrate(problem.H, problem.z0, (0, 1), method, steps=100).evaluations
+
+    assert count("stormer_verlet") == count("symplectic_euler") == 100
+    assert count("forest_ruth") == 300
+    assert count("blanes_moan6") == 1000
+    assert count("yoshida8") == 1500
+    assert count("tao4") == 900
+    assert 400 <= count("gauss4") <= 1000
+
+
+def test_aliases_have_the_same_coefficients() -> None:
+    problem = nonlinear_oscillator()
+    for alias, method in ALIASES.items():
+        a, b = (hamsym.integrate(problem.H, problem.z0, (0, 1), m) for m in (alias, method))
+        np.testing.assert_array_equal(a.z, b.z)
+
+
+def test_listing_has_a_line_for_each_row() -> None:
+    lines = listing().splitlines()
+    assert [line.split()[0] for line in lines[1:]] == list(INTEGRATORS)
+    for line, row in zip(lines[1:], INTEGRATORS.values(), strict=True):
+        assert row.source in line
+        assert str(row.order) in line.split()
+
+
+@pytest.mark.parametrize("method", [m for m in FIXED if m not in ANY_H])
+def test_splitting_is_refused_by_name_where_h_is_not_separable(method: str) -> None:
+    problem = double_pendulum()
+    with pytest.raises(
+        SeparabilityError, match=f"{method} needs H = T.p. . V.q., and this H is not sep"
+    ):
+        hamsym.integrate(problem.H, problem.z0, (0, 1), method)
+
+
+@pytest.fixture
+def heard() -> Iterator[None]:
+    """Ctrl-C is answered, also where a process is started that does not listen to it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heard")
+def test_ctrl_c_returns_what_was_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = nonlinear_oscillator()
+    hamsym.integrate(problem.H, problem.z0, (0, 1), "symplectic_euler")  # compiled
+    monkeypatch.setattr(fixed_step, "_PIECE", 100_000)
+    original = fixed_step.Stepper._run
+
+    def with_a_signal(self: fixed_step.Stepper, *arguments: object) -> np.ndarray:
+        out = original(self, *arguments)  # type: ignore[arg-type]
+        if self._first >= 300_000:
+            signal.raise_signal(signal.SIGINT)
+        return out
+
+    monkeypatch.setattr(fixed_step.Stepper, "_run", with_a_signal)
+    found = hamsym.integrate(
+        problem.H, problem.z0, (0, 1e6), "symplectic_euler", steps=10**7, save_every=10**5
+    )
+    assert not found.success
+    assert found.message == "stopped after t = 20000: interrupted"
+    assert found.t.tolist() == [0.0, 10_000.0, 20_000.0]
+    assert np.isfinite(found.z).all()
+
+
+def test_progress_is_drawn_where_asked(capsys: pytest.CaptureFixture[str]) -> None:
+    problem = nonlinear_oscillator()
+    hamsym.integrate(problem.H, problem.z0, (0, 1e6), "symplectic_euler", steps=200_000_000,
+                     save_every=10**7, progress=True)  # fmt: skip
+    assert "stepping" in capsys.readouterr().err
+    hamsym.integrate(problem.H, problem.z0, (0, 1), progress=False)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "rk4"}, "'rk4' is not a method; choose one of symplectic_euler"),
+        ({"steps": 0}, "steps=0"),
+        ({"steps": 1.5}, "steps=1.5"),
+        ({"dt": 0}, "dt=0 cannot be used; give a number above 0"),
+        ({"dt": -0.1}, "dt=-0.1"),
+        ({"dt": float("nan")}, "dt=nan"),
+        ({"dt": "x"}, "dt='x'"),
+        ({"dt": 0.1, "steps": 10}, "say the same thing; give one"),
+        ({"save_every": 0}, "save_every=0"),
+        ({"steps": 10, "save_every": 3}, "does not divide"),
+        ({"rtol": 1e-9}, "rtol has no meaning for blanes_moan6"),
+        ({"omega": 1.0}, "omega has no meaning for blanes_moan6; it is for tao2 and tao4"),
+        ({"dt": 100.0}, "dt=100.0 is longer than the span, 12.5664; give a shorter one"),
+        ({"span": (0, 1e9)}, "asks for .* steps, too many to be chosen; give steps or dt, or a"),
+        ({"method": "tao2", "omega": -1.0}, "omega=-1.0"),
+        ({"method": "tao2", "omega": "2"}, "omega='2'"),
+        ({"method": "dop853", "rtol": "a"}, "rtol='a'"),
+        ({"method": ["yoshida4"]}, "is not a method"),
+        ({"dt": 1e-30}, "dt=1e-30 would take .* steps; give a larger one"),
+        ({"steps": 10**20}, "steps=100000000000000000000 cannot be used; give a whole number"),
+        ({"method": "tao2", "compensated": True}, "compensated has no meaning for tao2"),
+        ({"method": "dop853", "rtol": -1.0}, "rtol=-1.0"),
+        ({"steps": 10**13}, "GiB; keep fewer of them with save_every"),
+        ({"z0": np.zeros((10**6, 2)), "steps": 10**6}, "of 1,000,000 trajectories would take"),
+        ({"z0": np.zeros((2, 3))}, "z0 has shape"),
+        ({"z0": np.zeros((2, 2, 2))}, "z0 has shape"),
+        ({"z0": {"x": [1.0, 2.0], "p": [1.0, 2.0, 3.0]}}, "z0 has arrays of shapes"),
+    ],
+)
+def test_unusable_settings(arguments: dict[str, object], message: str) -> None:
+    problem = nonlinear_oscillator()
+    settings = {"z0": problem.z0, "span": problem.span, **arguments}
+    with pytest.raises(InputError, match=message):
+        hamsym.integrate(problem.H, **settings)
+
+
+def test_reference_refuses_a_span_without_solution() -> None:
+    with pytest.raises(InputError, match="no solution beyond t = "):
+        reference(Hamiltonian("p**2/2 - x**4/4"), np.array([1.0, 1.0]), (0.0, 5.0))
+
+
+# -- how many steps ----------------------------------------------------------------------------
+
+PLANE_KEPLER = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
+
+
+@pytest.mark.parametrize(
+    ("system", "within"),
+    [
+        ("nonlinear_oscillator", 1e-8),
+        ("morse_oscillator", 1e-8),
+        ("kepler", 1e-8),
+        ("driven_oscillator", 1e-8),
+        ("charged_particle", 1e-8),
+    ],
+)
+def test_default_steps_are_accurate(system: str, within: float) -> None:
+    """A quadratic H, such as that of the particle, is kept by Gauss steps of any length."""
+    problem = CATALOGUE[system]()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = hamsym.integrate(problem.H, problem.z0, problem.span)
+    assert found.success
+    assert found.method == ("blanes_moan6" if problem.H.is_separable else "gauss6")
+    assert np.abs(found.z - problem.exact(found.t)).max() < within
+    assert found.steps % 1_000 == 0
+    assert f"{found.steps:,} steps to t = " in found.message
+
+
+def test_chosen_steps_keep_the_energy() -> None:
+    """Once they are the fewest, half as many do not; H is evaluated here, not there."""
+    problem = CATALOGUE["kepler"](0.9)
+    found = hamsym.integrate(problem.H, problem.z0, (0, 300))
+    x, y, p_x, p_y = found.z.T
+    energy = (p_x**2 + p_y**2) / 2 - 1 / np.hypot(x, y)
+    assert found.drift <= 1e-9
+    assert np.abs(energy - energy[0]).max() < 1e-8
+    assert f"H kept to {found.drift:.1e} of its scale" in found.message
+    assert len(found.t) <= 16_001
+    assert np.all(np.diff(found.t) > 0)
+    half = hamsym.integrate(
+        problem.H, problem.z0, (0, 300), "blanes_moan6", steps=found.steps // 2,
+        save_every=found.steps // 2 // (len(found.t) - 1) or 1,
+    )  # fmt: skip
+    assert half.drift > 1e-9
+
+
+def test_longer_spans_get_more_steps() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2")
+    found = hamsym.integrate(H, [1.0, 0.0], (0, 1e4))
+    assert found.dt <= 0.2
+    assert np.abs(found.z[:, 0] - np.cos(found.t)).max() < 1e-4
+    some = hamsym.integrate(H, [1.0, 0.0], (0, 1e4), save_every=3_000)
+    assert some.steps % 3_000 == 0
+    assert len(some.t) == 1 + some.steps // 3_000
+
+
+def test_steps_are_chosen_for_the_worst_of_an_ensemble() -> None:
+    starts = np.array([[1.0, 0, 0, 1], [0.1, 0, 0, 4.3]])  # a circle, and e = 0.85
+    alone = [hamsym.integrate(PLANE_KEPLER, start, (0, 20)).steps for start in starts]
+    together = hamsym.integrate(PLANE_KEPLER, starts, (0, 20))
+    assert alone[0] < alone[1] <= together.steps
+    assert together.drift <= 1e-9
+
+
+def test_late_starts_are_as_good_as_early_ones() -> None:
+    for formula in ("p**2/2 + x**2/2", "p**2/2 + x**2/2 + x*p/5"):
+        early = hamsym.integrate(formula, [1.0, 0.0], (0, 10))
+        late = hamsym.integrate(formula, [1.0, 0.0], (1e7, 1e7 + 10))
+        assert late.success
+        assert late.steps == early.steps
+        np.testing.assert_allclose(late.z, early.z, atol=1e-13)
+    forced = hamsym.integrate("p**2/2 + x**2/2 - x*cos(2*t)", [0, 0], (1e7, 1e7 + 10))
+    s = forced.t - 1e7
+    a, b = np.cos(2e7), -np.sin(2e7)  # the force is a cos(2 s) + b sin(2 s)
+    x = a * (np.cos(s) - np.cos(2 * s)) / 3 + b * (2 * np.sin(s) - np.sin(2 * s)) / 3
+    assert np.abs(forced.z[:, 0] - x).max() < 1e-7
+
+
+def test_a_collision_is_warned_of() -> None:
+    """Radial fall: the steps jump over the centre, and every state on the way is finite."""
+    fall = ([1.0, 0, 0, 0], (0, 3))
+    with pytest.warns(StepSizeWarning, match="misses 1e-09 .* before a close encounter"):
+        found = hamsym.integrate(PLANE_KEPLER, *fall)
+    assert found.drift > 0.01
+    with pytest.warns(StepSizeWarning, match="of its scale: take more steps"):
+        jumped = hamsym.integrate(PLANE_KEPLER, *fall, "gauss4", steps=19)
+    assert jumped.success
+    assert "take more steps" in jumped.message
+    assert np.isfinite(jumped.z).all()
+
+
+@pytest.mark.parametrize(
+    ("formula", "start", "span", "options"),
+    [
+        ("p**2/2 + x**2/2", [1, 0], (0, 100), {"method": "yoshida8", "steps": 50}),
+        ("p**2/2 + x**2/2", [1, 0], (0, 1e4), {"method": "symplectic_euler"}),
+        ("p**2/2 + x**2/2", [1, 0], (0, 100), {"steps": 25}),
+        ("p**2/2 + x**2/2", [1, 0], (0, 10), {"method": "dop853", "rtol": 0.1, "atol": 0.1}),
+        ("p**2/2 + log(x)", [-1, 1], (0, 0.5), {}),  # a force, but no energy
+        ("p**2/2 + log(x)", [-1, 1], (0, 0.5), {"method": "gauss4", "steps": 100}),
+        ("p**2/2 - (1 + sin(t)/2)*cos(x)", [1.5, 0], (0, 3_000), {}),  # chaos
+    ],
+)
+def test_steps_that_are_too_long_are_warned_of(
+    formula: str, start: list[float], span: tuple[float, float], options: dict[str, object]
+) -> None:
+    with pytest.warns(StepSizeWarning) as caught:
+        found = hamsym.integrate(formula, start, span, **options)
+    assert found.success
+    assert str(caught[0].message) == found.message
+    assert caught[0].filename == __file__
+    assert not found.drift <= 0.01
+
+
+def test_steps_that_are_short_enough_are_silent() -> None:
+    problem = nonlinear_oscillator()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for method in FIXED:
+            hamsym.integrate(problem.H, problem.z0, (0, 10), method)
+        hamsym.integrate(problem.H, [0.0, 0.0], (0, 10))
+        hamsym.integrate(problem.H, problem.z0, (0, -10))
+        hamsym.integrate("p**2/2 - cos(x)", [1e-9, 0], (0, 10))  # H is -1 and round-off
+        hamsym.integrate("p**2/2 - cos(x)", [0, 100], (0, 100))  # x grows, and means nothing
+        hamsym.integrate("p**2/2 + (x - 1e6)**2/2", [1e6 + 1, 0], (0, 10))
+
+
+def test_an_escape_is_no_reason_to_search_on() -> None:
+    found = hamsym.integrate("p**2/2 - x**4/4", [1.0, 1.0], (0, 5))
+    assert not found.success
+    assert found.t[-1] == pytest.approx(1.31103, abs=0.01)
+    assert found.steps <= 10_000
+    assert "left the range of numbers" in found.message
+
+
+@pytest.mark.usefixtures("heard")
+def test_ctrl_c_ends_the_choice_of_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    original, calls = fixed_step.Stepper._run, []
+
+    def with_a_signal(self: fixed_step.Stepper, *arguments: object) -> np.ndarray:
+        calls.append(1)
+        if len(calls) == 2:
+            signal.raise_signal(signal.SIGINT)
+        return original(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(fixed_step.Stepper, "_run", with_a_signal)
+    # From the apocentre, where nothing yet asks for short steps.
+    found = hamsym.integrate(PLANE_KEPLER, [1.9, 0, 0, 0.23], (0, 30))
+    assert found.interrupted
+    assert not found.success
+    assert found.message.endswith("interrupted")
+    assert len(calls) == 2
+
+
+def test_drift_does_not_mind_units_and_origins() -> None:
+    """The same motion in other terms, with a constant, a distant origin, and other units."""
+    plain = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+    moved = Hamiltonian("a*(p**2/2 + (x - 64)**2/2 + (x - 64)**4/4 + 5)", parameters={"a": 1e-20})
+    t = np.linspace(0, 12, 5_000)
+    path = np.stack((1.3 * np.cos(t), -1.3 * np.sin(t)), axis=-1)  # no solution: H changes
+    drifts = []
+    for H, origin in ((plain, 0), (moved, 64)):
+        drift = EnergyDrift(H, 1)
+        for first in range(0, 4_999, 500):  # piece by piece
+            drift.add(path[None, first : first + 501] + [origin, 0])
+        drifts.append(drift.relative(5_000)[0])
+        assert drift.scale[0] > 0
+    assert drifts[0] > 0.1
+    assert drifts[1] == pytest.approx(drifts[0], rel=1e-9)
+
+
+def test_drift_that_is_no_number_is_never_small() -> None:
+    H = Hamiltonian("p**2/2 + log(x)")
+    drift = EnergyDrift(H, 2)
+    drift.add(np.array([[[1.0, 0.0], [1.0, 0.0]], [[1.0, 0.0], [-1.0, 0.0]]]))
+    assert drift.relative(1).tolist() == [0.0, math.inf]
+
+
+# -- where it could go wrong -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unit", [1e-27, 1e27])
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_adaptive_methods_do_not_mind_the_units(method: str, unit: float) -> None:
+    """Also from a start at rest, where the momentum has no size yet."""
+    plain = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+    H = Hamiltonian(
+        "a*b*((p/b)**2/2 + (x/a)**2/2 + (x/a)**4/4)", parameters={"a": unit, "b": 1e3 * unit}
+    )
+    for start in ([1.3, 1.0], [1.3, 0.0]):
+        right = hamsym.integrate(plain, start, (0, 12), "yoshida8", steps=12_000, save_every=120).z
+        scaled = np.array(start) * [unit, 1e3 * unit]
+        found = hamsym.integrate(H, scaled, (0, 12), method, steps=100)
+        assert found.success
+        np.testing.assert_allclose(found.z / [unit, 1e3 * unit], right, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["implicit_midpoint", "gauss4", "gauss6"])
+@pytest.mark.parametrize(
+    ("formula", "start"),
+    [("p**2/2 + x**3/3 - 2*x", 2**0.5), ("p**2/2 + 1/x + x**2", 0.5 ** (1 / 3))],
+)
+def test_implicit_methods_rest_at_an_equilibrium(method: str, formula: str, start: float) -> None:
+    """There the momenta are nothing but what cancellation leaves of the force."""
+    found = hamsym.integrate(Hamiltonian(formula), [start, 0.0], (0, 1000), method, dt=0.1)
+    assert found.success
+    assert np.abs(found.z - [start, 0.0]).max() < 1e-11
+
+
+def test_implicit_euler_rests_at_an_equilibrium() -> None:
+    H = Hamiltonian("p**2*(1 + x**2)/2 + x**3/3 - 2*x + x*p/3")
+    gradient = H.compile("numpy").gradient
+    root = scipy.optimize.fsolve(gradient, [1.4, -0.1], xtol=1e-15)
+    for method in ("symplectic_euler", "symplectic_euler_p"):
+        found = hamsym.integrate(H, root, (0, 1000), method, dt=0.1)
+        assert found.success
+        assert np.abs(found.z - root).max() < 1e-10
+
+
+def test_a_start_from_which_no_step_can_be_done() -> None:
+    H = Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
+    for method in ADAPTIVE:
+        found = hamsym.integrate(H, [0.0, 0, 0, 0], (0, 1), method)
+        assert not found.success
+        assert found.z.tolist() == [[0.0, 0, 0, 0]]
+
+
+def test_ctrl_c_in_an_adaptive_method_leaves_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hamsym.integrators.adaptive.scipy.integrate.solve_ivp", interrupted)
+    problem = nonlinear_oscillator()
+    found = hamsym.integrate(problem.H, problem.z0, problem.span, "dop853")
+    assert found.interrupted
+    assert found.message == "stopped after t = 0: interrupted"
+    assert found.z.tolist() == [[1.3, 1.0]]
+
+
+def test_a_hessian_that_is_not_finite_asks_for_omega() -> None:
+    H = Hamiltonian("p**2/2 + abs(x)**1.5")
+    with pytest.raises(InputError, match="the Hessian of H is not finite at z0; give omega"):
+        hamsym.integrate(H, [0.0, 1.0], (0, 1), "tao2")
+    assert hamsym.integrate(H, [0.0, 1.0], (0, 1), "tao2", omega=5.0).success
+
+
+def test_parameters_may_have_any_name() -> None:
+    """Names that the loops use themselves, as parameters and as coordinates."""
+    names = "omega coupling drift kick kicks states low size count stage weights nodes terms half"
+    for name in names.split():
+        H = Hamiltonian(f"p**2/2 + {name}*x**2/2", parameters={name: 4.0})
+        for method in ("forest_ruth", "gauss4", "tao4"):
+            z = hamsym.integrate(H, [1.0, 0.0], (0, np.pi), method, steps=300).z[-1]
+            np.testing.assert_allclose(z, [1.0, 0.0], atol=1e-3)
+    H = Hamiltonian("low**2/2 + states**2/2", q=["states"], p=["low"])
+    z = hamsym.integrate(H, [1.0, 0.0], (0, 2 * np.pi), "forest_ruth", steps=300).z[-1]
+    np.testing.assert_allclose(z, [1.0, 0.0], atol=1e-5)

@@ -1,0 +1,299 @@
+"""Methods that train a deep network: how accurate, when they stop, and that they can be killed."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import hamsym
+from hamsym import Hamiltonian, InputError
+from hamsym.errors import FileError
+from hamsym.networks.method import _objective
+from hamsym.systems import CATALOGUE, Problem
+
+SMALL = {"hidden": (12, 12), "points": 40}
+
+
+def accurate(name: str) -> tuple[Problem, np.ndarray, np.ndarray]:
+    """A problem with its solution a hundred times better than what is judged."""
+    problem = CATALOGUE[name]()
+    t = np.linspace(*problem.span, 4_001)
+    return problem, t, hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-11, seed=5)(t)
+
+
+def test_least_squares_on_the_papers_oscillator() -> None:
+    problem, t, truth = accurate("nonlinear_oscillator")
+    solution = hamsym.solve(
+        problem.H, problem.z0, problem.span, method="levenberg-marquardt", target_error=2e-7
+    )
+    assert solution.success, solution.message
+    assert np.abs(solution(t) - truth).max() <= 1e-6
+    np.testing.assert_allclose(
+        solution.error_estimate(t),
+        truth - solution(t),
+        atol=0.02 * np.abs(truth - solution(t)).max(),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nonlinear_oscillator", "henon_heiles"])
+def test_least_squares_from_every_seed(name: str) -> None:
+    problem, t, truth = accurate(name)
+    errors = []
+    for seed in range(10):
+        solution = hamsym.solve(
+            problem.H, problem.z0, problem.span, method="levenberg-marquardt", seed=seed
+        )
+        errors.append(np.abs(solution(t) - truth).max())
+    assert max(errors) <= 1e-6
+    assert sorted(errors)[7] <= 1e-7  # eight of ten
+
+
+def test_least_squares_does_not_depend_on_the_unit_of_time() -> None:
+    settings = {"method": "levenberg-marquardt", "iterations": 60, **SMALL}
+    slow = Hamiltonian("(p**2/2 + x**2/2 + x**4/4)/1000")
+    fast = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
+    t = np.linspace(0, 2, 21)
+    one = hamsym.solve(fast, [1.3, 1.0], (0, 2), **settings)
+    other = hamsym.solve(slow, [1.3, 1.0], (5.0, 2005.0), **settings)
+    np.testing.assert_allclose(other(5 + 1000 * t), one(t), atol=1e-4)
+
+
+@pytest.mark.parametrize("energy_weight", [0.0, 0.7])
+def test_slopes_are_those_of_the_rows(energy_weight: float) -> None:
+    problem = hamsym.systems.henon_heiles()
+    objective = _objective(problem.H, 0.1, energy_weight, ())
+    generator = torch.Generator().manual_seed(0)
+    t, z, dz = (
+        torch.randn(5, *n, generator=generator, dtype=torch.float64) for n in ((), (4,), (4,))
+    )
+    rows = objective.rows(t, z, dz)
+    assert float(rows.square().sum(-1).mean()) == pytest.approx(float(objective(t, z, dz)))
+    found = objective.slopes(t, z, dz)
+    for argument, slopes in enumerate(found):
+
+        def of(one: torch.Tensor, k: int, argument=argument) -> torch.Tensor:
+            parts = [z[k : k + 1], dz[k : k + 1]]
+            parts[argument] = one.unsqueeze(0)
+            return objective.rows(t[k : k + 1], *parts)[0]
+
+        for k in range(5):
+            expected = torch.func.jacrev(lambda one, k=k: of(one, k))((z, dz)[argument][k])
+            torch.testing.assert_close(slopes[k], expected)
+
+
+def test_time_dependent_and_penalised_by_least_squares() -> None:
+    driven = Hamiltonian("p**2/2 + x**2/2 - x*cos(2*t)")
+    solution = hamsym.solve(driven, [0, 0], (0, 3), method="levenberg-marquardt", **SMALL)
+    t = np.linspace(0, 3, 50)
+    np.testing.assert_allclose(solution(t)[:, 0], (np.cos(t) - np.cos(2 * t)) / 3, atol=2e-5)
+    problem = hamsym.systems.pendulum()
+    penalised = hamsym.solve(
+        problem.H, problem.z0, (0, 3), method="levenberg-marquardt", energy_weight=1.0, **SMALL
+    )
+    assert penalised.success
+    assert np.abs(penalised(t) - problem.exact(t)).max() < 2e-5
+
+
+# -- when to stop ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("target_loss", 1e-3), ("target_ell_max", 0.1), ("target_error", 0.01), ("accuracy", 0.1)],
+)
+@pytest.mark.parametrize("method", ["adam", "lbfgs", "levenberg-marquardt"])
+def test_targets(method: str, option: str, value: float) -> None:
+    problem = hamsym.systems.nonlinear_oscillator()
+    settings = {"epochs": 5_000, "tau": 0.25} if method == "adam" else {}
+    solution = hamsym.solve(
+        problem.H, problem.z0, (0, 2), method=method, **{option: value}, **settings, **SMALL
+    )
+    assert solution.success, solution.message
+    assert f"{option.replace('_', ' ', 1)} {value:.2e} reached after" in solution.message
+    reached = {
+        "target_loss": solution.training.best_loss,
+        "target_ell_max": solution.training.best_ell_max,
+        "target_error": solution.relative_error_estimate,
+        "accuracy": solution.error_bound,
+    }
+    assert reached[option] <= value
+
+
+def test_an_accuracy_that_means_nothing_says_so() -> None:
+    H = Hamiltonian("p**2/2 + cos(x)")  # the curvature of cos changes its sign on the way
+    solution = hamsym.solve(
+        H, [1.2, 0.9], (0, 2), method="levenberg-marquardt", accuracy=1e-3, iterations=30, **SMALL
+    )
+    assert solution.sigma_min == 0
+    assert not solution.success
+    assert "accuracy 1.00e-03 not reached" in solution.message
+    assert "means nothing here, because sigma_min is 0" in solution.message
+
+
+def test_patience_and_time_limit_end_a_training() -> None:
+    problem = hamsym.systems.nonlinear_oscillator()
+    settings = {"method": "levenberg-marquardt", "target_error": 1e-15, **SMALL}
+    patient = hamsym.solve(problem.H, problem.z0, (0, 1), patience=7, **settings)
+    assert not patient.success
+    assert "without a better loss" in patient.message or "no step was of use" in patient.message
+    brief = hamsym.solve(problem.H, problem.z0, (0, 1), time_limit=1e-6, **settings)
+    assert not brief.success
+    assert "not reached in 1e-06 s, " in brief.message
+
+
+def test_restarts_are_told() -> None:
+    """A network far too small for its problem stalls, and nothing hides it."""
+    problem = hamsym.systems.henon_heiles()
+    solution = hamsym.solve(
+        problem.H,
+        problem.z0,
+        (0, 60),
+        method="levenberg-marquardt",
+        hidden=(2,),
+        points=30,
+        restarts=1,
+        stages=1,
+    )
+    assert not solution.success
+    assert solution.training.restarts == 1
+    assert "with 1 restart" in solution.message
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"method": "lbfgs", "iterations": 0}, "iterations=0"),
+        ({"method": "lbfgs", "stages": 0}, "stages=0"),
+        ({"method": "lbfgs", "target_error": 0.0}, "target_error=0.0"),
+        ({"method": "lbfgs", "accuracy": math.inf}, "accuracy=inf"),
+        ({"method": "lbfgs", "frequency": -1.0}, "frequency=-1.0"),
+        ({"method": "lbfgs", "dtype": "float32"}, "too coarse for lbfgs"),
+        ({"method": "levenberg-marquardt", "restarts": -1}, "restarts=-1"),
+        ({"method": "levenberg-marquardt", "epochs": 5}, "'epochs' is not an option"),
+        (
+            {"method": "levenberg-marquardt", "regularizers": [hamsym.Regularizer(1.0, abs)]},
+            "no least-squares form",
+        ),
+        (
+            {"method": "adam", "regularizers": [hamsym.Regularizer(1.0, abs)], "checkpoint": "x"},
+            "leave checkpoint out",
+        ),
+        ({"method": "adam", "checkpoint": "x", "checkpoint_every": 0}, "checkpoint_every=0"),
+    ],
+)
+def test_unusable_settings(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 1), **settings)
+    assert message in str(caught.value)
+
+
+# -- checkpoints ----------------------------------------------------------------------------------
+
+RUN = """
+import sys, hamsym
+problem = hamsym.systems.nonlinear_oscillator()
+options = {"adam": {"epochs": 800}, "lbfgs": {"iterations": 200},
+           "levenberg-marquardt": {"iterations": 200, "patience": None}}[sys.argv[1]]
+solution = hamsym.solve(problem.H, problem.z0, (0.0, 12.0), method=sys.argv[1], hidden=(20, 20),
+                        points=60, checkpoint=sys.argv[2], checkpoint_every=1e-9, **options)
+solution.save(sys.argv[3])
+"""
+
+
+@pytest.mark.parametrize(
+    ("method", "delays"),
+    [("adam", (0.2, 0.5, 1.1)), ("lbfgs", (0.5,)), ("levenberg-marquardt", (0.5,))],
+)
+def test_killed_at_any_moment_it_goes_on_to_the_same_bits(
+    method: str, delays: tuple[float, ...], tmp_path: Path
+) -> None:
+    def start(name: str) -> subprocess.Popen:
+        files = [str(tmp_path / f"{name}.run"), str(tmp_path / f"{name}.saved")]
+        return subprocess.Popen([sys.executable, "-c", RUN, method, *files])
+
+    whole = start("whole")
+    for delay in delays:
+        process = start("killed")
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "killed.run").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(delay)
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+    assert start("killed").wait() == 0
+    assert whole.wait() == 0
+    one, other = (hamsym.load(tmp_path / f"{name}.saved") for name in ("whole", "killed"))
+    for name, tensor in one.trial.state_dict().items():
+        assert torch.equal(tensor, other.trial.state_dict()[name])
+    np.testing.assert_array_equal(one.history.loss, other.history.loss)
+    assert one.training.iterations == other.training.iterations
+
+
+def test_checkpoint_of_another_problem(tmp_path: Path) -> None:
+    settings = {"method": "adam", "epochs": 20, "points": 10, "checkpoint": tmp_path / "run"}
+    hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 1), **settings)
+    with pytest.raises(FileError, match=r"of a training with z0=\[1.0, 0.0\], this one has"):
+        hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 1], (0, 1), **settings)
+    longer = {**settings, "target_loss": 1e-9}  # rules of the end may change
+    assert hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 1), **longer) is not None
+
+
+def test_training_begins_with_the_weights_of_another_solution():
+    H = Hamiltonian("p**2/2 + x**2/2")
+    options = {"method": "adam", "points": 20, "hidden": (6, 6)}
+    first = hamsym.solve(H, [1.0, 0.0], (0, 2), epochs=300, **options)
+    options |= {"epochs": 1, "learning_rate": 1e-9}
+    # One step from there, on another span and from another start, is a small one.
+    second = hamsym.solve(H, [0.5, 0.0], (0, 3), initial=first, **options)
+    t = np.linspace(0, 2, 9)
+    assert np.abs(second(t) - [0.5, 0.0] - (first(t) - [1.0, 0.0])).max() < 1e-6
+    fresh = hamsym.solve(H, [0.5, 0.0], (0, 3), **options)
+    assert np.abs(second(t) - fresh(t)).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"hidden": (7, 6)}, "1-6-6-2 sin, this training 1-7-6-2 sin"),
+        ({"activation": "tanh"}, "this training 1-6-6-2 tanh"),
+        ({"shared_weights": False}, "1-6-6-1 . 1-6-6-1 sin"),
+    ],
+)
+def test_weights_of_another_network_are_refused(change, message):
+    H = Hamiltonian("p**2/2 + x**2/2")
+    options = {"method": "adam", "points": 20, "hidden": (6, 6), "epochs": 2}
+    first = hamsym.solve(H, [1.0, 0.0], (0, 2), **options)
+    with pytest.raises(InputError, match=message):
+        hamsym.solve(H, [1.0, 0.0], (0, 2), initial=first, **(options | change))
+    marched = hamsym.solve(H, [1.0, 0.0], (0, 2))
+    for other in (marched, "a file"):
+        with pytest.raises(InputError, match="initial is not a trained network"):
+            hamsym.solve(H, [1.0, 0.0], (0, 2), initial=other, **options)
+
+
+@pytest.mark.parametrize("options", [{}, {"target_error": 0.005}])
+def test_a_network_across_a_step_of_the_potential_is_no_success(options: dict) -> None:
+    solution = hamsym.solve(
+        "p**2/2 + sign(x)/2",
+        [1.0, -2.0],
+        (0, 1),
+        method="levenberg-marquardt",
+        hidden=(8, 8),
+        points=30,
+        iterations=60,
+        **options,
+    )
+    assert solution.relative_error_estimate < 0.005  # of an equation that shows no force
+    assert not solution.success
+    assert re.match(r"H jumps at t = 0\.(49|50)\d*, beyond which", solution.message)

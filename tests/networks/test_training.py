@@ -1,0 +1,548 @@
+"""The trainer works on any residual, and is honest about how it ended."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from hamsym import InputError
+from hamsym.errors import FileError
+from hamsym.networks.checkpoint import Checkpoint
+from hamsym.networks.levenberg_marquardt import LevenbergMarquardt, _Linearised
+from hamsym.networks.objective import Objective, Regularizer
+from hamsym.networks.optimizers import LBFGS, Adam
+from hamsym.networks.training import Criterion, Stages, Stopping, Training, TrainingState, train
+from hamsym.networks.trial import ComponentNetworks, Network, TrialSolution
+from hamsym.support.tensor_files import read_tensors, write_tensors
+
+
+def decay_trial(seed: int = 0) -> tuple[TrialSolution, torch.Generator]:
+    generator = torch.Generator().manual_seed(seed)
+    network = Network(1, (10,), "tanh", generator=generator)
+    return TrialSolution(network, torch.ones(1, dtype=torch.float64)), generator
+
+
+# z' = -z, which is no Hamiltonian system.
+DECAY = Objective(residual=lambda t, z, dz: dz + z)
+
+
+def test_solves_an_equation_that_is_not_hamiltonian() -> None:
+    trial, generator = decay_trial()
+    options = Adam(points=20, learning_rate=0.01), Stopping(iterations=3000)
+    training = train(trial, DECAY, (0, 2), *options, generator=generator)
+    t = torch.linspace(0, 2, 101, dtype=torch.float64)
+    with torch.no_grad():
+        error = (trial(t)[0][:, 0] - torch.exp(-t)).abs().max()
+    assert error < 0.01
+    assert training.stopped == "iterations"
+    assert training.best_loss < 1e-4
+
+
+def test_best_weights_are_kept_by_the_loss_at_fixed_points() -> None:
+    trial, generator = decay_trial()
+
+    def spoil(state: TrainingState) -> None:
+        if state.iteration >= 250:
+            with torch.no_grad():
+                next(trial.parameters()).add_(1.0)
+
+    training = train(
+        trial,
+        DECAY,
+        (0, 2),
+        Adam(points=10, learning_rate=0.05),
+        Stopping(iterations=300),
+        generator=generator,
+        callbacks=[spoil],
+    )
+    fixed = (torch.arange(20, dtype=torch.float64) + 0.5) * 0.1
+    with torch.no_grad():
+        assert float(DECAY(fixed, *trial(fixed))) == pytest.approx(training.best_loss, rel=1e-12)
+    assert training.best_loss == training.history.fixed_loss.min()
+    assert np.argmin(training.history.fixed_loss) < len(training.history.fixed_loss) - 1
+
+
+def test_stops_at_the_target() -> None:
+    trial, generator = decay_trial()
+    options = Adam(points=20, learning_rate=0.01), Stopping(iterations=5000, target_loss=1e-3)
+    training = train(trial, DECAY, (0, 2), *options, generator=generator)
+    assert training.stopped == "target loss"
+    assert training.iterations < 5000
+    assert training.best_loss <= 1e-3
+
+
+def test_noise_stays_inside_the_interval_and_moves_the_points() -> None:
+    seen = []
+
+    def residual(t: torch.Tensor, z: torch.Tensor, dz: torch.Tensor) -> torch.Tensor:
+        seen.append(t.clone())
+        return dz + z
+
+    for span in ((1.0, 3.0), (3.0, 1.0)):
+        trial, generator = decay_trial()
+        options = Adam(points=50, noise=5.0), Stopping(iterations=10)
+        train(trial, Objective(residual), span, *options, generator=generator)
+    times = torch.cat(seen)
+    assert times.min() >= 1.0
+    assert times.max() <= 3.0
+    noisy = [t for t in seen if len(t) == 50]
+    assert not torch.equal(noisy[0], noisy[1])
+    # Reflection leaves wide noise uniform over the interval.
+    assert torch.cat(noisy).mean() == pytest.approx(2.0, abs=0.1)
+
+
+def test_without_noise_the_points_stay() -> None:
+    seen = []
+
+    def residual(t: torch.Tensor, z: torch.Tensor, dz: torch.Tensor) -> torch.Tensor:
+        seen.append(t)
+        return dz + z
+
+    trial, generator = decay_trial()
+    options = Adam(points=5, noise=0.0), Stopping(iterations=3)
+    train(trial, Objective(residual), (0, 1), *options, generator=generator)
+    grid = torch.linspace(0, 1, 5, dtype=torch.float64)
+    assert sum(torch.equal(t, grid) for t in seen if len(t) == 5) == 3
+
+
+def test_loss_is_the_weighted_sum_of_its_terms() -> None:
+    t = torch.linspace(0, 1, 4, dtype=torch.float64)
+    z, dz = t.reshape(2, 2), t.reshape(2, 2) ** 2
+    terms = (
+        Regularizer(2.0, lambda t, z, dz: z[:, 0] ** 2),
+        Regularizer(0.5, lambda t, z, dz: dz.abs().sum(-1)),
+    )
+    objective = Objective(lambda t, z, dz: dz - z, regularizers=terms)
+    expected = ((dz - z) ** 2).sum(-1).mean() + 2 * (z[:, 0] ** 2).mean() + 0.5 * dz.sum(-1).mean()
+    torch.testing.assert_close(objective(t, z, dz), expected)
+    replaced = Objective(lambda t, z, dz: dz - z, loss=lambda t, z, dz: z.sum())
+    torch.testing.assert_close(replaced(t, z, dz), z.sum())
+
+
+def test_diverging_loss_is_reported_and_the_best_weights_restored() -> None:
+    calls = 0
+
+    def residual(t: torch.Tensor, z: torch.Tensor, dz: torch.Tensor) -> torch.Tensor:
+        nonlocal calls
+        calls += 1
+        return (dz + z) * (math.nan if calls > 100 else 1.0)
+
+    trial, generator = decay_trial()
+    options = Adam(points=10), Stopping(iterations=1000)
+    training = train(trial, Objective(residual), (0, 1), *options, generator=generator)
+    assert training.stopped == "diverged"
+    assert math.isfinite(training.best_loss)
+    assert all(torch.isfinite(weight).all() for weight in trial.parameters())
+
+
+def test_interruption_returns_what_was_done() -> None:
+    def interrupt(state: TrainingState) -> None:
+        if state.iteration >= 50:
+            raise KeyboardInterrupt
+
+    trial, generator = decay_trial()
+    training = train(
+        trial,
+        DECAY,
+        (0, 1),
+        Adam(points=10),
+        Stopping(iterations=1000),
+        generator=generator,
+        callbacks=[interrupt],
+    )
+    assert training.stopped == "interrupted"
+    assert 50 <= training.iterations < 1000
+    assert math.isfinite(training.best_loss)
+
+
+def test_callbacks_and_history_tell_the_same() -> None:
+    states: list[TrainingState] = []
+    trial, generator = decay_trial()
+    options = Adam(points=10), Stopping(iterations=200)
+    training = train(trial, DECAY, (0, 1), *options, generator=generator, callbacks=[states.append])
+    history = training.history
+    assert len(history.loss) == training.iterations == 200
+    assert [s.iteration for s in states] == history.iteration.tolist()
+    assert [s.loss for s in states] == history.fixed_loss.tolist()
+    assert [s.ell_max for s in states] == history.ell_max.tolist()
+    assert np.all(np.diff(history.seconds) >= 0)
+    assert states[-1].best_loss == training.best_loss
+
+
+def test_same_seed_same_weights_and_global_state_untouched() -> None:
+    threads, before = torch.get_num_threads(), torch.get_rng_state()
+    weights = []
+    for _ in range(2):
+        trial, generator = decay_trial(seed=5)
+        train(trial, DECAY, (0, 1), Adam(points=10), Stopping(iterations=50), generator=generator)
+        weights.append([weight.detach().clone() for weight in trial.parameters()])
+    assert all(torch.equal(a, b) for a, b in zip(*weights, strict=True))
+    assert torch.get_num_threads() == threads
+    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.get_default_dtype() == torch.float32
+
+
+def test_cosine_schedule_comes_to_rest() -> None:
+    moved = {}
+    for schedule in ("constant", "cosine"):
+        trial, generator = decay_trial()
+        snapshots: list[torch.Tensor] = []
+
+        def snapshot(state: TrainingState, trial=trial, snapshots=snapshots) -> None:
+            snapshots.append(torch.cat([w.detach().flatten() for w in trial.parameters()]))
+
+        options = Adam(points=20, learning_rate=0.05, schedule=schedule), Stopping(iterations=600)
+        train(trial, DECAY, (0, 2), *options, generator=generator, callbacks=[snapshot])
+        moved[schedule] = (snapshots[-1] - snapshots[-2]).norm()
+    assert moved["cosine"] < 0.1 * moved["constant"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [
+        (Stopping, {"iterations": 0}),
+        (Stopping, {"iterations": 1.5}),
+        (Stopping, {"iterations": 9, "target_loss": 0.0}),
+        (Stopping, {"iterations": 9, "target_ell_max": math.nan}),
+        (Stopping, {"iterations": 9, "patience": 0}),
+        (Stopping, {"iterations": 9, "time_limit": -1.0}),
+        (Stages, {"count": 0}),
+        (Stages, {"restarts": -1}),
+        (Adam, {"points": 1}),
+        (Adam, {"learning_rate": 0.0}),
+        (Adam, {"learning_rate": math.nan}),
+        (Adam, {"noise": -1.0}),
+        (Adam, {"betas": (0.9, 1.0)}),
+        (Adam, {"schedule": "linear"}),
+        (LBFGS, {"points": 1}),
+        (LBFGS, {"memory": 0}),
+        (LBFGS, {"refresh": 0}),
+        (LevenbergMarquardt, {"points": True}),
+    ],
+)
+def test_unusable_settings(kind: type, settings: dict[str, object]) -> None:
+    *_, name = settings
+    name = {"count": "stages"}.get(name, name)
+    with pytest.raises(InputError, match=f"{name}=.* cannot be used; give"):
+        kind(**settings)
+
+
+# -- the same trainer for every optimiser ---------------------------------------------------------
+
+OPTIMIZERS = {
+    "adam": lambda: Adam(points=20, learning_rate=0.01, noise=0.02),
+    "lbfgs": lambda: LBFGS(points=20, memory=5, refresh=15),
+    "levenberg-marquardt": lambda: LevenbergMarquardt(points=20),
+}
+
+
+@pytest.fixture(params=OPTIMIZERS)
+def optimizer(request: pytest.FixtureRequest):
+    return OPTIMIZERS[request.param]
+
+
+def test_each_solves_an_equation_that_is_not_hamiltonian(optimizer) -> None:
+    trial, generator = decay_trial()
+    training = train(trial, DECAY, (0, 2), optimizer(), Stopping(1000), generator=generator)
+    t = torch.linspace(0, 2, 101, dtype=torch.float64)
+    with torch.no_grad():
+        error = (trial(t)[0][:, 0] - torch.exp(-t)).abs().max()
+    assert error < {Adam: 0.02, LBFGS: 1e-4, LevenbergMarquardt: 1e-7}[type(optimizer())]
+    assert math.isfinite(training.best_loss)
+
+
+@pytest.mark.parametrize(
+    ("rule", "name"),
+    [
+        ({"target_loss": 1e-2}, "target loss"),
+        ({"target_ell_max": 0.3}, "target ell_max"),
+        ({"time_limit": 1e-9}, "time limit"),
+        ({"criteria": (Criterion("enough", 1.0, lambda trial: True),)}, "enough"),
+        ({}, "iterations"),
+    ],
+)
+def test_each_stops_by_each_rule(optimizer, rule: dict, name: str) -> None:
+    trial, generator = decay_trial()
+    stopping = Stopping(iterations=60 if name == "iterations" else 2_000, **rule)
+    training = train(trial, DECAY, (0, 2), optimizer(), stopping, generator=generator)
+    assert training.stopped in (name, "stalled")  # less than 60 steps may solve so small a problem
+    if name != "iterations":
+        assert training.stopped == name
+        assert training.iterations < 2_000
+    assert training.best_loss <= rule.get("target_loss", math.inf)
+    assert training.best_ell_max <= rule.get("target_ell_max", math.inf)
+
+
+def test_patience() -> None:
+    trial, generator = decay_trial()
+    constant = Objective(lambda t, z, dz: 0 * dz + 1)
+    training = train(
+        trial, constant, (0, 1), Adam(points=5), Stopping(5_000, patience=120), generator=generator
+    )
+    assert training.stopped == "patience"
+    assert 120 <= training.iterations < 300
+
+
+def test_sequential_training_grows_the_span(optimizer) -> None:
+    seen: list[float] = []
+
+    def residual(t: torch.Tensor, z: torch.Tensor, dz: torch.Tensor) -> torch.Tensor:
+        if len(t) <= 20:
+            seen.append(float(t.max()))
+        return dz + z
+
+    trial, generator = decay_trial()
+    train(
+        trial,
+        Objective(residual),
+        (0.0, 2.0),
+        optimizer(),
+        Stopping(300),
+        stages=Stages(4, residual=1e-9 if isinstance(optimizer(), Adam) else 0.03),
+        generator=generator,
+    )
+    steps = sorted({round(2 * time) for time in seen})
+    assert steps == [1, 2, 3, 4]
+    assert seen == sorted(seen, key=lambda time: round(2 * time))  # never back
+
+
+class Stubborn(Adam):
+    """Gets nowhere until its weights have been replaced twice."""
+
+    check_every = 5
+
+    def bind(self, trial, objective, generator) -> None:
+        self.resets = -1
+        super().bind(trial, objective, generator)
+
+    def reset(self) -> None:
+        self.resets += 1
+        super().reset()
+
+    def iterate(self, span, share, done):
+        loss, motion = super().iterate(span, share, done)
+        return (loss if self.resets == 2 else 1.0), max(motion, 1e-3)
+
+
+@pytest.mark.parametrize("stages", [1, 3])
+def test_restarts_draw_new_weights_and_are_counted(stages: int) -> None:
+    trial, generator = decay_trial()
+    first = trial.network.theta.detach().clone()
+    training = train(
+        trial,
+        Objective(lambda t, z, dz: dz + z, loss=lambda t, z, dz: (dz + z).square().mean() + 1),
+        (0, 1),
+        Stubborn(points=5),
+        Stopping(200),
+        stages=Stages(stages, restart_after=20, restarts=3),
+        generator=generator,
+    )
+    assert training.restarts == 3
+    assert training.stopped == "stalled"
+    assert not torch.equal(first, trial.network.theta)
+
+
+# -- Levenberg-Marquardt --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shared", [True, False])
+@pytest.mark.parametrize("hidden", [(7,), (6, 5), (4, 5, 6)])
+def test_products_with_the_jacobian(hidden: tuple[int, ...], shared: bool) -> None:
+    generator = torch.Generator().manual_seed(1)
+    if shared:
+        network = Network(2, hidden, "tanh", frequency=2.0, generator=generator)
+        networks = [network]
+    else:
+        networks = [Network(1, hidden, "sin", generator=generator) for _ in range(2)]
+        network = ComponentNetworks(networks)
+    trial = TrialSolution(network, torch.tensor([0.3, -0.2], dtype=torch.float64), tau=0.7)
+    t = torch.linspace(0, 2, 5, dtype=torch.float64)
+
+    def rows(z: torch.Tensor, dz: torch.Tensor) -> torch.Tensor:
+        return torch.stack((dz[:, 0] - z[:, 1] ** 2, dz[:, 1] + z.prod(1), z.sum(1)), 1)
+
+    names = [name for name, _ in trial.named_parameters()]
+
+    def flat(*weights: torch.Tensor) -> torch.Tensor:
+        out = torch.func.functional_call(trial, dict(zip(names, weights, strict=True)), (t,))
+        return rows(*out).T.reshape(-1)
+
+    with torch.no_grad():  # the forward pass that automatic differentiation can follow
+        weights = tuple(n.theta.detach().clone() for n in networks)
+    explicit = torch.cat(torch.func.jacfwd(flat, tuple(range(len(weights))))(*weights), 1)
+    optimizer = LevenbergMarquardt(points=5)
+    optimizer.bind(trial, Objective(lambda t, z, dz: rows(z, dz)), generator)
+    with torch.no_grad():
+        z, dz = trial(t)
+        linearised = _Linearised(trial, networks, t, *optimizer._slopes(t, z, dz))
+        gram = linearised.gram().tril()
+        y = torch.randn(15, dtype=torch.float64, generator=generator)
+        transposed = torch.cat(linearised.transposed(y))
+    torch.testing.assert_close(gram, (explicit @ explicit.T).tril())
+    torch.testing.assert_close(transposed, explicit.T @ y)
+
+
+def test_least_squares_needs_squares_and_networks() -> None:
+    trial, generator = decay_trial()
+    penalised = Objective(
+        DECAY.residual, regularizers=(Regularizer(1.0, lambda t, z, dz: z[:, 0]),)
+    )
+    with pytest.raises(InputError, match="regularizers have no least-squares form"):
+        train(trial, penalised, (0, 1), LevenbergMarquardt(), Stopping(5), generator=generator)
+    with pytest.raises(InputError, match="is not a TrialSolution"):
+        train(
+            torch.nn.Linear(1, 1),
+            DECAY,
+            (0, 1),
+            LevenbergMarquardt(),
+            Stopping(5),
+            generator=generator,
+        )
+
+
+# -- checkpoints ----------------------------------------------------------------------------------
+
+
+class KilledError(Exception):
+    pass
+
+
+def _below(level: float) -> Criterion:
+    t = torch.linspace(0, 2, 9, dtype=torch.float64)
+
+    def holds(trial: torch.nn.Module) -> bool:
+        with torch.no_grad():
+            return bool((trial(t)[0][:, 0] - torch.exp(-t)).abs().max() < level)
+
+    return Criterion("error", level, holds)
+
+
+@pytest.mark.parametrize(
+    "stopping",
+    [
+        Stopping(80, target_loss=1e-30),
+        Stopping(80, criteria=(_below(0.05),), patience=40),
+        Stopping(80, criteria=(_below(1e-4),), patience=12),
+    ],
+    ids=["iterations", "criterion", "patience"],
+)
+def test_resumes_to_the_same_bits(optimizer, stopping: Stopping, tmp_path: Path) -> None:
+    def run(checkpoint: Checkpoint | None, callbacks=()) -> tuple[torch.Tensor, Training]:
+        trial, generator = decay_trial(3)
+        training = train(
+            trial,
+            DECAY,
+            (0, 2),
+            optimizer(),
+            stopping,
+            stages=Stages(2, restart_after=30, restarts=2),
+            generator=generator,
+            callbacks=callbacks,
+            checkpoint=checkpoint,
+        )
+        return trial.network.theta.detach().clone(), training
+
+    weights, training = run(None)
+    checkpoint = Checkpoint(tmp_path / "run", {"seed": 3}, every=1e-9)
+    for limit in (15, 33, 51):
+
+        def kill(state: TrainingState, limit=limit) -> None:
+            if state.iteration >= limit:
+                raise KilledError
+
+        try:
+            run(checkpoint, [kill])
+        except KilledError:
+            continue
+    resumed, told = run(checkpoint)
+    assert torch.equal(weights, resumed)
+    np.testing.assert_array_equal(told.history.loss, training.history.loss)
+    np.testing.assert_array_equal(told.history.fixed_loss, training.history.fixed_loss)
+    assert (told.stopped, told.restarts) == (training.stopped, training.restarts)
+    again, _ = run(checkpoint)  # a finished run is read, not trained further
+    assert torch.equal(weights, again)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_checkpoint_of_another_training_or_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+
+    def run(seed: int) -> None:
+        trial, generator = decay_trial(seed)
+        checkpoint = Checkpoint(path, {"seed": seed})
+        train(
+            trial,
+            DECAY,
+            (0, 1),
+            Adam(points=5),
+            Stopping(5),
+            generator=generator,
+            checkpoint=checkpoint,
+        )
+
+    run(1)
+    with pytest.raises(FileError, match="of a training with seed=1, this one has 2"):
+        run(2)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(FileError, match="damaged"):
+        run(1)
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(FileError, match="cannot be read"):
+        run(1)
+
+
+@pytest.mark.parametrize("optimizer", [Adam, LBFGS, LevenbergMarquardt])
+def test_checkpoints_that_are_edited(optimizer, tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    settings = {"seed": 1}
+
+    def run() -> None:
+        trial, generator = decay_trial(1)
+        train(
+            trial,
+            DECAY,
+            (0, 1),
+            optimizer(points=5),
+            Stopping(5),
+            generator=generator,
+            checkpoint=Checkpoint(path, settings),
+        )
+
+    run()
+    run()  # what is there is read
+    whole = path.read_bytes()
+    middle = len(whole) - 9
+    path.write_bytes(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :])
+    with pytest.raises(FileError, match="damaged: its checksum"):
+        run()
+    path.write_bytes(whole)
+    for change, message in (
+        (lambda t, v: t.update({"weights.0": t["weights.0"][:1].clone()}), "weights.0"),
+        (lambda t, v: t.update({"weights.0": t["weights.0"].float()}), "weights.0"),
+        (lambda t, v: t.update({"best.0": t["best.0"] * math.nan}), "best.0 are not finite"),
+        (lambda t, v: t.update(losses=t["losses"][:2]), "do not fit together"),
+        (lambda t, v: t.update(checks=t["checks"][:, :1]), "checks"),
+        (lambda t, v: t.update(generator=t["generator"][:8]), "generator"),
+        (lambda t, v: t.update({"optimizer.more": t["losses"]}), "makes no sense"),
+        (lambda t, v: t.pop("best.0"), "other weights"),
+        (lambda t, v: v.update(more=1), "not those of a training"),
+        (lambda t, v: v.pop("rules"), "not those of a training"),
+        (lambda t, v: v["counts"].update(stage=0), "do not fit together"),
+        (lambda t, v: v["counts"].update(restarts=10.5), "its counts"),
+        (lambda t, v: v["levels"].update(best_loss=math.nan), "its levels"),
+        (lambda t, v: v["levels"].update(seconds=10**400), "its levels"),
+        (lambda t, v: v.update(stopped=3), "its end"),
+        (lambda t, v: v.update(counts=[]), "makes no sense"),
+        (lambda t, v: v.update(optimizer=[]), "makes no sense"),
+    ):
+        tensors, values = read_tensors(path, "checkpoint")
+        change(tensors, values)
+        write_tensors(path, "checkpoint", tensors, values)
+        with pytest.raises(FileError, match=message):
+            run()
+        path.write_bytes(whole)

@@ -1,0 +1,269 @@
+"""The paper's experiments in miniature: what they write, not whether so little training is good."""
+
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym.cli.commands import main
+from hamsym.paper import (
+    claims,
+    henon_heiles,
+    henon_heiles_long,
+    oscillator,
+    oscillator_long,
+    page,
+)
+from hamsym.paper.experiment import ARCHITECTURES, limit, parse
+from hamsym.paper.judging import euler, judge_architectures, judge_steps
+from hamsym.paper.tables import lower, markdown_table, short, spread
+
+SCRIPTS = (oscillator, oscillator_long, henon_heiles, henon_heiles_long, claims)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """What all five scripts and the page write, with two epochs and one seed."""
+    out = tmp_path_factory.mktemp("paper")
+    miniature = ["--epochs=2", "--seeds=1", "--seed=4", "--certify=0", "--workers=1"]
+    for script in SCRIPTS:
+        script.main([*miniature, f"--out={out}"])
+    page.main([f"--out={out}"])
+    return out
+
+
+def test_every_script_writes_its_table_its_figures_and_a_page_of_all(written):
+    everything = json.loads((written / "results.json").read_text())
+    assert [experiment["name"] for experiment in everything] == list(page.EXPERIMENTS)
+    text = (written / "page.md").read_text()
+    for script, experiment in zip(SCRIPTS, everything, strict=True):
+        folder = written / experiment["name"]
+        assert json.loads((folder / "results.json").read_text()) == experiment
+        table = (folder / "table.md").read_text()
+        names = [row["method"] for row in experiment["rows"]]
+        for name in getattr(script, "SETTINGS", {}):
+            assert name in names
+        for row in experiment["rows"]:
+            assert f"| {row['method']} | {row['points']:,} |" in table
+            middle, least, most = (float(value) for value in row["error"])
+            assert 0 <= least <= middle <= most
+        assert table.partition("\n\n")[2].strip() in text
+        for figure in experiment["figures"]:
+            assert (folder / figure["file"]).stat().st_size > 10_000
+            assert f"]({experiment['name']}/{figure['file']})" in text
+        assert experiment["quick"]
+        for claim in experiment["claims"]:
+            assert claim["says"].replace("|", "\\|") in text
+            assert claim["verdict"].startswith("not ")
+    assert (written / "scheme.png").exists()
+    assert "This is a quick look" in text
+    # Each line of the first table names rows that are there.
+    for experiment in everything:
+        names = {row["method"] for row in experiment["rows"]}
+        for line in experiment.get("summary", ()):
+            assert {name for name in line["rows"].values() if name} <= names
+
+    # What the text names is what ran: the settings of one row, and its error measured anew.
+    first = everything[0]
+    row = next(row for row in first["rows"] if row["method"] == "features, tol = 1e-6")
+    problem = hamsym.systems.nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 4 * math.pi), tol=1e-6, seed=4)
+    t = np.linspace(0, 4 * math.pi, 4_001)
+    error = np.linalg.norm(solution(t) - problem.exact(t), axis=-1).max()
+    assert row["error"][0] == pytest.approx(error, rel=1e-6)
+
+
+def test_settings_are_those_of_the_paper():
+    written = oscillator.SETTINGS["as written: sin, 1 - exp(-t)"]
+    assert written["epochs"] == 50_000
+    assert written["points"] == 200
+    assert written["hidden"] == (50, 50)
+    assert written["noise"] == pytest.approx(0.06 * math.pi)
+    assert written["learning_rate"] == 8e-3
+    assert written["schedule"] == "constant"
+    assert "betas" not in written
+    assert "energy_weight" not in written
+    spacing = 4 * math.pi / 200
+    published = oscillator.SETTINGS["authors' code: sin, 1 - exp(-t)"]
+    assert published["noise"] / spacing == pytest.approx(0.377, abs=1e-3)
+    published = oscillator_long.SETTINGS["authors' code, lambda = 1"]
+    assert published["noise"] / (20 * math.pi / 500) == pytest.approx(1.885, abs=1e-3)
+    assert henon_heiles.SETTINGS["as written: sin, t"]["epochs"] == 30_000
+    published = henon_heiles.SETTINGS["authors' code: sigmoid, t"]
+    assert published["noise"] / (6 * math.pi / 100) == pytest.approx(5.65, abs=1e-2)
+    assert published["activation"] == "sigmoid"
+    assert published["envelope"] == "linear"
+
+
+def test_a_limit_shortens_what_trains_and_nothing_else():
+    adam = {"method": "adam", "epochs": 50_000, "points": 3}
+    assert limit(adam, None) == adam
+    assert limit(adam, 20) == {"method": "adam", "epochs": 20, "points": 3}
+    assert limit(lambda seed: adam, 20)(1)["epochs"] == 20
+    assert limit({"method": "levenberg-marquardt"}, 300)["iterations"] == 30
+    assert limit({"method": "features"}, 20) == {"method": "features"}
+
+
+def test_quick_is_a_limit_of_epochs():
+    assert parse("x", ["--quick"]).epochs == 300
+    assert parse("x", ["--quick", "--epochs", "7"]).epochs == 7
+    assert parse("x", []).epochs is None
+
+
+@pytest.mark.parametrize("name", ["seed=-1", "seeds=0", "epochs=0", "workers=0", "certify=-1"])
+def test_a_script_refuses_bad_numbers(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        parse("x", [f"--{name}"])
+    assert ended.value.code == 2
+    assert f"--{name.replace('=', ' ')}" in capsys.readouterr().err
+
+
+def test_verdicts_need_seeds_that_do_not_overlap():
+    assert lower([2.0, 1.0, 3.0], [5.0, 4.0, 6.0]) is True
+    assert lower([5.0, 4.0, 6.0], [2.0, 1.0, 3.0]) is False
+    assert lower([2.0, 1.0, 4.5], [5.0, 4.0, 6.0]).startswith("undecided")
+
+
+class _Claims:
+    """Takes claims as an experiment does."""
+
+    points = 200
+
+    def __init__(self):
+        self.verdicts = []
+
+    def claim(self, where, says, measured, held):
+        self.verdicts.append(held)
+
+
+def _rows(losses):
+    found = {}
+    for recipe in ("as written", "authors' code"):
+        for name, loss in zip(ARCHITECTURES, losses, strict=True):
+            found[f"{recipe}: {name}"] = {"loss": loss, "error": loss}
+    return found
+
+
+@pytest.mark.parametrize(
+    ("losses", "verdict"),
+    [
+        ([[1, 1, 1], [2, 2, 2], [3, 3, 3], [4, 4, 4]], True),
+        ([[3, 3, 3], [2, 2, 2], [5, 5, 5], [4, 4, 4]], False),
+        ([[1, 1, 3], [2, 2, 2], [5, 5, 5], [4, 4, 4]], "undecided"),
+    ],
+)
+def test_which_architecture_is_best(losses, verdict):
+    claims_taken = _Claims()
+    judge_architectures(claims_taken, _rows([[float(x) for x in loss] for loss in losses]))
+    for found in claims_taken.verdicts:
+        assert str(found).startswith(str(verdict))
+
+
+@pytest.mark.parametrize(
+    ("error", "verdict"), [(6e-3, "True"), (6e-2, "False"), (6e-4, "held, and more")]
+)
+def test_how_many_points_euler_needs(error, verdict):
+    """By one run of 100 K steps with an error of 6e-3, which falls as the steps grow."""
+    problem = hamsym.systems.nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 4 * math.pi), tol=1e-6)
+    comparison = hamsym.compare(solution, points=200, exact=problem.exact, max_steps=20_000)
+    assert euler(comparison, 100)[0].error == pytest.approx(6e-3, rel=0.01)
+    taken = _Claims()
+    judge_steps(taken, comparison, {"error": [error] * 3}, "III", 100)
+    assert str(taken.verdicts[0]).startswith(verdict)
+
+
+def test_numbers_in_tables():
+    assert spread([3.0, 1.0, 2.0]) == [2.0, 1.0, 3.0]
+    assert spread([4.0, 1.0]) == [1.0, 1.0, 4.0]
+    assert short([2.34e-3, 1e-4, 0.5]) == "2.3e-3 (1.0e-4 to 5.0e-1)"
+    assert short([1.0, 1.0, 1.0]) == "1.0e0"
+    assert short("inf") == short(math.inf) == "infinite"
+    assert short(None) == short(math.nan) == ""
+    row = {"method": "m", "points": 5, "evaluations": [1234.0] * 3, "error": [1e-3] * 3}
+    row |= {
+        "energy error": [1e-4] * 3,
+        "CPU seconds": [12.3] * 3,
+        "seconds": [9.87] * 3,
+        "refused": ["why"],
+    }
+    last = markdown_table([row]).splitlines()[-1]
+    assert last == "| m | 5 | 1,234 | 1.0e-3 | 1.0e-4 | refused | 12 | 9.9 |"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["oscilator"], "'oscilator' is not one of"),
+        (["oscillator", "--seed", "-1"], "--seed=-1"),
+        (["oscillator", "--seeds", "0"], "--seeds=0"),
+        (["oscillator", "--workers", "0"], "--workers=0"),
+        (["oscillator", "--seed", "x"], "'x' is not a valid integer"),
+        (["oscillator", "--out", "FILE"], "FILE"),
+    ],
+)
+def test_bad_input_at_the_command_line(arguments, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "FILE").write_text("")
+    assert main(["reproduce", *arguments]) == 2
+    complaint = capsys.readouterr().err
+    assert message in complaint
+    assert complaint.count("\n") == 1
+
+
+def test_a_page_of_nothing_is_refused(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        page.main([f"--out={tmp_path}"])
+    assert "holds no results" in capsys.readouterr().err
+
+
+_HOLD = """
+import sys
+from hamsym.support.locking import exclusive
+with exclusive(sys.argv[1]):
+    print("held", flush=True)
+    input()
+"""
+
+
+def test_two_commands_lock_each_other_out(tmp_path, monkeypatch, capsys):
+    for script in (oscillator, page):
+        monkeypatch.setattr(script, "main", lambda options: None)
+    command = ["reproduce", "oscillator", "--out", str(tmp_path)]
+    run = [sys.executable, "-c", _HOLD, str(tmp_path)]
+    with subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout.readline() == "held\n"
+        assert main(command) == 2
+        complaint = capsys.readouterr().err
+        assert f"'{tmp_path}' is in use by another process" in complaint
+        assert complaint.count("\n") == 1
+        other.communicate("\n")
+    assert main(command) == 0
+
+
+def test_the_command_runs_what_is_named(tmp_path, monkeypatch, capsys):
+    called = []
+    for script in (*SCRIPTS, page):
+
+        def record(options, name=script.__name__):
+            called.append((name, options))
+
+        monkeypatch.setattr(script, "main", record)
+    out = ["--out", str(tmp_path)]
+    assert main(["reproduce", "henon-heiles", "--quick", "--seed", "7", *out]) == 0
+    quick = tmp_path / "quick"  # apart from what took hours
+    options = ["--seed=7", "--seeds=1", f"--out={quick}", "--quick"]
+    assert called == [
+        ("hamsym.paper.henon_heiles", options),
+        ("hamsym.paper.page", [f"--out={quick}"]),
+    ]
+    called.clear()
+    assert main(["reproduce", "all", "--claims", *out]) == 0
+    assert [name.rpartition(".")[2] for name, _ in called] == [
+        *(name.replace("-", "_") for name in page.EXPERIMENTS),
+        "page",
+    ]

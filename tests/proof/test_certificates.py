@@ -1,0 +1,981 @@
+"""Certificates hold for what was computed, follow what is damaged, and cannot be edited."""
+
+import copy
+import dataclasses
+import itertools
+import json
+import math
+from concurrent.futures import ThreadPoolExecutor
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+import sympy
+import torch
+from flint import arb
+
+import hamsym
+from hamsym import systems
+from hamsym.errors import CertificationError, FileError, InputError
+from hamsym.proof import prove
+from hamsym.proof.balls import above, exact, working
+from hamsym.proof.certificate import Certificate
+from hamsym.proof.enclosures import Enclosures
+from hamsym.proof.prove import verify
+from hamsym.proof.taylor import Deadline, validated_reference
+from hamsym.proof.trials import segments
+
+_OPTIONS = {
+    "features": {"tol": 1e-9},
+    "fine features": {"tol": 1e-12},
+    "levenberg-marquardt": {
+        "method": "levenberg-marquardt",
+        "hidden": (20, 20),
+        "points": 60,
+        "target_error": 1e-5,
+    },
+    "tanh": {"method": "adam", "epochs": 30, "hidden": (8, 8), "activation": "tanh"},
+    "sigmoid": {"method": "adam", "epochs": 30, "hidden": (8,), "activation": "sigmoid"},
+    "linear": {"method": "adam", "epochs": 30, "hidden": (8, 8), "envelope": "linear"},
+    "apart": {"method": "adam", "epochs": 30, "hidden": (8,), "shared_weights": False},
+    "float32": {"method": "adam", "epochs": 30, "hidden": (8,), "dtype": "float32"},
+}
+
+
+def solved(name, problem=None, span=None):
+    problem = problem or systems.nonlinear_oscillator()
+    return hamsym.solve(problem.H, problem.z0, span or (0.0, 4.0), **_OPTIONS[name])
+
+
+def true_errors(solution, times):
+    """z^ - z to thirty digits: z by a second reference, z^ by its formula in mpmath."""
+    z0 = np.asarray(solution.z0, dtype=float)
+    units = [(0.0, [1.0] * len(z0))]
+    found = validated_reference(
+        Enclosures(solution.H), z0, solution.span, units, 160, Deadline.after(None)
+    )
+    errors = []
+    for t in times:
+        truth = [_number(exact(value)) for value in found(float(t))]
+        errors.append([a - b for a, b in zip(formula(solution, float(t)), truth, strict=True)])
+    return errors
+
+
+def _number(fraction):
+    return mpmath.mpf(fraction.numerator) / fraction.denominator
+
+
+def formula(solution, t):
+    """z^(t) as its documentation defines it, in mpmath."""
+    trial = solution.trial
+    if hasattr(trial, "edges"):
+        edges = trial.edges.tolist()
+        sign = 1 if edges[-1] > edges[0] else -1
+        k = int(
+            np.clip(
+                np.searchsorted(sign * np.array(edges), sign * t, "right") - 1, 0, len(edges) - 2
+            )
+        )
+        s = (mpmath.mpf(t) - edges[k]) / (mpmath.mpf(edges[k + 1]) - edges[k])
+        series = trial.series.tolist()
+        polynomials = [mpmath.chebyt(degree, 2 * s - 1) for degree in range(len(series))]
+        columns = [
+            mpmath.fdot(polynomials, [row[m] for row in series]) for m in range(len(series[0]))
+        ]
+        return [
+            state + (1 - mpmath.exp(-s)) * mpmath.fdot(columns, readout)
+            for state, readout in zip(
+                trial.states[k].tolist(), trial.readouts[k].T.tolist(), strict=True
+            )
+        ]
+    s = (mpmath.mpf(t) - trial.t0) / mpmath.mpf(trial.tau)
+    f = s if trial.envelope == "linear" else 1 - mpmath.exp(-s)
+    outputs = []
+    for network in getattr(trial.network, "networks", [trial.network]):
+        active = {
+            "sin": mpmath.sin,
+            "tanh": mpmath.tanh,
+            "sigmoid": lambda a: 1 / (1 + mpmath.exp(-a)),
+        }[network.activation]
+        h = [s]
+        for depth, (matrix, bias) in enumerate(network.layers):
+            h = h if depth == 0 else [active(a) for a in h]
+            h = [
+                mpmath.fdot(row, h) + shift
+                for row, shift in zip(
+                    matrix.detach().double().tolist(), bias.detach().double().tolist(), strict=True
+                )
+            ]
+        outputs += h
+    return [z + f * output for z, output in zip(trial.z0.double().tolist(), outputs, strict=True)]
+
+
+def assert_holds(certificate, solution, times=None, count=40):
+    """The true error is below the bounds everywhere, and reaches the lower ones somewhere near."""
+    generator = np.random.default_rng(0)
+    times = generator.uniform(*sorted(solution.span), count) if times is None else times
+    with mpmath.workdps(50):
+        errors = true_errors(solution, times)
+        norms = [mpmath.norm(error) for error in errors]
+        for t, norm, bound in zip(times, norms, certificate.bound_at(np.array(times)), strict=True):
+            assert norm <= bound <= certificate.bound, t
+        for i, bound in enumerate(certificate.component_bounds):
+            assert max(abs(error[i]) for error in errors) <= bound
+    assert certificate.lower <= certificate.bound
+    return float(max(norms))
+
+
+@pytest.mark.parametrize("name", _OPTIONS)
+def test_the_bound_holds_and_is_close(name):
+    solution = solved(name)
+    certificate = solution.certify()
+    assert_holds(certificate, solution)
+    assert certificate.bound <= 1.03 * certificate.lower
+    assert certificate.ell_max_bound <= 1.03 * certificate.ell_max_lower
+    assert certificate.energy_bound <= 1.03 * certificate.energy_lower
+    if name != "fine features":  # whose residual is not far from round-off
+        assert certificate.ell_max_bound == pytest.approx(solution.ell_max, rel=0.03)
+
+
+def test_the_bound_is_within_five_percent_of_the_known_error():
+    problem = systems.nonlinear_oscillator()
+    solution = hamsym.solve(
+        problem.H, problem.z0, problem.span, method="levenberg-marquardt", target_error=1e-5
+    )
+    times = np.linspace(*problem.span, 8001)
+    error = np.linalg.norm(solution(times) - problem.exact(times), axis=1).max()
+    assert error <= solution.certify().bound <= 1.05 * error
+
+
+@pytest.mark.parametrize(
+    ("problem", "span"),
+    [
+        (systems.henon_heiles(), (0.0, 3.0)),
+        (systems.kepler(), (0.0, 2.0)),
+        (systems.double_pendulum(), (0.0, 1.0)),
+        (systems.driven_oscillator(), (1.0, -3.0)),
+    ],
+    ids=lambda value: getattr(value, "name", None),
+)
+def test_other_systems(problem, span):
+    solution = solved("features", problem, span)
+    assert_holds(solution.certify(), solution, count=15)
+
+
+def test_units_of_any_size_do():
+    H = hamsym.Hamiltonian("p**2/(2*m) + k*x**2/2", parameters={"m": 1e-27, "k": 1e-27})
+    solution = hamsym.solve(H, [1.0, 0.0], (0.0, 5.0))
+    certificate = solution.certify()
+    t = np.linspace(0, 5, 1001)
+    errors = np.abs(solution(t) - np.stack((np.cos(t), -1e-27 * np.sin(t)), -1)).max(axis=0)
+    assert errors == pytest.approx(certificate.component_bounds, rel=0.05)
+
+
+def damaged(solution, change):
+    """A solution whose trial solution is changed by a function of its tensors."""
+    other = copy.copy(solution)
+    other.trial = copy.deepcopy(solution.trial)
+    with torch.no_grad():
+        change(other.trial)
+    return other
+
+
+def _one_weight(trial):
+    trial.network.theta[37] += 1e-6
+
+
+def _one_readout(trial):
+    trial.readouts[3, 5, 1] += 1e-9
+
+
+def _one_window(trial):
+    trial.edges[4] += 1e-10
+
+
+def _one_state(trial):
+    trial.states[2, 0] *= 1 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("levenberg-marquardt", _one_weight),
+        ("fine features", _one_readout),
+        ("fine features", _one_window),
+        ("fine features", _one_state),
+    ],
+)
+def test_the_bound_follows_damage(name, change):
+    sound = solved(name)
+    hurt = damaged(sound, change)
+    certificate = hurt.certify()
+    found = assert_holds(certificate, hurt, count=60)
+    assert certificate.bound > 0.5 * found
+    assert certificate.bound != sound.certify().bound
+    with pytest.raises(CertificationError, match="another solution"):
+        verify(certificate, sound)
+
+
+def test_series_of_a_trial_solution_contain_it_anywhere_on_the_ball():
+
+    for name in ("levenberg-marquardt", "tanh", "features"):
+        solution = solved(name)
+        part = segments(solution.trial, solution.span)[-1]
+        centre, half = (part.start + part.end) / 2, (part.end - part.start) / 64
+        with working(96, 4):
+            around = part.series(centre, half, 4)
+            for shift in (-1, Fraction(1, 3), 1):
+                exactly = part.series(centre + shift * half, Fraction(0), 4)
+                for wide, narrow in zip(around, exactly, strict=True):
+                    assert all(wide[k].overlaps(narrow[k]) for k in range(4))
+                    assert all(
+                        above(abs(narrow[k] - wide[k].mid())) <= above(wide[k].rad()) * (1 + 1e-9)
+                        for k in range(4)
+                    )
+
+
+# -- certificates as documents ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def case():
+    solution = solved("levenberg-marquardt")
+    return solution, solution.certify()
+
+
+def test_a_certificate_survives_its_text(case, tmp_path):
+    solution, certificate = case
+    text = certificate.to_json()
+    assert Certificate.from_json(text) == certificate
+    assert Certificate.from_json(text).to_json() == text
+    solution.save(tmp_path / "a.hamsym")
+    verify(text, tmp_path / "a.hamsym")
+
+
+def test_a_certificate_says_what_is_proven(case):
+    statement = case[1].statement
+    for word in ("Proven", "exact", "solves the equation once more", "weights", "bits", "Arb"):
+        assert word in statement
+
+
+@pytest.mark.parametrize(
+    ("field", "factor"),
+    [
+        ("bound", 0.97),
+        ("lower", 1.04),
+        ("component_bounds", 0.97),
+        ("component_lowers", 1.04),
+        ("energy_bound", 0.97),
+        ("energy_lower", 1.04),
+        ("ell_max_bound", 0.97),
+        ("ell_max_lower", 1.04),
+        ("piece_bounds", 1e-3),
+    ],
+)
+def test_an_edited_certificate_fails(case, field, factor):
+    solution, certificate = case
+    value = getattr(certificate, field)
+    if isinstance(value, tuple):
+        value = (*value[:-1], value[-1] * factor)
+    else:
+        value *= factor
+    lowers = field.replace("bound", "lower")
+    if (
+        factor < 1 and lowers != field and hasattr(certificate, lowers)
+    ):  # all of a kind, forged well
+        low = getattr(certificate, lowers)
+        low = tuple(0.9 * entry for entry in low) if isinstance(low, tuple) else 0.9 * low
+        certificate = dataclasses.replace(certificate, **{lowers: low})
+    elif factor > 1:
+        uppers = field.replace("lower", "bound")
+        high = getattr(certificate, uppers)
+        high = tuple(1.1 * entry for entry in high) if isinstance(high, tuple) else 1.1 * high
+        certificate = dataclasses.replace(certificate, **{uppers: high})
+    forged = dataclasses.replace(certificate, **{field: value}).to_json()
+    with pytest.raises(CertificationError, match="does not hold"):
+        verify(forged, solution)
+    # Without the statement that belongs to its numbers the text is no certificate at all.
+    if field in ("bound", "lower"):
+        values = json.loads(forged) | {"statement": case[1].statement}
+        with pytest.raises(FileError, match="statement is not"):
+            verify(json.dumps(values), solution)
+
+
+def test_claims_that_are_no_numbers_fail(case):
+    solution, certificate = case
+    values = json.loads(certificate.to_json()) | {"bound": "nan"}
+    with pytest.raises((CertificationError, FileError)):
+        verify(json.dumps(values), solution)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"digest": "0" * 64},
+        {"edges": (0.0, 3.0), "piece_bounds": (1.0,)},
+        {"component_bounds": (1.0,), "component_lowers": (0.0,)},
+    ],
+)
+def test_a_certificate_of_something_else_fails(case, change):
+    solution, certificate = case
+    other = dataclasses.replace(certificate, **change)
+    with pytest.raises(CertificationError, match="another"):
+        verify(other.to_json(), solution)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"kind": "hamsym certificate", "version": 2}', "[" * 100_000]
+)
+def test_what_is_no_certificate_is_refused(case, text):
+    with pytest.raises(FileError, match="not a certificate"):
+        verify(text, case[0])
+
+
+def test_looser_claims_are_implied(case):
+    solution, certificate = case
+    looser = dataclasses.replace(
+        certificate, bound=2 * certificate.bound, lower=certificate.lower / 2
+    )
+    verify(looser.to_json(), solution)
+    verify(looser, solution)
+
+
+def test_bounds_outside_the_span_are_refused(case):
+    certificate = case[1]
+    for t in (-0.1, 4.1, math.nan):
+        with pytest.raises(InputError, match="outside"):
+            certificate.bound_at(t)
+    assert certificate.bound_at(0.0) >= 0
+    assert certificate.bound_at([0.0, 4.0]).shape == (2,)
+
+
+# -- refusals -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("formula", "reason"),
+    [
+        ("p**2/2 - x**4/4", "beyond.* t = 1.85.*escape to infinity"),
+        ("p**2/2 + abs(x)", "'abs'"),
+        ("p**2/2 + x**(5/2)", r"beyond t = 1\.0.*'(sqrt\(x\)|x.*3/2.*)'.*not smooth"),
+    ],
+)
+def test_what_cannot_be_proven_is_refused_with_the_reason(formula, reason):
+    H = hamsym.Hamiltonian(formula)
+    solution = hamsym.solve(H, [1.0, 0.0], (0.0, 3.0), method="adam", epochs=5, hidden=(4,))
+    with pytest.raises(CertificationError, match=reason):
+        solution.certify()
+
+
+def test_a_time_limit_is_kept():
+    with pytest.raises(CertificationError, match="time limit of 0.001 s"):
+        solved("features").certify(time_limit=1e-3)
+
+
+def test_too_few_bits_are_refused():
+    with pytest.raises(CertificationError, match="64 bits are not enough"):
+        solved("fine features").certify(bits=64)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"rtol": 0},
+        {"rtol": math.nan},
+        {"rtol": 10**400},
+        {"time_limit": -1},
+        {"time_limit": math.inf},
+        {"time_limit": 10**400},
+        {"bits": 12},
+        {"bits": 10**400},
+    ],
+)
+def test_settings_are_checked(options):
+    with pytest.raises(InputError, match=next(iter(options))):
+        solved("tanh").certify(**options)
+
+
+def test_the_papers_bound_is_proven_false_for_a_resonant_residual():
+    """z^ = (1 + eps t)(cos t, -sin t), as the solution of another system, marched."""
+    end = 4 * math.pi
+    forced = hamsym.Hamiltonian(
+        "p**2/2 + x**2/2 + eps*(p*cos(t) + x*sin(t))", parameters={"eps": 1e-3}
+    )
+    other = hamsym.solve(forced, [1.0, 0.0], (0, end), tol=1e-10)
+    H = systems.harmonic_oscillator().H
+    solution = hamsym.Solution(
+        H, other.z0, (0.0, end), other.trial, method="features", training=other.training
+    )
+    certificate = solution.certify()
+    assert certificate.ell_max_bound < 1.02e-3
+    # sigma_min is 1, exactly, for this Hessian.
+    assert max(certificate.component_lowers) > 12 * certificate.ell_max_bound / 1.0
+
+
+# -- claims that were once believed ------------------------------------------------------------
+
+
+def test_nothing_is_verified_where_h_is_singular_along_the_solution():
+    """z^ crosses the pole of 1/x, which z does not: energy and ell have no bound there."""
+    free = hamsym.Hamiltonian("p**2/2 + 0*x", q=["x"], p=["p"])
+    through = hamsym.solve(free, [0.5, -1.0], (0.0, 0.6), tol=1e-6)
+    H = hamsym.Hamiltonian("p**2/2 + 1/x")
+    solution = hamsym.Solution(
+        H, through.z0, through.span, through.trial, method="features", training=through.training
+    )
+    honest = solution.certify()
+    assert honest.energy_bound == honest.ell_max_bound == math.inf
+    verify(honest, solution)
+    for change in ({"energy_bound": 1e11}, {"ell_max_bound": 1e22}, {"energy_lower": 1e300}):
+        with pytest.raises(CertificationError):
+            verify(dataclasses.replace(honest, **change), solution)
+
+
+def test_floats_of_sympy_are_the_numbers_that_they_are():
+    """Of three digits here: differentiating would round 3 times 0.1 to three digits again."""
+    x, p = sympy.symbols("x p", real=True)
+    number = sympy.Float("0.1", 3)
+    H = hamsym.Hamiltonian(p**2 / 2 + x**2 / 2 + number * x**3, q=[x], p=[p])
+    _, mantissa, exponent, _ = number._mpf_
+    exactly = sympy.Rational(int(mantissa)) * sympy.Integer(2) ** int(exponent)
+    twin = hamsym.Hamiltonian(p**2 / 2 + x**2 / 2 + exactly * x**3, q=[x], p=[p])
+    state, clock = [arb(1), arb(2)], arb(0)
+    for name in ("energy", "vector_field"):
+        mine, right = (getattr(Enclosures(h), name)(state, clock) for h in (H, twin))
+        pairs = zip(mine, right, strict=True) if isinstance(mine, list) else [(mine, right)]
+        assert all(abs(a - b).upper() < 1e-12 for a, b in pairs)
+
+
+def test_a_jump_of_h_with_smooth_derivatives_is_refused():
+    H = hamsym.Hamiltonian("p**2/2 + acot(x)")
+    solution = hamsym.solve(H, [-0.5, 0.6], (0.0, 2.0), tol=1e-6)
+    assert solution(2.0)[0] > 0.1
+    with pytest.raises(CertificationError, match="t = "):
+        solution.certify()
+
+
+def test_windows_that_do_not_cover_the_span_are_refused():
+    solution = solved("features")
+    longer = hamsym.Solution(
+        solution.H, solution.z0, (0.0, 4.01), solution.trial,
+        method="features", training=solution.training,
+    )  # fmt: skip
+    with pytest.raises(CertificationError, match="do not cover the span"):
+        longer.certify()
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda values: values.update(statement="Proven: at most 1e-30."),
+        lambda values: values.update(extra="1"),
+        lambda values: values.update(lower=values["lower"] + "1"),
+        lambda values: values.update(lower=values["bound"] + "1"),
+        lambda values: values.update(energy_lower="1e300"),
+    ],
+    ids=["statement", "more", "more digits", "a last digit", "out of order"],
+)
+def test_texts_that_say_more_than_their_numbers_are_refused(case, edit):
+    values = json.loads(case[1].to_json())
+    edit(values)
+    with pytest.raises(FileError):
+        Certificate.from_json(json.dumps(values))
+
+
+def test_a_name_twice_is_refused(case):
+    text = case[1].to_json().replace("{", '{"lower": "0",', 1)
+    with pytest.raises(FileError, match="occurs twice"):
+        Certificate.from_json(text)
+
+
+def test_threads_wait_for_each_other():
+    """Precision and series length are global to the process."""
+    solution = solved("features", span=(0.0, 1.0))
+    alone = solution.certify()
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(lambda _: solution.certify(), range(6)))
+    assert all(certificate == alone for certificate in found)
+
+
+@pytest.mark.parametrize("name", ["levenberg-marquardt", "tanh", "sigmoid", "linear", "apart"])
+def test_the_bound_holds_at_a_thousand_times(name):
+    """Of each piece too; the exact solution and its evaluation are good to 1e-13."""
+    solution = solved(name)
+    certificate = solution.certify()
+    t = np.random.default_rng(0).uniform(0.0, 4.0, 1_000)
+    error = np.linalg.norm(solution(t) - systems.nonlinear_oscillator().exact(t), axis=-1)
+    assert certificate.lower > 1e-9
+    assert np.all(error <= certificate.bound_at(t) + 1e-12)
+    assert error.max() <= certificate.bound + 1e-12
+    assert error.max() > 0.9 * certificate.lower
+
+
+# -- what certify wrote is implied -----------------------------------------------------------------
+
+_SADDLE, _PENDULUM = "p**2/2 - x**2/2", "p**2/2 - cos(x)"
+_HENON = "(px**2 + py**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3"
+_NEAR = math.pi - 1e-6
+
+
+@pytest.mark.parametrize(
+    ("formula", "z0", "span", "tol"),
+    [
+        (_SADDLE, [1.0, 0.3], (0.1, 10.3), 1e-5),
+        (_SADDLE, [1.0, 0.3], (3.3, -2.1), 1e-5),
+        (_PENDULUM, [_NEAR, 0.0], (0.7, 9.0), 1e-6),
+        pytest.param(_SADDLE, [1e-7, 0.0], (-1 / 3, 20.0), 1e-4, marks=pytest.mark.slow),
+        pytest.param(_PENDULUM, [_NEAR, 0.0], (5.7, -8.1), 1e-8, marks=pytest.mark.slow),
+        pytest.param(_HENON, [0, -0.15, 0.5, 0], (0.3, 8.3), 1e-7, marks=pytest.mark.slow),
+        pytest.param(_HENON, [0, -0.15, 0.5555, 0], (4.1, -1.1), 1e-5, marks=pytest.mark.slow),
+    ],
+)
+def test_certificates_of_growing_solutions_are_implied(formula, z0, span, tol):
+    """Where pieces begin at times that are no float64, whose neighbours are far less accurate."""
+    solution = hamsym.solve(formula, z0, span, tol=tol)
+    certificate = solution.certify()
+    verify(certificate.to_json(), solution)
+    assert len(set(certificate.edges)) == len(certificate.edges)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(24))
+def test_certificates_of_random_solutions_are_implied(seed):
+    generator = np.random.default_rng(seed)
+    formula = [_SADDLE, _PENDULUM, _HENON][seed % 3]
+    start = float(generator.choice([0.0, 0.1, 1 / 3, -7.7, 1e4 / 3]))
+    length = float(generator.uniform(1, 9)) * generator.choice([-1, 1])
+    z0 = generator.uniform(-0.5, 0.5, 4 if formula == _HENON else 2)
+    options = {"tol": 10.0 ** -generator.integers(4, 11)}
+    if seed % 8 == 7:
+        options = {"method": "adam", "epochs": 30, "hidden": (8, 8), "seed": seed}
+        length /= 3
+    solution = hamsym.solve(formula, z0, (start, start + length), **options)
+    verify(solution.certify(rtol=10.0 ** -generator.uniform(0, 3)), solution)
+
+
+def test_a_sliver_of_a_piece_is_bounded_by_itself():
+    """Not by the expansion of the whole piece, whose remainder it is too narrow to shake off."""
+    solution = hamsym.solve(_SADDLE, [1.0, 0.3], (0.0, 2.0), tol=1e-5)
+    proof = prove._Proof(solution, Deadline.after(None), False)
+    low = Fraction(float(solution.trial.edges[1])) - Fraction(1, 2**30)
+
+    def attempt(comparison):
+        norm = comparison.quantities(proof.floors)[0]
+        cut = comparison.cut(norm, comparison.leaves(norm), low, low + Fraction(1, 2**70))
+        return max(leaf.upper for leaf in cut)
+
+    _, bound = proof.run(attempt, None, 1e-18)
+    with mpmath.workdps(40):
+        error = mpmath.norm(true_errors(solution, [float(low)])[0])
+        assert error <= bound <= error * (1 + mpmath.mpf(10) ** -9)
+
+
+def test_more_bits_than_needed_are_verified(cheap):
+    verify(cheap[0].certify(bits=640), cheap[0])
+
+
+def test_precision_that_a_network_needs_is_found_again(cheap):
+    """Its envelope is 1e-60, the difference of two numbers near one, and its weights are 1e60."""
+
+    def change(trial):
+        trial.tau = 1e60
+        trial.network.theta[9] = 1e60
+
+    other = damaged(cheap[0], change)
+    certificate = other.certify()
+    assert certificate.bits > 2 * cheap[1].bits
+    verify(certificate, other)
+
+
+# -- solutions that no proof is about --------------------------------------------------------------
+
+
+def _of_type(name, dtype):
+    def change(trial):
+        trial.register_buffer(name, getattr(trial, name).to(dtype))
+
+    return change
+
+
+def _with_value(name, place, value):
+    def change(trial):
+        getattr(trial, name)[place] = value
+
+    return change
+
+
+def _without_a_column(trial):
+    trial.register_buffer("readouts", trial.readouts[..., :1].clone())
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_of_type("states", torch.complex64), "'states' .* complex64, not of float64 or float32"),
+        (_of_type("edges", torch.int64), "'edges' .* int64"),
+        (_of_type("readouts", torch.float16), "'readouts' .* float16"),
+        (_of_type("series", torch.bfloat16), "'series' .* bfloat16"),
+        (_with_value("readouts", (0, 0, 0), math.nan), "'readouts' .* not finite"),
+        (_with_value("states", (1, 1), math.inf), "'states' .* not finite"),
+        (_without_a_column, "do not fit together"),
+    ],
+)
+def test_tensors_that_are_not_as_written_are_refused(cheap, change, reason):
+    sound = solved("features", span=(0.0, 0.5))
+    hurt = damaged(sound, change)
+    with pytest.raises(CertificationError, match=reason):
+        hurt.certify()
+    with pytest.raises(CertificationError, match=reason):
+        verify(cheap[1], hurt)
+
+
+@pytest.mark.parametrize("name", ["t0", "tau"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, 10**400, 1j, None])
+def test_numbers_of_networks_that_are_none_are_refused(cheap, name, value):
+    hurt = damaged(cheap[0], lambda trial: setattr(trial, name, value))
+    with pytest.raises(CertificationError, match=f"{name} of the solution"):
+        hurt.certify()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("z0", np.array([1, 0]), "not 2 numbers of float64"),
+        ("z0", np.array([1.0, 0.1j]), "not 2 numbers of float64"),
+        ("z0", np.array([1.0, 0.0, 0.0]), "not 2 numbers of float64"),
+        ("z0", np.array([1.0, math.nan]), "not finite"),
+        ("span", (0.0, math.inf), "span .* not two finite times"),
+        ("span", (0.0, math.nan), "span .* not two finite times"),
+        ("span", (0.0, 10**400), "span .* not two finite times"),
+        ("span", (0.5, 0.5), "span .* is empty"),
+    ],
+)
+def test_starts_and_spans_that_are_none_are_refused(cheap, name, value, reason):
+    hurt = copy.copy(cheap[0])
+    setattr(hurt, name, value)
+    with pytest.raises(CertificationError, match=reason):
+        hurt.certify()
+    with pytest.raises(CertificationError, match=reason):
+        verify(cheap[1], hurt)
+
+
+# -- work in proportion ----------------------------------------------------------------------------
+
+
+def test_a_forged_precision_costs_nothing(cheap, monkeypatch):
+    solution, certificate = cheap
+    used, own = [], prove.validated_reference
+
+    def recorded(H, z0, span, units, bits, *rest):
+        used.append(bits)
+        return own(H, z0, span, units, bits, *rest)
+
+    monkeypatch.setattr(prove, "validated_reference", recorded)
+    verify(dataclasses.replace(certificate, bits=2048), solution)
+    assert used == [certificate.bits]
+
+
+@pytest.mark.parametrize(("seconds", "limit"), [(0.0, 60.0), (2.0, 80.0), (1e300, 600.0)])
+def test_the_time_of_verify_is_limited_by_default(cheap, monkeypatch, seconds, limit):
+    solution, certificate = cheap
+    found, own = [], prove.Deadline.after
+
+    def recorded(limit, origin=""):
+        found.append(limit)
+        return own(0.0, origin)
+
+    monkeypatch.setattr(prove.Deadline, "after", recorded)
+    with pytest.raises(CertificationError, match=r"by default .* at most 600 s, was reached"):
+        verify(dataclasses.replace(certificate, seconds=seconds), solution)
+    assert found == [limit]
+
+
+def test_a_time_limit_of_verify_is_kept(cheap):
+    with pytest.raises(CertificationError, match=r"limit of 1e-09 s was reached"):
+        verify(cheap[1], cheap[0], time_limit=1e-9)
+    with pytest.raises(InputError, match="time_limit"):
+        verify(cheap[1], cheap[0], time_limit=math.inf)
+
+
+def test_arguments_that_are_something_else_are_refused(cheap):
+    with pytest.raises(InputError, match="certificate is neither"):
+        verify(None, cheap[0])
+    with pytest.raises(InputError, match="solution is neither"):
+        verify(cheap[1], None)
+
+
+# -- texts that are no certificates ----------------------------------------------------------------
+
+
+def _raw(name, text):
+    """A change of the JSON text itself, where json.dumps would not write it."""
+    return lambda values: json.dumps(values | {name: "@"}).replace('"@"', text, 1)
+
+
+def _value(name, value):
+    return lambda values: json.dumps(values | {name: value})
+
+
+_BROKEN = {
+    "bits beyond": _raw("bits", "1" + "0" * 400),
+    "bits below": _value("bits", 63),
+    "bits above": _value("bits", 2_049),
+    "bits of another type": _value("bits", True),
+    "bits with a fraction": _value("bits", 96.5),
+    "infinite bits": _raw("bits", "Infinity"),
+    "too many digits": _raw("bits", "1" * 10_000),
+    "version": _value("version", True),
+    "version with a point": _value("version", 1.0),
+    "no version": _value("version", None),
+    "kind": _value("kind", ["hamsym certificate"]),
+    "bound nan": _value("bound", "nan"),
+    "bound NaN": _raw("bound", "NaN"),
+    "bound as a number": _value("bound", 1e400),
+    "bound beyond": _raw("bound", "1" + "0" * 400),
+    "bound overflowing": _value("bound", "1e400"),
+    "bound negative": _value("bound", "-1"),
+    "bound a list": _value("bound", ["1"]),
+    "infinite lower": _value("lower", "inf"),
+    "component a number": _value("component_bounds", "1"),
+    "components missing": _value("component_bounds", []),
+    "piece nan": lambda values: json.dumps(values | {"piece_bounds": ["nan"] * 5}),
+    "edges reversed": lambda values: json.dumps(values | {"edges": values["edges"][::-1][:3]}),
+    "edges equal": lambda values: json.dumps(
+        values
+        | {"edges": ["0.0"] + values["edges"], "piece_bounds": ["0", *values["piece_bounds"]]}
+    ),
+    "edges nan": lambda values: json.dumps(values | {"edges": ["nan", *values["edges"][1:]]}),
+    "edges infinite": lambda values: json.dumps(values | {"edges": ["-inf", *values["edges"][1:]]}),
+    "edges as numbers": lambda values: json.dumps(values | {"edges": [0, 1]}),
+    "edges with more digits": lambda values: json.dumps(
+        values | {"edges": ["0.00", *values["edges"][1:]]}
+    ),
+    "edges a name": _value("edges", {"0": 1}),
+    "seconds negative": _value("seconds", "-1.0"),
+    "seconds infinite": _value("seconds", "inf"),
+    "seconds overflowing": _value("seconds", "1e999"),
+    "rtol nan": _value("rtol", "nan"),
+    "rtol tiny": _value("rtol", "1e-300"),
+    "digest": _value("digest", 0),
+    "digest short": _value("digest", "abc"),
+    "statement": _value("statement", None),
+    "cut short": lambda values: json.dumps(values)[:-20],
+    "long": lambda values: json.dumps(values | {"statement": " " * 20_000_000}),
+    "many edges": lambda values: json.dumps(
+        values | {"edges": ["0.5"] * 300_000, "piece_bounds": ["1"] * 299_999}
+    ),
+    "nothing": lambda values: None,
+    "bytes": lambda values: b"{}",
+    "a number": lambda values: "1",
+}
+
+
+@pytest.mark.parametrize("name", _BROKEN)
+def test_broken_texts_are_refused_in_one_sentence(cheap, name):
+    text = _BROKEN[name](json.loads(cheap[1].to_json()))
+    with pytest.raises(FileError, match="not a certificate") as caught:
+        Certificate.from_json(text)
+    assert len(str(caught.value)) < 300
+
+
+def test_what_was_never_written_is_no_certificate(cheap):
+    """Objects that were made by hand, not read from a text."""
+    solution, certificate = cheap
+    for change in (
+        {"bound": math.nan},
+        {"bound": 10**400},
+        {"piece_bounds": (math.nan,) * len(certificate.piece_bounds)},
+        {"piece_bounds": list(certificate.piece_bounds)},
+        {"edges": None},
+        {"bits": 96.0},
+        {"digest": None},
+        {"seconds": -1.0},
+        {"rtol": math.nan},
+    ):
+        with pytest.raises(CertificationError, match="no certificate"):
+            verify(dataclasses.replace(certificate, **change), solution)
+
+
+@pytest.mark.parametrize("t", ["soon", 10**400, None, [0.1, "x"]])
+def test_times_that_are_no_numbers_are_refused(cheap, t):
+    with pytest.raises(InputError):
+        cheap[1].bound_at(t)
+
+
+# -- forgeries -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cheap():
+    """A solution with one window whose error is large, so that verifying takes a moment."""
+    H = hamsym.Hamiltonian("p**2/2 + x**2/2")
+    solution = hamsym.solve(
+        H, [1.0, 0.0], (0.0, 0.3), method="adam", epochs=30, hidden=(4,), seed=0
+    )
+    return solution, solution.certify()
+
+
+def _scaled(name, factor, *others):
+    def change(certificate):
+        value = getattr(certificate, name)
+        scaled = tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
+        changed = {other: _times(getattr(certificate, other), factor) for other in others}
+        return dataclasses.replace(certificate, **{name: scaled}, **changed)
+
+    return change
+
+
+def _times(value, factor):
+    return tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
+
+
+def _moved_edge(certificate):
+    """The worst piece is said to end earlier, where the next one has a lower bound."""
+    edges, pieces = list(certificate.edges), list(certificate.piece_bounds)
+    falls = [k for k in range(len(pieces) - 1) if pieces[k] > 1.05 * pieces[k + 1]]
+    rises = [k for k in range(len(pieces) - 1) if 1.05 * pieces[k] < pieces[k + 1]]
+    if falls:
+        edges[falls[0] + 1] = (edges[falls[0]] + edges[falls[0] + 1]) / 2
+    else:
+        edges[rises[0] + 1] = (edges[rises[0] + 1] + edges[rises[0] + 2]) / 2
+    return dataclasses.replace(certificate, edges=tuple(edges))
+
+
+def _swapped_pieces(certificate):
+    return dataclasses.replace(certificate, piece_bounds=certificate.piece_bounds[::-1])
+
+
+def _without_a_piece(certificate):
+    """The last piece, the worst, is joined to the one before."""
+    edges, pieces = certificate.edges, certificate.piece_bounds
+    return dataclasses.replace(
+        certificate, edges=(*edges[:-2], edges[-1]), piece_bounds=pieces[:-1]
+    )
+
+
+_FORGERIES = {
+    "bound": _scaled("bound", 0.97, "lower"),
+    "lower": _scaled("lower", 1.04, "bound"),
+    "component bounds": _scaled("component_bounds", 0.97, "component_lowers"),
+    "component lowers": _scaled("component_lowers", 1.04, "component_bounds"),
+    "energy": _scaled("energy_bound", 0.97, "energy_lower"),
+    "energy lower": _scaled("energy_lower", 1.04, "energy_bound"),
+    "residual": _scaled("ell_max_bound", 0.97, "ell_max_lower"),
+    "all pieces": _scaled("piece_bounds", 0.5),
+    "one edge": _moved_edge,
+    "pieces swapped": _swapped_pieces,
+    "a piece less": _without_a_piece,
+    "digest": lambda certificate: dataclasses.replace(certificate, digest="0" * 64),
+    "bits and a bound": lambda certificate: dataclasses.replace(
+        _scaled("bound", 0.9, "lower")(certificate), bits=2048
+    ),
+    "rtol and seconds": lambda certificate: dataclasses.replace(
+        _scaled("bound", 0.9, "lower")(certificate), rtol=1e-6, seconds=1e9
+    ),
+}
+
+
+@pytest.mark.parametrize("name", _FORGERIES)
+def test_forged_certificates_are_refused(cheap, name):
+    solution, certificate = cheap
+    forged = _FORGERIES[name](certificate)
+    assert forged != certificate
+    with pytest.raises(CertificationError, match="does not hold|another solution"):
+        verify(forged.to_json(), solution)
+
+
+def test_certificates_that_claim_less_are_implied(cheap):
+    solution, certificate = cheap
+    for change in (
+        {"bound": math.inf, "energy_bound": math.inf},
+        {"lower": 0.0, "component_lowers": (0.0, 0.0)},
+        {"piece_bounds": tuple(2 * bound for bound in certificate.piece_bounds)},
+        {"edges": (0.0, 0.3), "piece_bounds": (certificate.bound,)},
+        {"bits": 64, "seconds": 0.0, "rtol": 1e6},
+    ):
+        verify(dataclasses.replace(certificate, **change).to_json(), solution)
+
+
+class _Truth:
+    """Errors of a solution of the harmonic oscillator on a grid, by its formula in mpmath."""
+
+    def __init__(self, solution, count=600):
+        self.times = np.linspace(*solution.span, count)
+        with mpmath.workdps(30):
+            found = [self._at(solution, mpmath.mpf(float(t))) for t in self.times]
+        self.components, self.norm, self.energy, self.ell = (
+            np.array([row[k] for row in found], dtype=float) for k in range(4)
+        )
+
+    @staticmethod
+    def _at(solution, t):
+        x, p = formula(solution, t)
+        slopes = [mpmath.diff(lambda s, i=i: formula(solution, s)[i], t) for i in range(2)]
+        errors = [abs(x - mpmath.cos(t)), abs(p + mpmath.sin(t))]
+        energy = abs((x**2 + p**2) / 2 - mpmath.mpf(1) / 2)
+        residual = mpmath.norm([slopes[0] - p, slopes[1] + x])
+        return [float(e) for e in errors], mpmath.norm(errors), energy, residual
+
+    def is_refuted(self, claims):
+        """Whether a claim is false beyond doubt: by more than the grid can miss."""
+        pairs = [
+            (claims.bound, claims.lower, self.norm.max()),
+            (claims.energy_bound, claims.energy_lower, self.energy.max()),
+            (claims.ell_max_bound, claims.ell_max_lower, self.ell.max()),
+            *zip(
+                claims.component_bounds,
+                claims.component_lowers,
+                self.components.max(axis=0),
+                strict=True,
+            ),
+        ]
+        if any(upper < largest or lower > largest * (1 + 1e-3) for upper, lower, largest in pairs):
+            return True
+        for (low, high), bound in zip(
+            itertools.pairwise(claims.edges), claims.piece_bounds, strict=True
+        ):
+            inside = self.norm[(self.times >= low) & (self.times <= high)]
+            if inside.max(initial=0.0) > bound:
+                return True
+        return False
+
+
+def _random_forgery(certificate, generator):
+    """One to three numbers of a certificate, changed by up to a factor of two."""
+    names = ["bound", "lower", "energy_bound", "energy_lower", "ell_max_bound", "ell_max_lower"]
+    names += ["component_bounds", "component_lowers", "piece_bounds", "edges"]
+    changed = {}
+    for name in generator.choice(names, generator.integers(1, 4), replace=False):
+        value = getattr(certificate, name)
+        factor = float(2 ** (generator.uniform(-1, 1) * generator.choice([1, 0.1, 0.01])))
+        if name == "edges":
+            k = int(generator.integers(1, len(value) - 1))
+            low, high = value[k - 1], value[k + 1]
+            moved = float(generator.uniform(low, high))
+            value = (*value[:k], moved, *value[k + 1 :])
+        elif isinstance(value, tuple):
+            k = int(generator.integers(len(value)))
+            value = (*value[:k], value[k] * factor, *value[k + 1 :])
+        else:
+            value = value * factor
+        changed[name] = value
+    return dataclasses.replace(certificate, **changed)
+
+
+@pytest.mark.slow
+def test_no_random_forgery_is_believed(cheap):
+    """Whether a claim is false is decided by the formula, not by the proof."""
+    solution, certificate = cheap
+    truth = _Truth(solution)
+    assert not truth.is_refuted(certificate)
+    generator, refused = np.random.default_rng(0), 0
+    for _ in range(100):
+        forged = _random_forgery(certificate, generator)
+        try:
+            verify(forged, solution)
+        except CertificationError:
+            refused += 1
+        else:
+            assert not truth.is_refuted(forged), forged
+    assert 20 < refused < 95  # some of them claim less than what is proven

@@ -1,0 +1,466 @@
+"""Marching to a tolerance: it is met, or the failure says when and why."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+import torch
+
+import hamsym
+from hamsym import Hamiltonian, InputError, systems
+from hamsym.integrators.integrate import reference
+from hamsym.random_features import window_loop
+from hamsym.random_features.basis import feature_basis
+from hamsym.random_features.flow import flow_of
+from hamsym.random_features.march import march, newton
+from hamsym.systems import CATALOGUE, Problem
+
+EXACT = [name for name in CATALOGUE if CATALOGUE[name]().exact is not None]
+
+
+def true_error(solution: hamsym.Solution, truth, samples: int = 4_001) -> np.ndarray:
+    """max_t of the error of each component, over its scale."""
+    t = np.linspace(*solution.span, samples)
+    return np.abs(solution(t) - truth(t)).max(axis=0) / solution.scale
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
+def test_tolerance_is_met_on_the_whole_catalogue(problem: Problem, tol: float) -> None:
+    truth = problem.exact or reference(problem.H, np.array(problem.z0), problem.span)
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=tol)
+    assert solution.success, solution.message
+    assert solution.message.startswith(f"tol {tol:.1e} met: ")
+    assert true_error(solution, truth).max() <= tol
+    assert solution(problem.span[0]).tolist() == list(problem.z0)
+
+
+def test_three_bodies_return_after_a_period() -> None:
+    problem = systems.three_bodies()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-10)
+    assert solution.success
+    assert np.abs(solution(problem.period) - problem.z0).max() <= 1e-9
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_eleven_digits_or_an_honest_refusal(name: str) -> None:
+    problem = CATALOGUE[name]()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-11)
+    if solution.success:
+        assert true_error(solution, problem.exact).max() <= 1e-11
+    else:
+        assert "round-off" in solution.message
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-9, 1e-11])
+@pytest.mark.parametrize("name", EXACT)
+def test_estimate_is_the_error_up_to_round_off(name: str, tol: float) -> None:
+    problem = CATALOGUE[name]()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=tol)
+    t = np.linspace(*problem.span, 1_001)
+    error, estimate = problem.exact(t) - solution(t), solution.error_estimate(t)
+    floor = solution.march_error.floor(t)
+    # The exact solutions carry round-off of their own.
+    own = 1e-13 * solution.scale
+    assert np.all(np.abs(error - estimate) <= 0.001 * np.abs(error).max(axis=0) + floor + own)
+    assert np.all(solution.largest_error >= np.abs(estimate).max(axis=0))
+
+
+def test_long_spans_are_estimated_as_well() -> None:
+    """Thousands of windows: neither the error nor the estimate may drift away unnoticed."""
+    problem = systems.pendulum()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 2_000.0), tol=1e-8)
+    assert solution.success
+    t = np.linspace(0, 2_000, 2_001)
+    error, estimate = problem.exact(t) - solution(t), solution.error_estimate(t)
+    assert np.abs(error).max() <= 1e-8 * solution.scale.min()
+    assert np.abs(error - estimate).max() < 0.3 * np.abs(error).max()
+    assert len(solution.history.edges) < 4_000
+
+
+@pytest.mark.parametrize(
+    ("mass", "stiffness"), [(1e-27, 1e3), (1e30, 1e12), (1.0, 1.0), (1e-27, 1e-45)]
+)
+def test_scales_are_the_users(mass: float, stiffness: float) -> None:
+    omega = math.sqrt(stiffness / mass)
+    H = Hamiltonian("p**2/(2*m) + k*x**2/2", parameters={"m": mass, "k": stiffness})
+    solution = hamsym.solve(H, [1e-9, 0.0], (0, 40 / omega), tol=1e-9)
+    assert solution.success, solution.message
+
+    def truth(t: np.ndarray) -> np.ndarray:
+        phase = omega * t
+        return 1e-9 * np.stack((np.cos(phase), -mass * omega * np.sin(phase)), axis=-1)
+
+    assert true_error(solution, truth).max() <= 1e-9
+
+
+def test_backward_time_and_other_starts() -> None:
+    problem = systems.nonlinear_oscillator()
+    forward = hamsym.solve(problem.H, problem.z0, (0, 10), tol=1e-9)
+    back = hamsym.solve(problem.H, forward(10.0), (10.0, 0.0), tol=1e-9)
+    assert back.success
+    t = np.linspace(0, 10, 101)
+    np.testing.assert_allclose(back(t), forward(t), atol=1e-8)
+    shifted = hamsym.solve(problem.H, problem.z0, (100.0, 110.0), tol=1e-9)
+    np.testing.assert_allclose(shifted(t + 100), forward(t), atol=1e-8)
+
+
+def test_time_dependent_hamiltonian() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 - x*cos(2*t)")
+    solution = hamsym.solve(H, [0.0, 0.0], (0, 30), tol=1e-9)
+    assert solution.success
+
+    def truth(t: np.ndarray) -> np.ndarray:
+        x, p = np.cos(t) - np.cos(2 * t), 2 * np.sin(2 * t) - np.sin(t)
+        return np.stack((x, p), axis=-1) / 3
+
+    assert true_error(solution, truth).max() <= 1e-9
+
+
+def test_components_that_stay_zero_are_exactly_zero() -> None:
+    solution = hamsym.solve(Hamiltonian("p**2/2 + x**2/2", q=["x"], p=["p"]), [0, 0], (0, 5))
+    assert solution.success
+    assert not solution(np.linspace(0, 5, 11)).any()
+    at_rest = hamsym.solve(Hamiltonian("p**2/2", q=["x"], p=["p"]), [2.0, 0.0], (0, 5))
+    assert at_rest.success
+    assert at_rest(3.3).tolist() == [2.0, 0.0]
+
+
+def test_absolute_tolerance_loosens() -> None:
+    problem = systems.henon_heiles()
+    tight = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-12, atol=0.0)
+    loose = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-12, atol=[1e-3] * 4)
+    assert loose.success
+    assert np.all(loose.march_error.largest <= 1e-3 + 1e-12 * loose.scale)
+    assert tight.message != loose.message
+
+
+def test_windows_join_exactly() -> None:
+    problem = systems.kepler()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    edges = solution.history.edges
+    np.testing.assert_array_equal(solution(edges[:-1]), solution.history.states[:-1])
+    before = edges[1:-1] - 1e-12
+    jump = solution(edges[1:-1]) - solution(before) - 1e-12 * solution.derivative(edges[1:-1])
+    assert np.abs(jump).max() < 1e-13
+
+
+def test_derivative_is_that_of_the_solution() -> None:
+    problem = systems.henon_heiles()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    t = torch.linspace(0.1, 18, 50, dtype=torch.float64, requires_grad=True)
+    z = solution(t)
+    for i in range(4):
+        (slope,) = torch.autograd.grad(z[:, i].sum(), t, retain_graph=True)
+        torch.testing.assert_close(slope, solution.derivative(t.detach())[:, i])
+    assert solution.ell_max < 1e-7
+
+
+def test_same_seed_same_solution_other_features_agree() -> None:
+    problem = systems.henon_heiles()
+    first, again, other = (
+        hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9, seed=seed) for seed in (0, 0, 1)
+    )
+    t = np.linspace(*problem.span, 101)
+    assert np.array_equal(first(t), again(t))
+    assert not np.array_equal(first(t), other(t))
+    np.testing.assert_allclose(first(t), other(t), atol=2e-9)
+
+
+def test_newton_and_fixed_point_solve_the_same_equation() -> None:
+    problem = systems.nonlinear_oscillator()
+    flow, basis, z0 = flow_of(problem.H), feature_basis(0), np.array(problem.z0)
+    marched = march(flow, z0, (0.0, 0.5), 1e-12, basis)
+    assert marched.newton_windows == 0
+    end = marched.edges[1]
+    rates, _ = newton(flow, basis, z0, 0.0, end, 1e-13, np.ones(2))
+    np.testing.assert_allclose(end * basis.fit @ rates, marched.readouts[0], atol=1e-13)
+
+
+def test_newton_takes_over_where_the_fixed_point_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = systems.nonlinear_oscillator()
+    usual = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    monkeypatch.setattr(window_loop, "ITERATIONS", 3)  # too few for any window
+    newton = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    assert usual.history.newton_windows == 0
+    assert newton.history.newton_windows >= len(newton.history.readouts) > 10
+    assert newton.success
+    assert true_error(newton, problem.exact).max() <= 1e-9
+
+
+def test_a_stiff_system() -> None:
+    """Two masses on a stiff spring that move as one."""
+    stiffness = np.array([[1 + 1e6, -1e6], [-1e6, 1e6]])
+    squares, modes = np.linalg.eigh(stiffness)
+    H = Hamiltonian("(p**2 + r**2)/2 + x**2/2 + 500000*(y - x)**2", q=["x", "y"], p=["p", "r"])
+    start = modes[:, 0] / modes[0, 0]
+    solution = hamsym.solve(H, [*start, 0.0, 0.0], (0, 2), tol=1e-6)
+    assert solution.success, solution.message
+    t = np.linspace(0, 2, 301)
+    np.testing.assert_allclose(solution(t)[:, 0], np.cos(np.sqrt(squares[0]) * t), atol=1e-6)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_equal_windows_reach_the_end_of_any_span(compiled: bool) -> None:
+    """An eighth of the span, eight times added to the start, may fall short of its end."""
+    H = Hamiltonian("p**2/2 + x**2/2")
+    if compiled:
+        H.compile("numba")
+    rng = np.random.default_rng(7)
+    for start, length in zip([0.0, 1.7, -1e3] * 20, rng.uniform(0.01, 9, 60), strict=True):
+        for end in (start + length, start - length):
+            solution = hamsym.solve(H, [0.3, 0.1], (start, end))
+            assert solution.success, solution.message
+            edges = solution.history.edges
+            assert solution.history.origin + edges[-1] == end
+            assert np.abs(np.diff(edges)).max() <= (1 + 2e-6) * length / 8
+            assert np.abs(np.diff(edges)).min() > 1e-7 * length
+
+
+def test_breakpoints_end_windows() -> None:
+    H = Hamiltonian("p**2/2 - x*sign(t - 1)")
+    solution = hamsym.solve(H, [0.0, 0.0], (0, 3), tol=1e-11, breakpoints=[2.0, 1.0, 2.0])
+    assert solution.success, solution.message
+    assert {1.0, 2.0} < set(solution.history.edges)
+    t = np.linspace(0, 3, 301)
+    exact = np.where(t < 1, -t, t - 2)
+    np.testing.assert_allclose(solution(t)[:, 1], exact, atol=2e-11)
+    back = hamsym.solve(H, solution(3.0), (3, 0), tol=1e-11, breakpoints=[1.0, 2.0])
+    np.testing.assert_allclose(back(0.0), [0, 0], atol=1e-10)
+
+
+@pytest.mark.parametrize("breakpoints", [[5.0], [0.0], [math.nan], ["soon"], 3.0])
+def test_unusable_breakpoints(breakpoints: object) -> None:
+    with pytest.raises(InputError, match="breakpoint"):
+        hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), breakpoints=breakpoints)
+
+
+# -- Henon-Heiles against a Taylor series in extended precision -----------------------------------
+
+
+def _taylor_henon_heiles(z0: list[float], end: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states, from power series of degree 30 in the 64-bit mantissa of longdouble."""
+    degree, h = 30, np.longdouble(end) / steps
+    powers = h ** np.arange(degree + 1)
+    states = [np.array(z0, dtype=np.longdouble)]
+    for _ in range(steps):
+        x, y, px, py = (np.zeros(degree + 1, np.longdouble) for _ in range(4))
+        x[0], y[0], px[0], py[0] = states[-1]
+        for k in range(degree):
+            forward, back = slice(0, k + 1), slice(k, None, -1)
+            x[k + 1], y[k + 1] = px[k] / (k + 1), py[k] / (k + 1)
+            px[k + 1] = -(x[k] + 2 * (x[forward] @ y[back])) / (k + 1)
+            force = y[k] + x[forward] @ x[back] - y[forward] @ y[back]
+            py[k + 1] = -force / (k + 1)
+        states.append(np.array([series @ powers for series in (x, y, px, py)]))
+    return np.linspace(0, end, steps + 1), np.array(states)
+
+
+def test_three_hundred_units_of_henon_heiles() -> None:
+    problem = systems.henon_heiles()
+    t, truth = _taylor_henon_heiles(list(problem.z0), 300.0, 1_000)
+    solution = hamsym.solve(problem.H, problem.z0, (0, 300), tol=1e-11)
+    assert np.abs(solution(t) - truth).max() <= 1e-10
+    assert np.abs(truth.astype(float) - solution(t) - solution.error_estimate(t)).max() <= 1e-12
+
+
+def test_a_chaotic_orbit_and_its_estimate() -> None:
+    z0 = [0.0, -0.1, math.sqrt(2 * (0.125 - 0.005 - 0.001 / 3)), 0.0]
+    t, truth = _taylor_henon_heiles(z0, 150.0, 500)
+    _, check = _taylor_henon_heiles(z0, 150.0, 1_000)
+    assert np.abs(truth - check[::2]).max() < 1e-13
+    solution = hamsym.solve(systems.henon_heiles().H, z0, (0, 150), tol=1e-9)
+    assert solution.success
+    error = np.abs(solution(t) - truth).max(axis=0)
+    assert error.max() <= 1e-8
+    estimate = np.abs(solution.error_estimate(t)).max(axis=0)
+    assert np.all((estimate < 10 * error) & (error < 10 * estimate))
+
+
+# -- failures ------------------------------------------------------------------------------------
+
+
+def test_escape_is_reported_with_the_solution_up_to_there() -> None:
+    H = Hamiltonian("p**2/2 - x**4/4")
+    solution = hamsym.solve(H, [1.0, 1.0], (0, 5), tol=1e-9)
+    assert not solution.success
+    assert solution.message.startswith("stopped at t = 1.311")
+    assert solution.span[1] == pytest.approx(1.31103, abs=1e-4)
+    truth = reference(H, np.array([1.0, 1.0]), (0.0, 1.2))
+    t = np.linspace(0, 1.2, 101)
+    np.testing.assert_allclose(solution(t), truth(t), rtol=1e-7)
+
+
+def test_round_off_is_that_of_the_state_where_it_is_small() -> None:
+    """From a tiny start near an unstable point, a scale of the whole run would say too much."""
+    H = Hamiltonian("p**2/2 - x**2/2 + x**4/4")
+    assert hamsym.solve(H, [1e-7, 0.0], (0, 17), tol=1e-9).success
+    escaping = hamsym.solve(Hamiltonian("p**2/2 - x**4/4"), [1.0, 0.0], (0, 4), tol=1e-6)
+    assert re.search(r"stopped at t = 1.85.*held until \d\.\de-\d+ before that", escaping.message)
+
+
+@pytest.mark.parametrize(
+    ("formula", "z0", "jump"),
+    [
+        ("p**2/2 + abs(x)", [1.0, 0.0], math.sqrt(2)),
+        ("p**2/2 + max(x, k*x)", [1.0, 0.0], math.sqrt(2)),
+        ("p**2/2 + x**2/2 + abs(p)/10", [1.0, 0.0], None),
+    ],
+)
+def test_a_force_that_jumps_is_no_success(formula: str, z0: list, jump: float | None) -> None:
+    parameters = {"k": -1.0} if "k" in formula else {}
+    H = Hamiltonian(formula, parameters=parameters)
+    solution = hamsym.solve(H, z0, (0, 6), tol=1e-6)
+    assert not solution.success
+    assert "the force jumps at t = " in solution.message
+    if jump is not None:
+        assert f"t = {jump:.6g}, beyond which" in solution.message
+        assert hamsym.solve(H, z0, (0, jump - 1e-9), tol=1e-6).success
+
+
+@pytest.mark.parametrize("span", [(0, 4), (0, 3.3), (0, 0.6)])  # the first has 0.5 as a joint
+def test_a_step_of_the_potential_is_no_success(span: tuple[float, float]) -> None:
+    """The derivative of sign shows no force, and the energy changes."""
+    H = Hamiltonian("p**2/2 + sign(x)/2")
+    solution = hamsym.solve(H, [1.0, -2.0], span)
+    assert not solution.success
+    assert "H jumps at t = 0.5, beyond which" in solution.message
+    assert hamsym.solve(H, [1.0, -2.0], (0, 0.49)).success
+
+
+def test_a_kink_of_the_force_alone_is_no_jump() -> None:
+    H = Hamiltonian("p**2/2 + abs(x)**3")
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 6), tol=1e-6)
+    assert solution.success, solution.message
+    truth = hamsym.solve(H, [1.0, 0.0], (0, 6), tol=1e-9, seed=1)
+    assert true_error(solution, truth).max() <= 1e-6
+
+
+def test_a_brief_event_in_a_long_rest() -> None:
+    H = Hamiltonian("p**2/2 - x*exp(-(t - 51.3)**2)")
+    truth = hamsym.solve(H, [0.0, 0.0], (0, 100), tol=1e-9, max_window=0.5)
+    solution = hamsym.solve(H, [0.0, 0.0], (0, 100), tol=1e-6)
+    assert truth(100.0)[1] == pytest.approx(math.sqrt(math.pi), rel=1e-9)
+    assert true_error(solution, truth).max() <= 1e-6
+    assert np.diff(truth.history.edges).max() <= 0.5 * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("max_window", [0.0, -1.0, math.nan, "long"])
+def test_unusable_windows(max_window: object) -> None:
+    with pytest.raises(InputError, match="max_window=.* cannot be used; give a time above 0"):
+        hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), max_window=max_window)
+
+
+def test_windows_too_many_are_refused_beforehand() -> None:
+    with pytest.raises(InputError, match="makes more than 200,000 windows; give 5e-05 or more"):
+        hamsym.solve("p**2 + x**2", [1, 0], (0, 10), max_window=1e-6)
+
+
+def test_collision_is_reported() -> None:
+    H = Hamiltonian("p**2/2 - 1/x")
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 3), tol=1e-6)
+    assert not solution.success
+    assert "stopped at t = 1.11" in solution.message  # pi / (2 sqrt 2)
+
+
+def test_leaving_the_domain_is_reported() -> None:
+    solution = hamsym.solve(Hamiltonian("p**2/2 + log(x)"), [1.0, -3.0], (0, 5))
+    assert not solution.success
+    assert "end of a domain" in solution.message
+
+
+def test_chaos_beyond_double_precision_is_reported() -> None:
+    problem = systems.double_pendulum()
+    solution = hamsym.solve(problem.H, (3.0, 3.0, 0.0, 0.0), (0, 150), tol=1e-9)
+    assert not solution.success
+    assert "met only until t = " in solution.message
+    held = float(solution.message.split("met only until t = ")[1].split()[0].rstrip(":"))
+    assert 5 < held < 150
+    tighter = hamsym.solve(problem.H, (3.0, 3.0, 0.0, 0.0), (0, held / 2), tol=1e-11, seed=1)
+    t = np.linspace(0, held / 2, 201)
+    assert (np.abs(solution(t) - tighter(t)).max(axis=0) <= 2e-9 * solution.scale).all()
+
+
+def test_too_many_windows_is_reported() -> None:
+    flow = flow_of(systems.harmonic_oscillator().H)
+    z0, span = np.array([1.0, 0.0]), (0.0, 1_000.0)
+    windows = march(flow, z0, span, 1e-9, feature_basis(0), max_windows=20)
+    assert re.fullmatch(r"the span needs about \de\+02 windows, more than 20", windows.reason)
+    assert 0 < windows.reached < 1_000
+    assert len(windows.readouts) == 20
+
+
+def test_a_hopeless_span_ends_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hamsym.random_features.march._SURE", 50)
+    solution = hamsym.solve("p**2/2 + x**2/2", [1.0, 0.0], (0, 1e9))
+    assert not solution.success
+    assert "the span needs about " in solution.message
+    assert "windows, more than 200,000" in solution.message
+    assert len(solution.history.readouts) < 200
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_at_the_limit_of_float64_whatever_the_features(seed: int) -> None:
+    problem = systems.double_pendulum()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-12, seed=seed)
+    best = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-11, seed=seed + 1)
+    assert solution.success or "round-off" in solution.message
+    t = np.linspace(*problem.span, 501)
+    np.testing.assert_allclose(solution(t), best(t), atol=1e-10)
+
+
+@pytest.mark.parametrize("tol", [0.0, -1e-3, 1e-13, 1.0, math.nan, math.inf, "small"])
+def test_unusable_tolerances(tol: object) -> None:
+    with pytest.raises(InputError, match="tol=.* cannot be used; give a number from 1e-12"):
+        hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), tol=tol)
+
+
+@pytest.mark.parametrize("atol", [-1.0, math.nan, [0.0] * 3, "none"])
+def test_unusable_absolute_tolerances(atol: object) -> None:
+    with pytest.raises(InputError, match="atol=.* cannot be used; give"):
+        hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), atol=atol)
+
+
+# -- no false success ------------------------------------------------------------------------------
+
+
+def _random_start(name: str, generator: np.random.Generator) -> tuple[Hamiltonian, np.ndarray]:
+    if name == "henon_heiles":
+        return systems.henon_heiles().H, generator.uniform(-0.35, 0.35, 4)
+    if name == "kepler":
+        z = generator.normal(size=4)
+        return systems.kepler().H, np.array([1.0, 0.0, 0.0, 0.9]) + 0.2 * z
+    if name == "double_pendulum":
+        return systems.double_pendulum().H, generator.uniform(-1.5, 1.5, 4)
+    quartic = Hamiltonian("p_x**2/2 + p_y**4/4 + x**4/4 + y**2/2 + x**2*y**2/2 + p_x*y/5")
+    return quartic, generator.uniform(-1, 1, 4)
+
+
+def _check_random_starts(name: str, count: int) -> None:
+    generator = np.random.default_rng(7)
+    successes = 0
+    for _ in range(count):
+        H, z0 = _random_start(name, generator)
+        tol = 10.0 ** generator.uniform(-9, -3)
+        solution = hamsym.solve(H, z0, (0.0, 15.0), tol=tol)
+        if not solution.success:
+            continue
+        successes += 1
+        error = true_error(solution, reference(H, z0, (0.0, 15.0)), samples=301)
+        halves = solution.scale.reshape(2, -1)
+        floors = np.maximum(halves, 1e-8 * halves.max(axis=1, keepdims=True)).ravel()
+        assert (error * solution.scale <= tol * floors + 1e-11).all(), (name, z0, tol)
+    assert successes > 0.8 * count
+
+
+@pytest.mark.parametrize("name", ["henon_heiles", "kepler", "double_pendulum", "quartic"])
+def test_success_is_never_false(name: str) -> None:
+    _check_random_starts(name, 12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["henon_heiles", "kepler", "double_pendulum", "quartic"])
+def test_success_is_never_false_on_many_starts(name: str) -> None:
+    _check_random_starts(name, 400)

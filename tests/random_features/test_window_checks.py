@@ -1,0 +1,203 @@
+"""Checks of marched windows at places that the march did not use."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym import Hamiltonian
+from hamsym.random_features.basis import feature_basis
+from hamsym.random_features.flow import flow_of
+from hamsym.random_features.march import march
+from hamsym.random_features.window_checks import WindowChecks, Windows, _excess
+
+KICK = "p**2/2 + x*exp(-1e6*(t - 3.37)**2)"
+
+
+def test_kick_from_the_formula_has_its_impulse() -> None:
+    solution = hamsym.solve(KICK, [1.0, 0.5], (0, 20), tol=1e-9)
+    assert solution.success, solution.message
+    impulse = -math.sqrt(math.pi) / 1e3
+    assert solution(20.0)[1] == pytest.approx(0.5 + impulse, abs=1e-9)
+    assert solution(20.0)[0] == pytest.approx(1.0 + 10.0 + impulse * (20 - 3.37), abs=1e-8)
+
+
+def test_kick_goes_unseen_without_the_formula() -> None:
+    """Otherwise the test above shows nothing of the check."""
+    flow = dataclasses.replace(flow_of(Hamiltonian(KICK)), narrow_arguments=None)
+    windows = march(flow, np.array([1.0, 0.5]), (0.0, 20.0), 1e-10, feature_basis(0), longest=2.5)
+    assert windows.states[-1, 1] == pytest.approx(0.5, abs=1e-12)
+
+
+def test_energy_shows_a_step_that_no_place_does() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 + tanh(100000*(x - 1/3))/20")
+    flow = dataclasses.replace(flow_of(H), narrow_arguments=None)
+    windows = march(flow, np.array([1.0, 0.0]), (0.0, 6.0), 1e-9, feature_basis(0), longest=0.75)
+    energies = flow.energy(windows.states, windows.edges)
+    assert not windows.doubt
+    np.testing.assert_allclose(energies, energies[0], atol=1e-8)
+    unseeing = dataclasses.replace(flow, energy=None)
+    windows = march(
+        unseeing, np.array([1.0, 0.0]), (0.0, 6.0), 1e-9, feature_basis(0), longest=0.75
+    )
+    assert np.ptp(flow.energy(windows.states, windows.edges)) > 0.05
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_step_far_along_a_free_flight(sign: int) -> None:
+    """A scatterer of size 1 after a flight of 5,000, forwards and backwards in time."""
+    H = Hamiltonian("p**2/2 + tanh(3*(x - 5000))/4")
+    solution = hamsym.solve(H, [0.0, sign * 1.0], (0, sign * 5010), tol=1e-9)
+    assert solution.success, solution.message
+    # The energy 1/2 - 1/4 is kept; behind the step the potential is 1/4.
+    assert solution(sign * 5010.0)[1] == pytest.approx(0.0, abs=0.1)
+    assert abs(solution.energy(sign * 5010.0) - 0.25) < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("pulse", "impulse"),
+    [
+        ("exp(-(10000*(t - 3.37))**4)", 2 * math.gamma(1.25) / 1e4),
+        ("sech(1000000*(t - 3.37)**3 + 1000*(t - 3.37))", None),
+        ("exp(-1e10*sin(5*t)**2)", 6 * math.sqrt(math.pi) / 5e5),
+    ],
+)
+def test_pulses_of_any_shape_are_found(pulse: str, impulse: float | None) -> None:
+    """With a multiple zero in the argument, two scales in one, and many in a window."""
+    solution = hamsym.solve(f"p**2/2 + x*{pulse}", [0.0, 1.0], (0.3, 4.0), tol=1e-9)
+    assert solution.success, solution.message
+    if impulse is None:
+        t = np.linspace(-0.1, 0.1, 2_000_001)
+        impulse = float(np.trapezoid(1 / np.cosh(np.clip(1e6 * t**3 + 1e3 * t, -300, 300)), t))
+    assert solution(4.0)[1] == pytest.approx(1 - impulse, abs=1e-8)
+
+
+def test_turning_point_on_a_bump_is_resolved() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 + exp(-1e16*(x - 1)**2)/1e9")
+    solution = hamsym.solve(H, [0.0, 1.0], (0, 6), tol=1e-9)
+    finer = hamsym.solve(H, [0.0, 1.0], (0, 6), tol=1e-11, max_window=0.01)
+    assert solution.success, solution.message
+    t = np.linspace(0, 6, 601)
+    np.testing.assert_allclose(solution(t), finer(t), atol=2e-9)
+    assert abs(finer(6.0)[0] - math.sin(6.0)) > 1e-7
+
+
+def test_checks_pass_what_is_resolved_and_find_what_is_moved() -> None:
+    H = Hamiltonian("p**2/2 - cos(x)")
+    flow, basis = flow_of(H), feature_basis(0)
+    marched = march(flow, np.array([1.0, 0.5]), (0.0, 30.0), 1e-10, basis, longest=3.0)
+    windows = Windows(marched.edges, marched.states, marched.readouts)
+    checks = WindowChecks(flow, basis, 1e-10)
+    assert checks.first_failure(windows, marched.scale) is None
+    windows.readouts[4] *= 1 + 1e-6
+    failure = checks.first_failure(windows, marched.scale)
+    assert failure is not None
+    assert failure.window == 4
+    assert all(marched.edges[4] <= t <= marched.edges[5] for t in failure.times)
+    windows.readouts[4] = np.nan
+    failure = checks.first_failure(windows, marched.scale)
+    assert failure is not None
+    assert failure.window == 4
+
+
+def test_numbers_that_are_none_exceed_every_bound() -> None:
+    values = np.array([[0.0, 0.0], [np.nan, 0.0], [np.inf, 0.0], [1.0, 1.0]])
+    excess = _excess(values, np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 1.0], [2.0, np.nan]]))
+    assert excess[0] == 0
+    assert np.isinf(excess[1:]).sum() == 0 or (excess[1:3] > 1e300).all()
+    assert not excess[3] <= 1
+
+
+@pytest.mark.parametrize(
+    ("formula", "z0"),
+    [
+        ("sqrt(x**4 - 2*x**2 + 1) + p**2/2", [0.3, 1.2]),
+        ("sqrt((x - 1)**2) + p**2/2", [0.3, 1.2]),
+        ("(px**2 + py**2)/2 + sqrt((x**2 + y**2 - 1)**2) + x/3", [0.3, 1.2, 0.1, 0.0]),
+        ("sqrt(x**2 + 1e-20) + p**2/2", [0.3, 1.2]),
+    ],
+)
+def test_hidden_kinks_are_no_success(formula: str, z0: list[float]) -> None:
+    solution = hamsym.solve(formula, z0, (0, 10), tol=1e-5)
+    assert not solution.success
+    assert "t = " in solution.message
+
+
+def test_force_switched_by_the_time_names_breakpoints() -> None:
+    H = Hamiltonian("p**2/2 + x*sign(sin(3*t))")
+    solution = hamsym.solve(H, [1.0, 0.0], (0.5, 6), tol=1e-6)
+    assert not solution.success
+    assert "breakpoints" in solution.message
+    stops = [k * math.pi / 3 for k in range(1, 6)]
+    assert hamsym.solve(H, [1.0, 0.0], (0.5, 6), tol=1e-6, breakpoints=stops).success
+
+
+@pytest.mark.parametrize(
+    ("pulse", "impulse"),
+    [
+        ("max(0, 1 - 1e5*abs(t - 3.37))", 1e-5),
+        ("max(0, 1 - 1e10*(t - 3.37)**2)", 4e-5 / 3),
+        ("(sign(t - 3.37) - sign(t - 3.3701))/2", 1e-4),
+    ],
+)
+def test_pulses_with_kinks_are_found(pulse: str, impulse: float) -> None:
+    solution = hamsym.solve(f"p**2/2 + x*{pulse}", [0.0, 1.0], (0, 20), tol=1e-7)
+    assert not solution.success or solution(20.0)[1] == pytest.approx(1 - impulse, abs=1e-7)
+    assert solution.success or "jumps" in solution.message
+
+
+def test_small_step_of_a_large_potential_is_a_jump() -> None:
+    H = Hamiltonian("p**2/2 + 1000 + sign(x - 0.3)/10000 + x*sin(t)/10")
+    solution = hamsym.solve(H, [1.0, -1.0], (0, 5), tol=1e-6)
+    assert not solution.success
+    assert "H jumps at t = 0.69" in solution.message
+
+
+@pytest.mark.parametrize(
+    ("wall", "z0"),
+    [
+        ("1e-20/(x - 1)**2", [0.0, 1.0]),
+        ("1e-20*tan(x)**2", [0.0, 1.0]),
+        ("1e-14*sec(x)", [0.0, 1.0]),
+        ("-1e-9*log((x - 1)**2)", [0.0, 1.0]),
+        ("1e-20/x", [1.0, -1.0]),
+        ("-1e-20/x", [1.0, -1.0]),
+        ("1e-20/sin(x)**2", [1.0, -1.0]),
+    ],
+)
+def test_poles_are_not_tunnelled_through(wall: str, z0: list[float]) -> None:
+    solution = hamsym.solve(f"p**2/2 + {wall}", z0, (0, 3), tol=1e-6)
+    # A wall reflects: the momentum changes its sign and keeps its size.
+    assert not solution.success or solution(3.0)[1] == pytest.approx(-z0[1], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("pulse", "impulse"),
+    [
+        ("2**(-1e8*(t - 3.37)**2)", math.sqrt(math.pi / math.log(2)) / 1e4),
+        ("(1 + w*(t - 3.37)**2)**(-n)", 0.396 / 1e4),
+        ("(cos(t - 3.37)**2)**m", math.sqrt(math.pi) / 1e4),
+    ],
+)
+def test_powers_that_are_pulses_are_found(pulse: str, impulse: float) -> None:
+    values = {"w": 1e8, "n": 20.0, "m": 1e8}
+    used = {name: value for name, value in values.items() if name in pulse.replace("cos", "")}
+    H = Hamiltonian(f"p**2/2 + x*{pulse}", parameters=used)
+    solution = hamsym.solve(H, [0.0, 1.0], (0.5, 5.0), tol=1e-8)
+    assert solution.success, solution.message
+    if "w" in used:
+        t = np.linspace(-3e-3, 3e-3, 400_001)
+        impulse = float(np.trapezoid((1 + 1e8 * t**2) ** -20.0, t))
+    assert solution(5.0)[1] == pytest.approx(1 - impulse, abs=2e-8)
+
+
+@pytest.mark.parametrize(("place", "stops"), [(1e-5, []), (3.37001, [3.37]), (9.999995, [])])
+def test_pulses_beside_the_ends_of_windows_are_found(place: float, stops: list[float]) -> None:
+    H = Hamiltonian(f"p**2/2 + 100*x*exp(-1e14*(t - {place})**2)")
+    solution = hamsym.solve(H, [0.0, 1.0], (0, 10), tol=1e-8, breakpoints=stops)
+    assert solution.success, solution.message
+    assert solution(10.0)[1] == pytest.approx(1 - math.sqrt(math.pi) / 1e5, abs=2e-8)

@@ -1,0 +1,197 @@
+"""The paper's error analysis: what it says, and the two ways in which it fails."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import hamsym
+from hamsym import Hamiltonian, Solution
+from hamsym.errors import VacuousBoundWarning
+from hamsym.solution.analysis import Analysis
+from hamsym.systems import harmonic_oscillator, henon_heiles, nonlinear_oscillator
+
+
+class Resonant(torch.nn.Module):
+    """z^ = (1 + eps t) (cos t, -sin t), whose residual is in resonance with the motion."""
+
+    def __init__(self, eps: float) -> None:
+        super().__init__()
+        self.register_buffer("eps", torch.tensor(eps, dtype=torch.float64))
+
+    def forward(self, t: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        right = torch.stack((torch.cos(t), -torch.sin(t)), dim=-1)
+        rate = torch.stack((-torch.sin(t), -torch.cos(t)), dim=-1)
+        grown = (1 + self.eps * t)[:, None]
+        return grown * right, grown * rate + self.eps * right
+
+    def value(self, t: torch.Tensor) -> torch.Tensor:
+        return self(t)[0]
+
+
+@cache
+def trained(name: str) -> Solution:
+    problem = {"oscillator": nonlinear_oscillator, "henon_heiles": henon_heiles}[name]()
+    return hamsym.solve(
+        problem.H, problem.z0, (0, 6), method="levenberg-marquardt", target_error=1e-3
+    )
+
+
+def resonant(eps: float, end: float) -> Solution:
+    problem = harmonic_oscillator()
+    like = hamsym.solve(problem.H, problem.z0, (0, end), method="adam", epochs=2)
+    return Solution(
+        problem.H,
+        like.z0,
+        (0.0, end),
+        Resonant(eps),  # type: ignore[arg-type]
+        method="adam",
+        training=like.training,
+    )
+
+
+def test_bound_is_violated_by_a_resonant_residual() -> None:
+    """ell = eps (cos t, -sin t) has size eps all along, and the error grows to eps T."""
+    solution = resonant(1e-3, 4 * math.pi)
+    analysis = solution.analysis
+    assert analysis.sigma_min == pytest.approx(1.0)
+    assert analysis.ell_max == pytest.approx(1e-3, rel=1e-12)
+    t = np.linspace(0, 4 * math.pi, 2001)
+    error = np.abs(solution(t) - harmonic_oscillator().exact(t)).max()
+    assert error > 12 * analysis.bound
+    # The equation of the error knows, and so does the whole inequality.
+    assert np.abs(solution.error_estimate(t)).max() == pytest.approx(error, rel=1e-4)
+    sizes = np.linalg.norm(analysis.linearized_error(t), axis=1)
+    assert np.all(sizes <= analysis.inequality(t) * (1 + 1e-6) + 1e-12)
+
+
+def test_bound_is_vacuous_where_det_hess_changes_its_sign() -> None:
+    problem = henon_heiles()
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    analysis = solution.analysis
+    x, y = solution(analysis.singular_times).T[:2]
+    assert len(x) == 6
+    np.testing.assert_allclose(x**2 + y**2, 0.25, atol=1e-13)
+    assert not analysis.is_always_singular
+    assert analysis.sigma_min == 0
+    assert analysis.bound == math.inf
+    assert np.all(np.isinf(analysis.inequality(np.array([1.0, 2.0]))))
+    with pytest.warns(VacuousBoundWarning):
+        assert solution.error_bound == math.inf
+    # The number that a grid gives depends on the grid.
+    sampled = [np.abs(analysis.eigenvalues(np.linspace(0, 18, n))).min() for n in (100, 10_000)]
+    assert sampled[0] > 3 * sampled[1] > 0
+
+
+@pytest.mark.parametrize(
+    ("H", "z0"),
+    [
+        ("p_r**2/2 + p_phi**2/(2*r**2) - 1/r", [0.0, 1.0, 1.1, 0.1]),
+        ("p1**2/2 + p2**2/2 + exp(q1 - q2)", [0.0, 1.0, 0.5, 0.0]),
+    ],
+    ids=["cyclic", "translation"],
+)
+def test_bound_is_vacuous_with_a_symmetry(H: str, z0: list[float]) -> None:
+    analysis = hamsym.solve(Hamiltonian(H), z0, (0, 3), tol=1e-8).analysis
+    assert analysis.is_always_singular
+    assert analysis.sigma_min == 0
+    assert len(analysis.singular_times) == 0
+    assert analysis.bound == math.inf
+
+
+@pytest.mark.parametrize("name", ["oscillator", "henon_heiles"])
+def test_linearised_error_is_the_error_to_first_order(name: str) -> None:
+    solution = trained(name)
+    t = np.linspace(0, 6, 301)
+    full, linear = solution.error_estimate(t), solution.analysis.linearized_error(t)
+    size = np.abs(full).max()
+    assert 1e-7 < size < 1e-2
+    assert np.abs(full - linear).max() < 10 * size**2 + 1e-5 * size
+    assert np.abs(full - linear).max() > 0
+
+
+def test_inequality_holds_for_the_linearised_error() -> None:
+    solution = trained("oscillator")
+    t = np.linspace(0, 6, 601)
+    sizes = np.linalg.norm(solution.analysis.linearized_error(t), axis=1)
+    right = solution.analysis.inequality(t)
+    assert np.all(sizes <= right * (1 + 1e-9))
+    # With the rate of the error it is wider than ell_max/sigma_min, which it contains.
+    assert np.all(right >= solution.ell_max / solution.sigma_min * (1 - 1e-9))
+
+
+def test_extrema_are_over_continuous_time() -> None:
+    analysis = trained("oscillator").analysis
+    t = np.linspace(0, 6, 100_001)
+    assert analysis.ell_max >= analysis.ell(t).max() * (1 - 1e-9)
+    assert analysis.ell(np.array([analysis.ell_max_time]))[0] == analysis.ell_max
+    smallest = np.abs(analysis.eigenvalues(t)).min()
+    assert analysis.sigma_min == pytest.approx(smallest, rel=1e-6)
+    assert analysis.sigma_min <= smallest * (1 + 1e-12)
+
+
+def test_a_finer_resolution_agrees() -> None:
+    """Of both kinds of estimate, far below the error; and it is another computation."""
+    problem = nonlinear_oscillator()
+    marched = hamsym.solve(problem.H, problem.z0, (0, 6), tol=1e-6)
+    for solution, share in ((trained("oscillator"), 1e-4), (marched, 1e-3)):
+        t = np.linspace(0, 6, 301)
+        estimate, check = solution.error_estimate(t), solution.error_estimate_check(t)
+        assert check.shape == estimate.shape
+        assert 0 < check.max() < share * np.abs(estimate).max()
+
+
+def test_the_check_outlives_a_file(tmp_path: Path) -> None:
+    problem = henon_heiles()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 6), tol=1e-7, seed=3)
+    solution.save(tmp_path / "orbit.hamsym")
+    again = hamsym.load(tmp_path / "orbit.hamsym")
+    t = np.linspace(0, 6, 50)
+    np.testing.assert_array_equal(again.error_estimate_check(t), solution.error_estimate_check(t))
+
+
+def test_the_check_doubts_an_estimate_that_was_not_resolved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With too few nodes for the residual the estimate is wrong, and the check says by how much."""
+    monkeypatch.setattr("hamsym.random_features.error_estimate.RESOLUTIONS", ((4, 28), (72, 40)))
+    problem = nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 6), tol=1e-4)
+    t = np.linspace(0, 6, 301)
+    estimate, check = solution.error_estimate(t), solution.error_estimate_check(t)
+    wrong = np.abs(problem.exact(t) - solution(t) - estimate).max()
+    assert wrong > 0.05 * np.abs(estimate).max()
+    assert check.max() == pytest.approx(wrong, rel=1e-3)
+
+
+@pytest.mark.parametrize(("formula", "stops"), [("sign(t - 1)*x", [1.0]), ("sign(t)*x", [])])
+def test_what_is_switched_at_a_joint_is_no_residual(formula: str, stops: list[float]) -> None:
+    """At t = 1 itself sign is 0, a force that acts at no other time."""
+    solution = hamsym.solve(f"p**2/2 + x**2/2 + {formula}", [1, 0], (0, 5), breakpoints=stops)
+    assert solution.success
+    t = np.linspace(0, 5, 5_000)[1:-1]
+    beside = np.linalg.norm(solution.residual(t), axis=-1).max()
+    assert 0.9 * beside <= solution.ell_max < 1e-8
+
+
+def test_what_is_no_number_is_never_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Hessian or a residual that is nan from t = 3 on bounds nothing."""
+    solution = hamsym.solve("p**2/2 + x**2/2", [1.0, 0.0], (0, 6))
+    hessians, residual = solution.hessians, solution.residual
+
+    def lost(values: np.ndarray, t: np.ndarray) -> np.ndarray:
+        late = np.reshape(np.asarray(t) > 3, np.shape(t) + (1,) * (values.ndim - np.ndim(t)))
+        return np.where(late, np.nan, values)
+
+    monkeypatch.setattr(solution, "hessians", lambda t: lost(hessians(t), t))
+    found = Analysis(solution)
+    assert (found.sigma_min, found.bound) == (0.0, np.inf)
+    assert found.sigma_min_time == pytest.approx(3, abs=0.01)
+    assert np.isnan(found.eigenvalues(np.array([1.0, 4.0]))).tolist() == [[False] * 2, [True] * 2]
+    monkeypatch.setattr(solution, "residual", lambda t: lost(residual(t), t))
+    assert Analysis(solution).ell_max == np.inf

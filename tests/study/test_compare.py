@@ -1,0 +1,301 @@
+"""The comparison table: what it measures, what it searches for, and what it only extrapolates."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym import Comparison, Solution
+from hamsym.integrators import fixed_step
+from hamsym.study.compare import Match
+from hamsym.systems import Problem, charged_particle, harmonic_oscillator, nonlinear_oscillator
+
+
+def quick(problem: Problem, epochs: int = 1500) -> Solution:
+    return hamsym.solve(
+        problem.H,
+        problem.z0,
+        (0, 1.5),
+        method="adam",
+        hidden=(20, 20),
+        points=30,
+        noise=0.0,
+        tau=0.25,
+        schedule="cosine",
+        epochs=epochs,
+    )
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    problem = harmonic_oscillator()
+    return hamsym.compare(quick(problem), exact=problem.exact)
+
+
+def test_rows_are_network_and_euler_at_k_10k_100k(comparison: Comparison) -> None:
+    assert [row.label for row in comparison.rows] == ["network"] + 3 * ["symplectic_euler"]
+    assert [row.points for row in comparison.rows] == [30, 30, 300, 3000]
+
+
+def test_errors_are_those_of_the_trajectories(comparison: Comparison) -> None:
+    exact = harmonic_oscillator().exact
+    for row, trajectory in zip(comparison.rows[1:], comparison.trajectories, strict=True):
+        error = trajectory.z - exact(trajectory.t)
+        assert row.error == pytest.approx(np.linalg.norm(error, axis=1).max(), rel=1e-12)
+        np.testing.assert_allclose(row.component_errors, np.abs(error).max(axis=0), rtol=1e-12)
+        assert row.energy_error == pytest.approx(np.abs(trajectory.energy - 0.5).max(), rel=1e-6)
+    t = np.linspace(0, 1.5, 4001)
+    network = np.linalg.norm(comparison.solution(t) - exact(t), axis=1).max()
+    assert comparison.rows[0].error == pytest.approx(network, rel=1e-9)
+
+
+def test_steps_to_match_are_just_enough(comparison: Comparison) -> None:
+    steps, target = comparison.matches["symplectic_euler"].steps, comparison.rows[0].error
+    assert steps is not None
+    problem = harmonic_oscillator()
+
+    def error(n: int) -> float:
+        trajectory = hamsym.integrate(problem.H, problem.z0, (0, 1.5), "symplectic_euler", steps=n)
+        return float(np.linalg.norm(trajectory.z - problem.exact(trajectory.t), axis=1).max())
+
+    assert error(steps) <= target * (1 + 1e-6)
+    assert error(int(steps / 1.03) - 1) > target
+    assert comparison.matches["symplectic_euler"].error <= target
+
+
+def test_beyond_the_limit_is_an_extrapolation_and_says_so() -> None:
+    problem = harmonic_oscillator()
+    solution = quick(problem)
+    euler = "symplectic_euler"
+    full = hamsym.compare(solution, exact=problem.exact).matches[euler].steps
+    assert full is not None
+    limited = hamsym.compare(solution, exact=problem.exact, max_steps=full // 10).matches[euler]
+    assert limited.steps is None
+    assert limited.extrapolated == pytest.approx(full, rel=0.05)
+    assert "extrapolated" in str(limited)
+    assert str(limited).startswith("> ")
+
+
+def test_a_search_that_would_take_long_is_extrapolated(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = harmonic_oscillator()
+    solution = quick(problem)
+    full = hamsym.compare(solution, exact=problem.exact).matches["symplectic_euler"].steps
+    assert full is not None
+    assert full > 300
+    monkeypatch.setattr("hamsym.study.compare._RUN_LIMIT", 1e-9)
+    found = hamsym.compare(solution, points=3, exact=problem.exact)
+    match = found.matches["symplectic_euler"]
+    assert match.reason == "> 300 steps"
+    assert match.extrapolated == pytest.approx(full, rel=0.1)
+
+
+METHODS = ["stormer_verlet", "yoshida4", "blanes_moan6", "yoshida8", "gauss4", "tao2", "dop853"]
+
+
+@pytest.fixture(scope="module")
+def several() -> Comparison:
+    problem = nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 10), tol=1e-6)
+    return hamsym.compare(solution, METHODS, points=50, exact=problem.exact)
+
+
+def test_any_integrators_are_compared(several: Comparison) -> None:
+    names = [name if name != "yoshida4" else "forest_ruth" for name in METHODS]
+    assert list(several.matches) == names
+    assert [row.label for row in several.rows[1:]] == [name for name in names for _ in range(3)]
+    for row in several.rows:
+        assert row.evaluations > 0
+        assert row.error > 0
+    tolerances = [row.tolerance for row in several.rows if row.label == "dop853"]
+    assert tolerances == [1e-3, 1e-6, 1e-9]
+
+
+def test_every_match_is_just_enough(several: Comparison) -> None:
+    problem, target = nonlinear_oscillator(), several.rows[0].error
+
+    def error(**options: object) -> float:
+        found = hamsym.integrate(problem.H, problem.z0, (0, 10), **options)
+        return float(np.linalg.norm(found.z - problem.exact(found.t), axis=1).max())
+
+    for name, match in several.matches.items():
+        assert match.error <= target
+        if name == "dop853":
+            assert match.tolerance is not None
+            wider = 2 * match.tolerance
+            assert error(method=name, steps=4000, rtol=wider, atol=wider) > target
+        else:
+            assert match.steps is not None
+            assert error(method=name, steps=match.steps) <= target * 1.05
+            assert error(method=name, steps=int(0.95 * match.steps)) > target
+
+
+def test_round_off_is_named_where_it_is_the_limit() -> None:
+    """Against itself the network has no error, which no integrator can reach."""
+    problem = nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 2), tol=1e-11)
+    methods = ["yoshida8", "dop853", "symplectic_euler"]
+    comparison = hamsym.compare(solution, methods, points=50, exact=solution, max_steps=10**6)
+    reasons = [match.reason for match in comparison.matches.values()]
+    assert reasons[0].startswith("not reached: round-off leaves")
+    assert reasons[1].startswith("not reached, ")
+    assert reasons[2] == "> 1e6 steps"
+    assert "not reached: round-off leaves" in str(comparison)
+
+
+def test_an_error_as_large_as_the_motion_is_not_round_off() -> None:
+    """It no longer falls because it cannot grow."""
+    H = hamsym.Hamiltonian("p**2/2 - cos(x) - cos(x - t)")
+    solution = hamsym.solve(H, [1.0, 0.5], (0, 60), tol=1e-6)
+    comparison = hamsym.compare(solution, "implicit_midpoint", points=3, max_steps=100_000)
+    match = comparison.matches["implicit_midpoint"]
+    assert "round-off" not in match.reason
+
+
+def test_masses_of_an_electron_are_compared_as_any_other() -> None:
+    m, w = 9.1e-31, 1e15
+    H = hamsym.Hamiltonian("p**2/(2*m) + m*w**2*x**2/2", parameters={"m": m, "w": w})
+    solution = hamsym.solve(H, [1e-10, 0.0], (0, 6e-15), tol=1e-9)
+    comparison = hamsym.compare(solution, ["yoshida8", "dop853"])
+
+    def exact(t: np.ndarray) -> np.ndarray:
+        return 1e-10 * np.stack((np.cos(w * t), -m * w * np.sin(w * t)), axis=-1)
+
+    right = hamsym.compare(solution, ["yoshida8", "dop853"], exact=exact)
+    for found, wanted in zip(comparison.rows[:4], right.rows[:4], strict=True):
+        assert found.error == pytest.approx(wanted.error, rel=0.5, abs=1e-22)
+
+
+def test_ctrl_c_ends_a_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = harmonic_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 5), tol=1e-6)
+    original, calls = fixed_step.Stepper._run, []
+
+    def interrupted(self: fixed_step.Stepper, *arguments: object) -> np.ndarray:
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return original(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(fixed_step.Stepper, "_run", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        hamsym.compare(solution, "yoshida4")
+    assert len(calls) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"max_steps": 0}, "max_steps=0"),
+        ({"points": 0}, "points=0"),
+        ({"points": -3}, "points=-3"),
+        ({"max_steps": "a"}, "max_steps='a'"),
+    ],
+)
+def test_settings_of_a_comparison_that_cannot_be_used(
+    comparison: Comparison, options: dict[str, object], message: str
+) -> None:
+    with pytest.raises(hamsym.InputError, match=message):
+        hamsym.compare(comparison.solution, **options)  # type: ignore[arg-type]
+
+
+def test_integrators_that_cannot_be_compared() -> None:
+    problem = charged_particle()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 1), tol=1e-6)
+    with pytest.raises(hamsym.InputError, match="stormer_verlet needs H = "):
+        hamsym.compare(solution, "stormer_verlet")
+    with pytest.raises(hamsym.InputError, match="'rk4' is not a method"):
+        hamsym.compare(solution, ["gauss4", "rk4"])
+    with pytest.raises(hamsym.InputError, match="methods is empty"):
+        hamsym.compare(solution, [])
+
+
+def test_how_matches_are_written() -> None:
+    assert str(Match(1234, 1, 1e-3, 0.1)) == "1,234"
+    assert str(Match(None, 1, 1e-3, 0.1, tolerance=1e-9)) == "rtol 1e-09"
+    beyond = Match(None, 0, 1e-7, 0.0, extrapolated=2.5e9, reason="> 1e8 steps")
+    assert str(beyond) == "> 1e8 steps (extrapolated: 2.5e+09)"
+
+
+def test_where_the_reference_dominates_it_is_said() -> None:
+    H = hamsym.Hamiltonian("p**2/2 - x**2/2 + x**4/4")
+    solution = hamsym.solve(H, [0.1, 0.0], (0, 30), tol=1e-11)
+    comparison = hamsym.compare(solution, max_steps=10**6)
+    assert comparison.reference_error > 0.01 * comparison.rows[0].error
+    assert "reference: DOP853, itself good to about" in str(comparison)
+
+
+def test_only_solutions_are_compared() -> None:
+    with pytest.raises(hamsym.InputError, match="takes a Solution, not Hamiltonian"):
+        hamsym.compare(harmonic_oscillator().H)  # type: ignore[arg-type]
+
+
+def test_table_fits_eighty_columns(comparison: Comparison) -> None:
+    lines = str(comparison).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert lines[0].split()[:3] == ["method", "points", "evaluations"]
+    assert lines[-2].startswith("for the network's error, ")
+    assert lines[-1].startswith("symplectic_euler")
+
+
+def test_table_of_many_fits_too(several: Comparison) -> None:
+    assert max(map(len, str(several).splitlines())) <= 80
+
+
+def test_non_separable_systems_are_compared_too() -> None:
+    problem = charged_particle()
+    comparison = hamsym.compare(quick(problem, epochs=300))
+    assert all(math.isfinite(row.error) for row in comparison.rows)
+    assert comparison.matches["symplectic_euler"].steps is not None
+
+
+def test_coarse_euler_that_breaks_off_counts_as_infinitely_wrong() -> None:
+    # H = p q^2 blows up at t = 1/q(0), and its implicit step has no solution for h q > 1/4.
+    H = hamsym.Hamiltonian("p*q**2", q=["q"], p=["p"])
+    solution = hamsym.solve(H, [1.0, 1.0], (0, 0.7), method="adam", epochs=200, points=3, noise=0)
+    rows = hamsym.compare(solution).rows
+    assert rows[1].error == math.inf
+    assert math.isfinite(rows[3].error)
+
+
+def test_reference_without_an_exact_solution() -> None:
+    problem = harmonic_oscillator()
+    solution = quick(problem, epochs=200)
+    with_exact = hamsym.compare(solution, exact=problem.exact).rows[0].error
+    assert hamsym.compare(solution).rows[0].error == pytest.approx(with_exact, rel=1e-8)
+
+
+def test_figure(comparison: Comparison) -> None:
+    figure = comparison.plot()
+    assert len(figure.axes) == 4
+    assert all(axis.lines for axis in figure.axes)
+    assert [len(axis.lines) for axis in figure.axes] == [4, 4, 2, 3]
+
+
+def test_figure_of_many(several: Comparison) -> None:
+    axes = several.plot().axes
+    assert len(axes[0].lines) == 1 + len(METHODS)
+
+
+def test_a_reference_that_is_no_number_makes_no_error_small() -> None:
+    problem = harmonic_oscillator()
+    solution = quick(problem)
+
+    def gap(t: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(t[:, None] - 1) < 0.1, np.nan, problem.exact(t))
+
+    found = hamsym.compare(solution, points=3, exact=gap, max_steps=1_000)
+    for row in found.rows:
+        assert row.error == row.energy_error == np.inf
+        assert np.all(row.component_errors == np.inf)
+
+
+def test_comparing_coarse_steps_does_not_warn() -> None:
+    problem = nonlinear_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 20), tol=1e-6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        hamsym.compare(solution, points=20, exact=problem.exact, max_steps=1_000)

@@ -1,0 +1,203 @@
+"""Runs side by side: the same as alone, kept, gone on with, refused where they make no sense."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym.study import sweep
+from hamsym.support.locking import LOCK
+
+OSCILLATOR = hamsym.systems.nonlinear_oscillator()
+H, Z0, SPAN = OSCILLATOR.H, OSCILLATOR.z0, (0.0, 2.0)
+ADAM = {"method": "adam", "epochs": 120, "points": 20, "hidden": (8, 8)}
+LM = {"method": "levenberg-marquardt", "iterations": 20, "points": 30, "hidden": (8, 8)}
+T = np.linspace(*SPAN, 33)
+
+
+def _sweep(folder, settings=None, **more):
+    given = {"workers": 1, "seeds": 2} | more
+    return hamsym.sweep(H, Z0, SPAN, settings or {"Adam": ADAM}, folder=folder, **given)
+
+
+def _files(folder):
+    return [path for path in folder.iterdir() if path.name != LOCK]
+
+
+def test_runs_in_other_processes_are_those_of_solve_to_the_last_bit(tmp_path):
+    settings = {"Adam": ADAM, "second order": LM, "to 1e-8": {"tol": 1e-8}}
+    found = _sweep(tmp_path / "a" / "b", settings, workers=2, seeds=[3, 5], certify=60.0)
+    assert found.seeds == (3, 5)
+    for name, options in settings.items():
+        for seed, solution in zip(found.seeds, found.solutions[name], strict=True):
+            alone = hamsym.solve(H, Z0, SPAN, seed=seed, **options)
+            assert (solution(T) == alone(T)).all()
+        for solution, proof in zip(found.solutions[name], found.certificates[name], strict=True):
+            error = np.linalg.norm(solution(T) - OSCILLATOR.exact(T), axis=-1).max()
+            assert error <= proof.bound * (1 + 1e-6) + 1e-14
+
+
+def test_what_is_there_is_not_run_again_and_other_settings_are_other_files(tmp_path, monkeypatch):
+    first = _sweep(tmp_path)
+    files = {path: path.stat().st_mtime_ns for path in _files(tmp_path)}
+    assert len(files) == 2
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep, "solve", None)
+        again = _sweep(tmp_path)
+    for one, other in zip(first.solutions["Adam"], again.solutions["Adam"], strict=True):
+        assert (one(T) == other(T)).all()
+    _sweep(tmp_path, {"Adam": ADAM | {"epochs": 121}})
+    hamsym.sweep(H, [1.0, 0.0], SPAN, {"Adam": ADAM}, folder=tmp_path, workers=1, seeds=2)
+    assert len(_files(tmp_path)) == 6
+    assert all(path.stat().st_mtime_ns == changed for path, changed in files.items())
+
+
+def test_a_run_that_was_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypatch):
+    told = 0
+
+    def interrupt(self, item):
+        nonlocal told
+        told += 1
+        if told == 2:
+            raise KeyboardInterrupt
+
+    settings = {"Adam": ADAM | {"epochs": 300, "checkpoint_every": 1e-9}}
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep, "_REPORT_EVERY", 0.0)
+        patch.setattr(sweep._Silent, "put", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            _sweep(tmp_path, settings, seeds=1)
+    assert [path.suffix for path in _files(tmp_path)] == [".checkpoint"]
+    found = _sweep(tmp_path, settings, seeds=1)
+    alone = hamsym.solve(H, Z0, SPAN, seed=0, **settings["Adam"])
+    assert (found.solutions["Adam"][0](T) == alone(T)).all()
+    assert [path.suffix for path in _files(tmp_path)] == [".hamsym"]
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks here")
+def test_processes_never_hear_of_an_interrupt():
+    """Not even while they start, when each would print a traceback."""
+    heard = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    with sweep._interrupts_held():
+        process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == heard
+    process.send_signal(signal.SIGINT)
+    process.communicate(b"\n", timeout=60)
+    assert process.returncode == 0
+
+
+def test_settings_may_depend_on_the_seed(tmp_path):
+    first = _sweep(tmp_path, seeds=[1, 2])
+    begun = dict(zip(first.seeds, first.solutions["Adam"], strict=True))
+    settings = {"on": lambda seed: ADAM | {"initial": begun[seed], "epochs": 1}}
+    longer = hamsym.sweep(H, Z0, (0, 4), settings, folder=tmp_path, workers=1, seeds=[1, 2])
+    for seed, solution in zip(longer.seeds, longer.solutions["on"], strict=True):
+        alone = hamsym.solve(H, Z0, (0, 4), seed=seed, **settings["on"](seed))
+        assert (solution(T) == alone(T)).all()
+
+
+def test_rows_measure_every_solution_and_the_median_is_one_of_them(tmp_path):
+    found = _sweep(tmp_path, seeds=3)
+    rows = found.rows(OSCILLATOR.exact)["Adam"]
+    t = np.linspace(*SPAN, 4_001)
+    for row, solution in zip(rows, found.solutions["Adam"], strict=True):
+        right = OSCILLATOR.exact(t)
+        assert row.error == pytest.approx(np.linalg.norm(solution(t) - right, axis=-1).max())
+    middle = found.median("Adam", OSCILLATOR.exact)
+    errors = sorted(row.error for row in rows)
+    assert errors[1] == hamsym.comparison.measure(middle, OSCILLATOR.exact).error
+
+
+def test_a_refused_proof_says_why(tmp_path):
+    found = _sweep(tmp_path, {"to 1e-9": {}}, certify=1e-9, seeds=1)
+    assert "time" in found.certificates["to 1e-9"][0]
+    again = _sweep(tmp_path, {"to 1e-9": {}}, certify=60, seeds=1)
+    assert again.certificates["to 1e-9"][0].bound < 1e-9
+
+
+def test_progress_is_told_in_lines_where_there_is_no_terminal(tmp_path, capsys):
+    _sweep(tmp_path, progress=True)
+    assert "2/2 after" in capsys.readouterr().err
+    _sweep(tmp_path / "other")
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seeds": 0}, "empty"),
+        ({"seeds": [1, 1]}, "repeats"),
+        ({"seeds": [-1]}, "seeds=-1"),
+        ({"workers": 0}, "workers=0"),
+        ({"certify": 0}, "certify=0"),
+        ({"settings": {"a": {"seed": 3}}}, "'seed' in the settings 'a'"),
+        ({"settings": {"a": {"checkpoint": "x"}}}, "'checkpoint' in the settings 'a'"),
+        ({"settings": {"a": ADAM | {"initial": 3}}}, "initial in the settings 'a'"),
+        ({"settings": {"a": ADAM | {"regularizers": [1]}}}, "regularizers"),
+        ({"settings": {"a": ADAM | {"epoch": 3}}}, "'epoch' is not an option"),
+        ({"settings": {"a": ADAM | {"epoch": 3}}, "workers": 2}, "'epoch' is not an option"),
+    ],
+)
+def test_bad_input_is_refused(tmp_path, change, message):
+    with pytest.raises(hamsym.InputError, match=message):
+        _sweep(tmp_path, **change)
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(hamsym.HamsymError, match="cannot be made"):
+        _sweep(tmp_path / "file")
+
+
+_HOLD = """
+import sys
+from hamsym.support.locking import exclusive
+with exclusive(sys.argv[1]):
+    print("held", flush=True)
+    input()
+"""
+
+
+def test_two_processes_lock_each_other_out(tmp_path):
+    _sweep(tmp_path)
+    longer = {"Adam": ADAM | {"epochs": 121}}
+    run = [sys.executable, "-c", _HOLD, str(tmp_path)]
+    with subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(hamsym.FileError, match=f"'{tmp_path}' is in use by another process"):
+            _sweep(tmp_path, longer)
+        assert len(_files(tmp_path)) == 2
+        assert _sweep(tmp_path).seeds == (0, 1)  # which is there, and is only read
+        other.kill()
+    _sweep(tmp_path, longer)  # a process that is dead holds no lock
+    assert len(_files(tmp_path)) == 4
+
+
+@pytest.mark.parametrize("folder", [5, "a\0b"])
+def test_a_folder_that_is_none_is_refused(folder):
+    with pytest.raises(hamsym.FileError, match="cannot be made"):
+        _sweep(folder)
+
+
+def test_a_process_that_dies_is_no_silence(tmp_path):
+    with pytest.raises(hamsym.HamsymError, match="ended before its run did"):
+        _sweep(tmp_path, {"a": _Dies()}, workers=2)
+
+
+class _Dies:
+    """Settings whose values kill the process that takes them."""
+
+    def __call__(self, seed):
+        return ADAM | {"hidden": _Deadly()}
+
+
+class _Deadly:
+    def __reduce__(self):
+        return os._exit, (3,)
+
+    def __repr__(self):
+        return "deadly"
