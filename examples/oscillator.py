@@ -36,7 +36,7 @@ marched = hamsym.solve(H, problem.z0, problem.span, tol=1e-10)
 t = np.linspace(*problem.span, 4_001)
 error = np.abs(marched(t) - problem.exact(t)).max()
 print(f"\nTo a tolerance of 1e-10: {marched.message}")
-print(f"true error {error:.1e}, {1e3 * marched.training.seconds:.0f} ms\n")
+print(f"true error {error:.1e}, {1e3 * marched.record.seconds:.0f} ms\n")
 
 print(f"Training the paper's network by {arguments.method} ...")
 if arguments.method == "adam":

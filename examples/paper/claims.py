@@ -202,7 +202,7 @@ def judge_dimensions(experiment):
         solution = found.median(f"chain of {n}", problem.exact)
         comparison = hamsym.compare(solution, "yoshida8", exact=problem.exact)
         errors.append(comparison.rows[0].error)
-        costs.append(solution.training.cpu_seconds)
+        costs.append(solution.record.cpu_seconds)
         match = comparison.matches["yoshida8"]
         rivals.append(math.nan if match.reason else match.seconds)
     listed = "; ".join(

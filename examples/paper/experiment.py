@@ -251,7 +251,7 @@ def largest_estimate(solution):
 
 def best_loss(solution):
     """The loss of the weights that were kept, at points not trained on."""
-    return getattr(solution.training, "best_loss", math.nan)
+    return getattr(solution.record, "best_loss", math.nan)
 
 
 @dataclass(frozen=True)
@@ -265,8 +265,8 @@ class Cost:
     @classmethod
     def of(cls, solution):
         """The cost of one solution."""
-        seconds = solution.training.seconds
-        spent = getattr(solution.training, "cpu_seconds", seconds)
+        seconds = solution.record.seconds
+        spent = getattr(solution.record, "cpu_seconds", seconds)
         return cls(solution.evaluations, seconds, spent)
 
     def __add__(self, other):

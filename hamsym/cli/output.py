@@ -52,7 +52,7 @@ def report(solution: Any) -> None:
     )
     click.echo(f"ell_max {solution.ell_max:.2e}, sigma_min {sigma:.3g}")
     click.echo(f"bound ell_max/sigma_min: {bound}")
-    training = solution.training
+    record = solution.record
     if solution.method == "features":
         width = max(map(len, solution.H.names))
         click.echo(f"{'':<{width}}  {'scale':>10}  {'estimated error':>16}")
@@ -60,11 +60,11 @@ def report(solution: Any) -> None:
             solution.H.names, solution.scale, solution.largest_error, strict=True
         ):
             click.echo(f"{name:<{width}}  {scale:>10.4g}  {error:>16.1e}")
-        click.echo(f"time {training.seconds:.3f} s for the last march")
+        click.echo(f"time {record.seconds:.3f} s for the last march")
     else:
-        each = 1e3 * training.cpu_seconds / max(training.iterations, 1)
+        each = 1e3 * record.cpu_seconds / max(record.iterations, 1)
         unit = "epoch" if solution.method == "adam" else "iteration"
-        click.echo(f"time {training.seconds:.1f} s, {each:.2f} ms of CPU per {unit}")
+        click.echo(f"time {record.seconds:.1f} s, {each:.2f} ms of CPU per {unit}")
 
 
 _FIGURE_ENDINGS = (".png", ".pdf", ".svg")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from hamsym.errors import FileError, InputError
@@ -53,7 +54,7 @@ class Checkpoint:
                 return None
         except (OSError, TypeError, ValueError) as error:
             raise FileError(f"'{self.path}' cannot be read: {one_line(error)}") from None
-        tensors, values = read_tensors(self.path, "checkpoint")
+        arrays, values = read_tensors(self.path, "checkpoint")
         theirs = values.get("settings")
         if not isinstance(theirs, dict):
             raise FileError(f"'{self.path}' is damaged; give another file")
@@ -63,8 +64,9 @@ class Checkpoint:
                     f"'{self.path}' is of a training with {name}={theirs.get(name)}, this one has "
                     f"{self.settings.get(name)}; give another file"
                 )
-        return tensors, values
+        return {name: torch.from_numpy(array) for name, array in arrays.items()}, values
 
     def write(self, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
         """Replace the file."""
-        write_tensors(self.path, "checkpoint", tensors, {"settings": dict(self.settings), **values})
+        arrays = {name: tensor.detach().numpy() for name, tensor in tensors.items()}
+        write_tensors(self.path, "checkpoint", arrays, {"settings": dict(self.settings), **values})

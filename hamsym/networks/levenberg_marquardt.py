@@ -21,9 +21,10 @@ import torch
 from torch import Tensor
 
 from hamsym.errors import InputError
+from hamsym.networks.network import ACTIVATIONS, ComponentNetworks, Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.points import fresh_points, points_between
-from hamsym.networks.trial import ACTIVATIONS, ComponentNetworks, Network, TrialSolution
+from hamsym.networks.trial import TrialSolution
 from hamsym.support.validation import is_positive, require_whole
 
 __all__ = ["LevenbergMarquardt"]

@@ -18,11 +18,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hamsym.archive import digest
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.checkpoint import Checkpoint
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
+from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.optimizers import LBFGS, Adam
 from hamsym.networks.progress import training_progress
@@ -35,8 +35,9 @@ from hamsym.networks.training import (
     Training,
     train,
 )
-from hamsym.networks.trial import ComponentNetworks, Network, TrialSolution
+from hamsym.networks.trial import TrialSolution
 from hamsym.problem import InitialValueProblem
+from hamsym.solution.digest import digest
 from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.solution import Solution
 from hamsym.support.validation import is_positive, plain, require_positive, require_whole
@@ -194,7 +195,7 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
             problem.span,
             trial,
             method=options.method,
-            training=training,
+            record=training,
             energy_weight=options.energy_weight,
         )
 
@@ -231,8 +232,7 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
         )
     trial.requires_grad_(False)
     found = solution(training)
-    found.success, found.message = _verdict(found, training, options)
-    return found
+    return found.judged(*_verdict(found, training, options))
 
 
 def _accurate(solution: Solution, accuracy: float) -> bool:

@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -21,8 +21,9 @@ from torch import Tensor
 
 from hamsym.errors import FileError
 from hamsym.networks.checkpoint import Checkpoint
+from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
-from hamsym.networks.trial import Network
+from hamsym.support.checked_data import require_array, require_counts
 from hamsym.support.tensor_files import one_line
 from hamsym.support.validation import require_positive, require_whole
 
@@ -37,6 +38,8 @@ __all__ = [
     "train",
 ]
 
+#: Methods of solution that train a network.
+TRAINING_METHODS = ("adam", "lbfgs", "levenberg-marquardt")
 # Products of points and weights below this are no faster on two threads, which cost twice the CPU
 # time.
 _ONE_THREAD = 4_000_000
@@ -105,6 +108,36 @@ class Training:
     stopped: str
     seconds: float
     cpu_seconds: float
+
+    # A network is one smooth function over the whole span.
+    edges: ClassVar[None] = None
+    origin: ClassVar[float] = 0.0
+
+    @property
+    def point_evaluations(self) -> int:
+        """Evaluations of the vector field, each at one point."""
+        return self.iterations * self.points
+
+    def times(self, span: tuple[float, float], count: int) -> np.ndarray:
+        """So many equally spaced times over a span."""
+        return np.linspace(*span, count)
+
+    def check(self, trial: Any, method: str) -> None:
+        """Raise ValueError if this is not the record of a training by a method."""
+        if method not in TRAINING_METHODS:
+            raise ValueError(f"method '{method}' does not train")
+        history = self.history
+        checks = len(history.iteration)
+        # A loss that was not finite is part of the record, also of a training that began again.
+        for name, dtype, count in (
+            ("loss", np.float64, self.iterations),
+            ("iteration", np.int64, checks),
+            ("fixed_loss", np.float64, checks),
+            ("ell_max", np.float64, checks),
+            ("seconds", np.float64, checks),
+        ):
+            require_array(name, getattr(history, name), (count,), dtype, finite=False)
+        require_counts(self)
 
 
 @dataclass(frozen=True)

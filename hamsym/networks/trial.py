@@ -1,43 +1,35 @@
 """The trial solution z^(t) = z0 + f(s) N(s), s = |t - t0| / tau, and its time derivative.
 
-The network N is fully connected; f(0) = 0 makes the initial state exact whatever the weights.
-Value and time derivative come together from one forward pass: each layer carries both on, the
-derivative in forward mode (the paper's eqs. par_sol and f_param).
+f(0) = 0 makes the initial state exact whatever the weights of the network N (the paper's eqs.
+par_sol and f_param).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from hamsym.errors import InputError
+from hamsym.networks.network import (
+    ComponentNetworks,
+    Network,
+    chosen,
+    weights_of,
+    written_out,
+)
+from hamsym.support.checked_data import (
+    checked_list,
+    checked_number,
+    checked_type,
+    require_array,
+    require_names,
+)
 
-__all__ = ["ACTIVATIONS", "ENVELOPES", "ComponentNetworks", "Network", "TrialSolution"]
-
-
-@dataclass(frozen=True)
-class _Activation:
-    """An activation and its first two derivatives, which cost little once it is known."""
-
-    value: Callable[..., Tensor]
-    slope: Callable[[Tensor, Tensor], Tensor]  # of pre-activation a and value h
-    curvature: Callable[[Tensor, Tensor], Tensor]  # of value h and slope
-
-
-#: Activation functions by name.
-ACTIVATIONS: dict[str, _Activation] = {
-    "sin": _Activation(torch.sin, lambda a, h: torch.cos(a), lambda h, slope: -h),
-    "sigmoid": _Activation(
-        torch.sigmoid, lambda a, h: h * (1 - h), lambda h, slope: slope * (1 - 2 * h)
-    ),
-    "tanh": _Activation(torch.tanh, lambda a, h: 1 - h * h, lambda h, slope: -2 * h * slope),
-}
+__all__ = ["ENVELOPES", "TrialSolution"]
 
 
 def _exponential(s: Tensor) -> tuple[Tensor, Tensor]:
@@ -51,67 +43,6 @@ ENVELOPES: dict[str, Callable[[Tensor], tuple[Tensor, Tensor]]] = {
     "exponential": _exponential,
     "linear": lambda s: (s, torch.ones_like(s)),
 }
-
-
-class _Jet(torch.autograd.Function):
-    """(N, dN/ds) of a fully connected network, with the gradient of both written out.
-
-    Automatic differentiation of the same computation records and visits about four times as many
-    operations, and at the paper's sizes their number is what an epoch costs. The first K rows of
-    each matrix x hold values, the last K rows derivatives in s, so that a layer is one product.
-    """
-
-    @staticmethod
-    def forward(
-        ctx: Any, activation: _Activation, sizes: tuple[int, ...], s: Tensor, theta: Tensor
-    ) -> Any:
-        count = s.shape[0]
-        (first, bias), *layers = _layers(theta, sizes)
-        a = torch.addcmul(bias, s.unsqueeze(1), first.T)
-        a_dot = first.T.expand_as(a)
-        saved = []
-        for matrix, shift in layers:
-            x = a.new_empty((2 * count, a.shape[1]))
-            h = x[:count]
-            activation.value(a, out=h)
-            slope = activation.slope(a, h)
-            torch.mul(slope, a_dot, out=x[count:])
-            saved.append((x, slope, a_dot))
-            product = x @ matrix.T
-            a, a_dot = product[:count].add_(shift), product[count:]
-        ctx.activation, ctx.sizes, ctx.saved, ctx.matrices = (
-            activation,
-            sizes,
-            saved,
-            [matrix for matrix, _ in layers],
-        )
-        ctx.save_for_backward(s, theta)  # theta too, so that a change before backward is noticed
-        return a, a_dot
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, grad_value: Tensor, grad_rate: Tensor) -> Any:
-        s, theta = ctx.saved_tensors
-        count = s.shape[0]
-        gradient = torch.empty_like(theta)
-        (first, first_bias), *layers = _layers(gradient, ctx.sizes)
-        upstream = torch.cat((grad_value, grad_rate))
-        for (into, into_bias), matrix, (x, slope, a_dot) in zip(
-            reversed(layers), reversed(ctx.matrices), reversed(ctx.saved), strict=True
-        ):
-            torch.mm(upstream.T, x, out=into)
-            torch.sum(upstream[:count], 0, out=into_bias)
-            towards = upstream @ matrix
-            h, to_value, to_rate = x[:count], towards[:count], towards[count:]
-            # With h = f(a) and h_dot = f'(a) a_dot, f'' couples the two halves.
-            curvature = ctx.activation.curvature(h, slope).mul_(a_dot).mul_(to_rate)
-            upstream = torch.empty_like(towards)
-            torch.addcmul(curvature, to_value, slope, out=upstream[:count])
-            torch.mul(to_rate, slope, out=upstream[count:])
-        values = upstream[:count]
-        torch.add(s @ values, upstream[count:].sum(0), out=first[:, 0])
-        torch.sum(values, 0, out=first_bias)
-        return None, None, None, gradient
 
 
 class _Envelope(torch.autograd.Function):
@@ -130,119 +61,6 @@ class _Envelope(torch.autograd.Function):
     def backward(ctx: Any, grad_z: Tensor, grad_dz: Tensor) -> Any:
         f, g, scaled = ctx.factors
         return None, None, None, None, (f * grad_z).addcmul_(g, grad_dz), scaled * grad_dz
-
-
-def _layers(theta: Tensor, sizes: tuple[int, ...]) -> list[tuple[Tensor, Tensor]]:
-    """(matrix, bias) of each layer, as views into the flat vector of all weights."""
-    layers, start = [], 0
-    for inputs, neurons in pairwise(sizes):
-        middle, end = start + inputs * neurons, start + (inputs + 1) * neurons
-        layers.append((theta[start:middle].view(neurons, inputs), theta[middle:end]))
-        start = end
-    return layers
-
-
-class Network(torch.nn.Module):
-    """A fully connected network from one input to ``outputs`` outputs, with its derivative.
-
-    All outputs share the hidden layers.
-
-    Parameters
-    ----------
-    outputs : int
-    hidden : sequence of int
-        Neurons of each hidden layer, at least one layer.
-    activation : {"sin", "sigmoid", "tanh"}
-    frequency : float, optional
-        Weights of the first layer start uniform within +- this, its shifts within +- pi, further
-        hidden layers within sqrt(6 / inputs). By default all start as torch's own linear layers
-        do, uniform within 1/sqrt(inputs).
-    generator : torch.Generator, optional
-        Source of the initial weights.
-    dtype : torch.dtype
-        float64 unless asked otherwise.
-
-    Examples
-    --------
-    >>> network = Network(2, hidden=(50, 50))
-    >>> value, rate = network(torch.linspace(0, 1, 5, dtype=torch.float64))
-    >>> value.shape, rate.shape
-    (torch.Size([5, 2]), torch.Size([5, 2]))
-    """
-
-    def __init__(
-        self,
-        outputs: int,
-        hidden: Sequence[int] = (50, 50),
-        activation: str = "sin",
-        *,
-        frequency: float | None = None,
-        generator: torch.Generator | None = None,
-        dtype: torch.dtype = torch.float64,
-    ) -> None:
-        super().__init__()
-        self.activation, self.frequency = activation, frequency
-        self._activation = _chosen(activation, ACTIVATIONS, "activation")
-        widths = tuple(hidden) if isinstance(hidden, Sequence) else ()
-        if not widths or any(
-            not isinstance(n, int) or isinstance(n, bool) or not 1 <= n <= 100_000 for n in widths
-        ):
-            raise InputError(f"hidden={hidden!r} is not a list of layer widths; give e.g. (50, 50)")
-        self.sizes = (1, *widths, outputs)
-        count = sum((inputs + 1) * neurons for inputs, neurons in pairwise(self.sizes))
-        #: All weights as one vector, layer by layer, each matrix before its bias.
-        self.theta = torch.nn.Parameter(torch.empty(count, dtype=dtype))
-        self.draw(generator)
-
-    @torch.no_grad()
-    def draw(self, generator: torch.Generator | None = None) -> None:
-        """Give all weights new random values."""
-        last = len(self.sizes) - 2
-        for position, (matrix, bias) in enumerate(self.layers):
-            neurons, inputs = matrix.shape
-            within = [1 / math.sqrt(inputs)] * 2  # of the matrix and of the bias
-            if self.frequency is not None and position == 0:
-                within = [self.frequency, math.pi]
-            elif self.frequency is not None and position < last:
-                within[0] = math.sqrt(6 / inputs)
-            uniform = torch.rand(
-                (inputs + 1) * neurons, generator=generator, dtype=self.theta.dtype
-            )
-            uniform = 2 * uniform - 1
-            matrix.copy_(within[0] * uniform[: inputs * neurons].view_as(matrix))
-            bias.copy_(within[1] * uniform[inputs * neurons :])
-
-    @property
-    def layers(self) -> list[tuple[Tensor, Tensor]]:
-        """(matrix, bias) of each layer, shapes (neurons, inputs) and (neurons,)."""
-        return _layers(self.theta, self.sizes)
-
-    def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
-        """N(s) and dN/ds for s of shape (K,); each of shape (K, outputs)."""
-        if _written_out(self.theta, s):
-            value, rate = _Jet.apply(self._activation, self.sizes, s, self.theta)
-            return value, rate
-        *hidden, (last, last_bias) = self.layers
-        h, h_dot = s.unsqueeze(-1), torch.ones_like(s).unsqueeze(-1)
-        for matrix, bias in hidden:
-            a = torch.nn.functional.linear(h, matrix, bias)
-            h = self._activation.value(a)
-            h_dot = self._activation.slope(a, h) * (h_dot @ matrix.T)
-        return torch.nn.functional.linear(h, last, last_bias), h_dot @ last.T
-
-
-class ComponentNetworks(torch.nn.Module):
-    """One single-output network per component instead of one network that shares its weights."""
-
-    def __init__(self, networks: Sequence[Network]) -> None:
-        super().__init__()
-        self.networks = torch.nn.ModuleList(networks)
-        self.activation = networks[0].activation
-
-    def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
-        """As :meth:`Network.forward`, the components side by side."""
-        values, rates = zip(*(network(s) for network in self.networks), strict=True)
-        return torch.cat(values, dim=-1), torch.cat(rates, dim=-1)
 
 
 class TrialSolution(torch.nn.Module):
@@ -277,7 +95,7 @@ class TrialSolution(torch.nn.Module):
         self.network = network
         self.register_buffer("z0", z0)
         self.t0, self.tau, self.envelope = float(t0), float(tau), envelope
-        self._envelope = _chosen(envelope, ENVELOPES, "envelope")
+        self._envelope = chosen(envelope, ENVELOPES, "envelope")
 
     def envelope_at(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """s, f(s) and f'(s) at times t of shape (K,)."""
@@ -289,22 +107,140 @@ class TrialSolution(torch.nn.Module):
         s, *envelope = self.envelope_at(t)
         value, rate = self.network(s)
         f, f_dot = (part.unsqueeze(-1) for part in envelope)
-        if _written_out(value, s):
+        if written_out(value, s):
             z, dz = _Envelope.apply(self.z0, f, f_dot / self.tau, self.tau, value, rate)
             return z, dz
         return self.z0 + f * value, (f_dot * value + f * rate) / self.tau
 
-    def value(self, t: Tensor) -> Tensor:
+    # -- as a part of a solution ---------------------------------------------------------------
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of its numbers, float32 or float64."""
+        return np.dtype(str(self.z0.dtype).removeprefix("torch."))
+
+    @torch.no_grad()
+    def states_and_rates(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
+        z, dz = self(torch.from_numpy(np.ascontiguousarray(t)).to(self.z0.dtype))
+        return z.numpy(), dz.numpy()
+
+    def states_at(self, t: np.ndarray) -> np.ndarray:
         """z^ alone."""
-        return self(t)[0]
+        return self.states_and_rates(t)[0]
 
+    def tensors(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        """z^ and dz^/dt at times t of shape (K,), differentiable in t."""
+        z, dz = self(t.to(self.z0.dtype))
+        return z, dz
 
-def _written_out(weights: Tensor, s: Tensor) -> bool:
-    """Whether gradients go to the weights alone, as in training: those are written out above."""
-    return torch.is_grad_enabled() and weights.requires_grad and not s.requires_grad
+    @property
+    def parts(self) -> list[Network]:
+        """The network, or that of each component."""
+        whole = self.network
+        return [whole] if isinstance(whole, Network) else list(whole.networks)  # type: ignore[arg-type]
 
+    def describe(self) -> dict[str, Any]:
+        """Its form and settings, as JSON can hold them."""
+        first = self.parts[0]
+        return {
+            "form": "network",
+            "shared": isinstance(self.network, Network),
+            "sizes": first.sizes,
+            "activation": first.activation,
+            "frequency": None if first.frequency is None else float(first.frequency),
+            "t0": self.t0,
+            "tau": self.tau,
+            "envelope": self.envelope,
+        }
 
-def _chosen(name: str, table: dict[str, Any], kind: str) -> Any:
-    if not isinstance(name, str) or name not in table:
-        raise InputError(f"'{name}' is not an {kind}; choose one of {', '.join(table)}")
-    return table[name]
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Its weights and z0, by name."""
+        return {name: tensor.detach().numpy() for name, tensor in self.state_dict().items()}
+
+    @classmethod
+    def from_description(
+        cls, values: Mapping[str, Any], arrays: Mapping[str, np.ndarray], dim: int
+    ) -> TrialSolution:
+        """The trial solution of such a :meth:`describe` and :meth:`arrays`.
+
+        Sizes are compared with the arrays before anything is built of them.
+
+        Raises
+        ------
+        ValueError
+            If they are not those of a trial solution with so many components.
+        """
+        names = {"form", "shared", "sizes", "activation", "frequency", "t0", "tau", "envelope"}
+        require_names("trial solution", values, names)
+        shared = checked_type("shared", values["shared"], "bool")
+        sizes = tuple(
+            checked_type("sizes", size, "int") for size in checked_list("sizes", values["sizes"])
+        )
+        frequency = checked_type("frequency", values["frequency"], "float | None")
+        if frequency is not None and not 0 < frequency < math.inf:
+            raise ValueError("its frequency is not positive")
+        outputs = dim if shared else 1
+        keys = ["network.theta"] if shared else [f"network.networks.{k}.theta" for k in range(dim)]
+        require_names("network", arrays, {"z0", *keys})
+        if len(sizes) < 3 or min(sizes) < 1 or sizes[0] != 1 or sizes[-1] != outputs:
+            raise ValueError("the sizes of its networks do not fit together")
+        z0 = arrays["z0"]
+        for key in keys:
+            if arrays[key].shape != (weights_of(sizes),) or arrays[key].dtype != z0.dtype:
+                raise ValueError(f"'{key}' does not have the size and type that its layers need")
+        if z0.dtype not in (np.float32, np.float64) or z0.shape != (dim,):
+            raise ValueError("its networks are of another type or dimension")
+        precision = torch.from_numpy(z0).dtype
+
+        def network() -> Network:
+            return Network(
+                outputs,
+                sizes[1:-1],
+                values["activation"],
+                frequency=frequency,
+                generator=torch.Generator(),
+                dtype=precision,
+            )
+
+        trial = cls(
+            network() if shared else ComponentNetworks([network() for _ in range(dim)]),
+            torch.from_numpy(np.array(z0)),
+            t0=checked_number("t0", values["t0"]),
+            tau=checked_number("tau", values["tau"]),
+            envelope=values["envelope"],
+        )
+        trial.load_state_dict({n: torch.from_numpy(np.array(a)) for n, a in arrays.items()})
+        trial.requires_grad_(False)
+        return trial
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return TrialSolution.from_description, (self.describe(), self.arrays(), len(self.z0))
+
+    def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
+        """Raise ValueError if it is not a trial solution from z0 over the span."""
+        parts, dim = self.parts, len(z0)
+        if not parts or not all(isinstance(part, Network) for part in parts):
+            raise ValueError("its network is not one of this package")
+        outputs = [dim] if isinstance(self.network, Network) else [1] * dim
+        if [part.sizes[-1] for part in parts] != outputs:
+            raise ValueError("the sizes of its networks do not fit together")
+        if {(part.sizes[:-1], part.activation, part.frequency) for part in parts} != {
+            (parts[0].sizes[:-1], parts[0].activation, parts[0].frequency)
+        }:
+            raise ValueError("its networks are not alike")
+        own = self.z0.numpy()
+        if own.dtype not in (np.float32, np.float64):
+            raise ValueError(f"its weights are of type {own.dtype}")
+        require_array("z0 of the network", own, (dim,), own.dtype)
+        for part in parts:
+            theta = part.theta.detach().numpy()
+            require_array("theta", theta, (weights_of(part.sizes),), own.dtype)
+        if not (math.isfinite(self.t0) and math.isfinite(self.tau)):
+            raise ValueError("its unit of time is not finite")
+        start, end = span
+        if self.t0 != start or not math.copysign(1.0, end - start) * self.tau > 0:
+            raise ValueError("its span is not that of its network")
+        with np.errstate(over="ignore"):
+            if own.tobytes() != z0.astype(own.dtype).tobytes():
+                raise ValueError("it does not start at its z0")

@@ -30,7 +30,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from hamsym.archive import digest, load
+from hamsym.archive import load
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof.balls import SMALLEST, at_least, at_most
 from hamsym.proof.certificate import (
@@ -55,6 +55,7 @@ from hamsym.proof.error_bounds import (
 from hamsym.proof.presolve import Scout, scout
 from hamsym.proof.taylor import Deadline, PrecisionError, Reference, validated_reference
 from hamsym.proof.trials import require_exact, segments
+from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
 from hamsym.support.progress import stepping_progress
 from hamsym.support.validation import require, require_number, require_positive, require_whole

@@ -26,13 +26,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache, cached_property
 from itertools import pairwise
+from typing import Any
 
-import torch
+import numpy as np
 from flint import arb, arb_mat, arb_poly, arb_series, ctx
-from torch import Tensor
 
 from hamsym.errors import CertificationError
-from hamsym.networks.trial import ComponentNetworks, Network, TrialSolution
+from hamsym.networks.network import ComponentNetworks, Network
+from hamsym.networks.trial import TrialSolution
 from hamsym.proof.balls import ball, interval, working
 from hamsym.proof.functions import hyperbolic_tangent
 from hamsym.random_features.trial import FeatureTrial
@@ -63,7 +64,7 @@ class Segment:
     series: Series
 
 
-def require_exact(trial: TrialSolution | FeatureTrial, dim: int) -> None:
+def require_exact(trial: Any, dim: int) -> None:
     """Refuse a trial solution whose numbers are not real, finite and as many as they should be.
 
     Raises
@@ -76,14 +77,13 @@ def require_exact(trial: TrialSolution | FeatureTrial, dim: int) -> None:
             f"the trial solution is a {type(trial).__name__}, which has no enclosure; nothing can "
             "be proven"
         )
-    for name, tensor in trial.state_dict().items():
-        if tensor.dtype not in (torch.float64, torch.float32):
-            kind = str(tensor.dtype).removeprefix("torch.")
+    for name, array in trial.arrays().items():
+        if array.dtype not in (np.float64, np.float32):
             raise CertificationError(
-                f"'{name}' of the solution holds numbers of {kind}, not of float64 or float32; "
-                "nothing can be proven; solve again"
+                f"'{name}' of the solution holds numbers of {array.dtype}, not of float64 or "
+                "float32; nothing can be proven; solve again"
             )
-        if not bool(torch.isfinite(tensor).all()):
+        if not np.isfinite(array).all():
             raise CertificationError(
                 f"'{name}' of the solution is not finite; nothing can be proven; solve again"
             )
@@ -122,7 +122,7 @@ def _fits_together(trial: TrialSolution | FeatureTrial, dim: int) -> bool:
     return outputs == dim and trial.z0.shape == (dim,)
 
 
-def segments(trial: TrialSolution | FeatureTrial, span: tuple[float, float]) -> list[Segment]:
+def segments(trial: Any, span: tuple[float, float]) -> list[Segment]:
     """The smooth parts of a trial solution over a span, in its direction.
 
     Raises
@@ -173,10 +173,13 @@ class _DeepNetwork:
             assert isinstance(part, Network)
             if part.activation not in _ACTIVATIONS:
                 raise CertificationError(f"the activation '{part.activation}' has no enclosure")
-            layers = [(_matrix(weights), _exact(bias)) for weights, bias in part.layers]
+            layers = [
+                (_matrix(weights.detach().numpy()), _exact(bias.detach().numpy()))
+                for weights, bias in part.layers
+            ]
             self._networks.append((_ACTIVATIONS[part.activation], layers))
         self._envelope = _ENVELOPES[trial.envelope]
-        self._z0 = _exact(trial.z0)
+        self._z0 = _exact(trial.z0.numpy())
         self._start, self._direction = start, direction
         self._t0, self._tau = Fraction(trial.t0), Fraction(trial.tau)
 
@@ -220,14 +223,14 @@ def _padded(series: arb_series, terms: int) -> list[arb]:
     return coefficients + [arb(0)] * (terms - len(coefficients))
 
 
-def _exact(tensor: Tensor) -> list[arb]:
-    """Numbers of a tensor of one dimension as balls without radius."""
-    return [arb(value) for value in tensor.detach().double().tolist()]
+def _exact(numbers: np.ndarray) -> list[arb]:
+    """Numbers of an array of one dimension as balls without radius."""
+    return [arb(value) for value in numbers.astype(np.float64).tolist()]
 
 
-def _matrix(tensor: Tensor) -> arb_mat:
-    rows, columns = tensor.shape
-    return arb_mat(rows, columns, _exact(tensor.reshape(-1)))
+def _matrix(numbers: np.ndarray) -> arb_mat:
+    rows, columns = numbers.shape
+    return arb_mat(rows, columns, _exact(numbers.reshape(-1)))
 
 
 # -- features -----------------------------------------------------------------------------------
@@ -253,7 +256,7 @@ class _Window:
         start: Fraction,
         length: Fraction,
         state: list[arb],
-        readout: Tensor,
+        readout: np.ndarray,
         series: arb_mat,
     ) -> None:
         # In elapsed time: both are counted in the direction of the span.

@@ -18,7 +18,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -26,9 +26,10 @@ from numpy.polynomial import chebyshev
 from hamsym.numerics.collocation import Collocation, collocation
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.numerics.tangent_maps import TangentMaps
-from hamsym.random_features.basis import FeatureBasis
-from hamsym.random_features.flow import Flow
+from hamsym.random_features.basis import FeatureBasis, feature_basis
+from hamsym.random_features.flow import Flow, flow_of
 from hamsym.random_features.windows import March
+from hamsym.support.checked_data import require_array
 
 __all__ = ["RESOLUTIONS", "Estimate", "MarchError", "estimate_error"]
 
@@ -72,6 +73,30 @@ class MarchError:
     largest: np.ndarray
     scale: np.ndarray
     origin: np.ndarray = field(repr=False)
+
+    def check(self, trial: Any, *, finite: bool) -> None:
+        """Raise ValueError if it is not the error of such a trial solution."""
+        count, _, dim = trial.readouts.shape
+        require_array("edges of the error", self.edges, (count + 1,))
+        if not np.array_equal(self.edges, trial.edges):
+            raise ValueError("its error has other windows")
+        if not self.series.size:
+            raise ValueError("its error has no series")
+        shape = (count, self.series.size // (count * dim), dim)
+        require_array("series of the error", self.series, shape, finite=finite)
+        require_array("floors of the error", self.floors, (count, dim), finite=finite)
+        require_array("largest error", self.largest, (dim,), finite=finite)
+        require_array("scale of the error", self.scale, (dim,))
+        require_array("origin of the error", self.origin, ())
+        if self.origin != trial.origin:
+            raise ValueError("its error counts the time from elsewhere")
+        if any((sizes < 0).any() for sizes in (self.floors, self.largest, self.scale)):
+            raise ValueError("its error has a size below zero")
+
+    def refined(self, path: Any) -> MarchError:
+        """The estimate along the same march, with half as many nodes again."""
+        basis = feature_basis(path.record.seed)
+        return estimate_error(path.record, basis, flow_of(path.H), resolution=1).error
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Estimated z - z^ at times t, shape (*t.shape, dim)."""

@@ -98,15 +98,16 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
         (problem.span[0], windows.reached),
         FeatureTrial.of_march(windows, basis),
         method="features",
-        training=windows,
-        march_error=best.estimate.error,
+        record=windows,
+        error=best.estimate.error,
     )
-    solution.success, solution.message = _verdict(best, tol)
-    if solution.success or windows.doubt:
-        jump = first_jump(solution, windows.times(_JUMP_SAMPLES), best.estimate.unresolved)
+    success, message = _verdict(best, tol)
+    if success or windows.doubt:
+        times = windows.times_in_windows(_JUMP_SAMPLES)
+        jump = first_jump(solution, times, best.estimate.unresolved)
         if jump is not None:
-            solution.success, solution.message = False, f"{jump} ({solution.message})"
-    return solution
+            success, message = False, f"{jump} ({message})"
+    return solution.judged(success, message)
 
 
 @dataclass(frozen=True)

@@ -1,101 +1,166 @@
-"""The trial solution of a march: z^ and its derivative as functions of t."""
+"""The trial solution of a march: z^ and its derivative as functions of t, one network a window."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from hamsym.random_features.basis import DEGREE, FeatureBasis, rate_series
 from hamsym.random_features.windows import March
+from hamsym.support.checked_data import require_array, require_names
+
+if TYPE_CHECKING:  # only functions of tensors need torch
+    from torch import Tensor
 
 __all__ = ["FeatureTrial"]
 
 
-class FeatureTrial(torch.nn.Module):
-    """The solution of a march as a function of time, with its derivative; one network a window.
+@dataclass(frozen=True, eq=False)
+class FeatureTrial:
+    """z^(t) = z_a + f(s) N(s) on each window [t_a, t_b], s = (t - t_a)/(t_b - t_a).
 
-    The derivative is that of the series: nothing but what defines the function is kept.
+    N is the product of a Chebyshev series, the same for all windows, with the window's readout; the
+    derivative is that of the series.
+
+    Attributes
+    ----------
+    edges : numpy.ndarray
+        Ends of the windows, counted from the origin, shape (n + 1,).
+    states : numpy.ndarray
+        z at the edges, shape (n + 1, dim).
+    readouts : numpy.ndarray
+        Coefficients of the columns, shape (n, m, dim).
+    series : numpy.ndarray
+        Chebyshev series of the columns in 2 s - 1, shape (degree + 1, m).
+    origin : numpy.ndarray
+        Time from which the edges are counted, shape ().
     """
 
-    terms = DEGREE + 1  # of the series
-
-    def __init__(
-        self,
-        edges: Tensor,
-        states: Tensor,
-        readouts: Tensor,
-        series: Tensor,
-        origin: Tensor | None = None,
-    ) -> None:
-        super().__init__()
-        self.register_buffer("edges", edges)
-        self.register_buffer("states", states)
-        self.register_buffer("readouts", readouts)
-        self.register_buffer("series", series)
-        rates = torch.from_numpy(rate_series(series.numpy()))
-        self.register_buffer("rate_series", rates, persistent=False)
-        zero = torch.zeros((), dtype=edges.dtype)
-        self.register_buffer("origin", zero if origin is None else origin)
-        self.direction = math.copysign(1.0, float(edges[-1] - edges[0]))
+    edges: np.ndarray = field(repr=False)
+    states: np.ndarray = field(repr=False)
+    readouts: np.ndarray = field(repr=False)
+    series: np.ndarray = field(repr=False)
+    origin: np.ndarray
 
     @classmethod
     def of_march(cls, windows: March, basis: FeatureBasis) -> FeatureTrial:
         """The trial solution of windows that were marched with a basis."""
-        return cls(
-            *(
-                torch.tensor(array, dtype=torch.float64)
-                for array in (
-                    windows.edges,
-                    windows.states,
-                    windows.readouts,
-                    basis.series,
-                    windows.origin,
-                )
-            )
-        )
+        origin = np.array(windows.origin)
+        return cls(windows.edges, windows.states, windows.readouts, basis.series, origin)
 
-    edges: Tensor
-    states: Tensor
-    readouts: Tensor
-    series: Tensor
-    rate_series: Tensor
-    origin: Tensor
+    @classmethod
+    def from_description(
+        cls, values: Mapping[str, Any], arrays: Mapping[str, np.ndarray], dim: int
+    ) -> FeatureTrial:
+        """The trial solution of such a :meth:`describe` and :meth:`arrays`.
 
-    def forward(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        Raises
+        ------
+        ValueError
+            If they are not those of a trial solution with so many components.
+        """
+        require_names("trial solution", values, {"form"})
+        require_names("windows", arrays, {entry.name for entry in fields(cls)})
+        trial = cls(**arrays)
+        trial._check_arrays(dim)
+        return trial
+
+    def describe(self) -> dict[str, Any]:
+        """Its form, as JSON can hold it."""
+        return {"form": "features"}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All numbers that define it, by name."""
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of its numbers."""
+        return self.states.dtype
+
+    def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
+        """Raise ValueError if it is not a trial solution from z0 over the span."""
+        self._check_arrays(len(z0))
+        start, end = span
+        ends = (self.origin + self.edges[0], self.origin + self.edges[-1])
+        if self.origin not in (0, start) or (start, end) != ends:
+            raise ValueError("its span is not that of its windows")
+        if self.states[0].tobytes() != z0.tobytes():
+            raise ValueError("it does not start at its z0")
+
+    def _check_arrays(self, dim: int) -> None:
+        edges, series = np.asarray(self.edges), np.asarray(self.series)
+        if edges.size < 2 or not series.size:
+            raise ValueError("it has no windows")
+        count, columns = edges.size - 1, series.size // (DEGREE + 1)
+        require_array("edges", self.edges, (count + 1,))
+        require_array("states", self.states, (count + 1, dim))
+        require_array("readouts", self.readouts, (count, columns, dim))
+        require_array("series", self.series, (DEGREE + 1, columns))
+        require_array("origin", self.origin, ())
+        with np.errstate(over="ignore"):
+            steps = np.diff(self.edges)
+        if not (np.isfinite(steps).all() and ((steps > 0).all() or (steps < 0).all())):
+            raise ValueError("its windows are not in order")
+
+    # -- evaluation --------------------------------------------------------------------------
+
+    def states_and_rates(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
         window, length, s, polynomials = self._place(t)
-        f = -torch.expm1(-s).unsqueeze(-1)
-        network, slopes = polynomials @ self.series, polynomials @ self.rate_series
+        f = -np.expm1(-s)[:, None]
+        network, slopes = polynomials @ self.series, polynomials @ self._rate_series
         readout = self.readouts[window]
-        z = self.states[window] + torch.einsum("km,kmd->kd", f * network, readout)
-        dz = torch.einsum("km,kmd->kd", (1 - f) * network + f * slopes, readout)
-        return z, dz / length.unsqueeze(-1)
+        z = self.states[window] + _products(f * network, readout)
+        dz = _products((1 - f) * network + f * slopes, readout)
+        return z, dz / length[:, None]
 
-    def value(self, t: Tensor) -> Tensor:
+    def states_at(self, t: np.ndarray) -> np.ndarray:
         """z^ alone, the same numbers in half the time."""
         window, _, s, polynomials = self._place(t)
-        columns = -torch.expm1(-s).unsqueeze(-1) * (polynomials @ self.series)
-        return self.states[window] + torch.einsum("km,kmd->kd", columns, self.readouts[window])
+        columns = -np.expm1(-s)[:, None] * (polynomials @ self.series)
+        return np.asarray(self.states[window] + _products(columns, self.readouts[window]))
 
-    def _place(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Which window t is in, the window's length, s there, and Chebyshev polynomials of s."""
+    def tensors(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        """z^ and dz^/dt at times t of shape (K,), differentiable in t."""
+        from hamsym.random_features.tensor_evaluation import evaluate
+
+        return evaluate(t, **self.arrays(), rate_series=self._rate_series)
+
+    @cached_property
+    def _rate_series(self) -> np.ndarray:
+        return rate_series(self.series)
+
+    @cached_property
+    def _direction(self) -> float:
+        return math.copysign(1.0, float(self.edges[-1] - self.edges[0]))
+
+    def _place(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Index and length of the window of each time, s there, and Chebyshev polynomials of s."""
         t = t - self.origin
-        window = torch.searchsorted(self.direction * self.edges, self.direction * t, right=True) - 1
-        window = window.clamp(0, len(self.readouts) - 1)
-        start, length = self.edges[window], (self.edges[1:] - self.edges[:-1])[window]
+        window = np.searchsorted(self._direction * self.edges, self._direction * t, side="right")
+        window = np.clip(window - 1, 0, len(self.readouts) - 1)
+        start, length = self.edges[window], np.diff(self.edges)[window]
         s = (t - start) / length
         return window, length, s, _chebyshev_values(2 * s - 1)
 
 
-def _chebyshev_values(x: Tensor) -> Tensor:
+def _chebyshev_values(x: np.ndarray) -> np.ndarray:
     """T_0 .. T_degree at x of shape (K,), shape (K, degree + 1)."""
-    if not x.requires_grad:
-        angles = torch.arccos(x.clamp(-1, 1)).unsqueeze(-1)
-        return torch.cos(angles * torch.arange(DEGREE + 1, dtype=x.dtype))
-    # The arc cosine has no derivative at the ends of a window; the recurrence has.
-    values = [torch.ones_like(x), x]
-    for _ in range(DEGREE - 1):
-        values.append(2 * x * values[-1] - values[-2])
-    return torch.stack(values, dim=-1)
+    # The recurrence is as accurate as cosines of multiples of an angle, and takes a 20th of the time.
+    values, twice = np.empty((DEGREE + 1, len(x))), 2 * x
+    values[0], values[1] = 1.0, x
+    for k in range(2, DEGREE + 1):
+        np.multiply(twice, values[k - 1], out=values[k])
+        values[k] -= values[k - 2]
+    return values.T
+
+
+def _products(rows: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+    """Each row times its matrix, shapes (K, m) and (K, m, dim) -> (K, dim)."""
+    return np.asarray(np.matmul(rows[:, None], matrices)[:, 0])

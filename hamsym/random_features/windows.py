@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from hamsym.random_features.basis import NODES
+from hamsym.support.checked_data import require_array, require_counts
 
 __all__ = ["March"]
 
@@ -63,11 +65,39 @@ class March:
     points_per_window = NODES
 
     @property
+    def history(self) -> March:
+        """The windows themselves."""
+        return self
+
+    @property
+    def point_evaluations(self) -> int:
+        """Evaluations of the vector field, each at one point."""
+        return self.evaluations * self.points_per_window
+
+    def check(self, trial: Any, method: str) -> None:
+        """Raise ValueError if these are not the windows of a trial solution."""
+        if method != "features":
+            raise ValueError(f"method '{method}' does not march")
+        for name in ("edges", "states", "readouts"):
+            if not np.array_equal(getattr(self, name), getattr(trial, name)):
+                raise ValueError(f"its march has other {name}")
+        require_array("scale", self.scale, self.states[0].shape)
+        if (self.scale < 0).any():
+            raise ValueError("its scale is below zero")
+        if self.origin != trial.origin or self.reached != self.origin + self.edges[-1]:
+            raise ValueError("its march reached another time")
+        require_counts(self)
+
+    @property
     def points(self) -> int:
         """Collocation points of all windows."""
         return self.points_per_window * len(self.readouts)
 
-    def times(self, per_window: int) -> np.ndarray:
+    def times(self, span: tuple[float, float], count: int) -> np.ndarray:
+        """About so many times, at least nine in each window, its start among them, and the end."""
+        return self.times_in_windows(max(9, count // len(self.edges)))
+
+    def times_in_windows(self, per_window: int) -> np.ndarray:
         """So many equally spaced times in each window, its start among them, and the end."""
         inside = np.linspace(0, 1, per_window, endpoint=False)
         within = self.edges[:-1, None] + np.diff(self.edges)[:, None] * inside

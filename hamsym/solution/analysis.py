@@ -20,8 +20,8 @@ What it assumes, and where that fails:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.optimize
@@ -29,11 +29,7 @@ import scipy.optimize
 from hamsym.numerics.roots import refine, sign_changes
 from hamsym.numerics.symplectic import generators
 from hamsym.solution.error_equation import integrated_error
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from hamsym.solution.solution import Solution
+from hamsym.solution.path import Path
 
 __all__ = ["Analysis"]
 
@@ -55,7 +51,7 @@ class Analysis:
     (0.0, inf)
     """
 
-    def __init__(self, solution: Solution) -> None:
+    def __init__(self, solution: Path) -> None:
         self.solution = solution
 
     # -- ell -----------------------------------------------------------------------------------
@@ -165,9 +161,9 @@ class Analysis:
     def linearized_error(self, t: np.ndarray) -> np.ndarray:
         """z - z^ by eq. (ell), integrated from zero, shape (n, dim); nan where it broke off."""
         times = np.asarray(t, dtype=float)
-        march_error = self.solution.march_error
-        if march_error is not None:  # which is the solution of this equation
-            return march_error(times)
+        estimate = self.solution.error
+        if estimate is not None:  # which is the solution of this equation
+            return estimate(times)
         error = self._linear(times)
         return np.where(np.isinf(error), np.nan, error)
 

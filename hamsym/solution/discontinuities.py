@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.optimize
 
-from hamsym.solution.solution import Solution
+from hamsym.solution.path import Path
 
 __all__ = ["first_jump", "unresolved"]
 
@@ -27,13 +27,13 @@ _BISECTIONS = 24
 
 
 def first_jump(
-    solution: Solution, times: np.ndarray, suspects: Sequence[tuple[float, float]]
+    solution: Path, times: np.ndarray, suspects: Sequence[tuple[float, float]]
 ) -> str | None:
     """What jumps, when, and what to do, where the trajectory first crosses a jump of H or grad H.
 
     Parameters
     ----------
-    solution : Solution
+    solution : Path
     times : numpy.ndarray
         Jumps of abs, sign, Min and Max are found from their arguments, which change their signs
         between these times.
@@ -54,7 +54,7 @@ def first_jump(
     return f"{what} at t = {time:.6g}, beyond which the error cannot be estimated; {remedy}"
 
 
-def unresolved(solution: Solution) -> list[tuple[float, float]]:
+def unresolved(solution: Path) -> list[tuple[float, float]]:
     """Pairs of times between which the residual of a solution is not small beside the rates.
 
     Of many the few where it is largest: a function without jumps follows one nowhere near it.
@@ -71,7 +71,7 @@ def unresolved(solution: Solution) -> list[tuple[float, float]]:
     return list(zip(times[np.maximum(places - 1, 0)], times[places + 1], strict=True))
 
 
-def _symbolic_jumps(solution: Solution, times: np.ndarray) -> Iterator[tuple[float, str]]:
+def _symbolic_jumps(solution: Path, times: np.ndarray) -> Iterator[tuple[float, str]]:
     H = solution.H
     if not H.switches:
         return
@@ -101,7 +101,7 @@ def _symbolic_jumps(solution: Solution, times: np.ndarray) -> Iterator[tuple[flo
 
 
 def _hidden_jumps(
-    solution: Solution, suspects: Sequence[tuple[float, float]]
+    solution: Path, suspects: Sequence[tuple[float, float]]
 ) -> Iterator[tuple[float, str]]:
     """The first jump of the rates that no function of H announces."""
     system = solution.H.compile("numpy")

@@ -10,15 +10,12 @@ and to first order, the paper's eq. (ell), d(delta)/dt = J Hess(z^) delta - r.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.integrate
 
 from hamsym.numerics.symplectic import generators
-
-if TYPE_CHECKING:
-    from hamsym.solution.solution import Solution
+from hamsym.solution.path import Path
 
 __all__ = ["RESOLUTIONS", "integrated_error"]
 
@@ -32,13 +29,13 @@ class _TooManyCalls(Exception):  # noqa: N818
 
 
 def integrated_error(
-    solution: Solution, *, linear: bool = False, resolution: int = 0
+    solution: Path, *, linear: bool = False, resolution: int = 0
 ) -> Callable[[np.ndarray], np.ndarray]:
     """delta as a function of time, by DOP853; infinite from where the equation has no solution.
 
     Parameters
     ----------
-    solution : Solution
+    solution : Path
     linear : bool
         Solve the linearised equation.
     resolution : int

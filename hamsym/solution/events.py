@@ -7,17 +7,15 @@ slope; :mod:`hamsym.surface` says which zeros between the times are found with t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.numerics.roots import suspects, zeros
+from hamsym.solution.path import Path
 from hamsym.support.validation import is_positive, require, require_number
 from hamsym.surface import parse_surface
-
-if TYPE_CHECKING:
-    from hamsym.solution.solution import Solution
 
 __all__ = ["Event", "Events", "find_events"]
 
@@ -42,7 +40,7 @@ class Events(NamedTuple):
     y_events: list[np.ndarray]
 
 
-def find_events(solution: Solution, events: Event | Sequence[Event], times: np.ndarray) -> Events:
+def find_events(solution: Path, events: Event | Sequence[Event], times: np.ndarray) -> Events:
     """Zeros of the events along a solution, looked for between the given times."""
     wanted = [events] if isinstance(events, str) or callable(events) else list(events)
     found = [_zeros(solution, event, times) for event in wanted]
@@ -67,7 +65,7 @@ def _terminal(event: Event) -> int:
     return int(terminal)
 
 
-def _zeros(solution: Solution, event: Event, times: np.ndarray) -> np.ndarray:
+def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
     conditions: Callable[..., np.ndarray] | None = None
     if isinstance(event, str):
         surface = parse_surface(solution.H, event)

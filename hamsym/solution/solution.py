@@ -1,47 +1,40 @@
-"""A trained trajectory: a function of time that can say how well it solves the equations."""
+"""Solution: a trajectory as a function of time, with its residual, energy and error."""
 
 from __future__ import annotations
 
 import math
 import os
+import sys
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-import torch
-from torch import Tensor
 
 import hamsym
 from hamsym.errors import InputError, VacuousBoundWarning
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.networks.training import History, Training
-from hamsym.networks.trial import TrialSolution
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.numerics.symplectic import generators
-from hamsym.numerics.tangent_maps import TangentMaps
-from hamsym.random_features.basis import feature_basis
-from hamsym.random_features.error_estimate import MarchError, estimate_error
-from hamsym.random_features.flow import flow_of
-from hamsym.random_features.trial import FeatureTrial
-from hamsym.random_features.windows import March
 from hamsym.solution.analysis import Analysis
 from hamsym.solution.error_equation import integrated_error
 from hamsym.solution.events import Event, Events, find_events
+from hamsym.solution.path import ErrorEstimate, Record, Trial
+from hamsym.solution.sensitivity import Sensitivity
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # torch and matplotlib are needed only by who has tensors or draws
     from matplotlib.figure import Figure
-
-    from hamsym.proof.certificate import Certificate
+    from torch import Tensor
 
 __all__ = ["Solution"]
 
-_CHUNK = 4_096  # points evaluated at once, to bound the memory of the hidden layers
-_TANGENT_WINDOWS = 1_024  # for which tangent maps are held at once
-_SCAN = 4_001  # points of the scan that precedes the search for an extremum over time
+_CHUNK = 4_096  # times evaluated at once, to bound the memory
+_SCAN = 4_001  # times of the scan that precedes the search for an extremum over time
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution:
     """A closed-form trajectory z^(t) over a time span, from :func:`hamsym.solve`.
 
@@ -54,38 +47,31 @@ class Solution:
     z0 : numpy.ndarray
         Initial state, shape (dim,), reproduced exactly.
     span : (float, float)
-    trial : TrialSolution or FeatureTrial
+    trial : FeatureTrial or TrialSolution
         The trial solution with its weights.
     method : str
-    training : Training or March
-        How the weights were found.
+    record : March or Training
+        How the weights were found, and what that took.
+    error : MarchError or None
+        Estimated error of a march; that of a network is integrated when it is asked for.
     energy_weight : float
-    march_error : MarchError or None
-        Estimated error of a march.
+        Weight of the energy penalty in the loss of a network.
     success : bool
         Whether the stopping criterion was met.
     message : str
         What happened, in words.
     """
 
-    def __init__(
-        self,
-        H: Hamiltonian,
-        z0: np.ndarray,
-        span: tuple[float, float],
-        trial: TrialSolution | FeatureTrial,
-        *,
-        method: str,
-        training: Training | March,
-        energy_weight: float = 0.0,
-        march_error: MarchError | None = None,
-    ) -> None:
-        self.H, self.z0, self.span, self.trial = H, z0, span, trial
-        self.method, self.energy_weight, self.training = method, energy_weight, training
-        self.success, self.message = False, ""
-        self._system = H.compile("numpy")
-        self._dtype = next(iter(trial.state_dict().values())).dtype
-        self.march_error = march_error
+    H: Hamiltonian
+    z0: np.ndarray
+    span: tuple[float, float]
+    trial: Trial
+    method: str
+    record: Record
+    error: ErrorEstimate | None = None
+    energy_weight: float = 0.0
+    success: bool = False
+    message: str = ""
 
     def __repr__(self) -> str:
         start, end = self.span
@@ -95,26 +81,30 @@ class Solution:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        from hamsym.archive import assembled, parts
+        # Without what was computed of the fields, which may hold functions.
+        return Solution, tuple(getattr(self, entry.name) for entry in fields(self))
 
-        return assembled, parts(self)
+    def judged(self, success: bool, message: str) -> Solution:
+        """The same solution with a verdict; what was computed of it already is kept."""
+        other = replace(self, success=success, message=message)
+        names = {entry.name for entry in fields(self)}
+        other.__dict__.update({n: v for n, v in self.__dict__.items() if n not in names})
+        return other
 
     @property
     def points(self) -> int:
-        """Collocation points K of the training."""
-        return self.training.points
+        """Collocation points K."""
+        return self.record.points
 
     @property
     def evaluations(self) -> int:
         """Evaluations of the vector field, each at one point, of the march or of the training."""
-        if isinstance(self.training, Training):
-            return self.training.iterations * self.training.points
-        return self.training.evaluations * self.training.points_per_window
+        return self.record.point_evaluations
 
     @property
-    def history(self) -> History | March:
+    def history(self) -> Any:
         """Loss and ell_max in the course of the training, or the windows of a march."""
-        return self.training.history if isinstance(self.training, Training) else self.training
+        return self.record.history
 
     # -- evaluation --------------------------------------------------------------------------
 
@@ -143,12 +133,13 @@ class Solution:
         """
         if z0 is None:
             return self._state(t, extrapolate)
-        if not (isinstance(t, Tensor) and isinstance(z0, Tensor)):
+        if not (_is_tensor(t) and _is_tensor(z0)):
             raise InputError("z0 takes part in gradients only if t and z0 are both tensors")
-        if not torch.equal(z0.detach().cpu(), torch.from_numpy(self.z0).to(z0.dtype)):
+        if not np.array_equal(z0.detach().cpu().numpy(), self.z0.astype(str(z0.dtype)[6:])):
             raise InputError("z0 is not the initial state of this solution; solve again from there")
-        change = (z0 - z0.detach()).to(self._dtype)
-        return self._state(t, extrapolate) + self.sensitivity(t).to(self._dtype) @ change
+        state = self._state(t, extrapolate)
+        change = (z0 - z0.detach()).to(state.dtype)
+        return state + self.sensitivity(t).to(state.dtype) @ change
 
     @overload
     def derivative(self, t: Tensor, *, extrapolate: bool = False) -> Tensor: ...
@@ -181,71 +172,56 @@ class Solution:
         array([[ 0.,  1.],
                [-1.,  0.]])
         """
-        if isinstance(t, Tensor):
-            return torch.from_numpy(self.sensitivity(t.detach().cpu().numpy()))
+        if _is_tensor(t):
+            return _tensor(self.sensitivity(t.detach().cpu().numpy()))
         times = _times(t)
         self._check_times(times, extrapolate=False)
-        flat = np.atleast_1d(times)
-        parts = [self._sensitivity(flat[k : k + _CHUNK]) for k in range(0, len(flat), _CHUNK)]
-        return np.concatenate(parts).reshape(*times.shape, self.H.dim, self.H.dim)
+        values = self._sensitivity(np.atleast_1d(times))
+        return values.reshape(*times.shape, self.H.dim, self.H.dim)
 
-    def _sensitivity(self, times: np.ndarray) -> np.ndarray:
-        edges = self._tangent_edges
-        times = times - self._tangent_origin
-        sign = np.sign(edges[-1] - edges[0])
-        window = np.searchsorted(sign * edges, sign * times, side="right") - 1
-        window = np.clip(window, 0, len(edges) - 2)
-        s = (times - edges[window]) / np.diff(edges)[window]
-        values = np.empty((len(times), self.H.dim, self.H.dim))
-        used = np.unique(window)
-        for first in range(0, len(used), _TANGENT_WINDOWS):
-            some = used[first : first + _TANGENT_WINDOWS]
-            here = np.isin(window, some)
-            maps = self._tangent_maps(some)
-            series = np.einsum("ln,inaw->wlia", maps.rule.to_series, maps.inside)
-            angles = np.arccos(np.clip(2 * s[here] - 1, -1, 1))
-            basis = np.cos(np.multiply.outer(angles, np.arange(len(maps.nodes))))
-            place = np.searchsorted(some, window[here])
-            inside = np.einsum("kl,klia->kia", basis, series[place])
-            values[here] = inside @ self._tangent_starts[window[here]]
-        units = self._units
-        return values * (units[:, None] / units)
+    @cached_property
+    def _sensitivity(self) -> Sensitivity:
+        # Each component has a unit of its own.
+        units = np.maximum(self.scale, SMALLEST * self._coupled_scales)
+        units = np.where(units > 0, units, 1.0)
+        return Sensitivity(self, units, self.record.edges, self.record.origin)
 
     def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
         """ell(t) = dz^/dt - J grad H(z^), shaped as the state (the paper's eq. partial_loss)."""
         z, dz = self.evaluate(t, extrapolate=extrapolate)
-        system = self.H.compile("torch") if isinstance(t, Tensor) else self._system
+        system = self.H.compile("torch" if _is_tensor(t) else "numpy")
         return system.residual(z, *system.arguments(dz, t))
 
     def energy(self, t: Any, *, extrapolate: bool = False) -> Any:
         """H along the trajectory; shape (n,), or a scalar for a scalar t."""
         z, _ = self.evaluate(t, extrapolate=extrapolate)
-        system = self.H.compile("torch") if isinstance(t, Tensor) else self._system
+        system = self.H.compile("torch" if _is_tensor(t) else "numpy")
         return system.energy(*system.arguments(z, t))
 
     def _state(self, t: Any, extrapolate: bool) -> Any:
-        return self._apply(lambda times: (self.trial.value(times),), t, extrapolate)[0]
+        if _is_tensor(t):
+            return self.evaluate(t, extrapolate=extrapolate)[0]
+        return self._in_parts(lambda times: (self.trial.states_at(times),), t, extrapolate)[0]
 
     def evaluate(self, t: Any, *, extrapolate: bool = False) -> tuple[Any, Any]:
         """The state and its time derivative together, as from :meth:`derivative`."""
-        z, dz = self._apply(self.trial, t, extrapolate)
-        return z, dz
+        if _is_tensor(t):
+            self._check_times(t.detach().cpu().numpy(), extrapolate)
+            z, dz = self.trial.tensors(t.reshape(-1))
+            return z.reshape(*t.shape, -1), dz.reshape(*t.shape, -1)
+        states, rates = self._in_parts(self.trial.states_and_rates, t, extrapolate)
+        return states, rates
 
-    def _apply(
-        self, function: Callable[[Tensor], tuple[Tensor, ...]], t: Any, extrapolate: bool
-    ) -> tuple[Any, ...]:
-        """Values of a function of times, shape (K,) -> (K, dim) each, in the caller's terms."""
-        if isinstance(t, Tensor):
-            times = t.to(self._dtype)
-            self._check_times(times.detach().cpu().numpy(), extrapolate)
-            return tuple(value.reshape(*t.shape, -1) for value in function(times.reshape(-1)))
-        array = _times(t)
-        self._check_times(array, extrapolate)
-        flat = torch.from_numpy(np.array(array, ndmin=1)).to(self._dtype)
-        with torch.no_grad():
-            parts = [function(chunk) for chunk in flat.split(_CHUNK)]
-        values = (torch.cat(part).numpy() for part in zip(*parts, strict=True))
-        return tuple(value[0] if array.ndim == 0 else value for value in values)
+    def _in_parts(
+        self, function: Callable[[np.ndarray], tuple[np.ndarray, ...]], t: Any, extrapolate: bool
+    ) -> tuple[np.ndarray, ...]:
+        """Values of a function (K,) -> (K, dim) at times, shape (*t.shape, dim)."""
+        times = _times(t)
+        self._check_times(times, extrapolate)
+        flat = np.atleast_1d(times)
+        parts = [function(flat[k : k + _CHUNK]) for k in range(0, len(flat), _CHUNK)]
+        values = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return tuple(value[0] if times.ndim == 0 else value for value in values)
 
     def _check_times(self, t: np.ndarray, extrapolate: bool) -> None:
         if t.ndim > 1 or t.size == 0:
@@ -301,13 +277,11 @@ class Solution:
         from where that equation can no longer be solved. For a march it solves eq. (ell) window
         by window (:mod:`hamsym.random_features.error_estimate`). It is an estimate, not a bound.
         """
-        if isinstance(t, Tensor):
-            return torch.from_numpy(self.error_estimate(t.detach().cpu().numpy()))
+        if _is_tensor(t):
+            return _tensor(self.error_estimate(t.detach().cpu().numpy()))
         times = _times(t)
         self._check_times(times, extrapolate=False)
-        if self.march_error is not None:
-            return self.march_error(times)
-        return self._error(times)
+        return (self.error or self._integrated_error)(times)
 
     def error_estimate_check(self, t: Any) -> np.ndarray:
         """By how much the estimate changes at a finer resolution, at times t, shape (n, dim).
@@ -333,16 +307,15 @@ class Solution:
 
     @cached_property
     def _finer_estimate(self) -> Callable[[np.ndarray], np.ndarray]:
-        if isinstance(self.training, March):
-            basis = feature_basis(self.training.seed)
-            return estimate_error(self.training, basis, flow_of(self.H), resolution=1).error
+        if self.error is not None:
+            return self.error.refined(self)
         return integrated_error(self, resolution=1)
 
     @cached_property
     def largest_error(self) -> np.ndarray:
         """max_t of the estimated error of each component, round-off included, shape (dim,)."""
-        if self.march_error is not None:
-            return self.march_error.largest
+        if self.error is not None:
+            return self.error.largest
         return np.asarray(np.abs(self.error_estimate(self.scan_times)).max(axis=0))
 
     @property
@@ -367,51 +340,8 @@ class Solution:
         return coupled_sizes(self.scale, coupling, 10 * abs(end - start))
 
     @cached_property
-    def _error(self) -> Callable[[np.ndarray], np.ndarray]:
+    def _integrated_error(self) -> Callable[[np.ndarray], np.ndarray]:
         return integrated_error(self)
-
-    # -- how nearby solutions move -------------------------------------------------------------
-
-    @cached_property
-    def _units(self) -> np.ndarray:
-        """Units of the components for the tangent maps, each its own."""
-        units = np.maximum(self.scale, SMALLEST * self._coupled_scales)
-        return np.where(units > 0, units, 1.0)
-
-    @cached_property
-    def _tangent_edges(self) -> np.ndarray:
-        """Windows short enough for polynomials: those of the march, or by the size of J Hess."""
-        if isinstance(self.training, March):
-            return self.training.edges
-        start, end = self.span
-        # J Hess in units of the scales has the size of the rates at which nearby states part.
-        units = self._units
-        sizes = np.abs(generators(self.hessians(self.scan_times)) * units / units[:, None])
-        wanted = float(sizes.sum(axis=-1).max()) * abs(end - start) / 2
-        return np.linspace(start, end, 2 + int(min(np.nan_to_num(wanted), 100_000)))
-
-    @property
-    def _tangent_origin(self) -> float:
-        return self.training.origin if isinstance(self.training, March) else 0.0
-
-    @cached_property
-    def _tangent_starts(self) -> np.ndarray:
-        """Phi at the start of each window, shape (windows, dim, dim), in units of the scales."""
-        count, dim = len(self._tangent_edges) - 1, self.H.dim
-        starts = np.empty((count + 1, dim, dim))
-        starts[0] = np.eye(dim)
-        for first in range(0, count, _TANGENT_WINDOWS):
-            windows = np.arange(first, min(first + _TANGENT_WINDOWS, count))
-            for k, end in zip(windows, self._tangent_maps(windows).ends, strict=True):
-                starts[k + 1] = end @ starts[k]
-        return starts
-
-    def _tangent_maps(self, windows: np.ndarray) -> TangentMaps:
-        edges, dim = self._tangent_edges, self.H.dim
-        lengths = np.diff(edges)[windows]
-        times = edges[windows, None] + lengths[:, None] * TangentMaps.nodes + self._tangent_origin
-        hessians = self.hessians(times.ravel()).reshape(*times.shape, dim, dim)
-        return TangentMaps(generators(hessians), lengths, self._units)
 
     @property
     def error_bound(self) -> float:
@@ -433,15 +363,14 @@ class Solution:
 
     def hessians(self, t: np.ndarray) -> np.ndarray:
         """The Hessian of H along the trajectory, shape (*t.shape, dim, dim)."""
-        matrices = self._system.hessian(*self._system.arguments(self(t), t))
+        system = self.H.compile("numpy")
+        matrices = system.hessian(*system.arguments(self(t), t))
         return np.asarray(matrices, dtype=float)
 
     @cached_property
     def scan_times(self) -> np.ndarray:
         """Times close enough to see what happens in between: thousands, more with more windows."""
-        if not isinstance(self.training, March):
-            return np.linspace(*self.span, _SCAN)
-        return self.training.times(max(9, _SCAN // len(self.training.edges)))
+        return self.record.times(self.span, _SCAN)
 
     def events(self, events: Event | Sequence[Event]) -> Events:
         """Times and states at which something happens, located to round-off.
@@ -507,7 +436,7 @@ class Solution:
         time_limit: float | None = None,
         bits: int | None = None,
         progress: bool | None = None,
-    ) -> Certificate:
+    ) -> hamsym.Certificate:
         """Prove how large the error is, from both sides, or say why that cannot be done.
 
         The equation is solved once more for it, in ball arithmetic, where every rounding is
@@ -560,3 +489,15 @@ def _times(t: Any) -> np.ndarray:
         return np.asarray(t, dtype=float)
     except (TypeError, ValueError):
         raise InputError("t holds something that is not a number; give times") from None
+
+
+def _is_tensor(value: Any) -> bool:
+    """Whether it is a tensor of torch, which must not be imported to find that out."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(value, torch.Tensor)
+
+
+def _tensor(values: np.ndarray) -> Tensor:
+    import torch
+
+    return torch.from_numpy(values)

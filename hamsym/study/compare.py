@@ -315,7 +315,7 @@ def _row(
     settings: dict[str, Any] = {
         "points": solution.points,
         "evaluations": solution.evaluations,
-        "seconds": solution.training.seconds,
+        "seconds": solution.record.seconds,
     }
     return Row(
         label,

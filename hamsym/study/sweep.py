@@ -30,12 +30,13 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from hamsym.archive import digest, load
+from hamsym.archive import load
 from hamsym.errors import CertificationError, FileError, HamsymError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.networks.training import TrainingState
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.certificate import Certificate
+from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
 from hamsym.solving import checked_options, solve
 from hamsym.study.compare import Row, measure
@@ -280,7 +281,7 @@ class _Run:
                 raise
             checkpoint.unlink()  # damaged, or of another version: there is no going on from it
             solution = solved()
-        if getattr(solution.training, "stopped", "") == "interrupted":
+        if getattr(solution.record, "stopped", "") == "interrupted":
             raise KeyboardInterrupt
         for proof in (self._proof, *self.base.parent.glob(f"{self.base.name}.refused-*")):
             proof.unlink(missing_ok=True)  # of another solution, whose file is gone

@@ -16,9 +16,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
 import safetensors
-import safetensors.torch
-from torch import Tensor
+import safetensors.numpy
 
 from hamsym.errors import FileError
 from hamsym.support.atomic import write_atomically
@@ -36,10 +36,10 @@ _LARGEST_FILE = 2**34  # bytes, more than a solution of the most windows has
 def write_tensors(
     path: str | os.PathLike[str],
     kind: str,
-    tensors: Mapping[str, Tensor],
+    arrays: Mapping[str, np.ndarray],
     values: Mapping[str, Any],
 ) -> None:
-    """Write named tensors, and values that JSON can hold, as a file of the given kind.
+    """Write named arrays, and values that JSON can hold, as a file of the given kind.
 
     Raises
     ------
@@ -48,9 +48,8 @@ def write_tensors(
     """
     # The checksum comes first, so that the first zeros like it in the file are its place.
     text = json.dumps({"sha256": _NO_CHECKSUM, "version": _VERSION, "kind": kind, **values})
-    content = safetensors.torch.save(
-        # Copies, since safetensors refuses tensors that share their memory.
-        {name: tensor.detach().clone().contiguous() for name, tensor in tensors.items()},
+    content = safetensors.numpy.save(
+        {name: np.array(array, order="C") for name, array in arrays.items()},
         metadata={_KEY: text},
     )
     (header,) = struct.unpack("<Q", content[:8])
@@ -66,8 +65,8 @@ def write_tensors(
 
 def read_tensors(
     path: str | os.PathLike[str], kind: str
-) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and values of a file that :func:`write_tensors` wrote.
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays and values of a file that :func:`write_tensors` wrote.
 
     Raises
     ------
@@ -101,7 +100,9 @@ def read_tensors(
         for name, entry in header.items():
             if entry["dtype"] not in _DTYPES:
                 raise ValueError(f"'{name[:40]}' is of type {_shown(entry['dtype'])}")
-        return safetensors.torch.load(content), values
+        # Copies, since what is loaded shares one buffer that cannot be written.
+        arrays = safetensors.numpy.load(content)
+        return {name: array.copy() for name, array in arrays.items()}, values
     except (
         *(safetensors.SafetensorError, AssertionError, KeyError, RuntimeError),
         *(OverflowError, TypeError, ValueError),

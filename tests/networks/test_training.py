@@ -16,7 +16,8 @@ from hamsym.networks.levenberg_marquardt import LevenbergMarquardt, _Linearised
 from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.optimizers import LBFGS, Adam
 from hamsym.networks.training import Criterion, Stages, Stopping, Training, TrainingState, train
-from hamsym.networks.trial import ComponentNetworks, Network, TrialSolution
+from hamsym.networks.network import ComponentNetworks, Network
+from hamsym.networks.trial import TrialSolution
 from hamsym.support.tensor_files import read_tensors, write_tensors
 
 

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from hamsym import InputError
-from hamsym.networks.trial import ACTIVATIONS, ENVELOPES, ComponentNetworks, Network, TrialSolution
+from hamsym.networks.network import ACTIVATIONS, ComponentNetworks, Network
+from hamsym.networks.trial import ENVELOPES, TrialSolution
 
 
 def generator(seed: int = 0) -> torch.Generator:

@@ -1,0 +1,132 @@
+"""A Hamiltonian as values that JSON can hold, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import sympy
+
+from hamsym.errors import FileError, HamsymError
+from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
+from hamsym.formula.parser import MAX_BITS, MAX_EFFORT, MAX_SECONDS, parse_expression
+from hamsym.formula.printer import FormulaPrinter
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.support.checked_data import (
+    checked_list,
+    checked_mapping,
+    checked_number,
+    checked_type,
+    require_names,
+)
+
+__all__ = ["MALFORMED", "described", "hamiltonian_from"]
+
+_LARGEST_POWER = 1_100  # of two, in a number of the formula; float64 ends at 1,024
+#: Errors that any part of the package may raise for values that no solution has.
+MALFORMED = (
+    *(ArithmeticError, AssertionError, AttributeError, HamsymError, LookupError, RuntimeError),
+    *(TypeError, ValueError),
+)
+
+
+def described(H: Hamiltonian) -> dict[str, Any]:
+    """A Hamiltonian as values that JSON can hold.
+
+    The formula is text; its binary fractions are listed apart, since text is read as decimals.
+
+    Raises
+    ------
+    FileError
+        If no text gives this Hamiltonian back.
+    """
+    taken = {symbol.name for symbol in H.expr.free_symbols} | set(H.names)
+    floats, names = sorted(H.expr.atoms(sympy.Float), key=str), []
+    for position in range(len(floats)):
+        name = f"number{position}"
+        while name in taken:
+            name += "_"
+        names.append(name)
+    marked = H.expr.xreplace(dict(zip(floats, map(sympy.Symbol, names), strict=True)))
+    values = {
+        "formula": FormulaPrinter()(marked),
+        "floats": {
+            name: [int(number._mpf_[0]), str(number._mpf_[1]), int(number._mpf_[2]), number._prec]
+            for name, number in zip(names, floats, strict=True)
+        },
+        "q": [symbol.name for symbol in H.q],
+        "p": [symbol.name for symbol in H.p],
+        "parameters": dict(H.parameters),
+    }
+    try:
+        same = hamiltonian_from(values) == H
+    except MALFORMED:
+        same = False
+    if not same:
+        raise FileError("this Hamiltonian cannot be written as text; it cannot be saved")
+    return values
+
+
+def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
+    """The Hamiltonian of such values.
+
+    Raises
+    ------
+    ValueError, HamsymError
+        If they are not values that :func:`described` returns.
+    """
+    require_names("H", values, {"formula", "floats", "q", "p", "parameters"})
+    floats, parameters = (checked_mapping(name, values[name]) for name in ("floats", "parameters"))
+    expr = parse_expression(values["formula"])
+    symbols = {symbol.name: symbol for symbol in expr.free_symbols}
+    if not floats.keys() <= symbols.keys():
+        raise ValueError("its formula lacks one of its numbers")
+    numbers = {
+        symbols[name]: _float(*checked_list(name, number, 4)) for name, number in floats.items()
+    }
+    try:
+        with call_limit(MAX_EFFORT, MAX_SECONDS):
+            expr = _with_numbers(expr, numbers)
+    except CallLimitExceededError:
+        raise ValueError("its formula takes too long to read") from None
+    names = [
+        [checked_type("name", name, "str") for name in checked_list(of, values[of])]
+        for of in ("q", "p")
+    ]
+    numbers_of = {name: checked_number(name, value) for name, value in parameters.items()}
+    return Hamiltonian(expr, q=names[0], p=names[1], parameters=numbers_of)
+
+
+def _float(sign: Any, mantissa: Any, exponent: Any, precision: Any) -> sympy.Float:
+    """A binary fraction from what it is made of, none of it large enough to take long."""
+    plain = isinstance(mantissa, str) and mantissa.isascii() and mantissa.isdigit()
+    if checked_type("sign", sign, "int") not in (0, 1) or not plain or len(mantissa) > MAX_BITS:
+        raise ValueError("a number of its formula is none")
+    digits = int(mantissa)
+    size = digits.bit_length()
+    if not (
+        0 < checked_type("precision", precision, "int") <= MAX_BITS
+        and size <= MAX_BITS
+        and abs(checked_type("exponent", exponent, "int") + size) <= _LARGEST_POWER
+    ):
+        raise ValueError("a number of its formula is out of range")
+    return sympy.Float((sign, digits, exponent, size), precision=precision)
+
+
+def _with_numbers(expr: sympy.Expr, numbers: Mapping[sympy.Symbol, sympy.Float]) -> sympy.Expr:
+    """``expr.xreplace(numbers)``, each constant of it checked before the next is made of it.
+
+    As in the parser: a tower such as exp(exp(exp(9.5))) would be evaluated otherwise.
+    """
+    if expr in numbers:
+        return numbers[expr]
+    replaced = [_with_numbers(argument, numbers) for argument in expr.args]
+    if all(new is old for new, old in zip(replaced, expr.args, strict=True)):
+        return expr
+    expr = expr.func(*replaced)
+    for part in (expr, *expr.args):
+        if not part.free_symbols:
+            value = part.evalf(17)
+            if (not value.is_Float and not value.is_Rational) or abs(value) > 1e308:
+                raise ValueError("a number of its formula is not finite")
+    return expr

@@ -1,0 +1,229 @@
+"""Fully connected networks of one input, with their derivative in it.
+
+Value and derivative come together from one forward pass: each layer carries both on, the derivative
+in forward mode.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from hamsym.errors import InputError
+
+__all__ = ["ACTIVATIONS", "ComponentNetworks", "Network", "chosen", "weights_of", "written_out"]
+
+
+@dataclass(frozen=True)
+class _Activation:
+    """An activation and its first two derivatives, which cost little once it is known."""
+
+    value: Callable[..., Tensor]
+    slope: Callable[[Tensor, Tensor], Tensor]  # of pre-activation a and value h
+    curvature: Callable[[Tensor, Tensor], Tensor]  # of value h and slope
+
+
+#: Activation functions by name.
+ACTIVATIONS: dict[str, _Activation] = {
+    "sin": _Activation(torch.sin, lambda a, h: torch.cos(a), lambda h, slope: -h),
+    "sigmoid": _Activation(
+        torch.sigmoid, lambda a, h: h * (1 - h), lambda h, slope: slope * (1 - 2 * h)
+    ),
+    "tanh": _Activation(torch.tanh, lambda a, h: 1 - h * h, lambda h, slope: -2 * h * slope),
+}
+
+
+class _Jet(torch.autograd.Function):
+    """(N, dN/ds) of a fully connected network, with the gradient of both written out.
+
+    Automatic differentiation of the same computation records and visits about four times as many
+    operations, and at the paper's sizes their number is what an epoch costs. The first K rows of
+    each matrix x hold values, the last K rows derivatives in s, so that a layer is one product.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, activation: _Activation, sizes: tuple[int, ...], s: Tensor, theta: Tensor
+    ) -> Any:
+        count = s.shape[0]
+        (first, bias), *layers = _layers(theta, sizes)
+        a = torch.addcmul(bias, s.unsqueeze(1), first.T)
+        a_dot = first.T.expand_as(a)
+        saved = []
+        for matrix, shift in layers:
+            x = a.new_empty((2 * count, a.shape[1]))
+            h = x[:count]
+            activation.value(a, out=h)
+            slope = activation.slope(a, h)
+            torch.mul(slope, a_dot, out=x[count:])
+            saved.append((x, slope, a_dot))
+            product = x @ matrix.T
+            a, a_dot = product[:count].add_(shift), product[count:]
+        ctx.activation, ctx.sizes, ctx.saved, ctx.matrices = (
+            activation,
+            sizes,
+            saved,
+            [matrix for matrix, _ in layers],
+        )
+        ctx.save_for_backward(s, theta)  # theta too, so that a change before backward is noticed
+        return a, a_dot
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad_value: Tensor, grad_rate: Tensor) -> Any:
+        s, theta = ctx.saved_tensors
+        count = s.shape[0]
+        gradient = torch.empty_like(theta)
+        (first, first_bias), *layers = _layers(gradient, ctx.sizes)
+        upstream = torch.cat((grad_value, grad_rate))
+        for (into, into_bias), matrix, (x, slope, a_dot) in zip(
+            reversed(layers), reversed(ctx.matrices), reversed(ctx.saved), strict=True
+        ):
+            torch.mm(upstream.T, x, out=into)
+            torch.sum(upstream[:count], 0, out=into_bias)
+            towards = upstream @ matrix
+            h, to_value, to_rate = x[:count], towards[:count], towards[count:]
+            # With h = f(a) and h_dot = f'(a) a_dot, f'' couples the two halves.
+            curvature = ctx.activation.curvature(h, slope).mul_(a_dot).mul_(to_rate)
+            upstream = torch.empty_like(towards)
+            torch.addcmul(curvature, to_value, slope, out=upstream[:count])
+            torch.mul(to_rate, slope, out=upstream[count:])
+        values = upstream[:count]
+        torch.add(s @ values, upstream[count:].sum(0), out=first[:, 0])
+        torch.sum(values, 0, out=first_bias)
+        return None, None, None, gradient
+
+
+def _layers(theta: Tensor, sizes: tuple[int, ...]) -> list[tuple[Tensor, Tensor]]:
+    """(matrix, bias) of each layer, as views into the flat vector of all weights."""
+    layers, start = [], 0
+    for inputs, neurons in pairwise(sizes):
+        middle, end = start + inputs * neurons, start + (inputs + 1) * neurons
+        layers.append((theta[start:middle].view(neurons, inputs), theta[middle:end]))
+        start = end
+    return layers
+
+
+class Network(torch.nn.Module):
+    """A fully connected network from one input to ``outputs`` outputs, with its derivative.
+
+    All outputs share the hidden layers.
+
+    Parameters
+    ----------
+    outputs : int
+    hidden : sequence of int
+        Neurons of each hidden layer, at least one layer.
+    activation : {"sin", "sigmoid", "tanh"}
+    frequency : float, optional
+        Weights of the first layer start uniform within +- this, its shifts within +- pi, further
+        hidden layers within sqrt(6 / inputs). By default all start as torch's own linear layers
+        do, uniform within 1/sqrt(inputs).
+    generator : torch.Generator, optional
+        Source of the initial weights.
+    dtype : torch.dtype
+        float64 unless asked otherwise.
+
+    Examples
+    --------
+    >>> network = Network(2, hidden=(50, 50))
+    >>> value, rate = network(torch.linspace(0, 1, 5, dtype=torch.float64))
+    >>> value.shape, rate.shape
+    (torch.Size([5, 2]), torch.Size([5, 2]))
+    """
+
+    def __init__(
+        self,
+        outputs: int,
+        hidden: Sequence[int] = (50, 50),
+        activation: str = "sin",
+        *,
+        frequency: float | None = None,
+        generator: torch.Generator | None = None,
+        dtype: torch.dtype = torch.float64,
+    ) -> None:
+        super().__init__()
+        self.activation, self.frequency = activation, frequency
+        self._activation = chosen(activation, ACTIVATIONS, "activation")
+        widths = tuple(hidden) if isinstance(hidden, Sequence) else ()
+        if not widths or any(
+            not isinstance(n, int) or isinstance(n, bool) or not 1 <= n <= 100_000 for n in widths
+        ):
+            raise InputError(f"hidden={hidden!r} is not a list of layer widths; give e.g. (50, 50)")
+        self.sizes = (1, *widths, outputs)
+        count = weights_of(self.sizes)
+        #: All weights as one vector, layer by layer, each matrix before its bias.
+        self.theta = torch.nn.Parameter(torch.empty(count, dtype=dtype))
+        self.draw(generator)
+
+    @torch.no_grad()
+    def draw(self, generator: torch.Generator | None = None) -> None:
+        """Give all weights new random values."""
+        last = len(self.sizes) - 2
+        for position, (matrix, bias) in enumerate(self.layers):
+            neurons, inputs = matrix.shape
+            within = [1 / math.sqrt(inputs)] * 2  # of the matrix and of the bias
+            if self.frequency is not None and position == 0:
+                within = [self.frequency, math.pi]
+            elif self.frequency is not None and position < last:
+                within[0] = math.sqrt(6 / inputs)
+            uniform = torch.rand(
+                (inputs + 1) * neurons, generator=generator, dtype=self.theta.dtype
+            )
+            uniform = 2 * uniform - 1
+            matrix.copy_(within[0] * uniform[: inputs * neurons].view_as(matrix))
+            bias.copy_(within[1] * uniform[inputs * neurons :])
+
+    @property
+    def layers(self) -> list[tuple[Tensor, Tensor]]:
+        """(matrix, bias) of each layer, shapes (neurons, inputs) and (neurons,)."""
+        return _layers(self.theta, self.sizes)
+
+    def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
+        """N(s) and dN/ds for s of shape (K,); each of shape (K, outputs)."""
+        if written_out(self.theta, s):
+            value, rate = _Jet.apply(self._activation, self.sizes, s, self.theta)
+            return value, rate
+        *hidden, (last, last_bias) = self.layers
+        h, h_dot = s.unsqueeze(-1), torch.ones_like(s).unsqueeze(-1)
+        for matrix, bias in hidden:
+            a = torch.nn.functional.linear(h, matrix, bias)
+            h = self._activation.value(a)
+            h_dot = self._activation.slope(a, h) * (h_dot @ matrix.T)
+        return torch.nn.functional.linear(h, last, last_bias), h_dot @ last.T
+
+
+class ComponentNetworks(torch.nn.Module):
+    """One single-output network per component instead of one network that shares its weights."""
+
+    def __init__(self, networks: Sequence[Network]) -> None:
+        super().__init__()
+        self.networks = torch.nn.ModuleList(networks)
+        self.activation = networks[0].activation
+
+    def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
+        """As :meth:`Network.forward`, the components side by side."""
+        values, rates = zip(*(network(s) for network in self.networks), strict=True)
+        return torch.cat(values, dim=-1), torch.cat(rates, dim=-1)
+
+
+def weights_of(sizes: Sequence[int]) -> int:
+    """Number of weights of a network with layers of these sizes."""
+    return sum((inputs + 1) * neurons for inputs, neurons in pairwise(sizes))
+
+
+def written_out(weights: Tensor, s: Tensor) -> bool:
+    """Whether gradients go to the weights alone, as in training: those are written out above."""
+    return torch.is_grad_enabled() and weights.requires_grad and not s.requires_grad
+
+
+def chosen(name: str, table: dict[str, Any], kind: str) -> Any:
+    if not isinstance(name, str) or name not in table:
+        raise InputError(f"'{name}' is not an {kind}; choose one of {', '.join(table)}")
+    return table[name]

@@ -1,0 +1,142 @@
+"""Protocols of the parts of a solution: its trial solution, its record, its error estimate.
+
+A method of solution provides classes that satisfy them; :class:`~hamsym.solution.solution.Solution`
+and everything that evaluates one is written against the protocols alone.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from hamsym.hamiltonian import Hamiltonian
+
+if TYPE_CHECKING:  # only functions of tensors need torch
+    from torch import Tensor
+
+__all__ = ["ErrorEstimate", "Path", "Record", "Trial"]
+
+
+class Trial(Protocol):
+    """A trial solution z^(t), exact at the start of the span."""
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of its numbers, float64 or float32."""
+
+    def states_at(self, t: np.ndarray) -> np.ndarray:
+        """z^ at times t of shape (K,); shape (K, dim)."""
+
+    def states_and_rates(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
+
+    def tensors(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        """z^ and dz^/dt at times t of shape (K,), differentiable in t; each of shape (K, dim)."""
+
+    def describe(self) -> dict[str, Any]:
+        """Its form and settings, as values that JSON can hold."""
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All numbers that define it, by name."""
+
+    def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
+        """Raise ValueError if it is not a trial solution from z0 over the span."""
+
+
+class Record(Protocol):
+    """Account of how a solution was found."""
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the search."""
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Processor time of the search."""
+
+    @property
+    def points(self) -> int:
+        """Collocation points K."""
+
+    @property
+    def point_evaluations(self) -> int:
+        """Evaluations of the vector field, each at one point."""
+
+    @property
+    def history(self) -> Any:
+        """The course of the search: losses of a training, or the windows of a march."""
+
+    @property
+    def edges(self) -> np.ndarray | None:
+        """Ends of the windows of z^, counted from the origin, shape (n + 1,); None for one."""
+
+    @property
+    def origin(self) -> float:
+        """Time from which the edges are counted."""
+
+    def times(self, span: tuple[float, float], count: int) -> np.ndarray:
+        """About so many times over the span, in its direction, at least nine in each window."""
+
+    def check(self, trial: Any, method: str) -> None:
+        """Raise ValueError if it is not the record of this trial solution."""
+
+
+class ErrorEstimate(Protocol):
+    """Estimated error z - z^ as a function of time."""
+
+    @property
+    def largest(self) -> np.ndarray:
+        """Largest magnitude of each component over the span, shape (dim,)."""
+
+    def __call__(self, t: np.ndarray) -> np.ndarray:
+        """z - z^ at times t, shape (*t.shape, dim)."""
+
+    def refined(self, path: Any) -> Any:
+        """The estimate at a finer resolution, a function of t."""
+
+    def check(self, trial: Any, *, finite: bool) -> None:
+        """Raise ValueError if it is not the error of this trial solution."""
+
+
+class Path(Protocol):
+    """A trajectory z^(t) of a Hamiltonian over a span, with what is derived from it."""
+
+    @property
+    def H(self) -> Hamiltonian:
+        """The Hamiltonian."""
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Start and end."""
+
+    @property
+    def error(self) -> ErrorEstimate | None:
+        """An estimate of the error that the method made, if it did."""
+
+    @property
+    def energy_weight(self) -> float:
+        """Weight of the energy penalty."""
+
+    @property
+    def ell_max(self) -> float:
+        """Largest 2-norm of the residual."""
+
+    def __call__(self, t: Any, *, extrapolate: bool = False) -> Any:
+        """The state at times t."""
+
+    def evaluate(self, t: Any, *, extrapolate: bool = False) -> tuple[Any, Any]:
+        """The state and its time derivative."""
+
+    def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
+        """dz^/dt - J grad H(z^)."""
+
+    def energy(self, t: Any, *, extrapolate: bool = False) -> Any:
+        """H along the trajectory."""
+
+    def hessians(self, t: np.ndarray) -> np.ndarray:
+        """The Hessian along the trajectory, shape (*t.shape, dim, dim)."""
+
+    @property
+    def scan_times(self) -> np.ndarray:
+        """Times dense enough to see every oscillation."""
