@@ -32,7 +32,7 @@ from hamsym.support.checked_data import (
 )
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
-__all__ = ["load", "save"]
+__all__ = ["assembled", "load", "parts", "save"]
 
 _KIND = "solution"
 _IN_TRIAL = ("edges", "states", "readouts")  # arrays of a march that its trial solution holds
@@ -68,7 +68,7 @@ def save(solution: Solution, path: str | os.PathLike[str]) -> None:
         raise FileError(
             f"'{path}' is not written: the solution is not valid: {one_line(error)}"
         ) from None
-    write_tensors(path, _KIND, *_parts(solution))
+    write_tensors(path, _KIND, *parts(solution))
 
 
 def load(path: str | os.PathLike[str]) -> Solution:
@@ -82,15 +82,15 @@ def load(path: str | os.PathLike[str]) -> Solution:
     """
     arrays, values = read_tensors(path, _KIND)
     try:
-        solution = _assembled(arrays, values)
+        solution = assembled(arrays, values)
         _check(solution)
     except MALFORMED as error:
         raise FileError(f"'{path}' is not a valid solution file: {one_line(error)}") from None
     return solution
 
 
-def _parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays, and values that JSON can hold, from which :func:`_assembled` makes it again."""
+def parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays, and values that JSON can hold, from which :func:`assembled` makes it again."""
     record, error = solution.record, solution.error
     arrays = {f"trial.{name}": array for name, array in solution.trial.arrays().items()}
     arrays["z0"] = solution.z0
@@ -116,7 +116,8 @@ def _parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     return arrays, values
 
 
-def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution:
+def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution:
+    """The solution of which these are the :func:`parts`."""
     record_name = "training" if "training" in values else "march"
     names = {"H", "span", "method", "energy_weight", "success", "message", "trial", record_name}
     has_error = "error" in values

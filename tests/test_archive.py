@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import hashlib
 import json
 import math
@@ -25,8 +26,10 @@ import sympy
 import torch
 
 import hamsym
-from hamsym import FileError, Hamiltonian, InputError, archive
-from hamsym.archive import digest, parts
+from hamsym import FileError, Hamiltonian, InputError
+from hamsym.archive import parts
+from hamsym.random_features.basis import rate_series
+from hamsym.solution.digest import digest
 from hamsym.support.tensor_files import read_tensors, write_tensors
 from hamsym.systems import Problem
 
@@ -115,10 +118,10 @@ def test_files_that_cannot_be_used(tmp_path: Path) -> None:
         ({"kind": "checkpoint"}, "holds a checkpoint, not a solution"),
         ({"sha256": "0" * 63}, "damaged"),
         ({"sha256": 3}, "damaged"),
-        ({"span": "long"}, "makes no sense"),
-        ({"H": {"formula": "__import__('os')", "floats": {}}}, "makes no sense"),
-        ({"trial": {"form": "network"}}, "makes no sense"),
-        ({"H": {"formula": "p**2 + x**2", "floats": [1]}}, "makes no sense"),
+        ({"span": "long"}, "not a valid solution"),
+        ({"H": {"formula": "__import__('os')", "floats": {}}}, "not a valid solution"),
+        ({"trial": {"form": "network"}}, "not a valid solution"),
+        ({"H": {"formula": "p**2 + x**2", "floats": [1]}}, "not a valid solution"),
     ):
         changed(**values)
         with pytest.raises(FileError, match=message):
@@ -136,11 +139,12 @@ def test_paths_that_are_none(path: object) -> None:
 
 def test_windows_that_do_not_fit_together(tmp_path: Path) -> None:
     solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
-    solution.trial.states = solution.trial.states[:, :1]
+    trial = dataclasses.replace(solution.trial, states=solution.trial.states[:, :1])
+    solution = dataclasses.replace(solution, trial=trial)
     write_tensors(tmp_path / "a", "solution", *parts(solution))
-    with pytest.raises(FileError, match="do not fit together"):
+    with pytest.raises(FileError, match="'states' has shape"):
         hamsym.load(tmp_path / "a")
-    with pytest.raises(FileError, match="do not fit together"):
+    with pytest.raises(FileError, match="'states' has shape"):
         solution.save(tmp_path / "b")
     assert not (tmp_path / "b").exists()
 
@@ -346,43 +350,57 @@ def _set(*keys: Any, to: Any) -> Callable[[dict, dict], None]:
     return change
 
 
-def _made(
-    name: str, function: Callable[[torch.Tensor], torch.Tensor]
-) -> Callable[[dict, dict], None]:
+def _made(name: str, function: Callable[[np.ndarray], np.ndarray]) -> Callable[[dict, dict], None]:
     def change(tensors: dict[str, Any], values: dict[str, Any]) -> None:
-        tensors[name] = function(tensors[name].clone())
+        tensors[name] = function(tensors[name].copy())
 
     return change
 
 
-def _last(value: float) -> Callable[[torch.Tensor], torch.Tensor]:
-    def change(tensor: torch.Tensor) -> torch.Tensor:
-        tensor.view(-1)[-1] = value
+def _as(dtype: type) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda array: array.astype(dtype)
+
+
+def _last(value: float) -> Callable[[np.ndarray], np.ndarray]:
+    def change(tensor: np.ndarray) -> np.ndarray:
+        tensor.reshape(-1)[-1] = value
         return tensor
 
     return change
 
 
-def _next(tensor: torch.Tensor) -> torch.Tensor:
-    return torch.nextafter(tensor, tensor + 1)
+def _next(tensor: np.ndarray) -> np.ndarray:
+    return np.nextafter(tensor, tensor + 1)
 
 
-def _swapped_edges(edges: torch.Tensor) -> torch.Tensor:
+def _swapped_edges(edges: np.ndarray) -> np.ndarray:
     return edges[[0, 2, 1, *range(3, len(edges))]]
 
 
 _GIANT = 10**400
 _TOWER = "p**2/2 + x**2 + exp(exp(exp(exp(number0))))"
 _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
-    "complex states": ("features", _made("trial.states", lambda a: a.to(torch.complex64)), "C64"),
-    "half readouts": ("features", _made("trial.readouts", torch.Tensor.half), "F16"),
-    "float32 readouts": ("features", _made("trial.readouts", torch.Tensor.float), "float64"),
-    "integer z0": ("features", _made("z0", torch.Tensor.long), "'z0' is not of type float64"),
-    "float32 z0": ("network", _made("z0", torch.Tensor.float), "'z0' is not of type float64"),
+    "complex states": ("features", _made("trial.states", _as(np.complex64)), "C64"),
+    "half readouts": ("features", _made("trial.readouts", _as(np.float16)), "F16"),
+    "float32 readouts": (
+        "features",
+        _made("trial.readouts", _as(np.float32)),
+        "float64",
+    ),
+    "integer z0": (
+        "features",
+        _made("z0", _as(np.int64)),
+        "'z0' is not of type float64",
+    ),
+    "float32 z0": (
+        "network",
+        _made("z0", _as(np.float32)),
+        "'z0' is not of type float64",
+    ),
     "float64 weights": (
         "network",
-        _made("trial.network.theta", torch.Tensor.double),
-        "fit together",
+        _made("trial.network.theta", _as(np.float64)),
+        "size and type",
     ),
     "another z0": ("features", _made("z0", _next), "does not start at its z0"),
     "another z0 backwards": ("backwards", _made("z0", _next), "does not start at its z0"),
@@ -390,7 +408,7 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
     "another z0 of float32": ("network", _made("trial.z0", _next), "does not start at its z0"),
     "another first state": (
         "features",
-        _made("trial.states", lambda a: a.flip(0)),
+        _made("trial.states", lambda a: a[::-1]),
         "does not start",
     ),
     "permuted edges": ("features", _made("trial.edges", _swapped_edges), "not in order"),
@@ -407,11 +425,11 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
     "error of one component": (
         "features",
         _made("error.floors", lambda a: a[:, :1]),
-        "fit together",
+        "has shape",
     ),
-    "integer error": ("features", _made("error.largest", torch.Tensor.long), "float64"),
-    "long series": ("features", _made("trial.series", lambda a: a.repeat(999, 1)), "fit together"),
-    "flat series": ("features", _made("trial.series", torch.Tensor.flatten), "fit together"),
+    "integer error": ("features", _made("error.largest", _as(np.int64)), "float64"),
+    "long series": ("features", _made("trial.series", lambda a: np.tile(a, (999, 1))), "has shape"),
+    "flat series": ("features", _made("trial.series", np.ravel), "has shape"),
     "series of rates": (
         "features",
         lambda tensors, values: tensors.update({"trial.rate_series": tensors["trial.series"]}),
@@ -437,17 +455,25 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
     "giant tau": ("network", _set("trial", "tau", to=_GIANT), "'tau' is too large"),
     "tau of zero": ("network", _set("trial", "tau", to=0.0), "span is not that of its network"),
     "negative tau": ("network", _set("trial", "tau", to=-1.0), "span is not that of its network"),
-    "huge sizes": ("network", _set("trial", "sizes", to=[1, 20_000, 20_000, 2]), "its sizes say"),
-    "huge sizes apart": ("networks", _set("trial", "sizes", to=[1, 10**9, 1]), "its sizes say"),
+    "huge sizes": (
+        "network",
+        _set("trial", "sizes", to=[1, 20_000, 20_000, 2]),
+        "layers need",
+    ),
+    "huge sizes apart": (
+        "networks",
+        _set("trial", "sizes", to=[1, 10**9, 1]),
+        "layers need",
+    ),
     "negative sizes": ("network", _set("trial", "sizes", to=[1, 50, -50, 2]), "fit together"),
     "NaN frequency": ("network", _set("trial", "frequency", to=math.nan), "frequency"),
-    "another form": ("network", _set("trial", "form", to="features"), "not known"),
-    "another method": ("features", _set("method", to="adam"), "not marched"),
-    "number of success": ("features", _set("success", to=1), "'success' is no bool"),
+    "another form": ("network", _set("trial", "form", to="features"), "unknown"),
+    "another method": ("features", _set("method", to="adam"), "does not march"),
+    "number of success": ("features", _set("success", to=1), "'success' is not of type bool"),
     "NaN weight of energy": ("network", _set("energy_weight", to=math.nan), "not finite"),
     "giant weight of energy": ("network", _set("energy_weight", to=_GIANT), "too large"),
     "another time reached": ("features", _set("march", "reached", to=1.0), "another time"),
-    "fewer iterations": ("network", _set("training", "iterations", to=3), "fit together"),
+    "fewer iterations": ("network", _set("training", "iterations", to=3), "has shape"),
     "giant seed": ("features", _set("march", "seed", to=10**300), "'seed' is out of range"),
     "infinite parameter": (
         "networks",
@@ -468,9 +494,9 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
         _set("H", "formula", to="p**2/2 - k*cos(x)"),
         "k has no value",
     ),
-    "more components": ("networks", _set("H", "q", to=["x", "y"]), "fit together"),
-    "endless names": ("networks", _set("H", "q", to=["x"] * 20_000), "long"),
-    "no H": ("networks", _set("H", to=3), "'H' is no mapping"),
+    "more components": ("networks", _set("H", "q", to=["x", "y"]), "has shape"),
+    "endless names": ("networks", _set("H", "q", to=["x"] * 20_000), "10,000 entries"),
+    "no H": ("networks", _set("H", to=3), "'H' is not a mapping"),
     "long formula": ("networks", _set("H", "formula", to="x + " * 20_000 + "p"), "formula"),
     "exponent": ("backwards", _set("H", "floats", "number0", to=[0, "1", 2**30, 53]), "range"),
     "giant exponent": (
@@ -489,7 +515,7 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
         _set("H", "floats", "number0", to=[0, "9" * 99_999, 0, 53]),
         "none",
     ),
-    "short number": ("backwards", _set("H", "floats", "number0", to=[0, "1"]), "4 entries"),
+    "short number": ("backwards", _set("H", "floats", "number0", to=[0, "1"]), "2 entries, not 4"),
     "tower": (
         "backwards",
         lambda tensors, values: values["H"].update(
@@ -517,8 +543,8 @@ def test_sizes_are_compared_before_anything_is_built(
     tensors, values = read_tensors(saved["network"], "solution")
     values["trial"]["sizes"] = [1, 20_000, 20_000, 2]
     write_tensors(tmp_path / "a", "solution", tensors, values)
-    monkeypatch.setattr(archive, "Network", None)
-    with pytest.raises(FileError, match="its sizes say"):
+    monkeypatch.setattr("hamsym.networks.trial.Network", None)
+    with pytest.raises(FileError, match="layers need"):
         hamsym.load(tmp_path / "a")
 
 
@@ -560,7 +586,7 @@ def test_what_loads_is_exactly_what_is_written(saved: dict[str, Path], tmp_path:
         again_tensors, again_values = parts(solution)
         assert tensors.keys() == again_tensors.keys()
         for name, tensor in tensors.items():
-            assert tensor.numpy().tobytes() == again_tensors[name].detach().numpy().tobytes(), name
+            assert tensor.tobytes() == again_tensors[name].tobytes(), name
         values.pop("H")  # which may be written in another way
         again_values.pop("H")
         assert values == json.loads(json.dumps(again_values))
@@ -576,8 +602,7 @@ def test_a_digest_is_of_the_bytes(saved: dict[str, Path], tmp_path: Path) -> Non
     original = digest(solution)
     assert digest(hamsym.load(saved["features"])) == original
     assert digest(pickle.loads(pickle.dumps(solution))) == original
-    solution.success, solution.message = False, "forgotten"
-    assert digest(solution) == original
+    assert digest(solution.judged(False, "forgotten")) == original
     for name in ("states", "readouts", "series"):
         changed = copy.deepcopy(solution)
         getattr(changed.trial, name)[-1, -1] = _next(getattr(changed.trial, name)[-1, -1])
@@ -588,33 +613,34 @@ def test_a_digest_is_of_the_bytes(saved: dict[str, Path], tmp_path: Path) -> Non
 def test_a_digest_refuses_other_types(name: str, saved: dict[str, Path]) -> None:
     solution = hamsym.load(saved["features"])
     original = getattr(solution.trial, name)
-    for dtype in (torch.complex64, torch.complex128, torch.int64, torch.float32):
-        setattr(solution.trial, name, original.to(dtype))
+    for dtype in (np.complex64, np.complex128, np.int64, np.float32):
+        trial = dataclasses.replace(solution.trial, **{name: original.astype(dtype)})
+        changed = dataclasses.replace(solution, trial=trial)
         with pytest.raises(InputError, match=f"'{name}' is not of type float64"):
-            digest(solution)
+            digest(changed)
         with pytest.raises(FileError, match=f"'{name}' is not of type float64"):
-            solution.save("never written")
+            changed.save("never written")
 
 
 def test_a_success_has_finite_numbers(saved: dict[str, Path], tmp_path: Path) -> None:
     solution = hamsym.load(saved["features"])
-    solution.march_error.largest[0] = math.nan
+    solution.error.largest[0] = math.nan
     with pytest.raises(FileError, match="'largest error' is not finite"):
         solution.save(tmp_path / "a")
-    solution.success = False  # which may have an error that nobody can tell
-    solution.save(tmp_path / "a")
-    assert math.isnan(hamsym.load(tmp_path / "a").march_error.largest[0])
+    # A failure may have an error that cannot be estimated.
+    solution.judged(False, "failed").save(tmp_path / "a")
+    assert math.isnan(hamsym.load(tmp_path / "a").error.largest[0])
 
 
 def test_rates_are_those_of_the_series(saved: dict[str, Path]) -> None:
     """The derivative against divided differences of the function in extended precision."""
     trial = hamsym.load(saved["features"]).trial
     x = np.linspace(-0.999, 0.999, 41)
-    series, h = trial.series.numpy().astype(np.longdouble), np.longdouble(1e-5)
+    series, h = trial.series.astype(np.longdouble), np.longdouble(1e-5)
     value = np.polynomial.chebyshev.chebval
     slopes = [(value(x + k * h, series) - value(x - k * h, series)) / (k * h) for k in (1, 2)]
     exact = ((4 * slopes[0] - slopes[1]) / 3).astype(float)  # of s = (x + 1) / 2
-    found = value(x, trial.rate_series.numpy())
+    found = value(x, rate_series(trial.series))
     np.testing.assert_allclose(found, exact, atol=1e-8 * np.abs(exact).max())
 
 

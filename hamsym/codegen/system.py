@@ -17,7 +17,7 @@ from hamsym.codegen.names import FUNCTIONS
 __all__ = ["System", "load"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class System:
     """Callables of a generated module; nothing symbolic is left in them.
 

@@ -152,7 +152,7 @@ class FeatureTrial:
 
 def _chebyshev_values(x: np.ndarray) -> np.ndarray:
     """T_0 .. T_degree at x of shape (K,), shape (K, degree + 1)."""
-    # The recurrence is as accurate as cosines of multiples of an angle, and takes a 20th of the time.
+    # The recurrence is as accurate as cosines of multiples of an angle, in a 20th of the time.
     values, twice = np.empty((DEGREE + 1, len(x))), 2 * x
     values[0], values[1] = 1.0, x
     for k in range(2, DEGREE + 1):

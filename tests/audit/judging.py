@@ -122,7 +122,7 @@ def judged(system: System, tol: float) -> Verdict:
     with np.errstate(all="ignore"):
         errors = np.abs(difference(solution(times)[:, columns], states))
         estimates = np.abs(solution.error_estimate(times)[:, columns])
-        floors = solution.march_error.floor(times)[:, columns]
+        floors = solution.error.floor(times)[:, columns]
         allowed = tol * _scales(system, row)
         truth = np.where(errors > 0, errors / allowed, np.where(np.isnan(errors), np.inf, 0.0))
         counted = allowed > 0

@@ -122,8 +122,8 @@ def test_targets(method: str, option: str, value: float) -> None:
     assert solution.success, solution.message
     assert f"{option.replace('_', ' ', 1)} {value:.2e} reached after" in solution.message
     reached = {
-        "target_loss": solution.training.best_loss,
-        "target_ell_max": solution.training.best_ell_max,
+        "target_loss": solution.record.best_loss,
+        "target_ell_max": solution.record.best_ell_max,
         "target_error": solution.relative_error_estimate,
         "accuracy": solution.error_bound,
     }
@@ -166,7 +166,7 @@ def test_restarts_are_told() -> None:
         stages=1,
     )
     assert not solution.success
-    assert solution.training.restarts == 1
+    assert solution.record.restarts == 1
     assert "with 1 restart" in solution.message
 
 
@@ -237,7 +237,7 @@ def test_killed_at_any_moment_it_goes_on_to_the_same_bits(
     for name, tensor in one.trial.state_dict().items():
         assert torch.equal(tensor, other.trial.state_dict()[name])
     np.testing.assert_array_equal(one.history.loss, other.history.loss)
-    assert one.training.iterations == other.training.iterations
+    assert one.record.iterations == other.record.iterations
 
 
 def test_checkpoint_of_another_problem(tmp_path: Path) -> None:

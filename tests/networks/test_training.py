@@ -13,10 +13,10 @@ from hamsym import InputError
 from hamsym.errors import FileError
 from hamsym.networks.checkpoint import Checkpoint
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt, _Linearised
+from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.optimizers import LBFGS, Adam
 from hamsym.networks.training import Criterion, Stages, Stopping, Training, TrainingState, train
-from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.trial import TrialSolution
 from hamsym.support.tensor_files import read_tensors, write_tensors
 
@@ -523,7 +523,7 @@ def test_checkpoints_that_are_edited(optimizer, tmp_path: Path) -> None:
         run()
     path.write_bytes(whole)
     for change, message in (
-        (lambda t, v: t.update({"weights.0": t["weights.0"][:1].clone()}), "weights.0"),
+        (lambda t, v: t.update({"weights.0": t["weights.0"][:1].copy()}), "weights.0"),
         (lambda t, v: t.update({"weights.0": t["weights.0"].float()}), "weights.0"),
         (lambda t, v: t.update({"best.0": t["best.0"] * math.nan}), "best.0 are not finite"),
         (lambda t, v: t.update(losses=t["losses"][:2]), "do not fit together"),

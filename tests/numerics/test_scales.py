@@ -57,5 +57,5 @@ def test_units_of_a_component_change_nothing(tol: float) -> None:
     assert (
         np.abs(big(t * seconds) / factors - small(t)).max(axis=0) <= 2 * tol * small.scale
     ).all()
-    relative = big.march_error.largest / big.scale
-    np.testing.assert_allclose(relative, small.march_error.largest / small.scale, rtol=1.0)
+    relative = big.error.largest / big.scale
+    np.testing.assert_allclose(relative, small.error.largest / small.scale, rtol=1.0)

@@ -405,7 +405,7 @@ def test_the_papers_bound_is_proven_false_for_a_resonant_residual():
     other = hamsym.solve(forced, [1.0, 0.0], (0, end), tol=1e-10)
     H = systems.harmonic_oscillator().H
     solution = hamsym.Solution(
-        H, other.z0, (0.0, end), other.trial, method="features", training=other.training
+        H, other.z0, (0.0, end), other.trial, method="features", record=other.record
     )
     certificate = solution.certify()
     assert certificate.ell_max_bound < 1.02e-3
@@ -422,7 +422,7 @@ def test_nothing_is_verified_where_h_is_singular_along_the_solution():
     through = hamsym.solve(free, [0.5, -1.0], (0.0, 0.6), tol=1e-6)
     H = hamsym.Hamiltonian("p**2/2 + 1/x")
     solution = hamsym.Solution(
-        H, through.z0, through.span, through.trial, method="features", training=through.training
+        H, through.z0, through.span, through.trial, method="features", record=through.record
     )
     honest = solution.certify()
     assert honest.energy_bound == honest.ell_max_bound == math.inf
@@ -459,7 +459,7 @@ def test_windows_that_do_not_cover_the_span_are_refused():
     solution = solved("features")
     longer = hamsym.Solution(
         solution.H, solution.z0, (0.0, 4.01), solution.trial,
-        method="features", training=solution.training,
+        method="features", record=solution.record,
     )  # fmt: skip
     with pytest.raises(CertificationError, match="do not cover the span"):
         longer.certify()

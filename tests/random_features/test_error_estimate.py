@@ -48,11 +48,11 @@ def test_floor_is_above_the_round_off_of_the_estimate(
 ) -> None:
     """Round-off in the residual is what the estimate misses; the floor stands for it."""
     H, ratios = Hamiltonian(formula), []
-    real = H._real
+    real = H.real_equations
     field = staticmethod(sympy.lambdify(real.z, real.vector_field, "numpy"))
     extended = type("Extended", (_Extended,), {"field": field})
     for seed in range(4):
-        windows = hamsym.solve(H, z0, span, tol=1e-11, seed=seed).training
+        windows = hamsym.solve(H, z0, span, tol=1e-11, seed=seed).record
         found = windows, feature_basis(seed), flow_of(H)
         error = estimate_error(*found).error
         better = extended(*found, *RESOLUTIONS[0]).result.error

@@ -61,7 +61,7 @@ def test_estimate_is_the_error_up_to_round_off(name: str, tol: float) -> None:
     solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=tol)
     t = np.linspace(*problem.span, 1_001)
     error, estimate = problem.exact(t) - solution(t), solution.error_estimate(t)
-    floor = solution.march_error.floor(t)
+    floor = solution.error.floor(t)
     # The exact solutions carry round-off of their own.
     own = 1e-13 * solution.scale
     assert np.all(np.abs(error - estimate) <= 0.001 * np.abs(error).max(axis=0) + floor + own)
@@ -133,7 +133,7 @@ def test_absolute_tolerance_loosens() -> None:
     tight = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-12, atol=0.0)
     loose = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-12, atol=[1e-3] * 4)
     assert loose.success
-    assert np.all(loose.march_error.largest <= 1e-3 + 1e-12 * loose.scale)
+    assert np.all(loose.error.largest <= 1e-3 + 1e-12 * loose.scale)
     assert tight.message != loose.message
 
 

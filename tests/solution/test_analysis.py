@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 import hamsym
 from hamsym import Hamiltonian, Solution
@@ -17,21 +16,20 @@ from hamsym.solution.analysis import Analysis
 from hamsym.systems import harmonic_oscillator, henon_heiles, nonlinear_oscillator
 
 
-class Resonant(torch.nn.Module):
+class Resonant:
     """z^ = (1 + eps t) (cos t, -sin t), whose residual is in resonance with the motion."""
 
     def __init__(self, eps: float) -> None:
-        super().__init__()
-        self.register_buffer("eps", torch.tensor(eps, dtype=torch.float64))
+        self._eps = eps
 
-    def forward(self, t: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        right = torch.stack((torch.cos(t), -torch.sin(t)), dim=-1)
-        rate = torch.stack((-torch.sin(t), -torch.cos(t)), dim=-1)
-        grown = (1 + self.eps * t)[:, None]
-        return grown * right, grown * rate + self.eps * right
+    def states_and_rates(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        right = np.stack((np.cos(t), -np.sin(t)), axis=-1)
+        rate = np.stack((-np.sin(t), -np.cos(t)), axis=-1)
+        grown = (1 + self._eps * t)[:, None]
+        return grown * right, grown * rate + self._eps * right
 
-    def value(self, t: torch.Tensor) -> torch.Tensor:
-        return self(t)[0]
+    def states_at(self, t: np.ndarray) -> np.ndarray:
+        return self.states_and_rates(t)[0]
 
 
 @cache
@@ -51,7 +49,7 @@ def resonant(eps: float, end: float) -> Solution:
         (0.0, end),
         Resonant(eps),  # type: ignore[arg-type]
         method="adam",
-        training=like.training,
+        record=like.record,
     )
 
 
@@ -188,10 +186,10 @@ def test_what_is_no_number_is_never_small(monkeypatch: pytest.MonkeyPatch) -> No
         late = np.reshape(np.asarray(t) > 3, np.shape(t) + (1,) * (values.ndim - np.ndim(t)))
         return np.where(late, np.nan, values)
 
-    monkeypatch.setattr(solution, "hessians", lambda t: lost(hessians(t), t))
+    monkeypatch.setattr(Solution, "hessians", lambda self, t: lost(hessians(t), t))
     found = Analysis(solution)
     assert (found.sigma_min, found.bound) == (0.0, np.inf)
     assert found.sigma_min_time == pytest.approx(3, abs=0.01)
     assert np.isnan(found.eigenvalues(np.array([1.0, 4.0]))).tolist() == [[False] * 2, [True] * 2]
-    monkeypatch.setattr(solution, "residual", lambda t: lost(residual(t), t))
+    monkeypatch.setattr(Solution, "residual", lambda self, t: lost(residual(t), t))
     assert Analysis(solution).ell_max == np.inf

@@ -156,7 +156,7 @@ def test_energy_weight_enters_loss_and_ell_max() -> None:
     t = torch.arange(60, dtype=torch.float64).add(0.5).mul(2 / 60)
     ell = solution.residual(t).square().sum(-1).mean()
     drift = (solution.energy(t) - 0.5).square().mean()
-    assert float(ell + 5 * drift) == pytest.approx(solution.training.best_loss, rel=1e-9)
+    assert float(ell + 5 * drift) == pytest.approx(solution.record.best_loss, rel=1e-9)
 
 
 def test_regularizers_pull() -> None:
@@ -224,7 +224,7 @@ def test_missed_and_reached_targets() -> None:
     reached = hamsym.solve(problem.H, problem.z0, (0, 1), **settings, epochs=5000, target_loss=1e-3)
     assert reached.success
     assert "target loss 1.00e-03 reached" in reached.message
-    assert reached.training.iterations < 5000
+    assert reached.record.iterations < 5000
 
 
 def test_outside_the_span(solution: Solution) -> None:
