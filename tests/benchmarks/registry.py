@@ -1,0 +1,54 @@
+"""The benchmarks by name. A new one is a module with ``measure`` and ``table``, and a row here."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from . import (
+    certificates,
+    derivation,
+    dimension,
+    ensembles,
+    epoch,
+    equal_error,
+    first_call,
+    implicit,
+    loops,
+    networks,
+    pyhamsys_steps,
+    span,
+    work_precision,
+)
+from .results import Section
+
+__all__ = ["BENCHMARKS", "Benchmark"]
+
+
+class Benchmark(Protocol):
+    """A module that measures one thing."""
+
+    __doc__: str | None
+
+    def measure(self, quick: bool) -> Section:
+        """Run the benchmark; ``quick`` takes seconds and shows only that it runs."""
+
+    def table(self, section: Section) -> str:
+        """The results as a Markdown table with its notes."""
+
+
+#: In the order of the documentation page.
+BENCHMARKS: dict[str, Benchmark] = {
+    "work-precision": work_precision,
+    "first-call": first_call,
+    "dimension": dimension,
+    "span": span,
+    "loops": loops,
+    "pyhamsys": pyhamsys_steps,
+    "ensembles": ensembles,
+    "equal-error": equal_error,
+    "implicit": implicit,
+    "networks": networks,
+    "epoch": epoch,
+    "derivation": derivation,
+    "certificates": certificates,
+}

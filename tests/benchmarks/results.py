@@ -1,0 +1,65 @@
+"""The results file: one section for each benchmark, with the machine that it ran on."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from hamsym.support.atomic import write_atomically
+
+__all__ = ["FILE", "Section", "read", "replace_section"]
+
+#: Results of one benchmark as JSON has them.
+Section: TypeAlias = dict[str, Any]
+
+FILE = Path(__file__).with_name("results.json")
+
+_PACKAGES = (
+    *("hamsym", "numpy", "scipy", "numba", "torch", "sympy", "python-flint"),
+    *("heyoka", "numbalsoda", "CyRK", "diffrax", "pyhamsys"),
+)
+
+
+def read(path: Path = FILE) -> dict[str, Section]:
+    """Sections by the name of their benchmark."""
+    sections: dict[str, Section] = json.loads(path.read_text("utf-8")) if path.exists() else {}
+    return sections
+
+
+def replace_section(name: str, section: Section, quick: bool, path: Path = FILE) -> None:
+    """Write the results of one benchmark and leave the other sections as they are."""
+    sections = read(path)
+    sections[name] = {"quick": quick, "environment": environment(), **section}
+    text = json.dumps(dict(sorted(sections.items())), indent=1) + "\n"
+    write_atomically(path, text.encode())
+
+
+def environment() -> dict[str, Any]:
+    """Date, processor, Python, and versions of the packages that are installed."""
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return {
+        "date": time.strftime("%Y-%m-%d"),
+        "processor": processor(),
+        "python": platform.python_version(),
+        "system": platform.system(),
+        "versions": versions,
+    }
+
+
+def processor() -> str:
+    """The processor's name as the system gives it."""
+    information = Path("/proc/cpuinfo")
+    if information.exists():
+        for line in information.read_text("utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
