@@ -2,11 +2,12 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+HENON_HEILES := "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
 # The CPU build that is tested; a plain `pip install torch` may bring several GB of CUDA builds.
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-wheel lint bench clean
+.PHONY: help demo test test-slow test-wheel lint bench bench-quick tables docs clean
 
 help: ## List what can be done
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed 's/:.*## /: /' | awk -F': ' '{printf "  make %-11s %s\n", $$1, $$2}'
@@ -28,18 +29,26 @@ test-slow: $(VENV)/installed ## Run the slow checks too
 test-wheel: $(VENV)/installed ## Build a wheel, install it elsewhere, see that it works
 	VENV_BIN="$(abspath $(BIN))" PYTHON="$(PYTHON)" TORCH="$(TORCH)" bash tests/wheel.sh
 
-lint: $(VENV)/installed ## Check style, formatting and types
+lint: $(VENV)/installed ## Check style, formatting, types and the layers of imports
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
-bench: $(VENV)/installed ## Print the benchmarks' ratios (twenty minutes)
-	$(BIN)/python tests/benchmarks/derivation.py
-	$(BIN)/python tests/benchmarks/integrators.py
-	$(BIN)/python tests/benchmarks/training_epoch.py
-	$(BIN)/python tests/benchmarks/growth.py
-	$(BIN)/python tests/benchmarks/work_precision.py
-	$(BIN)/python tests/benchmarks/certificates.py
+bench: $(VENV)/installed ## Measure all benchmarks into tests/benchmarks/results.json (half an hour)
+	$(BIN)/python -m tests.benchmarks
+
+bench-quick: $(VENV)/installed ## Run all benchmarks in seconds, to see that they run
+	$(BIN)/python -m tests.benchmarks --quick
+
+tables: $(VENV)/installed ## Make the tables and the figure of examples/benchmarks.md from the results
+	$(BIN)/python -m tests.benchmarks.tables
+
+docs: tables ## Make tables and pictures of the documentation again (five minutes)
+	$(BIN)/hamsym solve $(HENON_HEILES) --z0 0.3,-0.3,0.3,0.15 --t-end 40 --plot examples/pictures/trajectory.png
+	$(BIN)/python examples/oscillator.py --out examples/pictures
+	$(BIN)/python examples/henon_heiles.py --out examples/pictures
+	$(BIN)/python examples/chaos.py --out examples/pictures
 
 clean: ## Remove the environment and everything built
 	rm -rf $(VENV) build dist output *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
