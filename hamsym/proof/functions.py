@@ -1,26 +1,40 @@
-"""Elementary functions of balls and of Taylor series of balls."""
+"""Elementary functions of balls (``arb``) and of Taylor series of balls (``arb_series``).
+
+Each result contains the value, or each Taylor coefficient, for every choice of numbers in the
+arguments. Where an argument reaches a point at which the function is not smooth (a zero of a
+divisor, the branch point of a root), the function raises :class:`SingularityError`.
+"""
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from typing import Any
 
 import sympy
 from flint import arb, arb_series
 
-__all__ = ["SingularityError", "hyperbolic_tangent"]
+__all__ = [
+    "ELEMENTARY",
+    "Enclosed",
+    "SingularityError",
+    "general_power",
+    "hyperbolic_tangent",
+    "reciprocal",
+    "reciprocal_root",
+    "root",
+]
 
-
-#: A ball or a series of them.
+#: A ball or a Taylor series of balls.
 Enclosed = Any
 
 
 class SingularityError(ArithmeticError):
-    """Balls reach a point where an expression is not smooth; the message names it."""
+    """Balls contain a point where an expression is not smooth; the message names the expression."""
 
 
 def _head(x: Enclosed) -> arb:
-    """The ball in which the value itself is, of a ball or a series."""
+    """The ball itself, or the constant term of a series."""
     return x if isinstance(x, arb) else x[0]
 
 
@@ -30,44 +44,40 @@ def _require(condition: bool) -> None:
         raise SingularityError
 
 
-def _negative(x: Enclosed, _: Enclosed) -> Enclosed:
-    return -x
-
-
-def _reciprocal(x: Enclosed, _: Enclosed) -> Enclosed:
+def reciprocal(x: Enclosed) -> Enclosed:
     head = _head(x)
     _require(head > 0 or head < 0)
     return 1 / x
 
 
-def _logarithm(x: Enclosed, _: Enclosed) -> Enclosed:
+def logarithm(x: Enclosed) -> Enclosed:
     _require(_head(x) > 0)
     return x.log()
 
 
-def _root(x: Enclosed, _: Enclosed) -> Enclosed:
+def root(x: Enclosed) -> Enclosed:
     _require(_head(x) > 0)
     return x.sqrt()
 
 
-def _reciprocal_root(x: Enclosed, _: Enclosed) -> Enclosed:
+def reciprocal_root(x: Enclosed) -> Enclosed:
     _require(_head(x) > 0)
     return x.rsqrt()
 
 
-def _tangent(x: Enclosed, _: Enclosed) -> Enclosed:
+def tangent(x: Enclosed) -> Enclosed:
     cosine = _head(x).cos()
     _require(cosine > 0 or cosine < 0)
     return x.tan()
 
 
-def _arcsine(x: Enclosed, _: Enclosed) -> Enclosed:
+def arcsine(x: Enclosed) -> Enclosed:
     head = _head(x)
     _require(head > -1 and head < 1)
     return x.asin()
 
 
-def _arccosine(x: Enclosed, _: Enclosed) -> Enclosed:
+def arccosine(x: Enclosed) -> Enclosed:
     head = _head(x)
     _require(head > -1 and head < 1)
     return x.acos()
@@ -78,13 +88,13 @@ def _integrated(x: arb_series, value: arb, slope: arb_series) -> arb_series:
     return (x.derivative() * slope).integral() + value
 
 
-def _inverse_hyperbolic_sine(x: Enclosed, _: Enclosed) -> Enclosed:
+def inverse_hyperbolic_sine(x: Enclosed) -> Enclosed:
     if isinstance(x, arb):
         return x.asinh()
     return _integrated(x, x[0].asinh(), (1 + x * x).rsqrt())
 
 
-def _inverse_hyperbolic_cosine(x: Enclosed, _: Enclosed) -> Enclosed:
+def inverse_hyperbolic_cosine(x: Enclosed) -> Enclosed:
     _require(_head(x) > 1)
     if isinstance(x, arb):
         return x.acosh()
@@ -92,7 +102,7 @@ def _inverse_hyperbolic_cosine(x: Enclosed, _: Enclosed) -> Enclosed:
     return _integrated(x, x[0].acosh(), (x - 1).rsqrt() * (x + 1).rsqrt())
 
 
-def _inverse_hyperbolic_tangent(x: Enclosed, _: Enclosed) -> Enclosed:
+def inverse_hyperbolic_tangent(x: Enclosed) -> Enclosed:
     head = _head(x)
     _require(head > -1 and head < 1)
     # Both terms grow with x, so that their difference is finite wherever the ball is; arb.atanh
@@ -101,7 +111,7 @@ def _inverse_hyperbolic_tangent(x: Enclosed, _: Enclosed) -> Enclosed:
     return value if isinstance(x, arb) else _integrated(x, value, 1 / ((1 - x) * (1 + x)))
 
 
-def _hyperbolic_sine(x: Enclosed, _: Enclosed) -> Enclosed:
+def hyperbolic_sine(x: Enclosed) -> Enclosed:
     if isinstance(x, arb):
         return x.sinh()
     # sinh(x0 + u) by its addition theorem: both parts of x0 alone are sharp on wide balls.
@@ -109,7 +119,7 @@ def _hyperbolic_sine(x: Enclosed, _: Enclosed) -> Enclosed:
     return head.sinh() * even + head.cosh() * odd
 
 
-def _hyperbolic_cosine(x: Enclosed, _: Enclosed) -> Enclosed:
+def hyperbolic_cosine(x: Enclosed) -> Enclosed:
     if isinstance(x, arb):
         return x.cosh()
     head, even, odd = _hyperbolic_parts(x)
@@ -129,7 +139,7 @@ def _without_head(x: arb_series) -> arb_series:
     return x.derivative().integral()
 
 
-def hyperbolic_tangent(x: Enclosed, _: Enclosed = None) -> Enclosed:
+def hyperbolic_tangent(x: Enclosed) -> Enclosed:
     """tanh of a ball or a series; within [-1, 1] however wide the ball.
 
     With x = x0 + u, tanh(x) = (T + tau) / (1 + T tau) for T = tanh(x0) and tau = tanh(u), a series
@@ -143,7 +153,7 @@ def hyperbolic_tangent(x: Enclosed, _: Enclosed = None) -> Enclosed:
     return (value + rest) / (1 + value * rest)
 
 
-def _angle(y: Enclosed, x: Enclosed) -> Enclosed:
+def angle(y: Enclosed, x: Enclosed) -> Enclosed:
     """atan2(y, x) away from its cut, the negative half of the x axis."""
     below, beside = _head(y), _head(x)
     _require(beside > 0 or below > 0 or below < 0)
@@ -158,26 +168,27 @@ def _angle(y: Enclosed, x: Enclosed) -> Enclosed:
     return slope.integral() + value
 
 
-def _general_power(base: Enclosed, exponent: Enclosed) -> Enclosed:
+def general_power(base: Enclosed, exponent: Enclosed) -> Enclosed:
     _require(_head(base) > 0)
     return (exponent * base.log()).exp()
 
 
-_FUNCTIONS: dict[type, Callable[[Enclosed, Enclosed], Enclosed]] = {
-    sympy.exp: lambda x, _: x.exp(),
-    sympy.sin: lambda x, _: x.sin(),
-    sympy.cos: lambda x, _: x.cos(),
-    sympy.atan: lambda x, _: x.atan(),
-    sympy.erf: lambda x, _: x.erf(),
-    sympy.log: _logarithm,
-    sympy.tan: _tangent,
-    sympy.asin: _arcsine,
-    sympy.acos: _arccosine,
-    sympy.sinh: _hyperbolic_sine,
-    sympy.cosh: _hyperbolic_cosine,
+#: Enclosure of each elementary function of sympy; atan2 takes two arguments, the others one.
+ELEMENTARY: dict[type, Callable[..., Enclosed]] = {
+    sympy.exp: operator.methodcaller("exp"),
+    sympy.sin: operator.methodcaller("sin"),
+    sympy.cos: operator.methodcaller("cos"),
+    sympy.atan: operator.methodcaller("atan"),
+    sympy.erf: operator.methodcaller("erf"),
+    sympy.log: logarithm,
+    sympy.tan: tangent,
+    sympy.asin: arcsine,
+    sympy.acos: arccosine,
+    sympy.sinh: hyperbolic_sine,
+    sympy.cosh: hyperbolic_cosine,
     sympy.tanh: hyperbolic_tangent,
-    sympy.asinh: _inverse_hyperbolic_sine,
-    sympy.acosh: _inverse_hyperbolic_cosine,
-    sympy.atanh: _inverse_hyperbolic_tangent,
-    sympy.atan2: _angle,
+    sympy.asinh: inverse_hyperbolic_sine,
+    sympy.acosh: inverse_hyperbolic_cosine,
+    sympy.atanh: inverse_hyperbolic_tangent,
+    sympy.atan2: angle,
 }

@@ -9,6 +9,7 @@ import sympy
 
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.checks import real_symbols
+from hamsym.symbolic.exact import ExactDerivatives
 
 __all__ = ["Equations"]
 
@@ -53,12 +54,18 @@ class Equations:
         self._effort = derivatives.Effort(self.expr)
 
     @cached_property
+    def exact(self) -> ExactDerivatives:
+        """H, gradient and Hessian with a symbol for each floating-point number."""
+        return ExactDerivatives(self.expr, self.z, self._effort)
+
+    @cached_property
     def gradient(self) -> list[sympy.Expr]:
-        return derivatives.gradient(self.expr, self.z, self._effort)
+        return [self.exact.rounded(entry) for entry in self.exact.gradient]
 
     @cached_property
     def hessian(self) -> dict[tuple[int, int], sympy.Expr]:
-        return derivatives.hessian(self.gradient, self.z, self._effort)
+        entries = {index: self.exact.rounded(entry) for index, entry in self.exact.hessian.items()}
+        return {index: entry for index, entry in entries.items() if entry != 0}
 
     @cached_property
     def vector_field(self) -> list[sympy.Expr]:

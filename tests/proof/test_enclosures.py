@@ -25,7 +25,8 @@ from hamsym.proof.balls import (
     exact,
     working,
 )
-from hamsym.proof.enclosures import Enclosures, Formulas
+from hamsym.proof.enclosures import Enclosures
+from hamsym.proof.formulas import Formulas
 from hamsym.proof.functions import SingularityError
 
 x, y = sympy.symbols("x y", real=True)
