@@ -7,39 +7,28 @@ Output: Hamilton's equations, the Hessian and what follows from them, as sympy o
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 import sympy
 
+from hamsym.codegen.functions import compile_expressions
 from hamsym.codegen.generate import extract, generate
 from hamsym.codegen.system import System, load
 from hamsym.errors import InputError, ParameterError, VariableError
-from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.formula.parser import canonical_name
 from hamsym.formula.printer import FormulaPrinter
 from hamsym.support.validation import require_number
-from hamsym.symbolic import derivatives
-from hamsym.symbolic.checks import (
-    as_list,
-    by_name,
-    check_state,
-    check_steps,
-    checked_expression,
-    checked_values,
-    name_of,
-    state_symbol,
-)
+from hamsym.symbolic import brackets, derivatives
+from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
-from hamsym.symbolic.pairing import find_pairs, natural_order
+from hamsym.symbolic.pairing import natural_order
 from hamsym.symbolic.states import state_array, states_array
+from hamsym.symbolic.variables import TIME, assign_variables
 
 __all__ = ["Hamiltonian", "HamiltonianLike"]
-
-_TIME = "t"
 
 
 class Hamiltonian:
@@ -89,36 +78,8 @@ class Hamiltonian:
         p: Sequence[str | sympy.Symbol] | None = None,
         parameters: Mapping[Any, float] | None = None,
     ) -> None:
-        if isinstance(expression, str):
-            expr = parse_expression(expression)
-        else:
-            expr = checked_expression(expression)
-        symbols = by_name(expr.free_symbols)
-        values = checked_values(parameters or {}, symbols)
-        if q is None and p is None:
-            candidates = symbols.keys() - values.keys() - {_TIME}
-            pairs = find_pairs(candidates)
-            coordinates: Iterable[str | sympy.Symbol] = [pair[0] for pair in pairs]
-            momenta: Iterable[str | sympy.Symbol] = [pair[1] for pair in pairs]
-        elif q is None or p is None:
-            raise VariableError("q and p are given together or not at all; add the other one")
-        else:
-            coordinates, momenta = as_list(q), as_list(p)
-        real = isinstance(expression, str)
-        state = [state_symbol(item, symbols, real) for item in (*coordinates, *momenta)]
-        half = len(list(coordinates))
-        check_state(state, half, values)
-        check_steps(expr, state)
-        set_attribute = functools.partial(object.__setattr__, self)
-        set_attribute("expr", expr)
-        set_attribute("q", tuple(state[:half]))
-        set_attribute("p", tuple(state[half:]))
-        set_attribute("z", tuple(state))
-        set_attribute("parameters", MappingProxyType(values))
-        names = {symbol.name for symbol in state}
-        set_attribute(
-            "time", symbols[_TIME] if _TIME in symbols.keys() - names - values.keys() else None
-        )
+        # Into __dict__, since attributes cannot be set.
+        self.__dict__.update(assign_variables(expression, q, p, parameters)._asdict())
 
     expr: sympy.Expr
     q: tuple[sympy.Symbol, ...]
@@ -246,12 +207,14 @@ class Hamiltonian:
         ParameterError
             Naming the parameters and the remedy.
         """
-        if self.unbound_parameters:
-            names = ", ".join(self.unbound_parameters)
-            example = ", ".join(f"{name}=1.0" for name in self.unbound_parameters)
+        self._require_values(self.unbound_parameters)
+
+    def _require_values(self, missing: Sequence[str]) -> None:
+        if missing:
+            verb, example = "has" if len(missing) == 1 else "have", "=1.0, ".join(missing)
             raise ParameterError(
-                f"{names} {'has' if len(self.unbound_parameters) == 1 else 'have'} no value; "
-                f"use H.with_parameters({example}), or --param NAME=VALUE at the command line"
+                f"{', '.join(missing)} {verb} no value; use H.with_parameters({example}=1.0), or "
+                "--param NAME=VALUE at the command line"
             )
 
     def state_from(self, z0: Sequence[float] | Mapping[Any, float] | np.ndarray) -> np.ndarray:
@@ -330,7 +293,7 @@ class Hamiltonian:
         >>> H.state_at_energy(1 / 6, {"x": 0, "y": -0.15, "p_y": 0}).round(6)
         array([ 0.      , -0.15    ,  0.555503,  0.      ])
         """
-        from scipy.optimize import brentq  # slow to import, and deriving does without it
+        from hamsym.numerics.roots import first_zero  # imports scipy.optimize, which is slow
 
         self.require_parameters()
         given = {canonical_name(name_of(name)) for name in z0}
@@ -348,23 +311,11 @@ class Hamiltonian:
             with np.errstate(all="ignore"):
                 return np.asarray(system.energy(*system.arguments(states, t))) - energy
 
-        # Fine where people's units are, coarse to the ends of the range of numbers.
-        scan = np.concatenate(
-            ([0.0], np.geomspace(1e-300, 1e-9, 300), np.geomspace(1e-9, 1e9, 4_001)[1:],
-             np.geomspace(1e9, 1e300, 300)[1:])
-        )  # fmt: skip
-        values = excess(scan)
-        values[~np.isfinite(values)] = np.nan
-        sign = np.sign(values)
-        for k in np.flatnonzero(sign[:-1] * sign[1:] <= 0):  # never where a value is not a number
-            low, high = scan[k], scan[k + 1]
-            if values[k] != 0:
-                low = brentq(lambda value: excess(np.array([value]))[0], low, high, xtol=1e-300)
-            # At a pole the sign changes too.
-            if abs(excess(np.array([low]))[0]) <= max(abs(values[k]), abs(values[k + 1])):
-                state[where] = low
-                return state
-        raise VariableError(f"no {missing[0]} from 0 on gives the energy {energy:g}")
+        found = first_zero(excess)
+        if found is None:
+            raise VariableError(f"no {missing[0]} from 0 on gives the energy {energy:g}")
+        state[where] = found
+        return state
 
     # -- what follows from H -----------------------------------------------------------------
 
@@ -414,7 +365,7 @@ class Hamiltonian:
         [Eq(Derivative(x, t), p), Eq(Derivative(p, t), -x)]
         """
         used = set(self.names) | set(self.parameter_names)
-        time = self.time or sympy.Symbol(_TIME if _TIME not in used else "time", real=True)
+        time = self.time or sympy.Symbol(TIME if TIME not in used else "time", real=True)
         return [
             sympy.Eq(sympy.Derivative(component, time, evaluate=False), rate, evaluate=False)
             for component, rate in zip(self.z, self.vector_field, strict=True)
@@ -473,7 +424,8 @@ class Hamiltonian:
         >>> H.poisson_bracket("x", "p"), H.poisson_bracket("x", H.expr)
         (1, p)
         """
-        return self._own(self._real_bracket(self._observable(f), self._observable(g)))
+        z = self.real_equations.z
+        return self._own(brackets.poisson_bracket(self._function(f), self._function(g), z))
 
     def is_conserved(self, f: str | sympy.Expr) -> bool:
         """Whether f is constant along every trajectory: {f, H} + df/dt = 0.
@@ -484,29 +436,14 @@ class Hamiltonian:
         >>> H.is_conserved("x*p_y - y*p_x"), H.is_conserved("p_x")
         (True, False)
         """
-        observable = self._observable(f)
-        rate = self._real_bracket(observable, self.real_equations.expr)
-        if _TIME not in {*self.names, *self.parameters}:
-            rate += observable.diff(sympy.Symbol(_TIME, real=True))
-        return derivatives.vanishes(rate)
+        real, function = self.real_equations, self._function(f)
+        is_state = TIME in {*self.names, *self.parameters}
+        time = None if is_state else sympy.Symbol(TIME, real=True)
+        return derivatives.vanishes(brackets.evolution(function, real.expr, real.z, time))
 
-    def _observable(self, f: str | sympy.Expr) -> sympy.Expr:
-        expr = parse_expression(f) if isinstance(f, str) else checked_expression(f)
-        known = {canonical_name(n): n for n in (*self.names, *self.parameter_names, _TIME)}
-        meant = {}
-        for symbol in sorted(expr.free_symbols, key=str):
-            name = known.get(canonical_name(symbol.name))
-            if name is None:
-                raise VariableError(
-                    f"'{symbol.name}' does not occur in H; known are {', '.join(known.values())}"
-                )
-            meant[symbol] = sympy.Symbol(name, real=True)
-        return expr.xreplace(meant)
-
-    def _real_bracket(self, f: sympy.Expr, g: sympy.Expr) -> sympy.Expr:
-        z, d = self.real_equations.z, self.dof
-        of_f, of_g = derivatives.gradient(f, z), derivatives.gradient(g, z)
-        return sympy.Add(*(of_f[i] * of_g[d + i] - of_f[d + i] * of_g[i] for i in range(d)))
+    def _function(self, f: str | sympy.Expr) -> sympy.Expr:
+        """A function of the state, the parameters and the time, in real symbols."""
+        return brackets.phase_function(f, (*self.names, *self.parameter_names, TIME))
 
     def observable(self, f: str | sympy.Expr) -> Callable[..., np.ndarray]:
         """A function of the state, compiled with numpy as H itself is.
@@ -534,14 +471,11 @@ class Hamiltonian:
         >>> H.observable("x*p_y - y*p_x")([0.4, 0.0, 0.0, 2.0])
         np.float64(0.8)
         """
-        expr = self._observable(f)
+        expr = self._function(f)
         used = {symbol.name for symbol in expr.free_symbols}
-        values = {name: value for name, value in self.parameters.items() if name in used}
-        q, p = self.names[: self.dof], self.names[self.dof :]
-        own = Hamiltonian(expr, q=q, p=p, parameters=values)
-        own.require_parameters()
-        system = own.compile("numpy")
-        return lambda z, t=0.0: system.energy(*system.arguments(z, t))
+        self._require_values([name for name in self.unbound_parameters if name in used])
+        function = compile_expressions([expr], self.real_equations)
+        return lambda z, t=0.0: function(z, t)[..., 0][()]
 
     @cached_property
     def variational_equations(self) -> list[sympy.Eq]:
@@ -552,17 +486,10 @@ class Hamiltonian:
         >>> Hamiltonian("p**2/2 + x**2/2 + x**4/4").variational_equations[1]
         Eq(Derivative(delta_p, t), delta_x*(-3*x**2 - 1))
         """
-        taken = {symbol.name for symbol in self.expr.free_symbols} | set(self.names)
-        mark = "delta_"
-        while any(mark + name in taken for name in self.names):
-            mark = "d" + mark
-        delta = sympy.Matrix([sympy.Symbol(mark + name, real=True) for name in self.names])
         time = self.equations[0].lhs.args[1][0]
-        rates = self.poisson_matrix * self.hessian * delta
-        return [
-            sympy.Eq(sympy.Derivative(entry, time, evaluate=False), rate, evaluate=False)
-            for entry, rate in zip(delta, rates, strict=True)
-        ]
+        taken = [symbol.name for symbol in self.expr.free_symbols]
+        generator = self.poisson_matrix * self.hessian
+        return brackets.variational_equations(generator, self.names, time, taken)
 
     @cached_property
     def sigma_min(self) -> sympy.Expr | None:
@@ -578,73 +505,6 @@ class Hamiltonian:
         Min(1, Abs(2*sqrt(x**2 + y**2) - 1))
         """
         return derivatives.smallest_singular_value(self.real_equations.hessian, self.dim)
-
-    @cached_property
-    def switches(self) -> list[tuple[Callable[..., Any], Callable[..., Any]]]:
-        """Functions of (z, t) at whose zeros the gradient or H may jump, and by how much they do.
-
-        Such as x for H = p**2/2 + abs(x); z has shape (..., dim); the jumps are dim + 1 numbers,
-        that of H last.
-        """
-        real = self.real_equations
-        found: list[tuple[Callable[..., Any], Callable[..., Any]]] = []
-        for argument, jumps in derivatives.switches(real.expr, real.gradient, real.z):
-            pair = (self._function(argument), self._function(sympy.Matrix([jumps])))
-            found.append((functools.partial(_floats, pair[0]), functools.partial(_floats, pair[1])))
-        return found
-
-    @cached_property
-    def narrow_arguments(self) -> Callable[..., Any] | None:
-        """A function of (z, t), where pulses, steps and poles of H have their places.
-
-        Its values, shapes (n, dim), (n,) -> (n, k), are the arguments of exp, tanh, erf and the
-        like, of abs and of Max, and the bases of negative and of broken powers; and what each is, a
-        :class:`~hamsym.symbolic.derivatives.Narrow`, shape (k,).
-        None where H has no such functions.
-        """
-        real = self.real_equations
-        variables = [*real.z, *([] if real.time is None else [real.time])]
-        found = derivatives.narrow_arguments(real.expr.xreplace(self._bound), variables)
-        if not found:
-            return None
-        function = self._function(tuple(argument for argument, _ in found))
-        kinds = np.array([kind for _, kind in found])
-
-        def values(z: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            columns = [np.broadcast_to(column, len(z)) for column in function(z, t)]
-            return np.stack(columns, axis=-1), kinds
-
-        return values
-
-    @cached_property
-    def has_rounded_numbers(self) -> bool:
-        """Whether H has numbers that float64 does not hold, such as pi, sqrt(2) and 0.1."""
-        return any(
-            not isinstance(number, sympy.Rational) or number.q & (number.q - 1)
-            for number in self.expr.atoms(sympy.Number, sympy.NumberSymbol)
-            if not isinstance(number, sympy.Float)
-        ) or any(power.is_number for power in self.expr.atoms(sympy.Pow))
-
-    @property
-    def _bound(self) -> dict[sympy.Symbol, float]:
-        """Values of the parameters that have one, by their real symbols."""
-        known = self.real_equations.parameters.values()
-        return {symbol: value for symbol, value in known if value is not None}
-
-    def _function(self, expr: Any) -> Callable[..., Any]:
-        """Values of expressions in real symbols, from (z, t) of shapes (..., dim) and (...)."""
-        real = self.real_equations
-        time = real.time or sympy.Dummy("t")
-        exprs = (
-            tuple(entry.xreplace(self._bound) for entry in expr)
-            if isinstance(expr, tuple)
-            else expr.xreplace(self._bound)
-        )
-        # Names are dummies there, and what is printed are functions of the parser's list.
-        function = sympy.lambdify(
-            (*real.z, time), exprs, ["scipy", "numpy"], dummify=True, cse=True
-        )
-        return lambda z, t: function(*np.moveaxis(z, -1, 0), t)
 
     @cached_property
     def _sources(self) -> dict[str, str]:
@@ -697,10 +557,6 @@ class Hamiltonian:
 
 #: What the solvers take; see :meth:`Hamiltonian.of`.
 HamiltonianLike: TypeAlias = Hamiltonian | str | sympy.Expr
-
-
-def _floats(function: Callable[..., Any], z: np.ndarray, t: Any) -> np.ndarray:
-    return np.asarray(function(z, t), dtype=float)
 
 
 def _rebuild(

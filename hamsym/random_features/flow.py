@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
+import sympy
 
+from hamsym.codegen.functions import compile_expressions
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import generators
 from hamsym.random_features import window_loop
 from hamsym.random_features.compiled_loop import compiled_loop, compiled_rates
+from hamsym.symbolic import derivatives
 
-__all__ = ["Flow", "flow_of"]
+__all__ = ["Flow", "flow_of", "has_rounded_numbers"]
 
 NarrowArguments: TypeAlias = tuple[np.ndarray, np.ndarray]
 
@@ -33,8 +37,8 @@ class Flow:
     energy : callable, optional
         (z, t) -> H, shape (n,), where H is conserved.
     narrow_arguments : callable, optional
-        (z, t) -> arguments of the functions in H that may act briefly, shape (n, k), and what
-        each belongs to, shape (k,); see :attr:`hamsym.Hamiltonian.narrow_arguments`.
+        (z, t) -> arguments of the functions in H that may act briefly, shape (n, k), and their
+        kinds (:class:`~hamsym.symbolic.derivatives.Narrow`), shape (k,).
     rounded : bool
         Whether H has numbers that float64 does not hold.
     loop : callable
@@ -77,8 +81,8 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
         jacobian,
         rates,
         energy=energy if H.time is None else None,
-        narrow_arguments=H.narrow_arguments,
-        rounded=H.has_rounded_numbers,
+        narrow_arguments=_narrow_arguments(H),
+        rounded=has_rounded_numbers(H.expr),
         compile=(lambda: _compiled(H, plain)) if compiled == "auto" else None,
     )
     return _compiled(H, plain) if compiled is True else plain
@@ -87,3 +91,32 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
 def _compiled(H: Hamiltonian, plain: Flow) -> Flow:
     rates = compiled_rates(H.compile("numba"))
     return replace(plain, rates=rates, loop=compiled_loop(), compiled=True, compile=None)
+
+
+@functools.lru_cache(maxsize=64)
+def _narrow_arguments(
+    H: Hamiltonian,
+) -> Callable[[np.ndarray, np.ndarray], NarrowArguments] | None:
+    """Arguments of functions in H that may act briefly, None if H has no such functions.
+
+    They are the arguments of exp, tanh, erf and similar functions, of abs and of Max, and the bases
+    of negative and fractional powers.
+    """
+    equations = H.real_equations
+    known = {symbol: value for symbol, value in equations.parameters.values() if value is not None}
+    variables = [*equations.z, *([] if equations.time is None else [equations.time])]
+    found = derivatives.narrow_arguments(equations.expr.xreplace(known), variables)
+    if not found:
+        return None
+    arguments = compile_expressions([argument for argument, _ in found], equations)
+    kinds = np.array([kind for _, kind in found])
+    return lambda z, t: (arguments(z, t), kinds)
+
+
+def has_rounded_numbers(expr: sympy.Expr) -> bool:
+    """Whether a formula has numbers that float64 cannot represent: pi, sqrt(2), 0.1."""
+    return any(
+        not isinstance(number, sympy.Rational) or number.q & (number.q - 1)
+        for number in expr.atoms(sympy.Number, sympy.NumberSymbol)
+        if not isinstance(number, sympy.Float)
+    ) or any(power.is_number for power in expr.atoms(sympy.Pow))

@@ -1,49 +1,57 @@
-"""Where a trajectory crosses a jump of H or of its gradient.
+"""Discontinuities of H or of its gradient along a trajectory.
 
-The linear equation of the error does not describe what a jump of the force, such as that of abs(x),
-does to nearby trajectories; and where H itself jumps, as sign(x) does, there is a force that no
-derivative shows. The estimate of the error ends there.
+The linear equation of the error does not hold across a jump of the force, for example that of
+abs(x). Where H itself jumps, as sign(x) does, the force contains a pulse that the derivative of H
+lacks. The error estimate is therefore valid up to the first discontinuity only.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.optimize
 
+from hamsym.codegen.functions import compile_expressions
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.path import Path
+from hamsym.symbolic import derivatives
 
 __all__ = ["first_jump", "unresolved"]
 
 _RESOLVED = 1e-2  # residual, relative to the largest rate of the component
-_MOST_PLACES = 20  # that are looked at for a jump in a trained network
-_SAMPLES = 400  # of the rates where a jump is suspected
-_STEEP = 0.05  # change between samples, relative to all of them, that no resolved force shows
+_MOST_PLACES = 20  # places of a trained network that are searched for a jump
+_SAMPLES = 400  # of the rates between two suspect times
+_STEEP = 0.05  # change between samples of a resolved force at most, relative to all of them
 _BISECTIONS = 24
 
 
 def first_jump(
     solution: Path, times: np.ndarray, suspects: Sequence[tuple[float, float]]
 ) -> str | None:
-    """What jumps, when, and what to do, where the trajectory first crosses a jump of H or grad H.
+    """Describe the first discontinuity of H or grad H along a trajectory.
 
     Parameters
     ----------
     solution : Path
     times : numpy.ndarray
-        Jumps of abs, sign, Min and Max are found from their arguments, which change their signs
-        between these times.
+        Times at which the arguments of abs, sign, Min and Max are evaluated; a jump lies where one
+        of them changes its sign.
     suspects : sequence of (float, float)
-        Where the residual is not small beside the rates, as at other jumps, such as that of
-        sqrt((x - 1)**2), and at steps that are too steep for the tolerance: the rates are sampled
-        there.
+        Intervals in which the residual is large relative to the rates. The rates are sampled there,
+        to find the jump of sqrt((x - 1)**2), and steps that are too steep for the tolerance.
+
+    Returns
+    -------
+    str or None
+        The kind of the discontinuity, its time and the remedy, for a message.
     """
     direction = math.copysign(1.0, times[-1] - times[0])
-    # Those that have an argument are found twice.
+    # Both searches find a jump of abs, sign, Min or Max; the first is more accurate.
     found = list(_symbolic_jumps(solution, times)) or list(_hidden_jumps(solution, suspects))
     if not found:
         return None
@@ -55,9 +63,10 @@ def first_jump(
 
 
 def unresolved(solution: Path) -> list[tuple[float, float]]:
-    """Pairs of times between which the residual of a solution is not small beside the rates.
+    """Intervals in which the residual of a solution is large relative to the rates.
 
-    Of many the few where it is largest: a function without jumps follows one nowhere near it.
+    At most 20, those with the largest residual: near a jump, a smooth trial solution has a large
+    residual.
     """
     times = solution.scan_times
     z, dz = solution.evaluate(times)
@@ -72,8 +81,10 @@ def unresolved(solution: Path) -> list[tuple[float, float]]:
 
 
 def _symbolic_jumps(solution: Path, times: np.ndarray) -> Iterator[tuple[float, str]]:
+    """The first crossing of each switch of H, with its kind."""
     H = solution.H
-    if not H.switches:
+    switches = _switches(H)
+    if not switches:
         return
     system = H.compile("numpy")
     z = solution(times)
@@ -81,29 +92,53 @@ def _symbolic_jumps(solution: Path, times: np.ndarray) -> Iterator[tuple[float, 
         # Jumps are compared with the size of the same component's rate.
         sizes = np.abs(system.gradient(*system.arguments(z, times))).max(axis=0)
         sizes = np.append(sizes, np.abs(system.energy(*system.arguments(z, times))).max())
-        for argument, jumps in H.switches:
-            values = np.broadcast_to(argument(z, times), times.shape)
+        for switch in switches:
+            values = switch.argument(z, times)[..., 0]
             signed = np.flatnonzero(values)
             for before, after in itertools.pairwise(signed):
                 if not values[before] * values[after] < 0:
                     continue
                 at = scipy.optimize.brentq(
-                    lambda t, argument=argument: float(argument(solution(t), t)),
+                    lambda t, switch=switch: float(switch.argument(solution(t), t)[0]),
                     *times[[before, after]],
                     xtol=1e-12 * abs(times[after] - times[before]) + 1e-300,
                 )
-                # A jump of H is one however large H is: its zero is arbitrary.
+                # A jump of H counts however large H is: the zero of H is arbitrary.
                 allowed = np.append(1e-6 * sizes[:-1], 1e-14 * sizes[-1])
-                small = np.abs(jumps(solution(at), at)).ravel() <= allowed
+                small = np.abs(switch.jumps(solution(at), at)) <= allowed
                 if not small.all():
                     yield at, "the force jumps" if small[-1] else "H jumps"
                     break
 
 
+class _Switch(NamedTuple):
+    """A function of (z, t) at whose zeros the gradient or H may jump.
+
+    Attributes
+    ----------
+    argument : callable
+        Shapes (..., dim), (...) -> (..., 1); for H = p**2/2 + abs(x) it is x.
+    jumps : callable
+        Jumps of the gradient, then of H, at a zero: (..., dim), (...) -> (..., dim + 1).
+    """
+
+    argument: Callable[..., np.ndarray]
+    jumps: Callable[..., np.ndarray]
+
+
+@functools.lru_cache(maxsize=64)
+def _switches(H: Hamiltonian) -> tuple[_Switch, ...]:
+    equations = H.real_equations
+    return tuple(
+        _Switch(compile_expressions([argument], equations), compile_expressions(jumps, equations))
+        for argument, jumps in derivatives.switches(equations.expr, equations.gradient, equations.z)
+    )
+
+
 def _hidden_jumps(
     solution: Path, suspects: Sequence[tuple[float, float]]
 ) -> Iterator[tuple[float, str]]:
-    """The first jump of the rates that no function of H announces."""
+    """The first jump of the sampled rates."""
     system = solution.H.compile("numpy")
 
     def rates(t: Any) -> np.ndarray:
@@ -124,7 +159,7 @@ def _hidden_jumps(
 def _steepest(
     function: Callable[[float], np.ndarray], t: np.ndarray, samples: np.ndarray, component: int
 ) -> float | None:
-    """Where a component changes by much from one of these times to the next, or is not finite."""
+    """The time of the largest change of a component between samples, None if it is resolved."""
     values = samples[:, component]
     spread = np.abs(values - values.mean()).max()
     changes = np.abs(np.diff(values))

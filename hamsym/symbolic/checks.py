@@ -126,7 +126,7 @@ def state_symbol(
     return sympy.Symbol(name, real=True)
 
 
-def check_state(state: list[sympy.Symbol], half: int, values: Mapping[str, float]) -> None:
+def check_state(state: Sequence[sympy.Symbol], half: int, values: Mapping[str, float]) -> None:
     if 2 * half != len(state) or not half:
         raise VariableError(
             f"{half} coordinates and {len(state) - half} momenta do not pair; give one p for each q"

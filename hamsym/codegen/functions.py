@@ -1,0 +1,113 @@
+"""Expressions in the symbols of H as one generated numpy function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import sympy
+
+from hamsym.codegen.names import Names
+from hamsym.codegen.printers import NumpyPrinter
+from hamsym.codegen.system import _run
+from hamsym.errors import CodeGenerationError
+from hamsym.symbolic import derivatives
+from hamsym.symbolic.equations import Equations
+
+__all__ = ["compile_expressions", "expressions_source"]
+
+_INFINITE = (sympy.nan, sympy.zoo, sympy.oo, -sympy.oo)
+
+
+def compile_expressions(
+    expressions: Sequence[sympy.Expr], equations: Equations
+) -> Callable[..., np.ndarray]:
+    """A numpy function of states and times with one value for each expression.
+
+    Parameters
+    ----------
+    expressions : sequence of sympy.Expr
+        In the real symbols of the equations, and the time.
+    equations : Equations
+        With a value for every parameter that occurs.
+
+    Returns
+    -------
+    callable
+        (z, t=0.0) of shapes (..., dim) and (...) -> (..., k).
+
+    Examples
+    --------
+    >>> x, p, k = sympy.symbols("x p k", real=True)
+    >>> equations = Equations(p**2/2 + k*x**2/2, [x, p], None, {"k": 3.0})
+    >>> compile_expressions([k*x, p/2], equations)([2.0, 1.0])
+    array([6. , 0.5])
+    """
+    source = expressions_source(expressions, equations)
+    found: Callable[..., np.ndarray] = _run(source, "numpy").values
+    return found
+
+
+def expressions_source(expressions: Sequence[sympy.Expr], equations: Equations) -> str:
+    """The module that :func:`compile_expressions` runs, with one function ``values``.
+
+    Raises
+    ------
+    CodeGenerationError
+        If an expression contains a function that numpy lacks, or is nested too deeply.
+    """
+    expressions = [sympy.sympify(expression) for expression in expressions]
+    names = Names(equations)
+    names.of.setdefault(sympy.Symbol("t", real=True), "t")
+    try:
+        temporaries, results = _texts(expressions, names)
+    except RecursionError:
+        raise CodeGenerationError("the expression is nested too deeply; split it") from None
+    used = {symbol.name for expression in expressions for symbol in expression.free_symbols}
+    keywords = [
+        f"{names.of[symbol]}={value!r}"
+        for name, (symbol, value) in equations.parameters.items()
+        if name in used
+    ]
+    dim = len(names.state)
+    lines = [
+        *temporaries,
+        f"out = np.empty((*z.shape[:-1], {len(results)}), z.dtype)",
+        *(f"out[..., {k}] = {text}" for k, text in enumerate(results)),
+        "return out",
+    ]
+    body = "\n    ".join(lines)
+    return f'''"""Functions of the state ({", ".join(names.state)}) with numpy."""
+
+import math
+
+import numpy as np
+
+_erf = np.vectorize(math.erf, otypes=[float])
+
+
+def values(z, t=0.0{", *, " if keywords else ""}{", ".join(keywords)}):
+    """Values of {len(results)} expressions, (..., {dim}) -> (..., {len(results)})."""
+    z = np.asarray(z)
+    if z.shape[-1:] != ({dim},):
+        raise ValueError(f"z has shape {{z.shape}}; its last axis must have length {dim}")
+    z = z if z.dtype.kind == "f" else z.astype(float)
+    {", ".join(names.state)} = np.moveaxis(z, -1, 0)
+    {body}
+'''
+
+
+def _texts(expressions: Sequence[sympy.Expr], names: Names) -> tuple[list[str], list[str]]:
+    """Assignments of common subexpressions, and the results."""
+    known = dict(names.of)
+    printer = NumpyPrinter(known)
+    lowered = [
+        sympy.nan if expression.has(*_INFINITE) else printer.lower(expression)
+        for expression in expressions
+    ]
+    shared, reduced = derivatives.common_subexpressions(lowered, names.temporaries())
+    assignments = []
+    for symbol, expression in shared:
+        assignments.append(f"{symbol.name} = {printer(expression)}")
+        known[symbol] = symbol.name
+    return assignments, ["np.nan" if e is sympy.nan else printer(e) for e in reduced]

@@ -1,0 +1,96 @@
+"""Functions on phase space: Poisson brackets, conservation and the variational equations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import sympy
+
+from hamsym.errors import VariableError
+from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.symbolic import derivatives
+from hamsym.symbolic.checks import checked_expression
+
+__all__ = ["evolution", "phase_function", "poisson_bracket", "variational_equations"]
+
+
+def phase_function(f: str | sympy.Expr, names: Iterable[str]) -> sympy.Expr:
+    """A function on phase space in real symbols.
+
+    Parameters
+    ----------
+    f : str or sympy.Expr
+    names : iterable of str
+        Names of the state, the parameters and the time.
+
+    Raises
+    ------
+    VariableError
+        If f has a symbol with another name.
+
+    Examples
+    --------
+    >>> phase_function("theta*p", ["θ", "p"])
+    p*θ
+    """
+    expr = parse_expression(f) if isinstance(f, str) else checked_expression(f)
+    known = {canonical_name(name): name for name in names}
+    replaced = {}
+    for symbol in sorted(expr.free_symbols, key=str):
+        name = known.get(canonical_name(symbol.name))
+        if name is None:
+            raise VariableError(
+                f"'{symbol.name}' does not occur in H; known are {', '.join(known.values())}"
+            )
+        replaced[symbol] = sympy.Symbol(name, real=True)
+    return expr.xreplace(replaced)
+
+
+def poisson_bracket(f: sympy.Expr, g: sympy.Expr, z: Sequence[sympy.Symbol]) -> sympy.Expr:
+    """{f, g} = sum_i df/dq_i dg/dp_i - df/dp_i dg/dq_i, for z = (q, p).
+
+    Examples
+    --------
+    >>> x, p = sympy.symbols("x p")
+    >>> poisson_bracket(x**2, p, (x, p))
+    2*x
+    """
+    d = len(z) // 2
+    of_f, of_g = derivatives.gradient(f, z), derivatives.gradient(g, z)
+    return sympy.Add(*(of_f[i] * of_g[d + i] - of_f[d + i] * of_g[i] for i in range(d)))
+
+
+def evolution(
+    f: sympy.Expr, H: sympy.Expr, z: Sequence[sympy.Symbol], time: sympy.Symbol | None
+) -> sympy.Expr:
+    """df/dt = {f, H} + (partial f)/(partial t) along trajectories of H."""
+    rate = poisson_bracket(f, H, z)
+    return rate if time is None else rate + f.diff(time)
+
+
+def variational_equations(
+    generator: sympy.Matrix,
+    names: Sequence[str],
+    time: sympy.Symbol,
+    taken: Iterable[str],
+) -> list[sympy.Eq]:
+    """The linear equations d(delta)/dt = J Hess(z) delta of a small deviation delta.
+
+    Parameters
+    ----------
+    generator : sympy.Matrix
+        J Hess(z), dim x dim.
+    names : sequence of str
+        Names of the state; the deviations are named ``delta_x`` or similar.
+    time : sympy.Symbol
+    taken : iterable of str
+        Names that the deviations must not have.
+    """
+    used, mark = {*names, *taken}, "delta_"
+    while any(mark + name in used for name in names):
+        mark = "d" + mark
+    delta = sympy.Matrix([sympy.Symbol(mark + name, real=True) for name in names])
+    return [
+        sympy.Eq(sympy.Derivative(entry, time, evaluate=False), rate, evaluate=False)
+        for entry, rate in zip(delta, generator * delta, strict=True)
+    ]
