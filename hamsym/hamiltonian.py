@@ -1,8 +1,8 @@
-"""The Hamiltonian as a symbolic object: what is derived from H(q, p) before any number appears.
+"""The Hamiltonian as a symbolic object.
 
 Input:  a formula or a sympy expression, pairs of coordinates and momenta, parameter values.
-Output: Hamilton's equations, the Hessian and what follows from them, as sympy objects; and,
-        through :mod:`hamsym.codegen.generate`, source text and callables for each backend.
+Output: Hamilton's equations, the Hessian and quantities derived from them, as sympy objects;
+        source text and callables for each backend, by :mod:`hamsym.codegen.generate`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["Hamiltonian", "HamiltonianLike"]
 
 
 class Hamiltonian:
-    """A Hamiltonian H(q, p) with everything that follows from it symbolically.
+    """A Hamiltonian H(q, p), its equations of motion and its derivatives.
 
     The phase-space state is z = (q_1..q_d, p_1..p_d), of dimension 2 d. A symbol ``t`` that is
     neither a coordinate nor a momentum nor a parameter with a value is the time. All other
@@ -44,11 +44,10 @@ class Hamiltonian:
         The Hamiltonian. Text is parsed by :func:`hamsym.formula.parser.parse_expression`, never
         evaluated.
     q, p : sequence of str or sympy.Symbol, optional
-        Coordinates and momenta, in the order wanted. Without them pairs are found from the
-        names (:func:`hamsym.symbolic.pairing.find_pairs`) and ordered as people count.
+        Coordinates and momenta, in the order of the state. By default the pairs are found from the
+        names (:func:`hamsym.symbolic.pairing.find_pairs`), in natural order.
     parameters : mapping of name to number, optional
-        Values of parameters, in the units of H. The others need a value when numbers are
-        asked for.
+        Values of parameters, in the units of H. Numerical functions need a value for each.
 
     Raises
     ------
@@ -131,7 +130,7 @@ class Hamiltonian:
 
     @cached_property
     def formula(self) -> str:
-        """H as text, in the order in which people write terms; it parses back to H."""
+        """H as text, with the terms in conventional order; parsing it gives H again."""
         return FormulaPrinter()(self.expr)
 
     # -- dimensions and parameters -----------------------------------------------------------
@@ -177,12 +176,12 @@ class Hamiltonian:
 
     @classmethod
     def of(cls, H: HamiltonianLike) -> Hamiltonian:
-        """What a solver takes: a Hamiltonian, or the formula of one, without unknown parameters.
+        """Convert a Hamiltonian or a formula to a Hamiltonian with a value for every parameter.
 
         Raises
         ------
         InputError
-            If it is something else, is no Hamiltonian, or a parameter has no value.
+            If the argument is something else, is not a Hamiltonian, or a parameter has no value.
 
         Examples
         --------
@@ -193,14 +192,14 @@ class Hamiltonian:
             H = cls(H)
         if not isinstance(H, cls):
             raise InputError(
-                f"H is a Hamiltonian or a formula, not {type(H).__name__}; write such as "
+                f"H must be a Hamiltonian or a formula, not {type(H).__name__}; give for example "
                 'Hamiltonian("p**2/2 + x**2/2")'
             )
         H.require_parameters()
         return H
 
     def require_parameters(self) -> None:
-        """Refuse to go on while a parameter has no value.
+        """Require a value for every parameter.
 
         Raises
         ------
@@ -218,7 +217,7 @@ class Hamiltonian:
             )
 
     def state_from(self, z0: Sequence[float] | Mapping[Any, float] | np.ndarray) -> np.ndarray:
-        """A state as an array in the order of z.
+        """Convert a state to an array in the order of z.
 
         Parameters
         ----------
@@ -243,7 +242,7 @@ class Hamiltonian:
         return state_array(z0, self.names)
 
     def states_from(self, z0: Any) -> np.ndarray:
-        """A state as :meth:`state_from` has it, or an ensemble of them.
+        """Convert a state or an ensemble of states to an array in the order of z.
 
         Parameters
         ----------
@@ -264,16 +263,16 @@ class Hamiltonian:
         return states_array(z0, self.names)
 
     def state_at_energy(self, energy: float, z0: Mapping[Any, float], t: float = 0.0) -> np.ndarray:
-        """The state with a given energy, from all components but one.
+        """Complete a state to a given energy.
 
         Parameters
         ----------
         energy : float
         z0 : mapping
-            All components by name but one, which is the smallest number from 0 on that gives H
-            this value.
+            All components by name except one. That component becomes the smallest number >= 0
+            that gives H this value.
         t : float
-            The time, where H depends on it.
+            The time, if H depends on it.
 
         Returns
         -------
@@ -283,7 +282,7 @@ class Hamiltonian:
         Raises
         ------
         VariableError
-            If not just one component is missing, or no number gives this energy.
+            If not exactly one component is missing, or no number gives this energy.
         InputError
             If the energy is not a finite number.
 
@@ -300,7 +299,7 @@ class Hamiltonian:
         missing = [name for name in self.names if canonical_name(name) not in given]
         if len(missing) != 1:
             listed = ", ".join(missing) or "none"
-            raise VariableError(f"leave out one component of z0 for the energy; missing: {listed}")
+            raise VariableError(f"z0 must lack one component for the energy; missing: {listed}")
         require_number("energy", energy)
         state, where = self.state_from({**z0, missing[0]: 0.0}), self.names.index(missing[0])
         system = self.compile("numpy")
@@ -313,15 +312,15 @@ class Hamiltonian:
 
         found = first_zero(excess)
         if found is None:
-            raise VariableError(f"no {missing[0]} from 0 on gives the energy {energy:g}")
+            raise VariableError(f"no {missing[0]} >= 0 gives the energy {energy:g}")
         state[where] = found
         return state
 
-    # -- what follows from H -----------------------------------------------------------------
+    # -- equations of motion -----------------------------------------------------------------
 
     @cached_property
     def real_equations(self) -> Equations:
-        """H and its derivatives in real symbols, from which code and proofs are made."""
+        """H and its derivatives in real symbols, for code generation and proofs."""
         values = {name: self.parameters.get(name) for name in self.parameter_names}
         return Equations(self.expr, self.z, self.time, values)
 
@@ -446,12 +445,12 @@ class Hamiltonian:
         return brackets.phase_function(f, (*self.names, *self.parameter_names, TIME))
 
     def observable(self, f: str | sympy.Expr) -> Callable[..., np.ndarray]:
-        """A function of the state, compiled with numpy as H itself is.
+        """Compile a function of the state with numpy.
 
         Parameters
         ----------
         f : str or sympy.Expr
-            In the components of z, the parameters of H and the time.
+            A function of the components of z, the parameters of H and the time.
 
         Returns
         -------
@@ -479,7 +478,7 @@ class Hamiltonian:
 
     @cached_property
     def variational_equations(self) -> list[sympy.Eq]:
-        """How a small difference of two trajectories moves, d(delta)/dt = J Hess(z) delta.
+        """Linear equations of a small deviation, d(delta)/dt = J Hess(z) delta.
 
         Examples
         --------
@@ -493,10 +492,11 @@ class Hamiltonian:
 
     @cached_property
     def sigma_min(self) -> sympy.Expr | None:
-        """Smallest singular value of the Hessian, in real symbols, where it has a short form.
+        """Smallest singular value of the Hessian in closed form, in real symbols, or None.
 
-        The Hessian is symmetric, so its singular values are the magnitudes of its eigenvalues;
-        blocks of at most 2 x 2 (after a permutation) have them in closed form. Otherwise None.
+        The Hessian is symmetric, so its singular values are the magnitudes of its eigenvalues.
+        They have a closed form if the Hessian falls into blocks of at most 2 x 2 (after a
+        permutation).
 
         Examples
         --------
@@ -555,7 +555,7 @@ class Hamiltonian:
         return load(self.source(backend), backend, self.names)
 
 
-#: What the solvers take; see :meth:`Hamiltonian.of`.
+#: Argument H of the solvers; see :meth:`Hamiltonian.of`.
 HamiltonianLike: TypeAlias = Hamiltonian | str | sympy.Expr
 
 

@@ -1,7 +1,8 @@
-"""The symbols of a Hamiltonian: checked before anything is derived, and matched by name.
+"""Checks of the symbols in a Hamiltonian, and their lookup by name.
 
-Sympy's symbols differ by their assumptions, and their names may be anything, code included. What
-passes here has plain names, each once in every spelling, and can stand for real numbers.
+Symbols of sympy differ by their assumptions, and their names may be any text, including code. After
+these checks the names are plain identifiers, each occurs once in any spelling, and every symbol can
+be a real number.
 """
 
 from __future__ import annotations
@@ -30,27 +31,30 @@ __all__ = [
 
 
 def as_list(symbols: Sequence[str | sympy.Symbol]) -> list[str | sympy.Symbol]:
+    """Names or symbols as a list; a single one becomes a list of one."""
     if isinstance(symbols, (str, sympy.Symbol)):
         return [symbols]
     return list(symbols)
 
 
 def _quoted(name: str) -> str:
-    """A name for a one-line message, whatever is in it."""
+    """A name in quotes, with escapes for characters that cannot be printed."""
     return f"'{name}'" if name.isprintable() else ascii(name)
 
 
 def name_of(key: object) -> str:
+    """The name of a symbol, or a key as text."""
     return key.name if isinstance(key, sympy.Symbol) else str(key)
 
 
 def real_symbols(symbols: Iterable[sympy.Symbol]) -> dict[sympy.Symbol, sympy.Symbol]:
+    """Real symbols of the same names, for the symbols with other assumptions."""
     pairs = ((symbol, sympy.Symbol(symbol.name, real=True)) for symbol in symbols)
     return {own: real for own, real in pairs if own != real}
 
 
 def by_name(symbols: Iterable[sympy.Symbol]) -> dict[str, sympy.Symbol]:
-    """Symbols by name, each name checked and unique in every spelling."""
+    """Index symbols by name; each name is checked and occurs in one spelling only."""
     found: dict[str, sympy.Symbol] = {}
     spelled: dict[str, str] = {}
     for symbol in sorted(symbols, key=str):
@@ -69,11 +73,20 @@ def by_name(symbols: Iterable[sympy.Symbol]) -> dict[str, sympy.Symbol]:
 
 
 def checked_expression(expression: object) -> sympy.Expr:
+    """Return a sympy expression that can be a Hamiltonian, or a number as one.
+
+    Raises
+    ------
+    InputError
+        If it is something else, or is not real and finite.
+    VariableError
+        If it contains a variable that is not a plain symbol.
+    """
     if isinstance(expression, (int, float)) and not isinstance(expression, bool):
         expression = sympy.Number(expression)
     if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
         raise InputError(
-            f"a Hamiltonian is a str or a sympy expression, not {type(expression).__name__}"
+            f"a Hamiltonian must be a str or a sympy expression, not {type(expression).__name__}"
         )
     undefined = expression.atoms(AppliedUndef, sympy.Derivative, sympy.Integral, sympy.Indexed)
     if undefined:
@@ -83,16 +96,25 @@ def checked_expression(expression: object) -> sympy.Expr:
     if bound:
         raise VariableError(
             f"{min(symbol.name for symbol in bound)!a} is bound inside the expression; "
-            "do sums, products and substitutions first, with .doit()"
+            "evaluate sums, products and substitutions first with .doit()"
         )
     if expression.has(sympy.I, sympy.zoo, sympy.nan, sympy.oo, -sympy.oo):
-        raise InputError(f"'{str(expression)[:40]}' is not real and finite; a Hamiltonian is real")
+        raise InputError(
+            f"'{str(expression)[:40]}' is not real and finite; give a real Hamiltonian"
+        )
     return expression
 
 
 def checked_values(
     parameters: Mapping[Any, float], symbols: Mapping[str, sympy.Symbol]
 ) -> dict[str, float]:
+    """Return parameter values by the names in H, in natural order.
+
+    Raises
+    ------
+    ParameterError
+        If a name does not occur in H, or a value is not a finite real number.
+    """
     spelled = {canonical_name(name): name for name in symbols}
     values = {}
     for key, value in parameters.items():
@@ -113,7 +135,7 @@ def checked_values(
 def state_symbol(
     item: str | sympy.Symbol, symbols: Mapping[str, sympy.Symbol], real: bool
 ) -> sympy.Symbol:
-    """The symbol of H that is meant, or a new one for a coordinate that H does not contain."""
+    """The symbol of H with a name, or a new symbol if H does not contain it."""
     if not isinstance(item, (str, sympy.Symbol)):
         raise VariableError(f"'{item}' is not a name or a symbol; give q and p as names")
     name = name_of(item)
@@ -127,6 +149,12 @@ def state_symbol(
 
 
 def check_state(state: Sequence[sympy.Symbol], half: int, values: Mapping[str, float]) -> None:
+    """Refuse a state with unpaired or repeated components, or with a parameter in it.
+
+    Raises
+    ------
+    VariableError
+    """
     if 2 * half != len(state) or not half:
         raise VariableError(
             f"{half} coordinates and {len(state) - half} momenta do not pair; give one p for each q"
@@ -142,10 +170,10 @@ def check_state(state: Sequence[sympy.Symbol], half: int, values: Mapping[str, f
 
 
 def check_steps(expr: sympy.Expr, state: Sequence[sympy.Symbol]) -> None:
-    """Refuse steps of the state that sympy differentiates to infinite peaks."""
+    """Refuse functions of the state whose derivatives contain delta distributions."""
     for step in sorted(expr.atoms(sympy.DiracDelta, sympy.Heaviside), key=str):
         if isinstance(step, sympy.DiracDelta) or step.free_symbols & set(state):
             raise InputError(
-                f"'{step}' has no force that numbers could show; write a smooth step or peak, such "
-                "as tanh(x/0.01) or exp(-(x/0.01)**2)"
+                f"the derivative of '{step}' is not a regular function; use a smooth "
+                "approximation, for example tanh(x/0.01) or exp(-(x/0.01)**2)"
             )

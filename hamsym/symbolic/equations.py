@@ -54,11 +54,6 @@ class Equations:
         self._effort = derivatives.Effort(self.expr)
 
     @cached_property
-    def exact(self) -> ExactDerivatives:
-        """H, gradient and Hessian with a symbol for each floating-point number."""
-        return ExactDerivatives(self.expr, self.z, self._effort)
-
-    @cached_property
     def gradient(self) -> list[sympy.Expr]:
         return [self.exact.rounded(entry) for entry in self.exact.gradient]
 
@@ -66,6 +61,11 @@ class Equations:
     def hessian(self) -> dict[tuple[int, int], sympy.Expr]:
         entries = {index: self.exact.rounded(entry) for index, entry in self.exact.hessian.items()}
         return {index: entry for index, entry in entries.items() if entry != 0}
+
+    @cached_property
+    def exact(self) -> ExactDerivatives:
+        """H, gradient and Hessian with a symbol for each floating-point number."""
+        return ExactDerivatives(self.expr, self.z, self._effort)
 
     @cached_property
     def vector_field(self) -> list[sympy.Expr]:

@@ -1,7 +1,7 @@
-"""Which names are coordinates, which are their momenta: pairs found as a physicist reads them.
+"""Pairs of coordinates and momenta, found from the names of symbols.
 
-Input:  names such as ``{"x", "p_x", "m"}``.
-Output: ordered pairs such as ``[("x", "p_x")]``; what is left over is a parameter.
+Input:  names, for example ``{"x", "p_x", "m"}``.
+Output: ordered pairs, ``[("x", "p_x")]``; the remaining names are parameters.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from hamsym.formula.parser import canonical_name
 
 __all__ = ["find_pairs", "natural_order"]
 
-# A bare p belongs to q or x; where neither is there, to the only one of the others.
+# A bare p belongs to q or x; without these, to the only other conventional coordinate.
 _FIRST_CHOICE = ("q", "x")
 _CONVENTIONAL = frozenset(
     "q x y z r s u rho theta phi psi varphi chi alpha beta gamma xi eta zeta".split()
 )
 _REMEDY = (
-    "say which is which with q=[...] and p=[...] (--q and --p at the command line), or give "
+    "name the pairs with q=[...] and p=[...] (--q and --p at the command line), or give "
     "parameters their values"
 )
 
 
 def natural_order(name: str) -> list[tuple[int, int | str]]:
-    """A sort key that orders names as people count: q1, q2, q10.
+    """Sort key for the natural order of names: q1, q2, q10.
 
     Examples
     --------
@@ -40,10 +40,9 @@ def natural_order(name: str) -> list[tuple[int, int | str]]:
 def find_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Pair every momentum with its coordinate by name.
 
-    ``p`` goes with ``q`` or ``x`` (or the only conventional coordinate there is), ``px`` and
-    ``p_x`` with ``x``, ``p1`` with ``q1`` or ``x1``, ``p_theta`` with ``theta``; Greek letters
-    and their names are the same. A cyclic coordinate need not occur: ``p_phi`` brings its
-    ``phi`` along.
+    ``p`` pairs with ``q`` or ``x`` (or with the only conventional coordinate), ``px`` and ``p_x``
+    with ``x``, ``p1`` with ``q1`` or ``x1``, ``p_theta`` with ``theta``. Greek letters and their
+    names are equivalent. A cyclic coordinate need not occur: ``p_phi`` adds ``phi``.
 
     Parameters
     ----------
@@ -58,8 +57,8 @@ def find_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     Raises
     ------
     VariableError
-        If there is no pair, or more than one way to make them: the message lists what was
-        found and how to say it.
+        If there is no pair, or the pairs are ambiguous; the message lists the candidates and the
+        remedy.
 
     Examples
     --------
@@ -109,11 +108,12 @@ def find_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def _rivals(spelled: dict[str, str], found: dict[str, str]) -> list[str]:
-    """Momenta that took the coordinate which a bare p would have had, where it is the only pair."""
+    """Momenta paired with the coordinate of a bare p, if that is the only pair."""
     return [m for m, q in found.items() if q in _FIRST_CHOICE and q in spelled and len(found) == 1]
 
 
 def _coordinates_for(momentum: str, free: list[str], taken: set[str]) -> list[str]:
+    """Candidates for the coordinate of a momentum."""
     rest = momentum[1:].lstrip("_")
     if momentum == "P":
         return [name for name in ("Q", "X") if name in free]

@@ -1,4 +1,4 @@
-"""States as arrays, from sequences and mappings of names."""
+"""Conversion of states from sequences and mappings to arrays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["state_array", "states_array"]
 def state_array(
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray, names: Sequence[str]
 ) -> np.ndarray:
-    """A state, given in order or by name, as an array in the order of the names."""
+    """Convert a state, given in order or by name, to an array of shape (dim,)."""
     states = states_array(z0, names)
     if states.ndim != 1:
         raise VariableError(
@@ -27,7 +27,15 @@ def state_array(
 
 
 def states_array(z0: Any, names: Sequence[str]) -> np.ndarray:
-    """A state of shape (dim,), or states of shape (n, dim); by name also numbers beside arrays."""
+    """Convert a state or several states to an array of shape (dim,) or (n, dim).
+
+    In a mapping, numbers are broadcast to the shape of the arrays.
+
+    Raises
+    ------
+    VariableError
+        If a component is missing, unknown, not finite or not a number.
+    """
     order = _order(names)
     try:
         if isinstance(z0, Mapping):
@@ -35,13 +43,8 @@ def states_array(z0: Any, names: Sequence[str]) -> np.ndarray:
         states = np.array(z0, dtype=float)
     except VariableError:
         raise
-    except (
-        TypeError,
-        ValueError,
-        OverflowError,
-        RuntimeError,
-    ):  # the last from a tensor of torch's
-        raise VariableError(f"z0 holds something that is not a number; give {order}") from None
+    except (TypeError, ValueError, OverflowError, RuntimeError):  # the last from a tensor of torch
+        raise VariableError(f"z0 contains a value that is not a number; give {order}") from None
     if states.ndim not in (1, 2) or states.shape[-1] != len(names) or not states.size:
         raise VariableError(f"z0 has shape {states.shape}; give the {len(names)} numbers {order}")
     if not np.all(np.isfinite(states)):
@@ -59,7 +62,9 @@ def _alike(values: list[np.ndarray], order: str) -> tuple[np.ndarray, ...]:
         return np.broadcast_arrays(*values)
     except ValueError:
         shapes = ", ".join(str(value.shape) for value in values)
-        raise VariableError(f"z0 has arrays of shapes {shapes}; give {order} alike") from None
+        raise VariableError(
+            f"z0 has arrays of shapes {shapes}; give {order} with one shape"
+        ) from None
 
 
 def _in_order(z0: Mapping[Any, Any], names: Sequence[str]) -> list[np.ndarray]:

@@ -393,7 +393,7 @@ BAD = [
     ),
     (
         ["section", OSCILLATOR, "--z0", "x=9", "--t-end", "1", "--at", "x = 0", "--energy", "1"],
-        "no p from 0 on gives the energy 1",
+        "no p >= 0 gives the energy 1",
     ),
     (
         ["compare", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--with", "rk4"],

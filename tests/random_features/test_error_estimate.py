@@ -49,8 +49,7 @@ def test_floor_is_above_the_round_off_of_the_estimate(
 ) -> None:
     """Round-off in the residual is what the estimate misses; the floor stands for it."""
     H, ratios = Hamiltonian(formula), []
-    real = H.real_equations
-    field = staticmethod(sympy.lambdify(real.z, real.vector_field, "numpy"))
+    field = staticmethod(sympy.lambdify(H.z, list(H.vector_field), "numpy"))
     extended = type("Extended", (_Extended,), {"field": field})
     for seed in range(4):
         windows = hamsym.solve(H, z0, span, tol=1e-11, seed=seed).record

@@ -308,7 +308,7 @@ def test_solvers_take_formulas_and_name_what_is_none(solver: Callable[..., np.nd
     found = solver(Hamiltonian("p**2/2 + x**2/2"))
     np.testing.assert_array_equal(solver("p**2/2 + x**2/2"), found)
     np.testing.assert_array_equal(solver(Hamiltonian("p**2/2 + x**2/2").expr), found)
-    with pytest.raises(InputError, match="H is a Hamiltonian or a formula, not Problem; write"):
+    with pytest.raises(InputError, match="H must be a Hamiltonian or a formula, not Problem; give"):
         solver(harmonic_oscillator())
     with pytest.raises(ParameterError, match="k has no value"):
         solver("p**2 + k*x**2")

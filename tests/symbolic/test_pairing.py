@@ -1,4 +1,4 @@
-"""Coordinates and momenta are found from their names, or the ambiguity is laid open."""
+"""Pairs of coordinates and momenta from their names."""
 
 from __future__ import annotations
 
@@ -42,9 +42,7 @@ from hamsym.symbolic.pairing import find_pairs
         ("p10 p2 p1 q1 q10 q2", [("q1", "p1"), ("q2", "p2"), ("q10", "p10")]),
     ],
 )
-def test_pairs_are_found_and_ordered_as_people_count(
-    names: str, pairs: list[tuple[str, str]]
-) -> None:
+def test_pairs_in_natural_order(names: str, pairs: list[tuple[str, str]]) -> None:
     assert find_pairs(names.split()) == pairs
 
 
@@ -62,7 +60,7 @@ def test_pairs_are_found_and_ordered_as_people_count(
         ("", ["no pair", "no names"]),
     ],
 )
-def test_ambiguity_lists_what_was_found_and_how_to_say_it(names: str, mentions: list[str]) -> None:
+def test_ambiguous_names_are_rejected(names: str, mentions: list[str]) -> None:
     with pytest.raises(VariableError) as caught:
         find_pairs(names.split())
     for mention in [*mentions, "q=[...]"]:
