@@ -1,0 +1,118 @@
+"""No module of hamsym imports itself, by whatever detour; all imports are counted."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+import hamsym
+
+PACKAGE = Path(hamsym.__file__).parent
+
+
+def module_files(root: Path) -> dict[str, Path]:
+    """The modules of a package by name; a package by the name of its folder."""
+    found = {}
+    for path in sorted(root.rglob("*.py")):
+        parts = path.relative_to(root.parent).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imported_modules(source: str, module: str, is_package: bool, known: set[str]) -> Iterator[str]:
+    """Modules among the known ones that a source imports: anywhere in it, also for types only."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = node.level - is_package
+                folder = module.rsplit(".", above)[0] if above else module
+                base = f"{folder}.{base}".rstrip(".")
+            # from a import b: b is a module of a, or a name in it.
+            names = [f"{base}.{alias.name}" for alias in node.names]
+            names = [name if name in known else base for name in names]
+        else:
+            continue
+        # import a.b.c makes a.b.c, of which only what is known counts.
+        yield from (name for name in names if name in known and name != module)
+
+
+def import_graph(files: Mapping[str, Path]) -> dict[str, set[str]]:
+    return {
+        name: set(
+            imported_modules(
+                path.read_text(encoding="utf-8"), name, path.name == "__init__.py", set(files)
+            )
+        )
+        for name, path in files.items()
+    }
+
+
+def circles(graph: Mapping[str, set[str]]) -> list[set[str]]:
+    """Sets of modules each of which reaches every other one (Tarjan 1972)."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found = []
+
+    def visit(name: str) -> None:
+        index[name] = low[name] = len(index)
+        stack.append(name)
+        for other in graph[name]:
+            if other not in index:
+                visit(other)
+                low[name] = min(low[name], low[other])
+            elif other in stack:
+                low[name] = min(low[name], index[other])
+        if low[name] == index[name]:
+            place = stack.index(name)
+            component = set(stack[place:])
+            del stack[place:]
+            if len(component) > 1:
+                found.append(component)
+
+    for name in graph:
+        if name not in index:
+            visit(name)
+    return found
+
+
+def test_no_import_circles() -> None:
+    files = module_files(PACKAGE)
+    assert len(files) > 50
+    assert circles(import_graph(files)) == []
+
+
+@pytest.mark.parametrize(
+    ("source", "module", "is_package", "expected"),
+    [
+        ("import a.b", "a.c", False, {"a.b"}),
+        ("import a.b as c, os", "a.c", False, {"a.b"}),
+        ("from a.b import f, g", "a.c", False, {"a.b"}),
+        ("from a import b, c", "a.d", False, {"a.b", "a.c"}),
+        ("from . import b", "a.c", False, {"a.b"}),
+        ("from .b import f", "a.c", False, {"a.b"}),
+        ("from .b import f", "a", True, {"a.b"}),
+        ("from ..b import f", "a.d.e", False, {"a.b"}),
+        ("def f():\n    import a.b", "a.c", False, {"a.b"}),
+        ("if TYPE_CHECKING:\n    from a.b import f", "a.c", False, {"a.b"}),
+        ("from a.c import f", "a.c", False, set()),
+        ("import sympy\nfrom numpy import linalg", "a.c", False, set()),
+    ],
+)
+def test_every_import_is_counted(
+    source: str, module: str, is_package: bool, expected: set[str]
+) -> None:
+    known = {"a", "a.b", "a.c", "a.d", "a.d.e"}
+    assert set(imported_modules(source, module, is_package, known)) == expected
+
+
+def test_circles_are_found() -> None:
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"a", "d"}, "d": {"e"}, "e": {"d"}, "f": {"a"}}
+    assert sorted(map(sorted, circles(graph))) == [["a", "b", "c"], ["d", "e"]]
+    assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
