@@ -31,19 +31,7 @@ def decay_trial(seed: int = 0) -> tuple[TrialSolution, torch.Generator]:
 DECAY = Objective(residual=lambda t, z, dz: dz + z)
 
 
-def test_solves_an_equation_that_is_not_hamiltonian() -> None:
-    trial, generator = decay_trial()
-    options = Adam(points=20, learning_rate=0.01), Stopping(iterations=3000)
-    training = train(trial, DECAY, (0, 2), *options, generator=generator)
-    t = torch.linspace(0, 2, 101, dtype=torch.float64)
-    with torch.no_grad():
-        error = (trial(t)[0][:, 0] - torch.exp(-t)).abs().max()
-    assert error < 0.01
-    assert training.stopped == "iterations"
-    assert training.best_loss < 1e-4
-
-
-def test_best_weights_are_kept_by_the_loss_at_fixed_points() -> None:
+def test_best_weights_at_fixed_points_are_kept() -> None:
     trial, generator = decay_trial()
 
     def spoil(state: TrainingState) -> None:
@@ -76,7 +64,7 @@ def test_stops_at_the_target() -> None:
     assert training.best_loss <= 1e-3
 
 
-def test_noise_stays_inside_the_interval_and_moves_the_points() -> None:
+def test_noisy_points_stay_inside_the_interval() -> None:
     seen = []
 
     def residual(t: torch.Tensor, z: torch.Tensor, dz: torch.Tensor) -> torch.Tensor:
@@ -96,7 +84,7 @@ def test_noise_stays_inside_the_interval_and_moves_the_points() -> None:
     assert torch.cat(noisy).mean() == pytest.approx(2.0, abs=0.1)
 
 
-def test_without_noise_the_points_stay() -> None:
+def test_points_without_noise_stay() -> None:
     seen = []
 
     def residual(t: torch.Tensor, z: torch.Tensor, dz: torch.Tensor) -> torch.Tensor:
@@ -124,7 +112,7 @@ def test_loss_is_the_weighted_sum_of_its_terms() -> None:
     torch.testing.assert_close(replaced(t, z, dz), z.sum())
 
 
-def test_diverging_loss_is_reported_and_the_best_weights_restored() -> None:
+def test_divergence_restores_the_best_weights() -> None:
     calls = 0
 
     def residual(t: torch.Tensor, z: torch.Tensor, dz: torch.Tensor) -> torch.Tensor:
@@ -160,7 +148,7 @@ def test_interruption_returns_what_was_done() -> None:
     assert math.isfinite(training.best_loss)
 
 
-def test_callbacks_and_history_tell_the_same() -> None:
+def test_callbacks_agree_with_history() -> None:
     states: list[TrainingState] = []
     trial, generator = decay_trial()
     options = Adam(points=10), Stopping(iterations=200)
@@ -174,7 +162,7 @@ def test_callbacks_and_history_tell_the_same() -> None:
     assert states[-1].best_loss == training.best_loss
 
 
-def test_same_seed_same_weights_and_global_state_untouched() -> None:
+def test_training_is_reproducible_and_leaves_torch_state() -> None:
     threads, before = torch.get_num_threads(), torch.get_rng_state()
     weights = []
     for _ in range(2):
@@ -196,7 +184,7 @@ def test_cosine_schedule_comes_to_rest() -> None:
         def snapshot(state: TrainingState, trial=trial, snapshots=snapshots) -> None:
             snapshots.append(torch.cat([w.detach().flatten() for w in trial.parameters()]))
 
-        options = Adam(points=20, learning_rate=0.05, schedule=schedule), Stopping(iterations=600)
+        options = Adam(points=20, learning_rate=0.05, schedule=schedule), Stopping(iterations=400)
         train(trial, DECAY, (0, 2), *options, generator=generator, callbacks=[snapshot])
         moved[schedule] = (snapshots[-1] - snapshots[-2]).norm()
     assert moved["cosine"] < 0.1 * moved["constant"]
@@ -225,7 +213,7 @@ def test_cosine_schedule_comes_to_rest() -> None:
         (LevenbergMarquardt, {"points": True}),
     ],
 )
-def test_unusable_settings(kind: type, settings: dict[str, object]) -> None:
+def test_unusable_settings_are_rejected(kind: type, settings: dict[str, object]) -> None:
     *_, name = settings
     name = {"count": "stages"}.get(name, name)
     with pytest.raises(InputError, match=f"{name}=.* cannot be used; give"):
@@ -246,9 +234,10 @@ def optimizer(request: pytest.FixtureRequest):
     return OPTIMIZERS[request.param]
 
 
-def test_each_solves_an_equation_that_is_not_hamiltonian(optimizer) -> None:
+def test_each_optimizer_solves_another_equation(optimizer) -> None:
     trial, generator = decay_trial()
-    training = train(trial, DECAY, (0, 2), optimizer(), Stopping(1000), generator=generator)
+    iterations = 150 if isinstance(optimizer(), LevenbergMarquardt) else 1000
+    training = train(trial, DECAY, (0, 2), optimizer(), Stopping(iterations), generator=generator)
     t = torch.linspace(0, 2, 101, dtype=torch.float64)
     with torch.no_grad():
         error = (trial(t)[0][:, 0] - torch.exp(-t)).abs().max()
@@ -266,7 +255,7 @@ def test_each_solves_an_equation_that_is_not_hamiltonian(optimizer) -> None:
         ({}, "iterations"),
     ],
 )
-def test_each_stops_by_each_rule(optimizer, rule: dict, name: str) -> None:
+def test_each_optimizer_stops_by_each_rule(optimizer, rule: dict, name: str) -> None:
     trial, generator = decay_trial()
     stopping = Stopping(iterations=60 if name == "iterations" else 2_000, **rule)
     training = train(trial, DECAY, (0, 2), optimizer(), stopping, generator=generator)
@@ -330,7 +319,7 @@ class Stubborn(Adam):
 
 
 @pytest.mark.parametrize("stages", [1, 3])
-def test_restarts_draw_new_weights_and_are_counted(stages: int) -> None:
+def test_restarts_draw_new_weights(stages: int) -> None:
     trial, generator = decay_trial()
     first = trial.network.theta.detach().clone()
     training = train(
@@ -469,7 +458,7 @@ def test_resumes_to_the_same_bits(optimizer, stopping: Stopping, tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
-def test_checkpoint_of_another_training_or_damaged(tmp_path: Path) -> None:
+def test_foreign_and_damaged_checkpoints_are_rejected(tmp_path: Path) -> None:
     path = tmp_path / "run"
 
     def run(seed: int) -> None:
@@ -498,7 +487,7 @@ def test_checkpoint_of_another_training_or_damaged(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("optimizer", [Adam, LBFGS, LevenbergMarquardt])
-def test_checkpoints_that_are_edited(optimizer, tmp_path: Path) -> None:
+def test_edited_checkpoints_are_rejected(optimizer, tmp_path: Path) -> None:
     path = tmp_path / "run"
     settings = {"seed": 1}
 
