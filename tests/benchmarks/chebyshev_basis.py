@@ -12,7 +12,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-import torch
 from numpy.polynomial import chebyshev
 
 from hamsym.random_features.basis import FeatureBasis, feature_basis
@@ -78,7 +77,7 @@ def chebyshev_runs(case: Case, name: str, tolerances: Iterable[float], compiled:
             if windows.reason:
                 return np.full((len(t), len(case.z0)), np.inf)
             trial = FeatureTrial.of_march(windows, basis)
-            return np.asarray(trial.value(torch.from_numpy(t)))
+            return trial.states_at(t)
 
         return Run(f"{name}: march", tol, call, states)
 

@@ -51,7 +51,7 @@ def _row(n: int, repeats: int) -> dict[str, Any]:
         seconds, kept["own"] = cpu(
             lambda: hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9, compiled=compiled)
         )
-        return kept["own"].training.cpu_seconds, seconds
+        return kept["own"].record.cpu_seconds, seconds
 
     def rival() -> float:
         seconds, kept["rival"] = cpu(

@@ -62,7 +62,7 @@ def own(epochs: int, dtype: torch.dtype) -> float:
     solution = hamsym.solve(
         problem.H, problem.z0, problem.span, method="adam", epochs=epochs, dtype=dtype
     )
-    return float(solution.training.cpu_seconds / epochs)
+    return float(solution.record.cpu_seconds / epochs)
 
 
 def measure(quick: bool) -> Section:

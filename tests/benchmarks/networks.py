@@ -69,8 +69,8 @@ def _row(case: Case, **options: Any) -> dict[str, Any]:
     row = {"problem": case.label, "error": error, "seconds": seconds}
     if options["method"] == "levenberg-marquardt":
         row |= {
-            "iterations": solution.training.iterations,
-            "restarts": solution.training.restarts,
+            "iterations": solution.record.iterations,
+            "restarts": solution.record.restarts,
         }
     return row
 

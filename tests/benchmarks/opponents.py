@@ -89,7 +89,7 @@ class Run:
                 self.note = "tolerance not met"
         self.seconds.setdefault(self.method, []).append(seconds)
         if self.march:
-            self.seconds.setdefault(self.march, []).append(result.training.cpu_seconds)
+            self.seconds.setdefault(self.march, []).append(result.record.cpu_seconds)
 
     def rows(self, problem: str) -> list[dict[str, Any]]:
         """One row for each name, with the median of the repeats."""

@@ -52,15 +52,15 @@ def _row(problem: systems.Problem, count: int, compiled: bool, repeats: int) -> 
     ]
     solution = runs[-1][1]
     t = np.linspace(span[0], solution.span[1], 4_001)
-    windows = solution.training
+    windows = solution.record
     allowed = _TOL * windows.scale
     return {
         "periods": count,
         "compiled": compiled,
         "windows": len(windows.readouts),
-        "march": median(run.training.cpu_seconds for _, run in runs),
+        "march": median(run.record.cpu_seconds for _, run in runs),
         "solve": median(seconds for seconds, _ in runs),
-        "estimate": float((solution.march_error.largest / allowed).max()),
+        "estimate": float((solution.error.largest / allowed).max()),
         "error": largest_error(solution(t), problem.exact(t)),
         "megabytes": _megabytes(solution),
         "repeats": repeats,
@@ -70,9 +70,9 @@ def _row(problem: systems.Problem, count: int, compiled: bool, repeats: int) -> 
 
 def _megabytes(solution: hamsym.Solution) -> float:
     """Size of the arrays that a solution holds: the march and the estimate of its error."""
-    found = solution.training, solution.march_error
+    found = solution.record, solution.error
     arrays = [a for part in found for a in vars(part).values() if isinstance(a, np.ndarray)]
-    tensors = [tensor.numpy() for tensor in solution.trial.state_dict().values()]
+    tensors = list(solution.trial.arrays().values())
     unique = {array.__array_interface__["data"][0]: array.nbytes for array in arrays + tensors}
     return sum(unique.values()) / 1e6
 
