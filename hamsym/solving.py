@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.networks.method import (
+from hamsym.networks.options import (
     AdamOptions,
+    DeepOptions,
     LBFGSOptions,
     LevenbergMarquardtOptions,
-    solve_by_training,
+    check_options,
 )
-from hamsym.networks.training import TrainingState
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.method import FeatureOptions, solve_by_features
 from hamsym.solution.solution import Solution
+
+if TYPE_CHECKING:
+    from hamsym.networks.training import TrainingState
 
 __all__ = ["METHODS", "checked_options", "solve"]
 
@@ -32,12 +35,20 @@ class Method:
     run: Callable[[InitialValueProblem, Any], Solution]
 
 
+def _train(problem: InitialValueProblem, options: DeepOptions) -> Solution:
+    check_options(problem.H, options)
+    # torch takes seconds to import, and the method "features" does without it.
+    from hamsym.networks.method import solve_by_training
+
+    return solve_by_training(problem, options)
+
+
 #: Methods of solution by name.
 METHODS: dict[str, Method] = {
     "features": Method(FeatureOptions, solve_by_features),
-    "levenberg-marquardt": Method(LevenbergMarquardtOptions, solve_by_training),
-    "lbfgs": Method(LBFGSOptions, solve_by_training),
-    "adam": Method(AdamOptions, solve_by_training),
+    "levenberg-marquardt": Method(LevenbergMarquardtOptions, _train),
+    "lbfgs": Method(LBFGSOptions, _train),
+    "adam": Method(AdamOptions, _train),
 }
 
 

@@ -13,10 +13,9 @@ import time
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from hamsym.cli.options import (
     hamiltonian_options,
@@ -38,10 +37,13 @@ from hamsym.cli.output import (
     write_table,
 )
 from hamsym.errors import CertificationError, HamsymError, StepSizeWarning
-from hamsym.formula.printer import FormulaPrinter
-from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.atomic import write_atomically
-from hamsym.support.validation import require_whole
+
+if TYPE_CHECKING:  # each command imports what it runs: --help needs none of it
+    import numpy as np
+
+    from hamsym.formula.printer import FormulaPrinter
+    from hamsym.hamiltonian import Hamiltonian
 
 __all__ = ["main"]
 
@@ -118,6 +120,8 @@ def cli(context: click.Context) -> None:
 @hamiltonian_options
 def derive(H: Hamiltonian) -> None:
     """Show H, its equations of motion, its Hessian and what follows from them."""
+    from hamsym.formula.printer import FormulaPrinter
+
     write = FormulaPrinter()
     echo_wrapped("H = ", H.formula)
     echo_wrapped("z = ", f"({', '.join(H.names)})")
@@ -192,7 +196,7 @@ def solve(
     **options: Any,
 ) -> int:
     """Find a neural trajectory to a tolerance, or train one; exit 1 if that failed."""
-    from hamsym.solving import solve as run  # torch is slow to import
+    from hamsym.solving import solve as run
 
     check_figure(figure)
     check_folder(output)
@@ -242,6 +246,8 @@ def integrate(
     Without method and steps, steps are chosen for an energy drift of 1e-9; with a method alone
     they are 20,000. A drift that is large is a warning on standard error.
     """
+    import numpy as np
+
     from hamsym.integrators.integrate import integrate as run
 
     trajectory = run(H, z0, span, **options)
@@ -291,6 +297,8 @@ def lyapunov(
     **options: Any,
 ) -> int:
     """Lyapunov exponents, and what a finite time says of them."""
+    import numpy as np
+
     from hamsym.dynamics.lyapunov import lyapunov as run
 
     found = run(H, z0, span, **options)
@@ -316,6 +324,8 @@ def lyapunov(
 
 def _decades(found: Any) -> np.ndarray:
     """Times at which the table has a line: ten in each tenfold of time at most, and the end."""
+    import numpy as np
+
     end = abs(found.t[-1] - found.start)
     return np.append(end * 10.0 ** np.arange(-3, 0, 0.5), end * (1 - 1e-12))
 
@@ -476,6 +486,7 @@ def reproduce(
     import importlib
 
     from hamsym.support.locking import exclusive
+    from hamsym.support.validation import require_whole
 
     require_whole("--seed", seed, 0)
     if seeds is None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from hamsym.cli.output import check_figure, check_table
 from hamsym.errors import InputError
-from hamsym.formula.parser import parse_number
-from hamsym.hamiltonian import Hamiltonian
+
+if TYPE_CHECKING:
+    from hamsym.hamiltonian import Hamiltonian
 
 __all__ = [
     "hamiltonian_options",
@@ -43,6 +43,8 @@ def hamiltonian_options(command: Callable[..., Any]) -> Callable[..., Any]:
         parameters: tuple[str, ...],
         **options: Any,
     ) -> Any:
+        from hamsym.hamiltonian import Hamiltonian  # sympy is slow to import
+
         H = Hamiltonian(
             formula,
             q=None if coordinates is None else listed(coordinates),
@@ -64,7 +66,7 @@ def span_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @click.option("--t-end", required=True, metavar="TIME", help='Such as 20 or "4*pi".')
     @functools.wraps(command)
     def wrapped(H: Hamiltonian, start: str, t_start: str, t_end: str, **options: Any) -> Any:
-        span = (parse_number(t_start), parse_number(t_end))
+        span = (_parsed(t_start), _parsed(t_end))
         return command(H, _state(start), span, **options)
 
     return wrapped
@@ -87,14 +89,15 @@ def starts_options(command: Callable[..., Any]) -> Callable[..., Any]:
     def wrapped(
         H: Hamiltonian, starts: tuple[str, ...], t_start: str, t_end: str, **options: Any
     ) -> Any:
-        span = (parse_number(t_start), parse_number(t_end))
+        span = (_parsed(t_start), _parsed(t_end))
         energy = options.pop("energy", None)
         states: list[Any] = [_state(start) for start in starts]
         if energy is not None:
             states = [
-                H.state_at_energy(parse_number(energy), _by_name(state), span[0])
-                for state in states
+                H.state_at_energy(_parsed(energy), _by_name(state), span[0]) for state in states
             ]
+        import numpy as np
+
         arrays = [H.state_from(state) for state in states]
         return command(H, arrays[0] if len(arrays) == 1 else np.array(arrays), span, **options)
 
@@ -114,7 +117,7 @@ def step_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @click.option("--dt", metavar="TIME", help="In place of it, the largest step.")
     @functools.wraps(command)
     def wrapped(*arguments: Any, dt: str | None, **options: Any) -> Any:
-        return command(*arguments, dt=None if dt is None else parse_number(dt), **options)
+        return command(*arguments, dt=None if dt is None else _parsed(dt), **options)
 
     return wrapped
 
@@ -159,6 +162,7 @@ def solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--tol", metavar="NUMBER", help="Wanted accuracy (features)  [1e-9]"),
         click.option("--atol", metavar="NUMBER", help="Absolute part of it  [0]"),
         click.option("--breakpoints", metavar="TIMES", help="Where windows end (features)."),
+        click.option("--max-window", metavar="TIME", help="Longest window (features)."),
         click.option("--iterations", type=int, help="At most  [1000, or 5000 with lbfgs]"),
         click.option("--epochs", type=int, help="Epochs of training (adam)  [50000]"),
         click.option("--learning-rate", type=float, help="Of Adam  [0.008]"),
@@ -188,11 +192,11 @@ def solver_options(command: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(command)
     def wrapped(*arguments: Any, **given: Any) -> Any:
         values = {name: value for name, value in given.items() if value is not None}
-        for name in ("tol", "atol", "tau", "noise"):
+        for name in ("tol", "atol", "max_window", "tau", "noise"):
             if name in values:
-                values[name] = parse_number(values[name])
+                values[name] = _parsed(values[name])
         if "breakpoints" in values:
-            values["breakpoints"] = [parse_number(t) for t in listed(values["breakpoints"])]
+            values["breakpoints"] = [_parsed(t) for t in listed(values["breakpoints"])]
         if "hidden" in values:
             values["hidden"] = tuple(_whole(w, "--hidden") for w in listed(values["hidden"]))
         if "initial" in values:
@@ -214,6 +218,12 @@ def listed(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
+def _parsed(text: str) -> float:
+    from hamsym.formula.parser import parse_number  # sympy is slow to import
+
+    return parse_number(text)
+
+
 def _assignments(text: str, option: str) -> dict[str, float]:
     values: dict[str, float] = {}
     for part in listed(text):
@@ -222,14 +232,14 @@ def _assignments(text: str, option: str) -> dict[str, float]:
             raise InputError(f"'{part}' in {option} is not NAME=VALUE; write such as m=1.0")
         if name in values:
             raise InputError(f"'{name}' occurs twice in {option}; give it once")
-        values[name] = parse_number(value)
+        values[name] = _parsed(value)
     return values
 
 
 def _state(text: str) -> dict[str, float] | list[float]:
     if "=" in text:
         return _assignments(text, "--z0")
-    return [parse_number(part) for part in listed(text)]
+    return [_parsed(part) for part in listed(text)]
 
 
 def _whole(text: str, option: str) -> int:

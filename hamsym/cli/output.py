@@ -5,13 +5,15 @@ from __future__ import annotations
 import io
 import textwrap
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.support.atomic import write_atomically
+
+if TYPE_CHECKING:
+    import numpy as np
 
 __all__ = [
     "WIDTH",
@@ -105,6 +107,8 @@ def write_table(
     path: str, columns: list[tuple[str, np.ndarray]], arrays: dict[str, np.ndarray]
 ) -> None:
     """Columns as .csv, or arrays as .npz; of two columns with one name the second gets a mark."""
+    import numpy as np
+
     buffer = io.BytesIO()
     if Path(path).suffix == ".npz":
         np.savez(buffer, allow_pickle=False, **arrays)

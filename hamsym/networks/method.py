@@ -9,10 +9,9 @@ Stage 3  The best weights are judged by the estimated error and become a Solutio
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,6 +24,13 @@ from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.optimizers import LBFGS, Adam
+from hamsym.networks.options import (
+    AdamOptions,
+    DeepOptions,
+    LBFGSOptions,
+    LevenbergMarquardtOptions,
+    precision_name,
+)
 from hamsym.networks.progress import training_progress
 from hamsym.networks.training import (
     Criterion,
@@ -40,142 +46,29 @@ from hamsym.problem import InitialValueProblem
 from hamsym.solution.digest import digest
 from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.solution import Solution
-from hamsym.support.validation import is_positive, plain, require_positive, require_whole
+from hamsym.support.validation import plain, require_positive
 
-__all__ = [
-    "AdamOptions",
-    "DeepOptions",
-    "LBFGSOptions",
-    "LevenbergMarquardtOptions",
-    "solve_by_training",
-]
+__all__ = ["solve_by_training"]
 
 _DTYPES = {"float32": torch.float32, "float64": torch.float64}
 # A trajectory that is estimated to be off by more than this part of its scale is no solution.
 _CONVERGED = 0.01
-# Of the methods of second order: the network's input runs from 0 to this, whatever the span, and
-# its first layer starts with frequencies up to that.
-_INPUT_RANGE, _FREQUENCY = 4 * math.pi, 3.0
+# Of the methods of second order: the network's input runs from 0 to this, whatever the span.
+_INPUT_RANGE = 4 * math.pi
 _STALLED_AFTER = 60  # iterations of Levenberg-Marquardt on one span
 _UNFINISHED = Training(History(*[np.empty(0)] * 5), 0, 0, 0, math.inf, math.inf, "", 0.0, 0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeepOptions:
-    """What all methods that train a deep network share; see :func:`hamsym.solve`."""
-
-    hidden: Sequence[int] = (50, 50)
-    activation: str = "sin"
-    envelope: str = "exponential"
-    tau: float | None = None
-    frequency: float | None = _FREQUENCY
-    shared_weights: bool = True
-    points: int = 200
-    stages: int = 12
-    energy_weight: float = 0.0
-    regularizers: Sequence[Regularizer] = ()
-    target_loss: float | None = None
-    target_ell_max: float | None = None
-    target_error: float | None = None
-    accuracy: float | None = None
-    patience: int | None = None
-    time_limit: float | None = None
-    checkpoint: str | os.PathLike[str] | None = None
-    checkpoint_every: float = 10.0
-    dtype: str | torch.dtype = "float64"
-    initial: Solution | None = None
-
-    method: ClassVar[str]
-    unit: ClassVar[str] = "iterations"
-
-    @property
-    def total(self) -> int:
-        """Iterations at most."""
-        raise NotImplementedError
-
-    def optimizer(self) -> Optimizer:
-        """A new optimiser with these settings."""
-        raise NotImplementedError
-
-    def sequence(self) -> Stages:
-        """The spans of sequential training."""
-        return Stages(self.stages)
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdamOptions(DeepOptions):
-    """Options of the method "adam"; but for the schedule the defaults are those of the paper."""
-
-    epochs: int = 50_000
-    learning_rate: float = 8e-3
-    betas: tuple[float, float] = (0.9, 0.999)
-    schedule: str = "cosine"
-    noise: float | None = None
-    tau: float | None = 1.0
-    frequency: float | None = None
-    stages: int = 1
-
-    method = "adam"
-    unit = "epochs"
-
-    @property
-    def total(self) -> int:
-        require_whole("epochs", self.epochs, 1)
-        return self.epochs
-
-    def optimizer(self) -> Optimizer:
-        return Adam(
-            learning_rate=self.learning_rate,
-            betas=self.betas,
-            schedule=self.schedule,
-            points=self.points,
-            noise=self.noise,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class LBFGSOptions(DeepOptions):
-    """Options of the method "lbfgs"."""
-
-    iterations: int = 5_000
-
-    method = "lbfgs"
-
-    @property
-    def total(self) -> int:
-        return self.iterations
-
-    def optimizer(self) -> Optimizer:
-        return LBFGS(points=self.points)
-
-
-@dataclass(frozen=True, kw_only=True)
-class LevenbergMarquardtOptions(DeepOptions):
-    """Options of the method "levenberg-marquardt"."""
-
-    iterations: int = 1_000
-    patience: int | None = 200
-    restarts: int = 10
-
-    method = "levenberg-marquardt"
-
-    @property
-    def total(self) -> int:
-        return self.iterations
-
-    def optimizer(self) -> Optimizer:
-        return LevenbergMarquardt(points=self.points)
-
-    def sequence(self) -> Stages:
-        return Stages(self.stages, restart_after=_STALLED_AFTER, restarts=self.restarts)
 
 
 def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Solution:
     """Train a deep network; options as in :func:`hamsym.solve`."""
     H, (start, end) = problem.H, problem.span
+    if not (
+        isinstance(options.regularizers, Sequence)
+        and all(isinstance(r, Regularizer) for r in options.regularizers)
+    ):
+        raise InputError("regularizers is not a list of Regularizer(weight, function); give one")
     tau = abs(end - start) / _INPUT_RANGE if options.tau is None else options.tau
-    _check(H, options, tau)
-    precision = _precision(options.dtype)
+    precision = _DTYPES[precision_name(options.dtype)]
     generator = torch.Generator().manual_seed(problem.seed)
     trial = TrialSolution(
         _network(H.dim, options, generator, precision),
@@ -223,10 +116,10 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
             trial,
             _objective(H, problem.energy_0, options.energy_weight, tuple(options.regularizers)),
             problem.span,
-            options.optimizer(),
+            _optimizer(options),
             stopping,
             generator=generator,
-            stages=options.sequence(),
+            stages=_stages(options),
             callbacks=callbacks,
             checkpoint=_checkpoint(problem, options),
         )
@@ -265,7 +158,7 @@ def _checkpoint(problem: InitialValueProblem, options: DeepOptions) -> Checkpoin
         "span": problem.span,
         "method": options.method,
         "seed": problem.seed,
-        "dtype": str(_precision(options.dtype)),
+        "dtype": f"torch.{precision_name(options.dtype)}",
         "torch": torch.__version__,
     }
     text = {name: repr(plain(value)) for name, value in settings.items()}
@@ -401,30 +294,23 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
     return False, f"not converged {'after' + end[2:]}: {state}, more than {_CONVERGED:g}"
 
 
-def _check(H: Hamiltonian, options: DeepOptions, tau: float) -> None:
-    energy_weight = options.energy_weight
-    if not (
-        isinstance(options.regularizers, Sequence)
-        and all(isinstance(r, Regularizer) for r in options.regularizers)
-    ):
-        raise InputError("regularizers is not a list of Regularizer(weight, function); give one")
-    if options.frequency is not None:
-        require_positive("frequency", options.frequency)
-    if energy_weight != 0 and not is_positive(energy_weight):
-        raise InputError(f"energy_weight={energy_weight!r} cannot be used; give 0 or more")
-    if energy_weight and H.time is not None:
-        raise InputError(
-            f"energy_weight={energy_weight!r} penalises changes of an energy that is not "
-            "conserved, because H depends on t; leave it at 0"
-        )
-    if not is_positive(tau):
-        raise InputError(f"tau={tau!r} cannot be used; give a time above 0")
-    if _precision(options.dtype) != torch.float64 and options.method != "adam":
-        raise InputError(f"dtype={options.dtype!r} is too coarse for {options.method}; use float64")
+def _optimizer(options: DeepOptions) -> Optimizer:
+    match options:
+        case AdamOptions():
+            return Adam(
+                learning_rate=options.learning_rate,
+                betas=options.betas,
+                schedule=options.schedule,
+                points=options.points,
+                noise=options.noise,
+            )
+        case LBFGSOptions():
+            return LBFGS(points=options.points)
+        case _:
+            return LevenbergMarquardt(points=options.points)
 
 
-def _precision(dtype: str | torch.dtype) -> torch.dtype:
-    found = _DTYPES.get(str(dtype).removeprefix("torch."))
-    if found is None:
-        raise InputError(f"dtype={dtype!r} cannot be used; choose float64 or float32")
-    return found
+def _stages(options: DeepOptions) -> Stages:
+    if isinstance(options, LevenbergMarquardtOptions):
+        return Stages(options.stages, restart_after=_STALLED_AFTER, restarts=options.restarts)
+    return Stages(options.stages)

@@ -50,8 +50,8 @@ from hamsym.errors import CertificationError
 from hamsym.proof.balls import above, ball, below, interval, working
 from hamsym.proof.enclosures import Enclosures
 from hamsym.proof.functions import SingularityError
+from hamsym.proof.segments import Segment
 from hamsym.proof.taylor import Deadline, PrecisionError, Reference, ReferenceStep, coefficient
-from hamsym.proof.trials import Segment
 
 __all__ = ["MOST_LEAVES", "Comparison", "Goal", "Leaf", "Quantity", "Range", "joints_of"]
 

@@ -23,7 +23,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
@@ -33,7 +33,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from hamsym.archive import load
 from hamsym.errors import CertificationError, FileError, HamsymError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.networks.training import TrainingState
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.digest import digest
@@ -43,6 +42,9 @@ from hamsym.study.compare import Row, measure
 from hamsym.support.atomic import write_atomically
 from hamsym.support.locking import exclusive
 from hamsym.support.validation import plain, require_positive, require_whole
+
+if TYPE_CHECKING:  # torch is slow to import
+    from hamsym.networks.training import TrainingState
 
 __all__ = ["Sweep", "sweep"]
 
