@@ -15,7 +15,7 @@ import numpy as np
 import sympy
 
 from hamsym.codegen.functions import compile_expressions
-from hamsym.codegen.generate import extract, generate
+from hamsym.codegen.generate import generate
 from hamsym.codegen.system import System, load
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name
@@ -506,10 +506,6 @@ class Hamiltonian:
         """
         return derivatives.smallest_singular_value(self.real_equations.hessian, self.dim)
 
-    @cached_property
-    def _sources(self) -> dict[str, str]:
-        return {}
-
     # -- generated code ----------------------------------------------------------------------
 
     def source(self, backend: str = "torch", part: str | None = None) -> str:
@@ -536,15 +532,14 @@ class Hamiltonian:
         >>> print(H.source("numpy", part="energy").splitlines()[0])
         def energy(z):
         """
-        source = self._sources.get(backend)
-        if source is None:
-            source = self._sources[backend] = generate(self.real_equations, backend)
-        return source if part is None else extract(source, part)
+        source = generate(self.real_equations, backend)
+        return source.text if part is None else source.function(part)
 
     def compile(self, backend: str = "torch") -> System:
         """The generated functions of one backend, ready to call; cached.
 
-        For ``"numba"`` nothing is compiled yet: numba does that at the first call of a function.
+        A function is derived and generated when it is first used. With ``"numba"`` its first call
+        compiles it.
 
         Examples
         --------
@@ -552,7 +547,7 @@ class Hamiltonian:
         >>> H.compile("numpy").vector_field([1.0, 2.0])
         array([ 2., -2.])
         """
-        return load(self.source(backend), backend, self.names)
+        return load(generate(self.real_equations, backend))
 
 
 #: Argument H of the solvers; see :meth:`Hamiltonian.of`.

@@ -1,1 +1,1 @@
-"""Jinja2 templates of the generated modules, one file per backend (package data of hamsym)."""
+"""Templates of the generated modules, and the loops of the integrators (data of hamsym)."""

@@ -12,7 +12,7 @@ from hamsym.codegen.generate import BACKENDS
 def test_templates_are_package_data() -> None:
     folder = importlib.resources.files("hamsym.templates")
     for backend in BACKENDS:
-        assert folder.joinpath(f"{backend}_system.py.jinja").is_file()
+        assert folder.joinpath(f"{backend}.py.jinja").is_file()
 
 
 def test_package_is_typed_and_versioned() -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import sympy
 
@@ -17,60 +18,171 @@ from hamsym.symbolic.equations import Equations
 # Common subexpressions are taken out of a function with more operations than this, if that saves
 # at least a third of them; smaller functions read better without temporaries.
 _CSE_OPERATIONS = 30
-
-
 _CSE_SAVING = 0.67
+_IDENTIFIER = re.compile(r"[^\W\d]\w*")
+
+Index = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class Body:
-    """Text of a function's computation: temporaries in order, then the results."""
+    """Text of a function's computation: temporaries in order, then the results.
+
+    Attributes
+    ----------
+    temporaries : list of (name, text)
+    results : list of str
+    names : Names
+    indices : list of (row, column)
+        Places of results that are entries of a matrix.
+    """
 
     temporaries: list[tuple[str, str]]
     results: list[str]
+    names: Names
+    indices: list[Index]
+
+    @cached_property
+    def identifiers(self) -> frozenset[str]:
+        """Every name that the text contains."""
+        texts = [*(text for _, text in self.temporaries), *self.results]
+        return frozenset(name for text in texts for name in _IDENTIFIER.findall(text))
+
+    @property
+    def used(self) -> list[str]:
+        """Components of the state that occur."""
+        return [name for name in self.names.state if name in self.identifiers]
+
+    @property
+    def unpacked(self) -> list[str]:
+        """The components in order, with an underscore for those that do not occur."""
+        return self.used_of(self.names.state)
+
+    def used_of(self, names: Sequence[str]) -> list[str]:
+        """Given names, with an underscore for those that do not occur."""
+        return [name if name in self.identifiers else "_" for name in names]
+
+    @property
+    def used_parameters(self) -> bool:
+        """Whether any parameter occurs."""
+        return any(name in self.identifiers for name, _ in self.names.parameters)
+
+    @property
+    def unpacked_parameters(self) -> list[str]:
+        """The parameters in order, with an underscore for those that do not occur."""
+        return self.used_of([name for name, _ in self.names.parameters])
+
+    @property
+    def uses_time(self) -> bool:
+        """Whether the time occurs."""
+        return self.names.time and "t" in self.identifiers
+
+    @property
+    def like(self) -> str:
+        """A component of the state that is unpacked."""
+        return (self.used or self.names.state)[0]
 
 
 class Bodies:
-    """The computation of every generated function, as text."""
+    """The computation of every generated function, as text that is made when first asked for."""
 
     def __init__(self, form: Equations, names: Names, backend: str) -> None:
-        self._names, self._backend = names, backend
-        self._state = frozenset(form.z)
-        d, gradient = form.dof, form.gradient
-        self.energy = self._body([form.expr])
-        self.gradient = self._body(gradient)
-        self.vector_field = self._body(form.vector_field)
-        self.hessian = self._body(list(form.hessian.values()))
-        self.residual = self._residual_rows(form.vector_field)
-        if backend != "numba":
-            return
-        # The step loops: dH/dp and dH/dq, by themselves and with what their derivatives need.
-        kinetic = {
-            (i - d, j - d): entry for (i, j), entry in form.hessian.items() if min(i, j) >= d
-        }
-        potential = {index: entry for index, entry in form.hessian.items() if max(index) < d}
-        mixed = {(i - d, j): entry for (i, j), entry in form.hessian.items() if j < d <= i}
-        self.kinetic_indices, self.potential_indices = list(kinetic), list(potential)
-        self.mixed_indices = list(mixed)
-        self.velocity = self._body(gradient[d:])
-        self.force = self._body(gradient[:d])
-        if form.is_separable:
-            self.velocity_curvature = self._body([*gradient[d:], *kinetic.values()])
-            self.force_curvature = self._body([*gradient[:d], *potential.values()])
-        else:
-            self.velocity_jacobian = self._body([*gradient[d:], *mixed.values()])
-            self.force_jacobian = self._body([*gradient[:d], *mixed.values()])
+        self._form, self._names, self._backend = form, names, backend
 
-    def by_name(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if not name.startswith("_")}
+    # -- functions of the state --------------------------------------------------------------
+
+    @cached_property
+    def energy(self) -> Body:
+        return self._body([self._form.expr])
+
+    @cached_property
+    def gradient(self) -> Body:
+        return self._body(self._form.gradient)
+
+    @cached_property
+    def vector_field(self) -> Body:
+        return self._body(self._form.vector_field)
+
+    @cached_property
+    def hessian(self) -> Body:
+        """The upper triangle."""
+        return self._matrix([], {(i, j): e for (i, j), e in self._form.hessian.items() if i <= j})
+
+    @property
+    def hessian_rows(self) -> list[list[str]]:
+        """The whole matrix, with ``zero`` for entries that vanish."""
+        entries = dict(zip(self.hessian.indices, self.hessian.results, strict=True))
+        entries |= {(j, i): text for (i, j), text in entries.items()}
+        dim = range(len(self._form.z))
+        return [[entries.get((i, j), "zero") for j in dim] for i in dim]
+
+    @cached_property
+    def residual(self) -> Body:
+        """Rows of the residual with the derivative first, such as ``"dp + x + x**3"``."""
+        printer = self._printer(self._form.z, self._names.of)
+        rows = []
+        for name, rate in zip(self._names.derivatives, self._form.vector_field, strict=True):
+            text = printer(-rate) if rate != 0 else ""
+            if text.startswith("-"):
+                text = f" - {text[1:]}"
+            elif text:
+                text = f" + {text}"
+            rows.append(name + text)
+        return Body([], rows, self._names, [])
+
+    # -- kernels of the integrators ----------------------------------------------------------
+
+    @cached_property
+    def velocity(self) -> Body:
+        """dH/dp."""
+        return self._body(self._form.gradient[self._form.dof :])
+
+    @cached_property
+    def slope(self) -> Body:
+        """dH/dq."""
+        return self._body(self._form.gradient[: self._form.dof])
+
+    @cached_property
+    def velocity_curvature(self) -> Body:
+        """dH/dp, and its derivatives by p."""
+        d = self._form.dof
+        kinetic = {(i - d, j - d): e for (i, j), e in self._form.hessian.items() if min(i, j) >= d}
+        return self._matrix(self._form.gradient[d:], kinetic)
+
+    @cached_property
+    def slope_curvature(self) -> Body:
+        """dH/dq, and its derivatives by q."""
+        d = self._form.dof
+        potential = {index: e for index, e in self._form.hessian.items() if max(index) < d}
+        return self._matrix(self._form.gradient[:d], potential)
+
+    @cached_property
+    def velocity_jacobian(self) -> Body:
+        """dH/dp, and the mixed second derivatives."""
+        return self._matrix(self._form.gradient[self._form.dof :], self._mixed)
+
+    @cached_property
+    def slope_jacobian(self) -> Body:
+        """dH/dq, and the mixed second derivatives."""
+        return self._matrix(self._form.gradient[: self._form.dof], self._mixed)
+
+    @property
+    def _mixed(self) -> dict[Index, sympy.Expr]:
+        d = self._form.dof
+        return {(i - d, j): e for (i, j), e in self._form.hessian.items() if j < d <= i}
+
+    # -- text --------------------------------------------------------------------------------
 
     def _printer(self, state: Iterable[sympy.Symbol], names: dict[sympy.Symbol, str]) -> Printer:
         if self._backend == "torch":
             return TorchPrinter(names, frozenset(state), self._names.state[0])
         return PRINTERS[self._backend](names)
 
-    def _body(self, exprs: Sequence[sympy.Expr]) -> Body:
-        names, state = dict(self._names.of), set(self._state)
+    def _matrix(self, first: Sequence[sympy.Expr], entries: Mapping[Index, sympy.Expr]) -> Body:
+        return self._body([*first, *entries.values()], list(entries))
+
+    def _body(self, exprs: Sequence[sympy.Expr], indices: Sequence[Index] = ()) -> Body:
+        names, state = dict(self._names.of), set(self._form.z)
         printer = self._printer(state, names)
         exprs = [printer.lower(expr) for expr in exprs]
         replacements, exprs = _common_subexpressions(exprs, self._names.temporaries())
@@ -82,22 +194,7 @@ class Bodies:
                 state.add(symbol)
             printer = self._printer(state, names)
         text = printer.spread if isinstance(printer, TorchPrinter) else printer
-        return Body(temporaries, [text(expr) for expr in exprs])
-
-    def _residual_rows(self, vector_field: Sequence[sympy.Expr]) -> list[str]:
-        """Rows of the residual with the derivative first, such as ``"dp + x + x**3"``."""
-        printer = self._printer(self._state, self._names.of)
-        rows = []
-        for name, rate in zip(self._names.derivatives, vector_field, strict=True):
-            text = printer(-rate)
-            if rate == 0:
-                text = ""
-            elif text.startswith("-"):
-                text = f" - {text[1:]}"
-            else:
-                text = f" + {text}"
-            rows.append(name + text)
-        return rows
+        return Body(temporaries, [text(expr) for expr in exprs], self._names, list(indices))
 
 
 def _common_subexpressions(

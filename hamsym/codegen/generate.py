@@ -1,16 +1,14 @@
-"""From a symbolic Hamiltonian to the source of a module, and from source to callables.
+"""From the equations of a Hamiltonian to the text of a module, part by part.
 
-Stage 1, expressions.  Input: H in real symbols. Output: the symbolic derivatives each generated
-         function needs (:class:`_Expressions` of the Hamiltonian).
-Stage 2, names.        Output: an identifier for every symbol, clear of Python's own names and of
-         those that the templates use (:class:`Names`).
-Stage 3, printing.     Output: expressions as text in the backend's dialect, with common
-         subexpressions taken out where that shortens the code (:class:`Body`).
-Stage 4, rendering.    One Jinja2 template per backend puts the text into a module.
-Stage 5, loading.      The text is registered for tracebacks, executed, and its functions
-         collected in a :class:`~hamsym.codegen.system.System`.
+Stage 1, names.      Output: an identifier for every symbol, clear of Python's own names and of
+         those that the templates use (:class:`~hamsym.codegen.names.Names`).
+Stage 2, printing.   Output: expressions as text in the backend's dialect, with common
+         subexpressions taken out where that shortens the code
+         (:class:`~hamsym.codegen.bodies.Bodies`).
+Stage 3, rendering.  One Jinja2 template per backend has a macro for each part of a module; the
+         loops of the integrators are plain Python, pasted behind the kernels.
 
-What :func:`generate` returns is exactly what :func:`load` runs.
+What a :class:`Source` holds is exactly what :mod:`hamsym.codegen.system` runs.
 """
 
 from __future__ import annotations
@@ -20,20 +18,23 @@ import functools
 import importlib.resources
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import jinja2
 import sympy
 
 from hamsym.codegen.bodies import Bodies
-from hamsym.codegen.names import Names
+from hamsym.codegen.names import FUNCTIONS, Names
 from hamsym.codegen.printers import PRINTERS
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.grammar import GREEK
 from hamsym.formula.printer import FormulaPrinter
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["BACKENDS", "extract", "generate"]
+__all__ = ["BACKENDS", "Source", "generate"]
 
 BACKENDS = tuple(PRINTERS)
 _WIDTH = 96
@@ -41,70 +42,208 @@ _WIDTH = 96
 _TEXTBOOK_DIM = 6
 
 
-def generate(form: Equations, backend: str) -> str:
-    """The source of the module that evaluates a Hamiltonian with one backend.
+@dataclass(frozen=True)
+class _Part:
+    """A piece of a module: the names that it defines, and the parts that these need."""
+
+    needs: tuple[str, ...] = ("head",)
+    defines: tuple[str, ...] = ()
+
+
+_LOOPS = "integrator_loops.py"
+#: Parts in the order of the page. Those without a macro in the template are sections of the loops.
+_FUNCTION_PARTS = {
+    "head": _Part(()),
+    **{name: _Part(defines=(name,)) for name in ("energy", "gradient", "vector_field", "hessian")},
+    "residual": _Part(("head", "vector_field"), ("residual",)),
+    "loss": _Part(("head", "energy", "residual"), ("loss",)),
+}
+_STEP_PARTS = {
+    "rates": _Part(("head", "vector_field"), ("rates",)),
+    "access": _Part(),
+    "velocity": _Part(("head", "access")),
+    "compensation": _Part(("head", "access")),
+    "curvature": _Part(("head", "access")),
+    "jacobian": _Part(),
+    "integrators": _Part(()),
+    "splitting": _Part(
+        ("velocity", "compensation", "integrators"), ("splitting", "splitting_ensemble")
+    ),
+    "tangents": _Part(("curvature", "integrators"), ("splitting_tangent",)),
+    "linear equations": _Part(),
+    "symplectic Euler": _Part(
+        ("velocity", "hessian", "jacobian", "integrators", "linear equations"), ("euler",)
+    ),
+    "implicit Runge-Kutta": _Part(
+        ("vector_field", "hessian", "integrators", "linear equations"), ("implicit",)
+    ),
+    "doubled phase space": _Part(("gradient", "hessian", "integrators"), ("doubled",)),
+}
+_PARTS = _FUNCTION_PARTS | _STEP_PARTS
+_ONLY_SEPARABLE = frozenset(("compensation", "curvature", "splitting", "tangents"))
+_NOT_SEPARABLE = frozenset(("jacobian", "symplectic Euler"))
+
+
+class Source:
+    """The generated module of one Hamiltonian and backend, in parts.
+
+    A part is derived and written when it is first asked for.
+
+    Attributes
+    ----------
+    form : Equations
+    backend : str
+    names : Names
+    """
+
+    def __init__(self, form: Equations, backend: str) -> None:
+        self.form, self.backend, self.names = form, backend, Names(form)
+        self._parts: dict[str, str] = {}
+
+    @property
+    def text(self) -> str:
+        """The whole module."""
+        unused = _NOT_SEPARABLE if self.form.is_separable else _ONLY_SEPARABLE
+        parts = _FUNCTION_PARTS if self.backend != "numba" else _PARTS
+        return self._joined(name for name in parts if name not in unused)
+
+    def module(self, function: str) -> str:
+        """A module with one function and all that it needs."""
+        needed = self.needed(function)
+        return self._joined(name for name in _PARTS if name in needed)
+
+    def needed(self, function: str) -> list[str]:
+        """The part that defines a function, after those that it needs."""
+        wanted = [name for name, part in _PARTS.items() if function in part.defines]
+        found: list[str] = []
+        while wanted:
+            name = wanted.pop()
+            found = [name, *(other for other in found if other != name)]
+            wanted += _PARTS[name].needs
+        return found
+
+    def function(self, name: str) -> str:
+        """The text of one function of the module.
+
+        Raises
+        ------
+        InputError
+            If the module has no function of this name.
+        """
+        return extract(self.part(name) if name in FUNCTIONS else self.text, name)
+
+    def part(self, name: str) -> str:
+        """The text of one part.
+
+        Raises
+        ------
+        CodeGenerationError
+            If H contains a function that the backend lacks, or is nested too deeply.
+        """
+        if name not in self._parts:
+            self._parts[name] = self._rendered(name)
+        return self._parts[name]
+
+    def _joined(self, names: Iterable[str]) -> str:
+        return "\n\n\n".join(filter(None, map(self.part, names))) + "\n"
+
+    def _rendered(self, name: str) -> str:
+        if name in _sections():
+            return _sections()[name]
+        try:
+            return str(getattr(self._template, name)()).strip("\n")
+        except RecursionError:
+            raise CodeGenerationError("the Hamiltonian is nested too deeply; split it") from None
+
+    @cached_property
+    def _template(self) -> Any:
+        return (
+            _environment().get_template(f"{self.backend}.py.jinja").make_module({"m": _Page(self)})
+        )
+
+
+class _Page:
+    """The names by which templates refer to a Hamiltonian."""
+
+    def __init__(self, source: Source) -> None:
+        form, names = source.form, source.names
+        self._form, self.backend = form, source.backend
+        self.bodies = Bodies(form, names, source.backend)
+        self.dof, self.dim = form.dof, 2 * form.dof
+        self.z, self.dz = names.state, names.derivatives
+        self.q, self.p = self.z[: self.dof], self.z[self.dof :]
+        self.uses_erf = form.expr.has(sympy.erf)
+        # The pieces of signatures and calls.
+        self.parameters = [name for name, _ in names.parameters]
+        self.time = ", t" if names.time else ""
+        self.at_time = "t" if names.time else "0.0"
+        given = [name if value is None else f"{name}={value!r}" for name, value in names.parameters]
+        self.keywords = ", *, " + ", ".join(given) if given else ""
+        self.passed = self.time + "".join(f", {name}={name}" for name in self.parameters)
+        self.as_tuple = _tuple(self.parameters)
+        values = [value for _, value in names.parameters]
+        self.values = None if None in values else _tuple([repr(value) for value in values])
+
+    @cached_property
+    def formula(self) -> str:
+        formula = FormulaPrinter()(self._form.expr)
+        if not re.fullmatch(rf"[A-Za-z0-9_{GREEK} +\-*/().,]*", formula):
+            # The formula stands in docstrings of the module; nothing else may get into them.
+            raise CodeGenerationError(
+                "the formula contains characters that cannot appear in generated code"
+            )
+        return formula
+
+    @cached_property
+    def textbook(self) -> bool:
+        """Whether functions are written out component by component."""
+        return self.dim <= _TEXTBOOK_DIM and not self.bodies.vector_field.temporaries
+
+    @property
+    def squares(self) -> list[str]:
+        return [f"({row})**2" for row in self.bodies.residual.results]
+
+    @property
+    def hessian_positions(self) -> list[int]:
+        return [i * self.dim + j for i, j in self.bodies.hessian.indices]
+
+    @property
+    def component_targets(self) -> list[str]:
+        return [f"out[point, {i}]" for i in range(self.dim)]
+
+    @property
+    def hessian_targets(self) -> list[str]:
+        targets = []
+        for i, j in self.bodies.hessian.indices:
+            mirrored = f" = out[point, {j}, {i}]" if i != j else ""
+            targets.append(f"out[point, {i}, {j}]{mirrored}")
+        return targets
+
+    @property
+    def components(self) -> list[str]:
+        return [f"states[row, {i}]" for i in range(self.dim)]
+
+    @property
+    def shifted(self) -> list[str]:
+        return [f"x[{i}] + h*slope[{i}]" for i in range(self.dof)]
+
+    @property
+    def lost(self) -> list[str]:
+        return [f"change[{i}] - (moved[{i}] - x[{i}])" for i in range(self.dof)]
+
+
+@functools.lru_cache(maxsize=256)
+def generate(form: Equations, backend: str) -> Source:
+    """The module that evaluates a Hamiltonian with one backend; the same for equal Hamiltonians.
 
     Raises
     ------
     InputError
         If the backend is unknown.
-    CodeGenerationError
-        If H contains a function that the backend lacks.
     """
     if backend not in PRINTERS:
         raise InputError(f"'{backend}' is not a backend; choose one of {', '.join(BACKENDS)}")
-    formula = FormulaPrinter()(form.expr)
-    if not re.fullmatch(rf"[A-Za-z0-9_{GREEK} +\-*/().,]*", formula):
-        # The formula stands in docstrings of the module; nothing else may get into them.
-        raise CodeGenerationError("the formula holds more than names, numbers and functions")
-    names = Names(form)
-    try:
-        bodies = Bodies(form, names, backend)
-    except RecursionError:
-        raise CodeGenerationError("the Hamiltonian is nested too deeply; split it") from None
-    dim, indices = len(form.z), list(form.hessian)
-    textbook = dim <= _TEXTBOOK_DIM and not bodies.vector_field.temporaries
-    keywords = [name if value is None else f"{name}={value!r}" for name, value in names.parameters]
-    parameter_names = [name for name, _ in names.parameters]
-    time = [] if form.time is None else ["t"]
-    return (
-        _environment()
-        .get_template(f"{backend}_system.py.jinja")
-        .render(
-            dim=dim,
-            dof=form.dof,
-            formula=formula,
-            z=names.state,
-            lows=names.low_parts,
-            dz=names.derivatives,
-            time=", t" if time else "",
-            keywords=", *, " + ", ".join(keywords) if keywords else "",
-            positional="".join(f", {name}" for name in parameter_names),
-            bound=_bound(names),
-            passed="".join([", t" for _ in time] + [f", {n}={n}" for n in parameter_names]),
-            textbook=textbook,
-            separable=form.is_separable if backend == "numba" else None,
-            squares=[f"({row})**2" for row in bodies.residual],
-            component_targets=[f", {i}" for i in range(dim)],
-            hessian_indices=indices,
-            hessian_positions=[i * dim + j for i, j in indices],
-            hessian_targets=[f", {i}, {j}" for i, j in indices],
-            hessian_rows=_matrix_rows(indices, bodies.hessian.results, dim) if textbook else [],
-            uses_erf=form.expr.has(sympy.erf),
-            **bodies.by_name(),
-        )
-    )
-
-
-def _bound(names: Names) -> str | None:
-    """The parameters' values as further arguments, if all of them have one."""
-    values = [value for _, value in names.parameters]
-    return None if None in values else "".join(f", {value!r}" for value in values)
-
-
-def _matrix_rows(indices: list[tuple[int, int]], texts: list[str], dim: int) -> list[list[str]]:
-    entries = dict(zip(indices, texts, strict=True))
-    return [[entries.get((i, j), "zero") for j in range(dim)] for i in range(dim)]
+    return Source(form, backend)
 
 
 def extract(source: str, part: str) -> str:
@@ -126,22 +265,32 @@ def extract(source: str, part: str) -> str:
     return "\n".join(source.splitlines()[first - 1 : node.end_lineno])
 
 
-# -- names -----------------------------------------------------------------------------------
-
-
-# -- expressions to text ---------------------------------------------------------------------
+def _tuple(items: Sequence[str]) -> str:
+    return f"({', '.join(items)}{',' if len(items) == 1 else ''})"
 
 
 # -- templates -------------------------------------------------------------------------------
 
 
 @functools.cache
-def _environment() -> jinja2.Environment:
-    def read(name: str) -> str:
-        return importlib.resources.files("hamsym.templates").joinpath(name).read_text("utf-8")
+def _sections() -> dict[str, str]:
+    """The plain Python of the integrators, by the headings of its sections."""
+    pieces = re.split(r"^# -- (.+?) -+\n", _read(_LOOPS), flags=re.MULTILINE)[1:]
+    ruler = "-" * 84
+    return {
+        heading: f"# -- {heading} {ruler[len(heading) :]}\n{text}".strip("\n")
+        for heading, text in zip(pieces[::2], pieces[1::2], strict=True)
+    }
 
+
+def _read(name: str) -> str:
+    return importlib.resources.files("hamsym.templates").joinpath(name).read_text("utf-8")
+
+
+@functools.cache
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(read),
+        loader=jinja2.FunctionLoader(_read),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -151,6 +300,8 @@ def _environment() -> jinja2.Environment:
     environment.filters["filled"] = _filled
     environment.filters["wrapped"] = _wrapped
     environment.filters["listed"] = _listed
+    environment.filters["tupled"] = _tupled
+    environment.filters["unpacked"] = _unpacked
     return environment
 
 
@@ -164,24 +315,33 @@ def _wrapped(text: str, indent: int, before: int = 0) -> str:
     """An expression, broken between its terms and in parentheses if the line would be too long."""
     if indent + before + len(text) <= _WIDTH:
         return text
-    depth, start, terms = 0, 0, []
-    for i, character in enumerate(text):
-        depth += (character in "([") - (character in ")]")
-        if depth == 0 and i > start and text[i : i + 3] in (" + ", " - "):
-            terms.append(text[start:i])
-            start = i + 1
-    terms.append(text[start:])
+    terms = []
+    for term in _pieces(text, (" + ", " - ")):
+        fits = indent + 4 + len(term) <= _WIDTH
+        terms += [term] if fits else _pieces(term, ("/(", "*("))
     if len(terms) == 1:
         return text
     lines, line = [], terms[0]
     for term in terms[1:]:
-        if indent + 4 + len(line) + len(term) + 1 > _WIDTH:
+        blank = " " * (term[0] not in "/*")
+        if indent + 4 + len(line + blank + term) > _WIDTH:
             lines.append(line)
             line = term
         else:
-            line += " " + term
+            line += blank + term
     inner = ("\n" + " " * (indent + 4)).join([*lines, line])
     return f"(\n{' ' * (indent + 4)}{inner}\n{' ' * indent})"
+
+
+def _pieces(text: str, operators: Sequence[str]) -> list[str]:
+    """An expression, cut in front of operators that are in no parentheses."""
+    depth, start, pieces = 0, 0, []
+    for i, character in enumerate(text):
+        depth += (character in "([") - (character in ")]")
+        if i > start and text.startswith(tuple(operators), i) and depth == 0:
+            pieces.append(text[start:i].strip())
+            start = i
+    return [*pieces, text[start:].strip()]
 
 
 def _listed(items: Sequence[str], indent: int, before: int = 0) -> str:
@@ -191,3 +351,17 @@ def _listed(items: Sequence[str], indent: int, before: int = 0) -> str:
         return line
     inner = textwrap.fill(line, _WIDTH - indent - 4, break_long_words=False)
     return f"(\n{textwrap.indent(inner + ',', ' ' * (indent + 4))}\n{' ' * indent})"
+
+
+def _tupled(text: str, indent: int) -> str:
+    """Results in parentheses."""
+    return (
+        text
+        if text.startswith("(") and text.endswith((",)", "\n" + " " * indent + ")"))
+        else f"({text})"
+    )
+
+
+def _unpacked(names: Sequence[str], indent: int) -> str:
+    """The left side of an assignment from a tuple."""
+    return f"({names[0]},)" if len(names) == 1 else _listed(names, indent, 15)

@@ -12,20 +12,12 @@ from hamsym.symbolic.equations import Equations
 
 FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss")
 
-
-# Every name that a template assigns, imports or takes as an argument.
-_TEMPLATE_NAMES = frozenset(
+# Names that generated functions use beside those of the state and the parameters.
+RESERVED = frozenset(
     """
-    torch np math njit z dz t z0 out value matrix entries positions rows zero point points times
-    energy_0 energy_weight energy_error rates states
-    low columns done starts sizes first saves save_every stages terms trajectory save step step_size
-    elapsed stage drift kick kicks change moved lanes low_lanes base count lane component curvature
-    column row size pivot pivots old correction attempt previous scale converged between second
-    right left entry factor block tangents coefficients weights weight nodes continued increments
-    slopes state stale half largest at over point others fresh coupling other vectors angle
-    cosine sine splitting splitting_compensated splitting_ensemble
-    splitting_ensemble_compensated
-    splitting_tangent symplectic_euler symplectic_euler_p implicit doubled
+    torch np math z dz t out zero rows matrix entries positions value energy_0 energy_weight
+    energy_error point times parameters coordinates momenta slopes mixed DIM _ _erf _floating
+    _evaluate _energy _gradient _vector_field _hessian
     """.split()
 ) | frozenset(FUNCTIONS)
 
@@ -34,7 +26,7 @@ class Names:
     """Identifiers: the user's names, with an underscore where they mean something in the code."""
 
     def __init__(self, form: Equations) -> None:
-        self._taken = set(_TEMPLATE_NAMES) | set(dir(builtins)) | set(keyword.kwlist)
+        self._taken = RESERVED | set(dir(builtins)) | set(keyword.kwlist)
         self.of: dict[sympy.Symbol, str] = {}
         if form.time is not None:
             self.of[form.time] = "t"  # reserved for the time, which is what this symbol is
@@ -43,17 +35,16 @@ class Names:
         self.parameters = [
             (self._claim(symbol), value) for symbol, value in form.parameters.values()
         ]
-        self.derivatives = [self.unused("d" + name) for name in self.state]
-        self.low_parts = [self.unused(name + "_low") for name in self.state]
+        self.derivatives = [self._unused("d" + name) for name in self.state]
 
     def _claim(self, symbol: sympy.Symbol) -> str:
-        self.of[symbol] = self.unused(symbol.name)
+        self.of[symbol] = self._unused(symbol.name)
         return self.of[symbol]
 
-    def unused(self, name: str) -> str:
+    def _unused(self, name: str) -> str:
         while name in self._taken:
             name += "_"
-        self._taken.add(name)
+        self._taken |= {name}
         return name
 
     def temporaries(self) -> Iterator[sympy.Symbol]:

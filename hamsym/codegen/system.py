@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import inspect
 import linecache
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from functools import cached_property
 from types import ModuleType
 from typing import Any
 
 from hamsym.codegen import numba_cache
-from hamsym.codegen.names import FUNCTIONS
+from hamsym.codegen.generate import Source, generate
+from hamsym.symbolic.equations import Equations
 
 __all__ = ["System", "load"]
 
 
-@dataclass(frozen=True, eq=False)
 class System:
-    """Callables of a generated module; nothing symbolic is left in them.
+    """Callables of a generated module, each generated when it is first used.
 
     Each takes the state ``z`` of shape (..., dim) first, then ``t`` if H depends on time, then
     the parameters as keywords whose defaults are the values bound in the Hamiltonian.
@@ -30,7 +29,7 @@ class System:
     names : tuple of str
         Components of z.
     source : str
-        The text that was run.
+        The text of the whole module; what runs are parts of it.
     energy : callable
         z -> H, shape (...).
     gradient : callable
@@ -44,8 +43,6 @@ class System:
     loss : callable
         (z, dz, energy_0, energy_weight=0.0) -> scalar, the paper's eq. (Loss); without the last
         two arguments if H depends on time.
-    step_loops : mapping
-        Compiled integrators by name (numba only).
     rates : callable, optional
         (z, t, out) of shapes (n, dim), (n,), (n, dim), for compiled callers (numba only, and only
         where every parameter has a value).
@@ -53,58 +50,81 @@ class System:
         Whether the functions take ``t``.
     """
 
-    backend: str
-    names: tuple[str, ...]
-    source: str = field(repr=False)
-    energy: Callable[..., Any] = field(repr=False)
-    gradient: Callable[..., Any] = field(repr=False)
-    vector_field: Callable[..., Any] = field(repr=False)
-    hessian: Callable[..., Any] = field(repr=False)
-    residual: Callable[..., Any] = field(repr=False)
-    loss: Callable[..., Any] = field(repr=False)
-    step_loops: Mapping[str, Callable[..., Any]] = field(repr=False, default_factory=dict)
-    rates: Callable[..., None] | None = field(repr=False, default=None)
-    time_dependent: bool = False
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._module = ModuleType(f"hamsym_{source.backend}")  # of torch and numpy
+        self._loaded: set[str] = set()
+        self.backend = source.backend
+        self.names = tuple(symbol.name for symbol in source.form.z)
+        self.time_dependent = source.names.time
+        source.part("energy")  # refuses what the backend lacks
+
+    @property
+    def source(self) -> str:
+        return self._source.text
+
+    @cached_property
+    def energy(self) -> Callable[..., Any]:
+        return self.function("energy")
+
+    @cached_property
+    def gradient(self) -> Callable[..., Any]:
+        return self.function("gradient")
+
+    @cached_property
+    def vector_field(self) -> Callable[..., Any]:
+        return self.function("vector_field")
+
+    @cached_property
+    def hessian(self) -> Callable[..., Any]:
+        return self.function("hessian")
+
+    @cached_property
+    def residual(self) -> Callable[..., Any]:
+        return self.function("residual")
+
+    @cached_property
+    def loss(self) -> Callable[..., Any]:
+        return self.function("loss")
+
+    @cached_property
+    def rates(self) -> Callable[..., None] | None:
+        bound = all(value is not None for _, value in self._source.names.parameters)
+        return self.function("rates") if self.backend == "numba" and bound else None
+
+    def function(self, name: str) -> Callable[..., Any]:
+        """A function by its name; with numba also a loop of the integrators."""
+        if self.backend == "numba":
+            module = numba_cache.load_module(self._source.module(name), "numba")
+            return getattr(module, name)  # type: ignore[no-any-return]
+        for part in self._source.needed(name):
+            if part not in self._loaded:
+                _run(self._source.part(part), self.backend, part, self._module)
+                self._loaded.add(part)
+        return getattr(self._module, name)  # type: ignore[no-any-return]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return load, (self.source, self.backend, self.names)
+        return _restored, (self._source.form, self.backend)
 
     def arguments(self, z: Any, t: Any) -> tuple[Any, ...]:
         """The positional arguments of the functions: z, and t where H depends on time."""
         return (z, t) if self.time_dependent else (z,)
 
 
-_STEP_LOOPS = (
-    *(f"splitting{kind}" for kind in ("", "_compensated", "_ensemble", "_ensemble_compensated")),
-    *("splitting_tangent", "symplectic_euler", "symplectic_euler_p", "implicit", "doubled"),
-)
-
-
 @functools.lru_cache(maxsize=256)
-def load(source: str, backend: str, names: tuple[str, ...]) -> System:
-    """Run a generated module and collect its functions; the same text is loaded once."""
-    module = (
-        numba_cache.load_module(source, backend) if backend == "numba" else _run(source, backend)
-    )
-    functions: dict[str, Any] = {name: getattr(module, name) for name in FUNCTIONS}
-    loops = {name: getattr(module, name) for name in _STEP_LOOPS if hasattr(module, name)}
-    return System(
-        backend=backend,
-        names=names,
-        source=source,
-        step_loops=loops,
-        rates=getattr(module, "rates", None),
-        time_dependent="t" in inspect.signature(functions["energy"]).parameters,
-        **functions,
-    )
+def load(source: Source) -> System:
+    """The functions of a module; those of the same source are made once."""
+    return System(source)
 
 
-def _run(source: str, backend: str) -> ModuleType:
-    """A module without a file; tracebacks show its source all the same."""
-    digest = hashlib.sha256(source.encode()).hexdigest()[:12]
-    filename = f"<hamsym {backend} {digest}>"
+def _restored(form: Equations, backend: str) -> System:
+    return load(generate(form, backend))
+
+
+def _run(text: str, backend: str, part: str, module: ModuleType) -> None:
+    """Run a part of a module, without a file; tracebacks show its source all the same."""
+    digest = hashlib.sha256(text.encode()).hexdigest()[:12]
+    filename = f"<hamsym {backend} {part} {digest}>"
     # With mtime None the entry outlives linecache.checkcache.
-    linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
-    module = ModuleType(f"hamsym_{backend}_{digest}")
-    exec(compile(source, filename, "exec"), module.__dict__)
-    return module
+    linecache.cache[filename] = (len(text), None, text.splitlines(keepends=True), filename)
+    exec(compile(text, filename, "exec"), module.__dict__)

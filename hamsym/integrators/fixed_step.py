@@ -11,14 +11,13 @@ changes a bit of the result.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from hamsym.codegen.system import load
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
 from hamsym.support.progress import stepping_progress
@@ -96,11 +95,13 @@ class Stepper:
     ) -> None:
         count, self._dim = states.shape
         self.scheme = scheme
-        self._loop = _loop(H, scheme, name, count, compensated, tangents is not None)
+        loop = _loop(H, scheme, count, tangents is not None)
+        self._loop = H.compile("numba").function(loop)
         self._states = np.zeros((count, scheme.width(self._dim)))
         self._states[:, : self._dim] = states
         if isinstance(scheme, Doubled):
             self._states[:, self._dim :] = states
+        self._compensated = compensated or isinstance(scheme, RungeKutta)
         self._low = np.zeros_like(self._states)
         self.tangents = np.zeros((count, 1, 0)) if tangents is None else tangents
         self._done = np.zeros((count, 2), dtype=np.int64)
@@ -109,10 +110,12 @@ class Stepper:
         implicit_euler = isinstance(scheme, Splitting) and not H.is_separable
         #: Whether a step solves equations, which may have no solution.
         self.is_implicit = implicit_euler or isinstance(scheme, RungeKutta)
-        self._constants: list[Any] = [] if implicit_euler else list(scheme.arrays)
+        self._constants: list[Any] = (
+            [name == "symplectic_euler"] if implicit_euler else [*scheme.arrays]
+        )
         if isinstance(scheme, Doubled):
             self._constants.append(float(omega))
-        self._constants += [H.parameters[parameter] for parameter in H.parameter_names]
+        self._constants.append(tuple(H.parameters[name] for name in H.parameter_names))
 
     @property
     def states(self) -> np.ndarray:
@@ -167,7 +170,7 @@ class Stepper:
         for group in map(slice, edges[:-1], edges[1:]):
             arguments = (
                 self._states[group],
-                self._low[group],
+                self._low[group] if self._compensated else None,
                 self.tangents[group],
                 out[group],
                 self._done[group],
@@ -190,21 +193,17 @@ class Stepper:
         return out
 
 
-def _loop(
-    H: Hamiltonian, scheme: Scheme, name: str, count: int, compensated: bool, tangent: bool
-) -> Callable[..., None]:
-    # H.compile("numba") would compile more than this loop.
-    loops = load(H.source("numba"), "numba", H.names).step_loops
+def _loop(H: Hamiltonian, scheme: Scheme, count: int, tangent: bool) -> str:
+    """The name of the generated loop that does such steps."""
     if isinstance(scheme, RungeKutta):
-        return loops["implicit"]
+        return "implicit"
     if isinstance(scheme, Doubled):
-        return loops["doubled"]
-    if H.is_separable:
-        if tangent:
-            return loops["splitting_tangent"]
-        ensemble = "_ensemble" if count >= _ENSEMBLE else ""
-        return loops[f"splitting{ensemble}{'_compensated' if compensated else ''}"]
-    return loops[name]
+        return "doubled"
+    if not H.is_separable:
+        return "euler"
+    if tangent:
+        return "splitting_tangent"
+    return "splitting_ensemble" if count >= _ENSEMBLE else "splitting"
 
 
 def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[slice | None, int, int]]:

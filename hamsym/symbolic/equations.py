@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 import sympy
 
@@ -52,6 +53,24 @@ class Equations:
         }
         self.back = {real: own for own, real in forward.items()}
         self._effort = derivatives.Effort(self.expr)
+        self._identity = (
+            self.expr,
+            self.z,
+            self.time,
+            tuple(self.parameters.values()),
+        )
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Equations):
+            return NotImplemented
+        return self._identity == other._identity
+
+    def __hash__(self) -> int:
+        return hash(self._identity)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {name: value for name, (_, value) in self.parameters.items()}
+        return Equations, (self.expr, self.z, self.time, values)
 
     @cached_property
     def gradient(self) -> list[sympy.Expr]:
@@ -73,5 +92,10 @@ class Equations:
 
     @cached_property
     def is_separable(self) -> bool:
-        mixed = [entry for (i, j), entry in self.hessian.items() if i < self.dof <= j]
-        return all(derivatives.vanishes(entry) for entry in mixed)
+        """Whether all mixed second derivatives vanish identically."""
+        q, p = set(self.z[: self.dof]), set(self.z[self.dof :])
+        terms = sympy.Add.make_args(self.expr)
+        coupled = [term for term in terms if term.free_symbols & q and term.free_symbols & p]
+        slopes = derivatives.gradient(sympy.Add(*coupled), self.z[: self.dof], self._effort)
+        mixed = [derivatives.gradient(s, self.z[self.dof :], self._effort) for s in slopes]
+        return all(derivatives.vanishes(entry) for row in mixed for entry in row)

@@ -21,7 +21,7 @@ import sympy
 import torch
 
 from hamsym import Hamiltonian, InputError, integrate
-from hamsym.codegen.names import _TEMPLATE_NAMES
+from hamsym.codegen.names import RESERVED as _TEMPLATE_NAMES
 from hamsym.codegen.printers import PRINTERS
 from hamsym.codegen.system import System
 from hamsym.errors import CodeGenerationError

@@ -1,0 +1,564 @@
+"""Loops of the integrators, which generated numba modules hold behind the kernels of their H.
+
+A module takes the sections that its H can use; what is above the first section is left out.
+
+``DOF`` and ``DIM`` are the numbers of coordinates and of components. Coordinates q and momenta p
+are what ``read_q`` and ``read_p`` return. The other kernels are ``write``, ``shift``,
+``shift_compensated``, ``velocity`` (dH/dp) and ``slope`` (dH/dq), with ``velocity_curvature``,
+``slope_curvature``, ``shear_q`` and ``shear_p`` for tangent vectors, ``_velocity_jacobian`` and
+``_slope_jacobian`` for implicit halves, and ``_gradient``, ``_vector_field`` and ``_hessian`` at
+arrays of points. ``parameters`` is a tuple.
+"""
+# ruff: noqa: F821
+
+import math
+
+import numpy as np
+from numba import njit
+
+# -- integrators ---------------------------------------------------------------------------------
+#
+# Each loop advances states, shape (n, ...), by saves*save_every steps of sizes[i] that begin
+# first steps after starts[i], and writes them to out, shape (n, saves, DIM), after every
+# save_every steps. low, of the same shape as the states, is what compensated summation carries
+# from step to step. columns, shape (n, ..., k), are moved by the derivative of the steps. done,
+# shape (n, 2), counts steps, and evaluations where their number is not known beforehand.
+
+# -- splitting -----------------------------------------------------------------------------------
+#
+# A stage is a row (drift, kick, time of the drift, time of the kick), in units of a step: q
+# moves by drift*h*dH/dp, then p by -kick*h*dH/dq. The last kick may be zero and is left out
+# then; a test of every coefficient would slow short steps down.
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def splitting(
+    states, low, columns, out, done, starts, sizes, first, saves, save_every, stages, parameters
+):
+    """Splitting methods, one trajectory after the other; compensated where low is not None."""
+    kicks = stages.shape[0] - (stages[-1, 1] == 0.0)
+    rows = out.reshape(-1, DIM)
+    for trajectory in range(states.shape[0]):
+        h, start = sizes[trajectory], starts[trajectory]
+        q, p = read_q(states, trajectory), read_p(states, trajectory)
+        if low is not None:
+            q_low, p_low = read_q(low, trajectory), read_p(low, trajectory)
+        for save in range(saves):
+            for step in range(save_every):
+                elapsed = first + save * save_every + step
+                for stage in range(stages.shape[0]):
+                    t = start + h * (elapsed + stages[stage, 2])
+                    drift = h * stages[stage, 0]
+                    change = velocity(q, p, t, parameters)
+                    if low is None:
+                        q = shift(q, drift, change)
+                    else:
+                        q, q_low = shift_compensated(q, q_low, drift, change)
+                    if stage == kicks:
+                        break
+                    t = start + h * (elapsed + stages[stage, 3])
+                    kick = -h * stages[stage, 1]
+                    change = slope(q, p, t, parameters)
+                    if low is None:
+                        p = shift(p, kick, change)
+                    else:
+                        p, p_low = shift_compensated(p, p_low, kick, change)
+            write(rows, trajectory * saves + save, q, p)
+        write(states, trajectory, q, p)
+        if low is not None:
+            write(low, trajectory, q_low, p_low)
+        done[trajectory, 0] += saves * save_every
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def splitting_ensemble(
+    states, low, columns, out, done, starts, sizes, first, saves, save_every, stages, parameters
+):
+    """Splitting methods, 64 trajectories at a time; compensated where low is not None.
+
+    The trajectories of a block take each flow together: their arithmetic is independent, and so
+    the processor does several at once.
+    """
+    lanes, low_lanes = np.empty((DIM, 64)).T, np.empty((DIM, 64)).T
+    rows = out.reshape(-1, DIM)
+    for base in range(0, states.shape[0], 64):
+        count = min(64, states.shape[0] - base)
+        for lane in range(count):
+            for component in range(DIM):
+                lanes[lane, component] = states[base + lane, component]
+                if low is not None:
+                    low_lanes[lane, component] = low[base + lane, component]
+        for save in range(saves):
+            for step in range(save_every):
+                elapsed = first + save * save_every + step
+                for stage in range(stages.shape[0]):
+                    drift, kick = stages[stage, 0], stages[stage, 1]
+                    if drift != 0.0:
+                        for lane in range(count):
+                            h = sizes[base + lane]
+                            t = starts[base + lane] + h * (elapsed + stages[stage, 2])
+                            q, p = read_q(lanes, lane), read_p(lanes, lane)
+                            change = velocity(q, p, t, parameters)
+                            if low is None:
+                                q = shift(q, h * drift, change)
+                            else:
+                                q_low = read_q(low_lanes, lane)
+                                q, q_low = shift_compensated(q, q_low, h * drift, change)
+                                write_q(low_lanes, lane, q_low)
+                            write_q(lanes, lane, q)
+                    if kick != 0.0:
+                        for lane in range(count):
+                            h = sizes[base + lane]
+                            t = starts[base + lane] + h * (elapsed + stages[stage, 3])
+                            q, p = read_q(lanes, lane), read_p(lanes, lane)
+                            change = slope(q, p, t, parameters)
+                            if low is None:
+                                p = shift(p, -h * kick, change)
+                            else:
+                                p_low = read_p(low_lanes, lane)
+                                p, p_low = shift_compensated(p, p_low, -h * kick, change)
+                                write_p(low_lanes, lane, p_low)
+                            write_p(lanes, lane, p)
+            for lane in range(count):
+                for component in range(DIM):
+                    rows[(base + lane) * saves + save, component] = lanes[lane, component]
+        for lane in range(count):
+            for component in range(DIM):
+                states[base + lane, component] = lanes[lane, component]
+                if low is not None:
+                    low[base + lane, component] = low_lanes[lane, component]
+            done[base + lane, 0] += saves * save_every
+
+
+# -- tangents ------------------------------------------------------------------------------------
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def splitting_tangent(
+    states, low, columns, out, done, starts, sizes, first, saves, save_every, stages, parameters
+):
+    """Splitting methods with the derivative of each flow."""
+    kicks = stages.shape[0] - (stages[-1, 1] == 0.0)
+    rows = out.reshape(-1, DIM)
+    for trajectory in range(states.shape[0]):
+        h, start = sizes[trajectory], starts[trajectory]
+        tangents = columns[trajectory]
+        q, p = read_q(states, trajectory), read_p(states, trajectory)
+        for save in range(saves):
+            for step in range(save_every):
+                elapsed = first + save * save_every + step
+                for stage in range(stages.shape[0]):
+                    t = start + h * (elapsed + stages[stage, 2])
+                    drift = h * stages[stage, 0]
+                    change, curvature = velocity_curvature(q, p, t, parameters)
+                    q = shift(q, drift, change)
+                    shear_q(tangents, drift, curvature)
+                    if stage == kicks:
+                        break
+                    t = start + h * (elapsed + stages[stage, 3])
+                    kick = -h * stages[stage, 1]
+                    change, curvature = slope_curvature(q, p, t, parameters)
+                    p = shift(p, kick, change)
+                    shear_p(tangents, kick, curvature)
+            write(rows, trajectory * saves + save, q, p)
+        write(states, trajectory, q, p)
+        done[trajectory, 0] += saves * save_every
+
+
+# -- linear equations ----------------------------------------------------------------------------
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def _factor(matrix, pivots):
+    """LU factors with partial pivoting, in place."""
+    size = matrix.shape[0]
+    for column in range(size):
+        pivot = column
+        for row in range(column + 1, size):
+            if abs(matrix[row, column]) > abs(matrix[pivot, column]):
+                pivot = row
+        pivots[column] = pivot
+        if pivot != column:
+            for entry in range(size):
+                value = matrix[column, entry]
+                matrix[column, entry] = matrix[pivot, entry]
+                matrix[pivot, entry] = value
+        for row in range(column + 1, size):
+            matrix[row, column] /= matrix[column, column]
+            for entry in range(column + 1, size):
+                matrix[row, entry] -= matrix[row, column] * matrix[column, entry]
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def _substitute(matrix, pivots, right):
+    """Solve with the factors of a matrix, in place."""
+    size = matrix.shape[0]
+    for row in range(size):
+        pivot = pivots[row]
+        right[row], right[pivot] = right[pivot], right[row]
+    for row in range(size):
+        for column in range(row):
+            right[row] -= matrix[row, column] * right[column]
+    for row in range(size - 1, -1, -1):
+        for column in range(row + 1, size):
+            right[row] -= matrix[row, column] * right[column]
+        right[row] /= matrix[row, row]
+
+
+# -- symplectic Euler ----------------------------------------------------------------------------
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots):
+    """Solve the implicit half of a step for q (for p unless q_first), in place.
+
+    Returns whether it was solved, and the evaluations.
+    """
+    at, h = (0, h) if q_first else (DOF, -h)
+    unknown = z[0, at : at + DOF]
+    old = unknown.copy()
+    correction = np.empty(DOF)
+    previous = math.inf
+    for attempt in range(50):
+        if q_first:
+            _velocity_jacobian(z, time, parameters, slopes, mixed)
+        else:
+            _slope_jacobian(z, time, parameters, slopes, mixed)
+        for row in range(DOF):
+            correction[row] = unknown[row] - old[row] - h * slopes[row]
+            for entry in range(DOF):
+                derivative = mixed[row, entry] if q_first else mixed[entry, row]
+                matrix[row, entry] = (row == entry) - h * derivative
+        # Slopes may be what is left of terms that cancel; this is their size.
+        terms = 0.0
+        for row in range(DOF):
+            value = 0.0
+            for entry in range(DOF):
+                value += abs((matrix[row, entry] - (row == entry)) * old[entry])
+            terms = max(terms, value)
+        _factor(matrix, pivots)
+        _substitute(matrix, pivots, correction)
+        for row in range(DOF):
+            unknown[row] -= correction[row]
+        change = np.max(np.abs(correction))
+        scale = terms + np.max(np.abs(old)) + np.max(np.abs(unknown))
+        # Converged when the corrections are round-off: negligible, or small and no longer
+        # shrinking.
+        if change <= 2e-16 * scale or (change >= previous and change <= 1e-11 * scale):
+            return True, attempt + 1
+        previous = change
+    return False, 50
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def _euler_tangents(tangents, second, h, q_first, matrix, pivots):
+    """Move tangent vectors by the derivative of a step, by the implicit function theorem."""
+    unknown, given, h = (0, DOF, h) if q_first else (DOF, 0, -h)
+    right = np.empty(DOF)
+    for row in range(DOF):
+        for entry in range(DOF):
+            curvature = h * second[given + row, unknown + entry]
+            matrix[row, entry] = (row == entry) - curvature
+    _factor(matrix, pivots)
+    for column in range(tangents.shape[1]):
+        for row in range(DOF):
+            right[row] = tangents[unknown + row, column]
+            for entry in range(DOF):
+                curvature = h * second[given + row, given + entry]
+                right[row] += curvature * tangents[given + entry, column]
+        _substitute(matrix, pivots, right)
+        for row in range(DOF):
+            tangents[unknown + row, column] = right[row]
+        for row in range(DOF):
+            right[row] = tangents[given + row, column]
+            for entry in range(DIM):
+                curvature = h * second[unknown + row, entry]
+                right[row] -= curvature * tangents[entry, column]
+        for row in range(DOF):
+            tangents[given + row, column] = right[row]
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def euler(
+    states, low, columns, out, done, starts, sizes, first, saves, save_every,
+    q_first, parameters,
+):  # fmt: skip
+    """Symplectic Euler: both slopes at (q_n+1, p_n, t_n+1), or else at (q_n, p_n+1, t_n).
+
+    H is not separable: the first half is implicit. Where it has no solution the rest of out
+    is left as it was.
+    """
+    slopes = np.empty(DOF)
+    mixed = np.zeros((DOF, DOF))
+    matrix = np.empty((DOF, DOF))
+    pivots = np.empty(DOF, np.int64)
+    second = np.zeros((1, DIM, DIM))
+    time = np.empty(1)
+    for trajectory in range(states.shape[0]):
+        h = sizes[trajectory]
+        z = states[trajectory : trajectory + 1]
+        tangents = columns[trajectory]
+        converged = True
+        for save in range(saves):
+            for step in range(save_every):
+                time[0] = starts[trajectory] + h * (first + save * save_every + step + q_first)
+                converged, attempts = _newton(
+                    z, time, h, q_first, parameters, slopes, mixed, matrix, pivots
+                )
+                done[trajectory, 1] += attempts
+                if not converged:
+                    break
+                if tangents.shape[1]:
+                    _hessian(z, time, parameters, second)
+                    _euler_tangents(tangents, second[0], h, q_first, matrix, pivots)
+                q, p = read_q(z, 0), read_p(z, 0)
+                if q_first:
+                    write_p(z, 0, shift(p, -h, slope(q, p, time[0], parameters)))
+                else:
+                    write_q(z, 0, shift(q, h, velocity(q, p, time[0], parameters)))
+                done[trajectory, 0] += 1
+            if not converged:
+                break
+            out[trajectory, save] = z[0]
+
+
+# -- implicit Runge-Kutta ------------------------------------------------------------------------
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def _stage_matrix(matrix, coefficients, second, h):
+    """1 - h a_ij J Hess_j, with second[j] for the Hessian at stage j."""
+    stages = coefficients.shape[0]
+    for stage in range(stages):
+        for other in range(stages):
+            factor = h * coefficients[stage, other]
+            block = matrix[stage * DIM : (stage + 1) * DIM, other * DIM : (other + 1) * DIM]
+            for row in range(DOF):
+                for column in range(DIM):
+                    block[row, column] = -factor * second[other, DOF + row, column]
+                    block[DOF + row, column] = factor * second[other, row, column]
+    for row in range(stages * DIM):
+        matrix[row, row] += 1.0
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def implicit(
+    states, low, columns, out, done, starts, sizes, first, saves, save_every,
+    coefficients, weights, nodes, continued, parameters,
+):  # fmt: skip
+    """Implicit Runge-Kutta methods: the stages by Newton's method with the Hessian of H.
+
+    A state is followed by the rates at the last step's stages; continued by extrapolation they
+    are the first guess. The factors of Newton's matrix are kept within a step while the
+    corrections shrink tenfold. The sum over steps is compensated.
+    """
+    stages = weights.shape[0]
+    increments = np.empty((stages, DIM))
+    points = np.empty((stages, DIM))
+    slopes = np.empty((stages, DIM))
+    times = np.empty(stages)
+    second = np.zeros((stages, DIM, DIM))
+    matrix = np.empty((stages * DIM, stages * DIM))
+    pivots = np.empty(stages * DIM, np.int64)
+    right = np.empty(stages * DIM)
+    terms = np.empty(2)
+    for trajectory in range(states.shape[0]):
+        h = sizes[trajectory]
+        state = states[trajectory]
+        tangents = columns[trajectory]
+        converged = True
+        for save in range(saves):
+            for step in range(save_every):
+                for stage in range(stages):
+                    elapsed = first + save * save_every + step + nodes[stage]
+                    times[stage] = starts[trajectory] + h * elapsed
+                    for component in range(DIM):
+                        value = 0.0
+                        for other in range(stages):
+                            rate = state[DIM * (1 + other) + component]
+                            value += continued[stage, other] * rate
+                        slopes[stage, component] = value
+                for stage in range(stages):
+                    for component in range(DIM):
+                        value = 0.0
+                        for other in range(stages):
+                            value += h * coefficients[stage, other] * slopes[other, component]
+                        increments[stage, component] = value
+                previous = math.inf
+                converged = False
+                stale = True
+                for _attempt in range(50):
+                    for stage in range(stages):
+                        for component in range(DIM):
+                            points[stage, component] = (
+                                state[component] + increments[stage, component]
+                            )
+                    _vector_field(points, times, parameters, slopes)
+                    done[trajectory, 1] += stages
+                    if stale:
+                        _hessian(points, times, parameters, second)
+                        _stage_matrix(matrix, coefficients, second, h)
+                        _factor(matrix, pivots)
+                        # Slopes may be what is left of terms that cancel; these are their size.
+                        terms[:] = 0.0
+                        for stage in range(stages):
+                            for row in range(DIM):
+                                value = 0.0
+                                for column in range(DIM):
+                                    term = second[stage, row, column] * points[stage, column]
+                                    value += abs(term)
+                                half = 1 - row // DOF
+                                terms[half] = max(terms[half], abs(h) * value)
+                    for stage in range(stages):
+                        for component in range(DIM):
+                            value = increments[stage, component]
+                            for other in range(stages):
+                                factor = h * coefficients[stage, other]
+                                value -= factor * slopes[other, component]
+                            right[stage * DIM + component] = value
+                    _substitute(matrix, pivots, right)
+                    # Corrections relative to the state, coordinates and momenta by themselves.
+                    change = 0.0
+                    for half in range(2):
+                        largest = 0.0
+                        scale = max(1e-300, terms[half])
+                        for component in range(half * DOF, (half + 1) * DOF):
+                            for stage in range(stages):
+                                correction = right[stage * DIM + component]
+                                increments[stage, component] -= correction
+                                largest = max(largest, abs(correction))
+                                scale = max(
+                                    scale, abs(points[stage, component]), abs(state[component])
+                                )
+                                if not math.isfinite(correction):
+                                    largest = math.inf
+                        change = max(change, largest / scale)
+                    # Converged when the corrections are round-off: negligible, or small and no
+                    # longer shrinking.
+                    if change <= 1e-16 or (change >= previous and change <= 1e-11):
+                        converged = True
+                        break
+                    if not math.isfinite(change):
+                        break
+                    stale = change > 0.1 * previous
+                    previous = change
+                if not converged:
+                    break
+                if tangents.shape[1]:
+                    # The derivative of the step, by the implicit function theorem.
+                    _hessian(points, times, parameters, second)
+                    _stage_matrix(matrix, coefficients, second, h)
+                    _factor(matrix, pivots)
+                    for column in range(tangents.shape[1]):
+                        for stage in range(stages):
+                            for component in range(DIM):
+                                right[stage * DIM + component] = tangents[component, column]
+                        _substitute(matrix, pivots, right)
+                        for other in range(stages):
+                            factor = h * weights[other]
+                            moved = right[other * DIM : (other + 1) * DIM]
+                            for row in range(DOF):
+                                for entry in range(DIM):
+                                    curvature = factor * second[other, DOF + row, entry]
+                                    tangents[row, column] += curvature * moved[entry]
+                                    curvature = factor * second[other, row, entry]
+                                    tangents[DOF + row, column] -= curvature * moved[entry]
+                for component in range(DIM):
+                    change = low[trajectory, component]
+                    for stage in range(stages):
+                        change += h * weights[stage] * slopes[stage, component]
+                        state[DIM * (1 + stage) + component] = slopes[stage, component]
+                    total = state[component] + change
+                    low[trajectory, component] = change - (total - state[component])
+                    state[component] = total
+                done[trajectory, 0] += 1
+            if not converged:
+                break
+            for component in range(DIM):
+                out[trajectory, save, component] = state[component]
+
+
+# -- doubled phase space -------------------------------------------------------------------------
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def _flow(state, columns, at, h, slopes, second, times, fresh, parameters):
+    """In (q, p, x, y): the flow of H(q, y) with at = 0, that of H(x, p) with at = DIM.
+
+    The arguments of H stay, and the other two move by its slopes there, which are computed anew
+    unless they are fresh.
+    """
+    over = DIM - at
+    point = np.empty((1, DIM))
+    for row in range(DOF):
+        point[0, row] = state[at + row]
+        point[0, DOF + row] = state[over + DOF + row]
+    if not fresh:
+        _gradient(point, times, parameters, slopes)
+    for row in range(DOF):
+        state[over + row] += h * slopes[0, DOF + row]
+        state[at + DOF + row] -= h * slopes[0, row]
+    if columns.shape[1]:
+        _hessian(point, times, parameters, second)
+    for column in range(columns.shape[1]):
+        for row in range(DOF):
+            for entry in range(DOF):
+                left, right = columns[at + entry, column], columns[over + DOF + entry, column]
+                change = second[0, DOF + row, entry] * left
+                change += second[0, DOF + row, DOF + entry] * right
+                columns[over + row, column] += h * change
+                change = second[0, row, entry] * left
+                change += second[0, row, DOF + entry] * right
+                columns[at + DOF + row, column] -= h * change
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def _couple(vectors, angle):
+    """Rotate (q - x, p - y) by an angle, for the columns (q, p, x, y) of vectors."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    for column in range(vectors.shape[1]):
+        for row in range(DOF):
+            left = vectors[row, column] - vectors[DIM + row, column]
+            right = vectors[DOF + row, column] - vectors[DIM + DOF + row, column]
+            change = (cosine * left + sine * right - left) / 2
+            vectors[row, column] += change
+            vectors[DIM + row, column] -= change
+            change = (cosine * right - sine * left - right) / 2
+            vectors[DOF + row, column] += change
+            vectors[DIM + DOF + row, column] -= change
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def doubled(
+    states, low, columns, out, done, starts, sizes, first, saves, save_every,
+    weights, coupling, parameters,
+):  # fmt: skip
+    """Explicit steps for any H in the phase space of (q, p, x, y); see Tao 2016."""
+    slopes = np.empty((1, DIM))
+    others = np.empty((1, DIM))
+    second = np.zeros((1, DIM, DIM))
+    time = np.empty(1)
+    for trajectory in range(states.shape[0]):
+        state = states[trajectory]
+        vectors = state.reshape(2 * DIM, 1)
+        tangents = columns[trajectory]
+        fresh = False
+        for save in range(saves):
+            for step in range(save_every):
+                elapsed = 1.0 * (first + save * save_every + step)
+                for weight in weights:
+                    h = sizes[trajectory] * weight
+                    half = h / 2
+                    time[0] = starts[trajectory] + sizes[trajectory] * elapsed
+                    _flow(state, tangents, 0, half, slopes, second, time, fresh, parameters)
+                    _flow(state, tangents, DIM, half, others, second, time, False, parameters)
+                    _couple(vectors, 2 * coupling * h)
+                    _couple(tangents, 2 * coupling * h)
+                    elapsed += weight
+                    time[0] = starts[trajectory] + sizes[trajectory] * elapsed
+                    _flow(state, tangents, DIM, half, others, second, time, False, parameters)
+                    _flow(state, tangents, 0, half, slopes, second, time, False, parameters)
+                    fresh = True
+                done[trajectory, 0] += 1
+            for component in range(DIM):
+                out[trajectory, save, component] = state[component]
