@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import hashlib
 import importlib.resources
 import re
 import textwrap
@@ -28,6 +29,7 @@ import sympy
 
 from hamsym.codegen.bodies import Bodies
 from hamsym.codegen.names import FUNCTIONS, Names
+from hamsym.codegen.numba_cache import cached_text
 from hamsym.codegen.printers import PRINTERS
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.grammar import GREEK
@@ -38,6 +40,8 @@ __all__ = ["BACKENDS", "Source", "generate"]
 
 BACKENDS = tuple(PRINTERS)
 _WIDTH = 96
+# So many degrees of freedom are derived faster than a file is found.
+_QUICK = 6
 # Up to here a function is written out component by component, as in a textbook.
 _TEXTBOOK_DIM = 6
 
@@ -141,19 +145,30 @@ class Source:
             If H contains a function that the backend lacks, or is nested too deeply.
         """
         if name not in self._parts:
-            self._parts[name] = self._rendered(name)
+            if name in _sections():
+                text = _sections()[name]
+            elif self.form.dof <= _QUICK:
+                text = self._rendered(name)
+            else:
+                text = cached_text(f"{self._key}\n{name}", lambda: self._rendered(name))
+            self._parts[name] = text
         return self._parts[name]
 
     def _joined(self, names: Iterable[str]) -> str:
         return "\n\n\n".join(filter(None, map(self.part, names))) + "\n"
 
     def _rendered(self, name: str) -> str:
-        if name in _sections():
-            return _sections()[name]
         try:
             return str(getattr(self._template, name)()).strip("\n")
         except RecursionError:
             raise CodeGenerationError("the Hamiltonian is nested too deeply; split it") from None
+
+    @cached_property
+    def _key(self) -> str:
+        """All that the text depends on."""
+        form = self.form
+        parts = (form.expr, form.z, form.time, tuple(form.parameters.values()))
+        return f"{_generator()}\n{self.backend}\n{sympy.srepr(parts)}"
 
     @cached_property
     def _template(self) -> Any:
@@ -270,6 +285,17 @@ def _tuple(items: Sequence[str]) -> str:
 
 
 # -- templates -------------------------------------------------------------------------------
+
+
+@functools.cache
+def _generator() -> str:
+    """A digest of everything that writes code, so that texts of other versions are not used."""
+    digest = hashlib.sha256(sympy.__version__.encode())
+    for package in ("codegen", "symbolic", "formula", "templates"):
+        for file in sorted(importlib.resources.files(f"hamsym.{package}").iterdir(), key=str):
+            if file.is_file():
+                digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 @functools.cache

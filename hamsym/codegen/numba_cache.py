@@ -1,4 +1,4 @@
-"""Compiled code: sources as real files in a directory of the user's own, so that numba can cache.
+"""The cache on disk: sources as real files, so that numba can cache, and texts slow to derive.
 
 numba keeps what it has compiled beside the source, as pickles; who can write there can run code.
 Everything is therefore kept in one directory that only the user can write, and what was not used
@@ -17,17 +17,19 @@ import stat
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 from hamsym.support.atomic import write_atomically
 
-__all__ = ["cache_directory", "load_module"]
+__all__ = ["cache_directory", "cached_text", "load_module"]
 
 _VARIABLE = "HAMSYM_CACHE_DIR"
 _DAY = 86_400.0  # seconds
 _UNUSED = 90 * _DAY  # after which a file is removed
 _LARGEST = 512 * 2**20  # bytes that are kept, but for what was used within a day
+_SLOW = 0.05  # seconds that making a text takes, from which on it is kept
 
 
 @functools.cache
@@ -90,6 +92,32 @@ def load_module(source: str, name: str) -> ModuleType:
     return module
 
 
+def cached_text(key: str, make: Callable[[], str]) -> str:
+    """A text from the cache, or a new one, which is kept if it was slow to make.
+
+    The file begins with a digest of the key and the text. A file whose digest differs, because it
+    was damaged or edited, is not used and is replaced.
+    """
+    path = cache_directory() / f"text_{hashlib.sha256(key.encode()).hexdigest()[:32]}.txt"
+    try:
+        digest, _, text = path.read_text("utf-8").partition("\n")
+        if digest == _digest(key, text):
+            os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
+            return text
+    except (OSError, ValueError):  # there is none, or it is not text
+        pass
+    began = time.process_time()
+    text = make()
+    if time.process_time() - began > _SLOW:
+        write_atomically(path, f"{_digest(key, text)}\n{text}".encode())
+        _prune(path.parent)
+    return text
+
+
+def _digest(key: str, text: str) -> str:
+    return hashlib.sha256(f"{key}\n{text}".encode()).hexdigest()
+
+
 # -- what the cache may keep -----------------------------------------------------------------------
 
 
@@ -119,12 +147,13 @@ def _prune(folder: Path) -> None:
         used, files = dict[str, float](), dict[str, list[tuple[Path, int]]]()
         for file in (
             *folder.glob("*.py"),
+            *folder.glob("*.txt"),
             *folder.glob("__pycache__/*"),
             *folder.glob(".hamsym-*"),
         ):
             # A source and what was compiled of it are one entry, as old as its last use.
             status, entry = file.stat(), file.name.partition(".")[0] or file.name
-            latest = status.st_atime if file.suffix == ".py" else status.st_mtime
+            latest = status.st_atime if file.suffix in (".py", ".txt") else status.st_mtime
             used[entry] = max(used.get(entry, 0.0), latest)
             files.setdefault(entry, []).append((file, status.st_size))
         total = sum(size for entry in files.values() for _, size in entry)
