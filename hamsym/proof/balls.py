@@ -1,8 +1,7 @@
-"""Balls of real numbers to floats, fractions and decimals, and back, every rounding outward.
+"""Conversions between balls, floats, fractions and decimals with outward rounding.
 
-``float(ball)`` rounds to nearest, which is no bound; nor is the decimal that ``repr`` prints. What
-is here compares exact fractions instead and moves on to the next number where rounding went the
-wrong way.
+``float(ball)`` and ``repr`` round to nearest, which does not give a bound. These functions compare
+exact fractions and take the next number if rounding went the wrong way.
 """
 
 from __future__ import annotations
@@ -35,17 +34,17 @@ __all__ = [
 
 _LOCK = threading.RLock()
 _DIGITS = 9  # of the decimals in certificates
-SMALLEST = 1e-300  # bound but zero; below 1e-307 floats are coarser than nine digits
+SMALLEST = 1e-300  # positive bound; below 1e-307 floats are coarser than nine digits
 _LARGEST = sys.float_info.max
-_MOST_BITS = 2_000  # before or behind the point of a number that is near the range of floats
+_MOST_BITS = 2_000  # before or behind the point of a number near the range of floats
 _UPWARD = Context(prec=_DIGITS, rounding=ROUND_CEILING)
 
 
 @contextmanager
 def working(bits: int, terms: int = 2) -> Iterator[None]:
-    """Precision and series length of Arb for the time being.
+    """Set precision and series length of Arb temporarily.
 
-    They are global to the process: other threads wait until they are given back.
+    Both are global to the process, so that other threads wait until they are restored.
 
     Parameters
     ----------
@@ -64,24 +63,24 @@ def working(bits: int, terms: int = 2) -> Iterator[None]:
 
 
 def ball(value: Fraction | float | int) -> arb:
-    """A ball around a number; exact if the number is binary and the precision holds it."""
+    """A ball that contains a number; exact if the number is binary and fits the precision."""
     fraction = Fraction(value)
     return arb(fmpq(fraction.numerator, fraction.denominator))
 
 
 def interval(low: Fraction, high: Fraction) -> arb:
-    """A ball that holds all numbers from low to high."""
+    """A ball that contains all numbers from low to high."""
     return ball(low).union(ball(high))
 
 
 def exact(number: arb) -> Fraction:
-    """The value of a ball without radius, or the middle of another."""
+    """The midpoint of a ball."""
     mantissa, exponent = (int(part) for part in number.mid().man_exp())
     return Fraction(mantissa << exponent) if exponent >= 0 else Fraction(mantissa, 1 << -exponent)
 
 
 def above(number: arb) -> float:
-    """The smallest float64 that is known not to be below any number in the ball.
+    """The smallest float64 that is not below any number in the ball.
 
     Infinite where the ball is not finite or beyond float64.
     """
@@ -97,7 +96,7 @@ def above(number: arb) -> float:
 
 
 def below(number: arb) -> float:
-    """The largest float64 that is known not to be above any number in the ball."""
+    """The largest float64 that is not above any number in the ball."""
     return -above(-number)
 
 
@@ -132,7 +131,7 @@ def decimal_below(value: float) -> str:
 
 
 def decimal(value: float) -> str:
-    """The decimal of nine digits that a float64 is nearest to: what it was read from, if it was.
+    """The nearest decimal of nine digits; a float64 read from such a decimal gives it again.
 
     Examples
     --------
@@ -155,7 +154,7 @@ def at_least(value: float) -> float:
 
 
 def binary_logarithm(number: arb) -> float:
-    """log2 of the magnitude of the middle of a ball, roughly; for guesses, not for proofs."""
+    """log2 of the magnitude of the midpoint of a ball, rounded; not for proofs."""
     if not number.is_finite():
         return math.inf
     mantissa, exponent = number.mid().man_exp()

@@ -1,4 +1,4 @@
-"""Certificates: what was proven about a solution, as data, text and JSON."""
+"""Certificates: proven bounds on the error of a solution, as data and as JSON."""
 
 from __future__ import annotations
 
@@ -16,26 +16,19 @@ import numpy as np
 
 from hamsym.errors import FileError, InputError
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
-from hamsym.proof.error_bounds import (
-    MOST_LEAVES,
-)
+from hamsym.proof.error_bounds import MOST_LEAVES
 
-__all__ = ["Certificate"]
-
+__all__ = ["Certificate", "check"]
 
 _KIND, _VERSION = "hamsym certificate", 1
 
-
-# What bounds may differ by in any case, in the same units: nothing below it is of interest.
+# Difference of upper and lower bounds that is always small enough, in units of the components.
 FLOOR = 2.0**-60
-
 
 FEWEST_BITS, MOST_BITS = 64, 2_048
 LEAST_RTOL, MOST_RTOL = 1e-6, 1e6
-_MOST_EDGES = MOST_LEAVES + 2  # what a proof can have: a leaf more than that is not halved
-
-
-_LONGEST_TEXT = 16 * 2**20  # of a certificate with so many edges
+_MOST_EDGES = MOST_LEAVES + 2  # of a proof: one more leaf is not halved
+_LONGEST_TEXT = 16 * 2**20  # characters of a certificate with so many edges
 
 
 @dataclass(frozen=True)
@@ -45,27 +38,27 @@ class Certificate:
     Attributes
     ----------
     bound, lower : float
-        The largest |z^(t) - z(t)| over the span, in the 2-norm, is between lower and bound.
+        Bounds on the largest |z^(t) - z(t)| over the span, in the 2-norm.
     component_bounds, component_lowers : tuple of float
-        The same for each component, dim of them.
+        The same for each of the dim components.
     energy_bound, energy_lower : float
         For max_t |H(z^(t)) - H(z(t))|; the bound is infinite where H is singular along z^.
     ell_max_bound, ell_max_lower : float
         For max_t |dz^/dt - J grad H(z^)|, the 2-norm.
     edges : tuple of float
-        Times that divide the span into pieces, in its direction; no two are equal.
+        Distinct times that divide the span into pieces, in its direction.
     piece_bounds : tuple of float
-        On each piece, both edges included, a bound on |z^(t) - z(t)|. Where two windows of a
+        A bound on |z^(t) - z(t)| on each piece, both edges included. Where two windows of a
         solution meet, z^ has two values, which differ by round-off: at such an edge the bound of a
-        piece is on the value of the window in that piece, and :meth:`bound_at` bounds both.
+        piece applies to the value of the window in that piece, and :meth:`bound_at` bounds both.
     rtol : float
-        How close upper and lower bounds were to come.
+        Relative tolerance of the difference between upper and lower bounds.
     bits : int
         Working precision.
     digest : str
         SHA-256 of what defines the solution: H, its parameters, z0, the span and all weights.
     seconds : float
-        What the proof took. Of ``rtol``, ``bits`` and ``seconds`` nothing is proven.
+        Run time of the proof. ``rtol``, ``bits`` and ``seconds`` are not part of the claim.
     """
 
     bound: float
@@ -103,14 +96,14 @@ class Certificate:
         try:
             times = np.asarray(t, dtype=float)
         except (TypeError, ValueError, OverflowError):
-            raise InputError("t is not a number or an array of numbers; give times") from None
+            raise InputError("t must be a number or an array of numbers") from None
         values = np.array([self._bound_at(float(time)) for time in times.ravel()])
         return float(values[0]) if times.ndim == 0 else values.reshape(times.shape)
 
     def _bound_at(self, t: float) -> float:
         direction = 1 if self.edges[-1] > self.edges[0] else -1
         edges = [direction * edge for edge in self.edges]
-        # Both neighbours of an edge: there z^ may have the values of two windows.
+        # At an edge both neighbours count, because z^ may have the values of two windows.
         first = bisect_left(edges, direction * t) - 1
         last = bisect_right(edges, direction * t) - 1
         if last < 0 or first >= len(self.piece_bounds) or not math.isfinite(t):
@@ -122,7 +115,7 @@ class Certificate:
 
     @property
     def statement(self) -> str:
-        """What is proven, in words."""
+        """The claim in words."""
         return (
             f"Proven: the largest |z^(t) - z(t)| (2-norm) for t from {self.edges[0]!r} to "
             f"{self.edges[-1]!r} is at least {decimal(self.lower)} and at most "
@@ -141,10 +134,10 @@ class Certificate:
     # -- as text ---------------------------------------------------------------------------
 
     def to_json(self) -> str:
-        """The certificate as text.
+        """Write the certificate as text.
 
-        Its bounds are decimals of nine digits, upper bounds rounded up, lower bounds down: they
-        hold as they are written, and the attributes are the float64 numbers nearest to them.
+        Bounds are decimals of nine digits, upper bounds rounded up, lower bounds down. They hold as
+        written; the attributes are the nearest float64 numbers.
         """
         values: dict[str, Any] = {"kind": _KIND, "version": _VERSION, "statement": self.statement}
         for name in (*UPPER, *LOWER):
@@ -156,97 +149,98 @@ class Certificate:
 
     @classmethod
     def from_json(cls, text: str) -> Certificate:
-        """The certificate that :meth:`to_json` wrote.
+        """Read a certificate that :meth:`to_json` wrote.
 
         Raises
         ------
         FileError
-            If the text is no certificate, or one of a later version.
+            If the text is not a certificate, or is one of another version.
         """
         try:
-            if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
-                raise ValueError(f"a certificate is a text of up to {_LONGEST_TEXT} characters")
-            values = json.loads(
-                text, object_pairs_hook=_without_repetition, parse_constant=_no_number
-            )
-            if not isinstance(values, dict) or values.get("kind") != _KIND:
-                raise ValueError("it is something else")
-            if type(values.get("version")) is not int or values["version"] != _VERSION:
-                raise ValueError("it is of another version")
-            if values.keys() != NAMES:
-                raise ValueError("it lacks what a certificate has, or holds what none has")
-            known: dict[str, Any] = {name: _numbers(values[name]) for name in (*UPPER, *LOWER)}
-            known |= {name: _numbers(values[name], repr) for name in WRITTEN_OUT}
-            certificate = cls(**known, bits=values["bits"], digest=values["digest"])
-            certificate._check()
-            if values["statement"] != certificate.statement:
-                raise ValueError("its statement is not what its numbers say")
+            return _from_json(text)
         except (ValueError, RecursionError) as error:
-            raise FileError(f"this text is not a certificate that hamsym reads: {error}") from None
-        return certificate
-
-    def _check(self) -> None:
-        """Refuse what cannot be a certificate.
-
-        Raises
-        ------
-        ValueError
-            Saying what is wrong.
-        """
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if entry.name in LISTS:
-                known = isinstance(value, tuple) and all(type(part) is float for part in value)
-            elif entry.name in ("bits", "digest"):
-                known = type(value) is (int if entry.name == "bits" else str)
-            else:
-                known = type(value) is float
-            if not known:
-                raise ValueError(f"its {entry.name} is of another type than certify writes")
-        pieces, edges = self.piece_bounds, self.edges
-        if len(edges) != len(pieces) + 1 or not pieces or len(edges) > _MOST_EDGES:
-            raise ValueError("its pieces do not fit together")
-        direction = 1 if edges[-1] > edges[0] else -1
-        if not all(
-            math.isfinite(low) and math.isfinite(high) and direction * low < direction * high
-            for low, high in pairwise(edges)
-        ):
-            raise ValueError("its edges are not in order")
-        if not FEWEST_BITS <= self.bits <= MOST_BITS:
-            raise ValueError("its precision is out of range")
-        if not LEAST_RTOL <= self.rtol <= MOST_RTOL:
-            raise ValueError("its rtol is out of range")
-        if not 0 <= self.seconds < math.inf:
-            raise ValueError("its seconds are not a time")
-        if not re.fullmatch("[0-9a-f]{64}", self.digest):
-            raise ValueError("its digest is no SHA-256")
-        if len(self.component_bounds) != len(self.component_lowers):
-            raise ValueError("its components do not fit together")
-        lowers = (self.lower, *self.component_lowers, self.energy_lower, self.ell_max_lower)
-        uppers = (self.bound, *self.component_bounds, self.energy_bound, self.ell_max_bound)
-        if not all(
-            0 <= low <= high and math.isfinite(low)
-            for low, high in zip(lowers, uppers, strict=True)
-        ):
-            raise ValueError("its bounds are not in order")
-        if not all(bound >= 0 for bound in pieces):
-            raise ValueError("its bounds on pieces are not bounds")
+            raise FileError(f"the text is not a certificate of this version: {error}") from None
 
 
 UPPER = ("bound", "component_bounds", "energy_bound", "ell_max_bound", "piece_bounds")
-
-
 LOWER = ("lower", "component_lowers", "energy_lower", "ell_max_lower")
-
-
 LISTS = ("component_bounds", "component_lowers", "edges", "piece_bounds")
-
-
 WRITTEN_OUT = ("edges", "rtol", "seconds")  # with all digits
-
-
 NAMES = {"kind", "version", "statement"} | {entry.name for entry in fields(Certificate)}
 assert {*UPPER, *LOWER, *LISTS, *WRITTEN_OUT} < NAMES
+
+
+def _from_json(text: str) -> Certificate:
+    if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
+        raise ValueError(f"expected a str of up to {_LONGEST_TEXT} characters")
+    values = json.loads(text, object_pairs_hook=_without_repetition, parse_constant=_no_number)
+    if not isinstance(values, dict) or values.get("kind") != _KIND:
+        raise ValueError(f"its kind is not '{_KIND}'")
+    if type(values.get("version")) is not int or values["version"] != _VERSION:
+        raise ValueError(f"its version is not {_VERSION}")
+    if values.keys() != NAMES:
+        raise ValueError("it has missing or extra entries")
+    known: dict[str, Any] = {name: _numbers(values[name]) for name in (*UPPER, *LOWER)}
+    known |= {name: _numbers(values[name], repr) for name in WRITTEN_OUT}
+    certificate = Certificate(**known, bits=values["bits"], digest=values["digest"])
+    check(certificate)
+    if values["statement"] != certificate.statement:
+        raise ValueError("its statement does not match its numbers")
+    return certificate
+
+
+def check(certificate: Certificate) -> None:
+    """Check types, ranges and order of the numbers in a certificate.
+
+    Raises
+    ------
+    ValueError
+        Naming the first entry that is not valid.
+    """
+    for entry in fields(certificate):
+        value = getattr(certificate, entry.name)
+        if entry.name in LISTS:
+            valid = isinstance(value, tuple) and all(type(part) is float for part in value)
+        elif entry.name in ("bits", "digest"):
+            valid = type(value) is (int if entry.name == "bits" else str)
+        else:
+            valid = type(value) is float
+        if not valid:
+            raise ValueError(f"its {entry.name} has another type than certify writes")
+    if not FEWEST_BITS <= certificate.bits <= MOST_BITS:
+        raise ValueError("its precision is out of range")
+    if not LEAST_RTOL <= certificate.rtol <= MOST_RTOL:
+        raise ValueError("its rtol is out of range")
+    if not 0 <= certificate.seconds < math.inf:
+        raise ValueError("its seconds are not a duration")
+    if not re.fullmatch("[0-9a-f]{64}", certificate.digest):
+        raise ValueError("its digest is not a SHA-256")
+    _check_pieces(certificate.edges, certificate.piece_bounds)
+    _check_bounds(certificate)
+
+
+def _check_pieces(edges: tuple[float, ...], bounds: tuple[float, ...]) -> None:
+    if len(edges) != len(bounds) + 1 or not bounds or len(edges) > _MOST_EDGES:
+        raise ValueError("the numbers of its edges and pieces do not match")
+    direction = 1 if edges[-1] > edges[0] else -1
+    if not all(
+        math.isfinite(low) and math.isfinite(high) and direction * low < direction * high
+        for low, high in pairwise(edges)
+    ):
+        raise ValueError("its edges are not in order")
+    if not all(bound >= 0 for bound in bounds):
+        raise ValueError("its bounds on pieces are not numbers from 0 on")
+
+
+def _check_bounds(claims: Certificate) -> None:
+    if len(claims.component_bounds) != len(claims.component_lowers):
+        raise ValueError("the numbers of its component bounds do not match")
+    lowers = (claims.lower, *claims.component_lowers, claims.energy_lower, claims.ell_max_lower)
+    uppers = (claims.bound, *claims.component_bounds, claims.energy_bound, claims.ell_max_bound)
+    if not all(
+        0 <= low <= high and math.isfinite(low) for low, high in zip(lowers, uppers, strict=True)
+    ):
+        raise ValueError("its bounds are not in order")
 
 
 def _texts(value: float | tuple[float, ...]) -> Any:
@@ -260,18 +254,18 @@ def _numbers(value: Any, written: Callable[[float], str] = decimal) -> float | t
 
 
 def _number(text: Any, written: Callable[[float], str]) -> float:
-    """A number as it is written; more digits than are written would claim more than is checked."""
+    """A number in exactly the written form; extra digits would claim more than is checked."""
     try:
         value = float(text) if isinstance(text, str) else math.nan
     except ValueError:
         value = math.nan
     if written(value) != text:
-        raise ValueError(f"{reprlib.repr(text)} is not a number as certificates have them")
+        raise ValueError(f"{reprlib.repr(text)} is not a number in the form of a certificate")
     return value
 
 
 def _no_number(text: str) -> float:
-    raise ValueError(f"'{text}' is not a number as certificates have them")
+    raise ValueError(f"'{text}' is not a number in the form of a certificate")
 
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

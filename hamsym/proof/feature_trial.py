@@ -16,7 +16,7 @@ from hamsym.random_features.trial import FeatureTrial
 
 __all__ = ["feature_segments", "features_fit"]
 
-_GUARD_BITS = 160  # powers of x in place of T_l(x) cancel; degree 47 costs 60 bits, its shifts more
+_GUARD_BITS = 160  # for cancellation between powers of x; degree 47 costs 60 bits, its shifts more
 
 
 def features_fit(trial: FeatureTrial, dim: int) -> bool:

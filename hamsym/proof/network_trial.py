@@ -34,7 +34,7 @@ def network_fits(trial: TrialSolution, dim: int) -> bool:
         value = getattr(trial, name)
         if type(value) is not float or not math.isfinite(value) or (name, value) == ("tau", 0):
             raise CertificationError(
-                f"{name} of the solution cannot be used; nothing can be proven; solve again"
+                f"{name} of the solution is not a finite, nonzero float64 number; solve again"
             )
     return True
 

@@ -1,6 +1,6 @@
-"""Units and precision for a proof, guessed from a trajectory in floating-point numbers.
+"""Units and precision of a proof, estimated by a non-rigorous pre-integration.
 
-Nothing here is proven and nothing has to be: a bad guess makes a proof slower, or makes it fail.
+The proof does not depend on these estimates: with poor ones it takes longer, or fails.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ import scipy.integrate
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import generators
 
-__all__ = ["Scout", "scout"]
+__all__ = ["Presolution", "presolve"]
 
-_SAMPLES = 1_000
-_CALLS = 60_000  # of the vector field
-_SWEEPS = 6
-_FINEST = 96  # bits, with which everything starts
-_COARSEST = 32  # steps of the precision
-_CALM = 7.0  # growth, as a natural logarithm, below which one set of units serves
-_MOST_PARTS = 300  # of the time, with units of their own
-_ROUNDS = 6  # of choosing those parts
-_RANGE = 1_000  # of powers of two that are sizes, which stay floats
+_SAMPLES = 1_000  # of the trajectory, at least
+_CALLS = 60_000  # of the vector field, at most
+_SWEEPS = 6  # over all changes of units
+_LEAST_BITS = 96
+_BITS_STEP = 32
+_CALM = 7.0  # error growth, as a natural logarithm, below which one set of units suffices
+_MOST_PARTS = 300  # parts of the span with their own units
+_ROUNDS = 6  # of choosing these parts
+_RANGE = 1_000  # largest exponent of a scale that is a power of two
 
 
-#: (elapsed time from which on, units of the components), one after the other
+#: Pairs of an elapsed time and the units of the components from there on.
 Schedule = tuple[tuple[float, tuple[float, ...]], ...]
 
 
@@ -37,21 +37,21 @@ class _TooManyCalls(Exception):  # noqa: N818
 
 
 @dataclass(frozen=True)
-class Scout:
-    """What a trajectory in floating-point numbers suggests.
+class Presolution:
+    """Units and precision suggested by a non-rigorous pre-integration.
 
     Attributes
     ----------
     scales : tuple of float
         Sizes of the components, powers of two.
     units : tuple of (float, tuple of float)
-        From which elapsed time on errors are best measured in which units, powers of two: those in
-        which the logarithmic norm is small.
+        Elapsed times, the first of which is 0, and the units of errors from there on, powers of
+        two. In these units the logarithmic norm is small.
     times, growths : numpy.ndarray
-        Elapsed times, and log2 of the growth of errors until then, by the logarithmic norm and by
-        changes of units, about; shape (n,).
+        Elapsed times, and estimates of log2 of the error growth until then, by the logarithmic norm
+        and by changes of units; shape (n,).
     energy_scale, rate_scale : float
-        Sizes of changes of H across the motion, and of the vector field (2-norm).
+        Scales of the change of H along the motion, and of the vector field (2-norm).
     """
 
     scales: tuple[float, ...]
@@ -63,17 +63,21 @@ class Scout:
 
     @property
     def bits(self) -> int:
-        """Precision at which the reference is likely to be accurate enough."""
-        needed = _FINEST + max(0.0, 1.1 * float(self.growths[-1]) - 10)
-        return _COARSEST * math.ceil(min(needed, 1e6) / _COARSEST)
+        """Precision at which the enclosure of the solution should be accurate enough."""
+        needed = _LEAST_BITS + max(0.0, 1.1 * float(self.growths[-1]) - 10)
+        return _BITS_STEP * math.ceil(min(needed, 1e6) / _BITS_STEP)
 
     def until(self, bits: int) -> float:
-        """The elapsed time for which that precision is likely to do."""
-        return float(self.times[np.searchsorted(self.growths, bits - _FINEST, side="right") - 1])
+        """The elapsed time for which a precision should suffice."""
+        return float(
+            self.times[np.searchsorted(self.growths, bits - _LEAST_BITS, side="right") - 1]
+        )
 
 
-def scout(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.ndarray) -> Scout:
-    """Follow the trajectory roughly.
+def presolve(
+    H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.ndarray
+) -> Presolution:
+    """Integrate with DOP853 to estimate scales, units and error growth.
 
     Parameters
     ----------
@@ -82,7 +86,7 @@ def scout(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.n
         Shape (dim,).
     span : (float, float)
     guess : numpy.ndarray
-        Sizes of the components, shape (dim,), for scaling.
+        Approximate sizes of the components, shape (dim,).
     """
     with np.errstate(all="ignore"):
         times, states = _trajectory(H, z0, span, guess)
@@ -95,11 +99,13 @@ def scout(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.n
         scales = 2.0**exponents
         if len(times) < 2:
             nothing = np.zeros(1)
-            return Scout(_numbers(scales), ((0.0, _numbers(scales)),), nothing, nothing, 1.0, 1.0)
+            return Presolution(
+                _numbers(scales), ((0.0, _numbers(scales)),), nothing, nothing, 1.0, 1.0
+            )
         elapsed = np.abs(times - span[0])
         schedule, growths = _schedule(elapsed, matrices, exponents)
         slopes = np.roll(np.abs(rates), H.dof, axis=1)
-    return Scout(
+    return Presolution(
         scales=_numbers(scales),
         units=schedule,
         times=elapsed,
@@ -116,12 +122,12 @@ def _numbers(values: np.ndarray) -> tuple[float, ...]:
 def _schedule(
     times: np.ndarray, matrices: np.ndarray, exponents: np.ndarray
 ) -> tuple[Schedule, np.ndarray]:
-    """Units for parts of the time, and the growth until each time.
+    """Units for parts of the span, and the error growth until each time.
 
-    Larger units make errors smaller numbers, and cost nothing; going back to smaller ones costs
-    the ratio. Near a close encounter that is far less than what fixed units cost.
+    A change to larger units is free; a change to smaller units multiplies errors by the ratio. Near
+    a close encounter this costs far less than fixed units.
     """
-    units, total = _calmest(times, matrices, exponents)
+    units, total = _best_units(times, matrices, exponents)
     rates = _norms(matrices, units)
     growth = np.concatenate(([0.0], np.cumsum(np.diff(times) * (rates[1:] + rates[:-1]) / 2)))
     best: tuple[Schedule, np.ndarray] = ((0.0, _numbers(2.0**units)),), growth
@@ -138,7 +144,7 @@ def _schedule(
 def _parts(
     times: np.ndarray, matrices: np.ndarray, units: np.ndarray, growth: np.ndarray
 ) -> tuple[Schedule, np.ndarray]:
-    """Units for parts of the time in each of which errors grow alike, and the growth then."""
+    """Units for parts of equal error growth, and the error growth with these units."""
     total = float(growth[-1])
     count = int(min(total / _CALM * 2, _MOST_PARTS))
     joints = np.searchsorted(growth, np.linspace(0, total, count + 1)[1:-1])
@@ -149,7 +155,7 @@ def _parts(
     for first, last in pairwise(joints):
         part = slice(first, last + 1)
         start = units if current is None else current
-        chosen, _ = _calmest(times[part], matrices[part], start, current)
+        chosen, _ = _best_units(times[part], matrices[part], start, current)
         rates = _norms(matrices[part], chosen)
         costs[first + 1 : last + 1] = np.diff(times[part]) * (rates[1:] + rates[:-1]) / 2
         if current is not None:
@@ -162,10 +168,11 @@ def _parts(
 def _trajectory(
     H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times and states, shapes (n,) and (n, dim), as far as it goes."""
+    """Times and states, shapes (n,) and (n, dim), until the integration fails or ends."""
     system, calls = H.compile("numpy"), 0
     found = [(span[0], z0)]
-    # Before an escape the largest sizes say nothing of the start; at rest the start says nothing.
+    # The start sets the scales, because a trajectory that escapes becomes large later; at rest the
+    # largest sizes set them.
     at_rest = ~np.abs(z0).reshape(2, -1).any(axis=1).repeat(H.dof)
     own, largest = _exponents(np.abs(z0)), _exponents(guess)
     unit = 2.0 ** np.where(at_rest, largest, np.minimum(own, largest))
@@ -193,7 +200,7 @@ def _trajectory(
 
 
 def _exponents(sizes: np.ndarray) -> np.ndarray:
-    """Powers of two of the sizes; those of the same half where a component does not move."""
+    """Exponents of powers of two above the sizes; zero sizes take the largest of q or of p."""
     halves = np.where(np.isfinite(sizes), sizes, 0.0).reshape(2, -1)
     largest = halves.max(axis=1, keepdims=True)
     known = np.where(halves > 1e-8 * largest, halves, largest)
@@ -211,13 +218,13 @@ def _norms(matrices: np.ndarray, exponents: np.ndarray) -> np.ndarray:
     return np.asarray(np.maximum(circles.max(axis=1), 0))
 
 
-def _calmest(
+def _best_units(
     times: np.ndarray,
     matrices: np.ndarray,
     exponents: np.ndarray,
     previous: np.ndarray | None = None,
 ) -> tuple[np.ndarray, float]:
-    """Units in which the logarithmic norm integrates to little, and what that costs."""
+    """Units that minimise the integral of the logarithmic norm, and that integral."""
     steps = np.diff(times)
 
     def cost(exponents: np.ndarray) -> float:

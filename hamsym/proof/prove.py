@@ -1,19 +1,19 @@
-"""Certificates: proven bounds on what a neural trajectory is off by.
+"""Certificates: proven bounds on the error of a neural trajectory.
 
 Stage 1  H, J grad H and Hess become functions of balls (:mod:`hamsym.proof.enclosures`).
-Stage 2  The equation is solved once more, with proof, to far more digits than the solution has
-         (:mod:`hamsym.proof.taylor`).
-Stage 3  The solution, as the real function that its weights define
-         (:mod:`hamsym.proof.trials`), is compared with that
-         (:mod:`hamsym.proof.error_bounds`).
+Stage 2  A validated integration encloses the exact solution, far more accurately than the neural
+         trajectory (:mod:`hamsym.proof.taylor`).
+Stage 3  The trajectory, as the real function that its weights define
+         (:mod:`hamsym.proof.trials`), minus the exact solution is expanded
+         (:mod:`hamsym.proof.expansions`) and bounded (:mod:`hamsym.proof.error_bounds`).
 Stage 4  Upper bounds are rounded up and lower bounds down to the decimals of a
          :class:`Certificate`.
 
-The proof is in the docstrings of the modules of stages 2 and 3, with every inequality.
+The docstrings of the modules of stages 2 and 3 contain the proof, with every inequality.
 
-Checking a certificate (:func:`verify`) is doing all of this again from the solution itself, until
-what the certificate claims is proven or refuted. Nothing in the certificate is taken as given, and
-neither its precision nor its size decides how long that takes.
+:func:`verify` repeats all of this from the solution, until the claims of the certificate are proven
+or refuted. It assumes nothing in the certificate, and neither the claimed precision nor the size of
+the certificate determines its run time.
 """
 
 from __future__ import annotations
@@ -40,20 +40,24 @@ from hamsym.proof.certificate import (
     MOST_BITS,
     MOST_RTOL,
     Certificate,
+    check,
     rounded_down,
     rounded_up,
 )
 from hamsym.proof.enclosures import Enclosures
 from hamsym.proof.error_bounds import (
-    Comparison,
+    ErrorBounds,
     Goal,
     Leaf,
     Quantity,
     Range,
+    RefutedError,
     joints_of,
+    quantities,
 )
-from hamsym.proof.presolve import Scout, scout
-from hamsym.proof.taylor import Deadline, PrecisionError, Reference, validated_reference
+from hamsym.proof.limits import Deadline, PrecisionError
+from hamsym.proof.presolve import Presolution, presolve
+from hamsym.proof.taylor import SolutionEnclosure, enclose_solution
 from hamsym.proof.trials import require_exact, segments
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
@@ -62,12 +66,12 @@ from hamsym.support.validation import require, require_number, require_positive,
 
 __all__ = ["certify", "verify"]
 
-_ACCURACY = 2.0**-62  # of the reference, in units of the components: finer than float64
-_FLOOR_WITHOUT_REFERENCE = 2.0**-70  # the same of what the reference does not take part in
-_PROGRESS = Fraction(1, 1_000)  # of the span, that half as many bits again have to bring
+_ACCURACY = 2.0**-62  # of the enclosure of the solution, in units of the components
+_FLOOR_WITHOUT_SOLUTION = 2.0**-70  # floor of quantities that do not involve the exact solution
+_PROGRESS = Fraction(1, 1_000)  # of the span: least gain of half as many bits again
 _SPARE_BITS = 4
-_TRIES = 2  # precisions, at least, at which a claim is tried that cannot be decided
-# Seconds that verify() takes unless told otherwise: for itself, for each of certify's, and at most.
+_TRIES = 2  # precisions, at least, before an undecided claim is rejected
+# Default time limit of verify() in seconds: its own, per second of certify, and at most.
 _PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE = 60.0, 10.0, 600.0
 _TICKS = 1_000  # of progress
 
@@ -84,7 +88,7 @@ def certify(
     bits: int | None = None,
     progress: bool | None = None,
 ) -> Certificate:
-    """Prove how large the error of a solution is; see :meth:`hamsym.Solution.certify`."""
+    """Compute rigorous bounds on the error of a solution; see :meth:`hamsym.Solution.certify`."""
     require_number("rtol", rtol, LEAST_RTOL)
     require(rtol <= MOST_RTOL, "rtol", rtol, "a number such as 0.02")
     if time_limit is not None:
@@ -96,17 +100,17 @@ def certify(
     try:
         known_by = digest(solution)
     except FileError as error:
-        raise CertificationError(f"a certificate could not name the solution: {error}") from None
+        raise CertificationError(f"the solution has no digest for a certificate: {error}") from None
     goal = Goal(rtol)
 
-    def attempt(comparison: Comparison) -> tuple[list[Range], dict[str, tuple[float, ...]]]:
+    def attempt(bounds: ErrorBounds) -> tuple[list[Range], dict[str, tuple[float, ...]]]:
         found: list[Range] = []
         profile: dict[str, tuple[float, ...]] = {}
         leaves: list[Leaf] | None = None
-        for quantity in comparison.quantities(proof.floors):
-            found.append(comparison.refine(quantity, comparison.leaves(quantity, leaves), goal))
+        for quantity in quantities(proof.floors):
+            found.append(bounds.refine(quantity, bounds.leaves(quantity, leaves), goal))
             leaves = found[-1].leaves
-            profile = profile or proof.profile(comparison, quantity, leaves)
+            profile = profile or proof.profile(bounds, quantity, leaves)
         return found, profile
 
     used, (found, profile) = proof.run(attempt, bits, _accuracy(rtol))
@@ -130,7 +134,7 @@ def certify(
 
 
 def _accuracy(rtol: float) -> float:
-    """How accurate the reference has to be, in units of the components."""
+    """Accuracy that the enclosure of the solution needs, in units of the components."""
     return _ACCURACY * min(1.0, 50 * rtol)
 
 
@@ -140,32 +144,31 @@ def verify(
     time_limit: float | None = None,
     progress: bool | None = None,
 ) -> None:
-    """Run the proof again, from the solution, and compare it with what a certificate claims.
+    """Repeat the proof from the solution and check every claim of a certificate.
 
-    The precision is chosen as :meth:`hamsym.Solution.certify` chooses it, whatever the certificate
-    says. Where a claim is neither implied nor refuted, half as many bits again are tried, until
-    they are no fewer than the certificate's.
+    The precision is chosen as in :meth:`hamsym.Solution.certify`, independently of the certificate.
+    While a claim is neither proven nor refuted, the precision grows by half, up to that of the
+    certificate.
 
     Parameters
     ----------
     certificate : Certificate or str
-        Or its text (:meth:`Certificate.to_json`).
+        The text is that of :meth:`Certificate.to_json`.
     solution : Solution or path
-        Or a file that :meth:`hamsym.Solution.save` wrote.
+        The path is that of a file written by :meth:`hamsym.Solution.save`.
     time_limit : float, optional
-        Seconds. By default a minute and ten times the seconds that certify took, but no more than
-        600, because a forged certificate may claim any: give a limit for longer proofs.
+        Seconds. By default 60 s plus ten times the run time of certify, at most 600 s, because a
+        forged certificate may claim any run time; give a limit for longer proofs.
     progress : bool, optional
 
     Raises
     ------
     CertificationError
-        Naming the first claim that is not implied by what could be proven, or if the time limit
-        is reached.
+        If a claim is not proven, naming the first one, or if the time limit is exceeded.
     FileError
-        If the text is no certificate, or the file cannot be read.
+        If the text is not a certificate, or the file cannot be read.
     InputError
-        If an argument is something else.
+        If an argument has another type.
     """
     if time_limit is not None:
         require_positive("time_limit", time_limit)
@@ -173,24 +176,26 @@ def verify(
         certificate = Certificate.from_json(certificate)
     if not isinstance(certificate, Certificate):
         raise InputError(
-            "certificate is neither a Certificate nor its text; give what certify made"
+            f"certificate must be a Certificate or its text, not {type(certificate).__name__}"
         )
     if isinstance(solution, (str, os.PathLike)):
         solution = load(Path(solution))
     if not isinstance(solution, Solution):
-        raise InputError("solution is neither a Solution nor a path; give what certify was given")
+        raise InputError(f"solution must be a Solution or a path, not {type(solution).__name__}")
     claims = certificate
     try:
-        claims._check()
+        check(claims)
     except ValueError as error:
-        raise CertificationError(f"this is no certificate: {error}") from None
+        raise CertificationError(f"not a valid certificate: {error}") from None
     _require_exact(solution)
     if digest(solution) != claims.digest:
-        raise CertificationError("the certificate is of another solution: the digests differ")
+        raise CertificationError(
+            "the certificate does not belong to this solution (SHA-256 mismatch)"
+        )
     if (claims.edges[0], claims.edges[-1]) != tuple(float(edge) for edge in solution.span):
-        raise CertificationError("the certificate is of another span than the solution's")
+        raise CertificationError("the certificate and the solution have different spans")
     if len(claims.component_bounds) != solution.H.dim:
-        raise CertificationError("the certificate is of a solution of another dimension")
+        raise CertificationError("the certificate and the solution have different dimensions")
     proof = _Proof(solution, _deadline(time_limit, claims.seconds), progress)
     pairs = [
         (claims.bound, claims.lower),
@@ -201,24 +206,19 @@ def verify(
 
     tries = 0
 
-    def attempt(comparison: Comparison) -> None:
+    def attempt(bounds: ErrorBounds) -> None:
         nonlocal tries
         tries += 1
-        last = tries >= _TRIES and comparison.reference.bits >= claims.bits
+        last = tries >= _TRIES and bounds.bits >= claims.bits
         leaves: list[Leaf] | None = None
-        norm: Quantity | None = None
-        for quantity, pair in zip(comparison.quantities(proof.floors), pairs, strict=True):
-            norm = norm or quantity
-            leaves = comparison.leaves(quantity, leaves)
-            leaves = _implied(comparison, quantity, leaves, pair, last).leaves
-        assert norm is not None
-        assert leaves is not None
-        for part, claimed in zip(
-            proof.cuts(comparison, norm, comparison.leaves(norm, leaves), claims.edges),
-            claims.piece_bounds,
-            strict=True,
-        ):
-            _implied(comparison, norm, part, (claimed, 0.0), last)
+        found = quantities(proof.floors)
+        for quantity, pair in zip(found, pairs, strict=True):
+            leaves = bounds.leaves(quantity, leaves)
+            leaves = _implied(bounds, quantity, leaves, pair, last).leaves
+        norm = found[0]
+        pieces = proof.cuts(bounds, norm, bounds.leaves(norm, leaves), claims.edges)
+        for piece, claimed in zip(pieces, claims.piece_bounds, strict=True):
+            _implied(bounds, norm, piece, (claimed, 0.0), last)
 
     proof.run(attempt, None, _accuracy(claims.rtol))
 
@@ -235,42 +235,40 @@ def _deadline(time_limit: float | None, seconds: float) -> Deadline:
 
 
 def _implied(
-    comparison: Comparison,
+    bounds: ErrorBounds,
     quantity: Quantity,
     leaves: list[Leaf],
     pair: tuple[float, float],
     last: bool,
 ) -> Range:
-    """Bounds at least as good as those claimed.
+    """Bounds at least as tight as a claimed pair (upper, lower).
 
     Raises
     ------
     PrecisionError
         If more bits may help, and this is not the last try.
     CertificationError
-        If the claim is refuted, or not implied.
+        If the claim is refuted, or not proven.
     """
     upper, lower = at_most(pair[0]), at_least(pair[1])
     try:
-        found = comparison.refine(quantity, leaves, Goal(0.0, (upper, lower)))
-        if not (found.upper <= upper and found.lower >= lower):  # as where H is singular along z^
-            raise CertificationError("refuted")
-        return found
-    except (CertificationError, PrecisionError) as error:
-        if isinstance(error, CertificationError) and str(error) != "refuted":
+        found = bounds.refine(quantity, leaves, Goal(0.0, (upper, lower)))
+        if found.upper <= upper and found.lower >= lower:  # False where H is singular along z^
+            return found
+    except RefutedError:
+        pass
+    except PrecisionError:
+        if not last:
             raise
-        if isinstance(error, PrecisionError) and not last:
-            raise
-        raise CertificationError(
-            f"the certificate does not hold: what it says of the {quantity.name} is not implied by "
-            "the proof"
-        ) from None
+    raise CertificationError(
+        f"the certificate does not hold: its claim about the {quantity.name} is not proven"
+    )
 
 
 def _within(
     ordered: list[Leaf], intervals: Iterable[tuple[Fraction, Fraction]]
 ) -> Iterator[list[Leaf]]:
-    """For intervals that follow each other, the leaves that have more than an end in them."""
+    """For consecutive intervals, the leaves that overlap each of them."""
     first = 0
     for low, high in intervals:
         while first < len(ordered) and ordered[first].end <= low:
@@ -282,17 +280,19 @@ def _within(
 
 
 def _require_exact(solution: Solution) -> None:
-    """Refuse a solution whose numbers are not those that a proof can be about.
+    """Require that z0, the span and all weights are finite numbers of exact types.
 
     Raises
     ------
     CertificationError
-        Saying which, and what to do.
+        Naming the first number that is not, and the remedy.
     """
-    remedy = "nothing can be proven; solve again"
+    remedy = "solve again"
     z0, dim = solution.z0, solution.H.dim
     if not isinstance(z0, np.ndarray) or z0.dtype != np.float64 or z0.shape != (dim,):
-        raise CertificationError(f"z0 of the solution is not {dim} numbers of float64; {remedy}")
+        raise CertificationError(
+            f"z0 of the solution is not an array of {dim} float64 numbers; {remedy}"
+        )
     if not np.isfinite(z0).all():
         raise CertificationError(f"z0 of the solution is not finite; {remedy}")
     if not all(
@@ -305,7 +305,7 @@ def _require_exact(solution: Solution) -> None:
 
 
 class _Proof:
-    """What certifying and verifying have in common."""
+    """The stages that certify and verify share."""
 
     def __init__(self, solution: Solution, deadline: Deadline, progress: bool | None) -> None:
         _require_exact(solution)
@@ -314,99 +314,95 @@ class _Proof:
         self._enclosures = Enclosures(solution.H)
         self._parts = segments(solution.trial, self._span)
         self._z0 = solution.z0
-        self._scout: Scout = scout(solution.H, self._z0, self._span, solution.scale)
+        self._presolution: Presolution = presolve(solution.H, self._z0, self._span, solution.scale)
         start, end = map(Fraction, self._span)
         self._start, self._direction = start, 1 if end > start else -1
         self._total = abs(end - start)
 
     @property
     def floors(self) -> dict[str, np.ndarray]:
-        """Differences of bounds that do not matter, in the units of each quantity."""
-        energy = FLOOR if self._enclosures.time_dependent else _FLOOR_WITHOUT_REFERENCE
+        """Differences of bounds that are always small enough, in the units of each quantity."""
+        energy = FLOOR if self._enclosures.time_dependent else _FLOOR_WITHOUT_SOLUTION
         floors = {
-            "error": FLOOR * np.array(self._scout.scales),
-            "energy": np.array(energy * self._scout.energy_scale),
-            "ell": np.array(_FLOOR_WITHOUT_REFERENCE * self._scout.rate_scale),
+            "error": FLOOR * np.array(self._presolution.scales),
+            "energy": np.array(energy * self._presolution.energy_scale),
+            "ell": np.array(_FLOOR_WITHOUT_SOLUTION * self._presolution.rate_scale),
         }
-        # An infinite floor would make any bound good enough; below the smallest there is no bound.
+        # An infinite floor would accept any bound; SMALLEST is the smallest bound.
         return {
             name: np.where(np.isfinite(value), value, 0.0).clip(SMALLEST)
             for name, value in floors.items()
         }
 
     def profile(
-        self, comparison: Comparison, norm: Quantity, leaves: list[Leaf]
+        self, bounds: ErrorBounds, norm: Quantity, leaves: list[Leaf]
     ) -> dict[str, tuple[float, ...]]:
-        """Times that divide the span into the pieces of the proof, and upper bounds there."""
+        """Edges of the pieces of the proof, and the upper bound on each piece."""
         start, end = self._span
         joints = [self.time(place) for place in joints_of(leaves)]
         edges = tuple(dict.fromkeys((start, *joints, end)))
-        # Edges are rounded to floats: a sliver of the next piece may belong to this one.
-        bounds = [
-            max(leaf.upper for leaf in part) for part in self.cuts(comparison, norm, leaves, edges)
-        ]
-        return {"edges": edges, "piece_bounds": tuple(rounded_up(bound) for bound in bounds)}
+        # Edges are rounded to floats, so that a piece may contain a narrow part of the next one.
+        cuts = self.cuts(bounds, norm, leaves, edges)
+        uppers = [max(leaf.upper for leaf in part) for part in cuts]
+        return {"edges": edges, "piece_bounds": tuple(rounded_up(upper) for upper in uppers)}
 
     def cuts(
         self,
-        comparison: Comparison,
+        bounds: ErrorBounds,
         norm: Quantity,
         leaves: list[Leaf],
         edges: Sequence[float],
     ) -> Iterator[list[Leaf]]:
-        """For each piece between two edges, leaves that cover it and no more."""
+        """Leaves that cover exactly each piece between two edges."""
         ordered = sorted(leaves, key=lambda leaf: leaf.centre)
         intervals = list(pairwise([self.elapsed(edge) for edge in edges]))
         for (low, high), part in zip(intervals, _within(ordered, intervals), strict=True):
             self._deadline.check("the pieces were bounded")
-            yield comparison.cut(norm, part, low, high)
+            yield bounds.cut(norm, part, low, high)
 
     def elapsed(self, t: float) -> Fraction:
         return self._direction * (Fraction(t) - self._start)
 
     def run(
-        self, attempt: Callable[[Comparison], _Found], bits: int | None, accuracy: float
+        self, attempt: Callable[[ErrorBounds], _Found], bits: int | None, accuracy: float
     ) -> tuple[int, _Found]:
-        """The result of an attempt at a precision that is high enough, and that precision."""
-        used = self._scout.bits if bits is None else bits
+        """A sufficient precision, and the result of an attempt at it."""
+        used = self._presolution.bits if bits is None else bits
         reached = Fraction(-1)
         while True:
             if used > MOST_BITS:
-                raise self._too_wild(self._scout.until(MOST_BITS))
+                raise self._separated(self._presolution.until(MOST_BITS))
             try:
-                reference = self._reference(used)
-                reached_accuracy = reference.accuracy(self._scout.scales)
+                exact = self._solution(used)
+                reached_accuracy = exact.accuracy(self._presolution.scales)
                 if not reached_accuracy <= accuracy:
                     raise PrecisionError(missing=math.log2(reached_accuracy / accuracy))
-                comparison = Comparison(
-                    self._enclosures, self._z0, self._parts, reference, self._deadline
-                )
-                return used, attempt(comparison)
+                bounds = ErrorBounds(self._enclosures, self._z0, self._parts, exact, self._deadline)
+                return used, attempt(bounds)
             except PrecisionError as error:
                 if bits is not None:
                     raise CertificationError(
-                        f"{bits} bits are not enough; leave out bits, or give more"
+                        f"{bits} bits are not enough; give more, or omit bits"
                     ) from None
                 if error.elapsed is not None:
-                    # As many bits again bring no progress: so near a singularity none will.
+                    # Near a singularity more bits bring no progress.
                     if error.elapsed - reached < _PROGRESS * self._total:
-                        raise self._too_wild(float(error.elapsed)) from None
+                        raise self._separated(float(error.elapsed)) from None
                     reached = error.elapsed
                 missing = used / 2 if error.missing is None else error.missing + _SPARE_BITS
             used += 32 * math.ceil(missing / 32)
 
-    def _too_wild(self, elapsed: float) -> CertificationError:
+    def _separated(self, elapsed: float) -> CertificationError:
         t = self.time(Fraction(elapsed))
         return CertificationError(
-            f"nothing can be proven beyond about t = {t:.6g}: nearby solutions part too fast "
-            "there, as near a collision, in an escape to infinity or in long chaos; end the span "
-            "before"
+            f"no bound beyond t = {t:.6g}: trajectories separate too fast (near-collision, escape "
+            "or chaos); use an earlier end time"
         )
 
     def time(self, elapsed: Fraction) -> float:
         return float(self._start + self._direction * elapsed)
 
-    def _reference(self, bits: int) -> Reference:
+    def _solution(self, bits: int) -> SolutionEnclosure:
         with stepping_progress(_TICKS, self._progress) as advance:
             done = 0
 
@@ -416,11 +412,11 @@ class _Proof:
                 advance(now - done)
                 done = now
 
-            return validated_reference(
+            return enclose_solution(
                 self._enclosures,
                 self._z0,
                 self._span,
-                self._scout.units,
+                self._presolution.units,
                 bits,
                 self._deadline,
                 report,

@@ -17,7 +17,7 @@ Series = Callable[[Fraction, Fraction, int], list[arb_series]]
 
 @dataclass(frozen=True)
 class Segment:
-    """z^ on a closed interval of elapsed time where it is one smooth function.
+    """z^ on a closed interval of elapsed time on which it is smooth.
 
     Attributes
     ----------

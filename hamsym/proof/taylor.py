@@ -1,8 +1,8 @@
-"""The true solution, enclosed: Taylor polynomials with a proven distance to it.
+"""Validated Taylor integration: polynomials with a proven distance to the exact solution.
 
-The initial state, the span and the parameters are taken as the exact float64 numbers that they
-are. Everything runs in elapsed time s >= 0, t = t_0 + sigma s with sigma = +-1 the direction of the
-span, so that the equation is dz/ds = G(s, z) = sigma J grad H(z, t).
+The initial state, the span and the parameters are exact float64 numbers. Everything runs in elapsed
+time s >= 0, t = t_0 + sigma s with sigma = +-1 the direction of the span, so that the equation is
+dz/ds = G(s, z) = sigma J grad H(z, t).
 
 **The claim.** On each step [a, a + h] there are polynomials y with exact binary coefficients and a
 number eps such that the solution z exists there and |z(s) - y(s - a)| <= eps, in the norm
@@ -43,12 +43,12 @@ number eps such that the solution z exists there and |z(s) - y(s - a)| <= eps, i
    last eps_j plus the distance of that middle. In new units u' a vector is at most
    max_i u_i / u'_i times as long as before, and so is eps_0.
 
-The largest eps of a step is used for all of it. Where eps grows beyond rho more precision is the
-remedy: a system whose errors grow by 2^k needs k bits more, and bits are cheap. So they are what
-this module uses, instead of coordinates that turn with the flow.
+The largest eps of a step holds for all of it. If eps exceeds rho, the remedy is precision: a system
+whose errors grow by 2^k needs k more bits. Bits are cheap, so this module needs no coordinates that
+rotate with the flow.
 
-Only the sizes of steps, units and precision come from floating-point numbers: guesses, which the
-proof does not rest on.
+Step sizes, units and precision are heuristic floating-point numbers; the proof does not depend on
+them.
 
 References: Lohner 1992; Nedialkov, Jackson & Corliss 1999; Soderlind 2006 (logarithmic norms);
 Johansson 2017 (Arb).
@@ -58,7 +58,6 @@ from __future__ import annotations
 
 import functools
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -70,73 +69,21 @@ from hamsym.errors import CertificationError
 from hamsym.proof.balls import above, ball, binary_logarithm, interval, working
 from hamsym.proof.enclosures import Enclosures
 from hamsym.proof.functions import SingularityError
+from hamsym.proof.limits import Deadline, PrecisionError
 
-__all__ = ["Deadline", "PrecisionError", "Reference", "ReferenceStep", "validated_reference"]
+__all__ = ["EnclosureStep", "SolutionEnclosure", "coefficient", "enclose_solution"]
 
 _TUBE = -40  # log2 of the largest radius rho, in units
-_PARTS, _FINE_PARTS = 4, 8  # of a step, on which the remainder, and the growth, are bounded
-_NEARBY = -10  # log2 of how far to look for a singularity that may explain a failure, in units
-_ESCAPED = 2.0**20  # units: the trajectory has left what was expected of it
+_PARTS, _FINE_PARTS = 4, 8  # subintervals of a step for the remainder, and for the growth
+_NEARBY = -10  # log2 of the distance in which singularities are searched for, in units
+_ESCAPED = 2.0**20  # size of the state, in units, that counts as an escape to infinity
 _SHORTEST = 2.0**-36  # step, relative to the span
 _TRIES = 60  # lengths of one step
 
 
-class PrecisionError(ArithmeticError):
-    """The working precision is too low; more bits help.
-
-    Attributes
-    ----------
-    elapsed : fractions.Fraction, optional
-        How far the validated reference came.
-    missing : float, optional
-        How many bits more.
-    """
-
-    def __init__(self, elapsed: Fraction | None = None, missing: float | None = None) -> None:
-        self.elapsed, self.missing = elapsed, missing
-        super().__init__("more bits are needed")
-
-
 @dataclass(frozen=True)
-class Deadline:
-    """A limit on wall time.
-
-    Attributes
-    ----------
-    limit : float, optional
-        Seconds.
-    began : float
-        As ``time.monotonic`` counts.
-    origin : str
-        Where the limit comes from, for the message.
-    """
-
-    limit: float | None
-    began: float
-    origin: str = ""
-
-    @classmethod
-    def after(cls, limit: float | None, origin: str = "") -> Deadline:
-        return cls(limit, time.monotonic(), origin)
-
-    def check(self, doing: str) -> None:
-        """Refuse to go on beyond the limit.
-
-        Raises
-        ------
-        CertificationError
-            Saying what was going on.
-        """
-        if self.limit is not None and not time.monotonic() - self.began <= self.limit:
-            raise CertificationError(
-                f"the time limit of {self.limit:g} s{self.origin} was reached while {doing}; give "
-                "more time"
-            )
-
-
-@dataclass(frozen=True)
-class ReferenceStep:
-    """A polynomial that the true solution stays near, on one interval of elapsed time.
+class EnclosureStep:
+    """A polynomial and its distance from the exact solution, on one interval of elapsed time.
 
     Attributes
     ----------
@@ -167,21 +114,22 @@ class ReferenceStep:
 
 
 @dataclass(frozen=True)
-class Reference:
-    """The true solution over a span, enclosed.
+class SolutionEnclosure:
+    """An enclosure of the exact solution over a span.
 
     Attributes
     ----------
-    steps : tuple of ReferenceStep
-        Without gaps.
+    steps : tuple of EnclosureStep
+        Consecutive steps that cover the span.
     bits : int
+        Working precision.
     start : float
-        t of elapsed time 0.
+        t at elapsed time 0.
     direction : int
         +1, or -1 for a span that runs backwards.
     """
 
-    steps: tuple[ReferenceStep, ...]
+    steps: tuple[EnclosureStep, ...]
     bits: int
     start: float
     direction: int
@@ -198,7 +146,7 @@ class Reference:
         return float(ratios.max())  # NaN if one is
 
     def __call__(self, t: float) -> list[arb]:
-        """Balls that hold the true state at time t, dim of them."""
+        """Balls that contain the exact state at time t, dim of them."""
         elapsed = (Fraction(t) - Fraction(self.start)) * self.direction
         step = next((step for step in self.steps if step.start <= elapsed <= step.end), None)
         if step is None:
@@ -211,7 +159,7 @@ class Reference:
             ]
 
 
-def validated_reference(
+def enclose_solution(
     H: Enclosures,
     z0: np.ndarray,
     span: tuple[float, float],
@@ -219,84 +167,168 @@ def validated_reference(
     bits: int,
     deadline: Deadline,
     progress: Callable[[float], None] | None = None,
-) -> Reference:
-    """Enclose the solution from z0 over a span.
+) -> SolutionEnclosure:
+    """Enclose the exact solution from z0 over a span.
 
     Parameters
     ----------
     H : Enclosures
     z0 : numpy.ndarray
-        Shape (dim,); taken as exact.
+        Shape (dim,); exact.
     span : (float, float)
-        Taken as exact.
+        Exact.
     units : sequence of (float, sequence of float)
-        From which elapsed time on errors are measured in which units, powers of two; the first
-        from 0 on.
+        Elapsed times, the first of which is 0, and the units of errors from there on, powers of
+        two.
     bits : int
         Working precision.
     deadline : Deadline
     progress : callable, optional
-        Called with the part of the span that is done.
+        Called with the completed share of the span.
 
     Raises
     ------
     PrecisionError
         If more bits would help.
     CertificationError
-        If there is no way on: with the time, the reason and what may help.
+        If the enclosure ends before the span, with the time, the reason and the remedy.
     """
-    marcher = _March(H, span, units, bits, deadline)
+    equation = _ElapsedEquation(H, span)
+    stepper = _TaylorStepper(equation, units, bits, deadline)
     start, radius = [arb(float(value)) for value in z0], arb(0)
-    steps: list[ReferenceStep] = []
-    elapsed, total = Fraction(0), marcher.total
-    with working(bits, marcher.order + 1):
+    steps: list[EnclosureStep] = []
+    elapsed, total = Fraction(0), equation.total
+    with working(bits, stepper.order + 1):
         while elapsed < total:
-            step, start, radius = marcher.step(elapsed, start, radius)
+            step, start, radius = stepper.step(elapsed, start, radius)
             steps.append(step)
             elapsed = step.end
             if progress:
                 progress(float(elapsed / total))
-    return Reference(tuple(steps), bits, span[0], marcher.direction)
+    return SolutionEnclosure(tuple(steps), bits, span[0], equation.direction)
 
 
-class _March:
-    """Steps of the validated reference."""
+class _ElapsedEquation:
+    """Hamilton's equations in elapsed time, dz/ds = G(s, z).
+
+    Attributes
+    ----------
+    H : Enclosures
+    total : fractions.Fraction
+        Elapsed time at the end of the span.
+    direction : int
+        sigma.
+    """
+
+    def __init__(self, H: Enclosures, span: tuple[float, float]) -> None:
+        self.H = H
+        start, end = (Fraction(float(time)) for time in span)
+        self._start, self.total = start, abs(end - start)
+        self.direction = 1 if end > start else -1
+
+    def time(self, elapsed: Fraction) -> float:
+        """t at an elapsed time, rounded."""
+        return float(self._start + self.direction * elapsed)
+
+    def clock(self, elapsed: arb) -> arb:
+        """A ball of t for a ball of elapsed time."""
+        return ball(self._start) + self.direction * elapsed
+
+    def coefficients(
+        self, elapsed: Fraction, start: list[arb], order: int, check: Callable[[], None]
+    ) -> tuple[list[list[arb]], list[list[arb]]]:
+        """Exact Taylor coefficients c_k of each component, and balls of the defect's, r_k."""
+        coefficients = [[value] for value in start]
+        defects: list[list[arb]] = [[] for _ in start]
+        clock = [self.clock(ball(elapsed)), arb(self.direction)]
+        for k in range(order):
+            check()
+            ctx.cap = k + 1
+            series = [arb_series(known) for known in coefficients]
+            rates = self.H.vector_field(series, arb_series(clock))
+            for known, defect, rate in zip(coefficients, defects, rates, strict=True):
+                slope = self.direction * coefficient(rate, k)
+                known.append((slope / (k + 1)).mid())
+                defect.append((k + 1) * known[-1] - slope)
+        ctx.cap = order + 1
+        if not all(value.is_finite() for known in coefficients for value in known):
+            raise SingularityError("")
+        return coefficients, defects
+
+    def remainders(
+        self, elapsed: Fraction, length: Fraction, coefficients: list[list[arb]]
+    ) -> list[arb]:
+        """Bounds on |R_i|, the last Taylor coefficients of G along y over the step."""
+        order = len(coefficients[0]) - 1
+        polynomials = [arb_poly(known) for known in coefficients]
+        bounds = [arb(0) for _ in coefficients]
+        for j in range(_PARTS):
+            inside = interval(j * length / _PARTS, (j + 1) * length / _PARTS)
+            shifted = arb_poly([inside, 1])
+            series = [arb_series(polynomial(shifted).coeffs()) for polynomial in polynomials]
+            clock = arb_series([self.clock(ball(elapsed) + inside), self.direction])
+            for i, rate in enumerate(self.H.vector_field(series, clock)):
+                bounds[i] = bounds[i].max(abs(coefficient(rate, order)))
+        return bounds
+
+    def logarithmic_norm(self, state: list[arb], clock: arb, units: Sequence[arb]) -> arb:
+        """m >= 0, a bound on the eigenvalues of the symmetric part of U^-1 DG U."""
+        dim, dof = len(state), len(state) // 2
+        rows = [[arb(0)] * dim for _ in range(dim)]
+        for (i, j), entry in self.H.hessian(state, clock).items():
+            for row, column in {(i, j), (j, i)}:
+                # J grad H: the rates of q are the slopes in p, those of p are minus those in q.
+                target, sign = (row - dof, 1) if row >= dof else (row + dof, -1)
+                scaled = entry * (units[column] / units[target])
+                rows[target][column] = sign * self.direction * scaled
+        largest = arb(0)
+        for i in range(dim):
+            circle = rows[i][i]
+            for j in range(dim):
+                if j != i:
+                    circle += abs(rows[i][j] + rows[j][i]) / 2
+            largest = largest.max(circle)
+        return largest.upper()
+
+
+class _TaylorStepper:
+    """Steps of the enclosure: length, defect, tube and growth of the error.
+
+    Attributes
+    ----------
+    order : int
+        Degree n of the polynomials.
+    """
 
     def __init__(
         self,
-        H: Enclosures,
-        span: tuple[float, float],
+        equation: _ElapsedEquation,
         units: Sequence[tuple[float, Sequence[float]]],
         bits: int,
         deadline: Deadline,
     ) -> None:
-        self._H, self._bits, self._deadline = H, bits, deadline
-        start, end = (Fraction(float(time)) for time in span)
-        self._start, self.total = start, abs(end - start)
-        self.direction = 1 if end > start else -1
+        self._equation, self._bits, self._deadline = equation, bits, deadline
         self.order = max(24, round(0.3 * (bits - 16)))
         self._schedule = [(since, [arb(unit) for unit in sizes]) for since, sizes in units]
         self._units = self._schedule.pop(0)[1]
         self._previous: Fraction | None = None
 
-    def time(self, elapsed: Fraction) -> float:
-        return float(self._start + self.direction * elapsed)
-
     def step(
         self, elapsed: Fraction, start: list[arb], radius: arb
-    ) -> tuple[ReferenceStep, list[arb], arb]:
+    ) -> tuple[EnclosureStep, list[arb], arb]:
         """One step, the exact start of the next, and its distance from the solution."""
-        while self._schedule and self._schedule[0][0] <= elapsed:
-            before, self._units = self._units, self._schedule.pop(0)[1]
-            ratios = [old / new for old, new in zip(before, self._units, strict=True)]
-            radius = (radius * functools.reduce(arb.max, ratios)).upper()
+        radius = self._in_present_units(elapsed, radius)
+        time = self._equation.time(elapsed)
+        stage = f"the solution was enclosed, at t = {time:.6g}"
         try:
-            coefficients, defects = self._coefficients(elapsed, start)
+            coefficients, defects = self._equation.coefficients(
+                elapsed, start, self.order, lambda: self._deadline.check(stage)
+            )
         except SingularityError as error:
-            raise self._singular(elapsed, str(error)) from None
+            raise _ended(time, str(error)) from None
         length, reason, crowded = self._guess(elapsed, coefficients), "", False
         for _ in range(_TRIES):
-            if length < self.total * Fraction(_SHORTEST):
+            if length < self._equation.total * Fraction(_SHORTEST):
                 break
             try:
                 defect = self._defect(elapsed, length, coefficients, defects)
@@ -312,67 +344,41 @@ class _March:
             length = _short(length * Fraction(3, 5))
         if self._size(start) > _ESCAPED:
             raise CertificationError(
-                f"the solution escapes towards infinity at t = {self.time(elapsed):.6g}; nothing "
-                "is proven beyond; end the span before"
+                f"no bound beyond t = {time:.6g}: the solution escapes to infinity; use an earlier "
+                "end time"
             )
         if crowded and not reason:
             raise PrecisionError(elapsed)
-        raise self._singular(elapsed, reason or self._nearby(elapsed, start))
+        raise _ended(time, reason or self._nearby(elapsed, start))
+
+    def _in_present_units(self, elapsed: Fraction, radius: arb) -> arb:
+        """Change to the units of an elapsed time; the radius in these units."""
+        while self._schedule and self._schedule[0][0] <= elapsed:
+            before, self._units = self._units, self._schedule.pop(0)[1]
+            ratios = [old / new for old, new in zip(before, self._units, strict=True)]
+            radius = (radius * functools.reduce(arb.max, ratios)).upper()
+        return radius
 
     def _nearby(self, elapsed: Fraction, start: list[arb]) -> str:
-        """A subexpression that is not smooth at some point near the state, if there is one."""
+        """A subexpression that is not smooth at some point near the state, or an empty text."""
         for size in range(-40, _NEARBY):
             width = arb(2) ** size * arb(0, 1)
             state = [value + width * unit for value, unit in zip(start, self._units, strict=True)]
             try:
-                self._H.hessian(state, self._clock(ball(elapsed)))
+                self._equation.H.hessian(state, self._equation.clock(ball(elapsed)))
             except SingularityError as error:
                 return str(error)
         return ""
 
-    def _singular(self, elapsed: Fraction, reason: str) -> CertificationError:
-        found = (
-            f"'{reason}' comes to a point where it is not smooth"
-            if reason
-            else "the steps become too short, as near a collision or an escape to infinity"
-        )
-        return CertificationError(
-            f"nothing can be proven beyond t = {self.time(elapsed):.6g}: {found}; end the span "
-            "before"
-        )
-
     def _size(self, state: Sequence[arb]) -> float:
         return max(above(abs(value) / unit) for value, unit in zip(state, self._units, strict=True))
 
-    def _clock(self, elapsed: arb) -> arb:
-        return ball(self._start) + self.direction * elapsed
-
-    def _coefficients(
-        self, elapsed: Fraction, start: list[arb]
-    ) -> tuple[list[list[arb]], list[list[arb]]]:
-        """Exact Taylor coefficients c_k of each component, and balls of the defect's, r_k."""
-        coefficients = [[value] for value in start]
-        defects: list[list[arb]] = [[] for _ in start]
-        clock = [self._clock(ball(elapsed)), arb(self.direction)]
-        for k in range(self.order):
-            self._deadline.check(f"the equation was re-solved, at t = {self.time(elapsed):.6g}")
-            ctx.cap = k + 1
-            series = [arb_series(known) for known in coefficients]
-            rates = self._H.vector_field(series, arb_series(clock))
-            for known, defect, rate in zip(coefficients, defects, rates, strict=True):
-                slope = self.direction * coefficient(rate, k)
-                known.append((slope / (k + 1)).mid())
-                defect.append((k + 1) * known[-1] - slope)
-        ctx.cap = self.order + 1
-        if not all(value.is_finite() for known in coefficients for value in known):
-            raise SingularityError("")
-        return coefficients, defects
-
     def _guess(self, elapsed: Fraction, coefficients: list[list[arb]]) -> Fraction:
-        """A length at which the last terms are as small as the precision is fine."""
-        left = self.total - elapsed
+        """A length for which the last terms are about as small as the rounding errors."""
+        total = self._equation.total
+        left = total - elapsed
         # The total may be beyond the range of floats.
-        longest = math.log2(self.total.numerator) - math.log2(self.total.denominator) - 2
+        longest = math.log2(total.numerator) - math.log2(total.denominator) - 2
         for known, unit in zip(coefficients, self._units, strict=True):
             for k in (self.order - 1, self.order):
                 size = binary_logarithm(known[k]) - binary_logarithm(unit)
@@ -393,15 +399,7 @@ class _March:
         defects: list[list[arb]],
     ) -> arb:
         """d, a bound on the defect |y' - G(y)| over the step, in units per time."""
-        polynomials = [arb_poly(known) for known in coefficients]
-        bounds = [arb(0) for _ in coefficients]
-        for j in range(_PARTS):
-            inside = interval(j * length / _PARTS, (j + 1) * length / _PARTS)
-            shifted = arb_poly([inside, 1])
-            series = [arb_series(polynomial(shifted).coeffs()) for polynomial in polynomials]
-            clock = arb_series([self._clock(ball(elapsed) + inside), self.direction])
-            for i, rate in enumerate(self._H.vector_field(series, clock)):
-                bounds[i] = bounds[i].max(abs(coefficient(rate, self.order)))
+        bounds = self._equation.remainders(elapsed, length, coefficients)
         h, total = ball(length), arb(0)
         for bound, known, unit in zip(bounds, defects, self._units, strict=True):
             for value in reversed(known):
@@ -410,9 +408,9 @@ class _March:
         return total.upper().sqrt().upper()
 
     def _tube(self, radius: arb) -> arb:
-        """rho: room for a growth by 2^8 in one step, but never much beyond what the units resolve.
+        """rho: room for a growth by 2^8 in one step, limited to 2^-40 units.
 
-        Not zero even where nothing is wrong yet, because errors have to stay below it.
+        Positive even for an exact start, because errors must stay below it.
         """
         room = (radius * 2**8).upper() + arb(2) ** (-2 * self._bits)
         return room.min(arb(2) ** _TUBE).mid()
@@ -426,7 +424,7 @@ class _March:
         radius: arb,
         tube: arb,
     ) -> arb:
-        """The distance from the solution after the step, if it stays in the tube."""
+        """The distance from the solution after the step, valid if it is below the tube."""
         part = length / _FINE_PARTS
         duration = ball(part)
         polynomials = [arb_poly(known) for known in coefficients]
@@ -437,36 +435,18 @@ class _March:
                 polynomial(around)(half) + tube * unit * arb(0, 1)
                 for polynomial, unit in zip(polynomials, self._units, strict=True)
             ]
-            clock = self._clock(ball(elapsed) + middle + half)
-            # That these are balls proves H and G smooth throughout, and not only DG.
-            self._H.energy(state, clock)
-            self._H.vector_field(state, clock)
-            rate = self._logarithmic_norm(state, clock)
+            clock = self._equation.clock(ball(elapsed) + middle + half)
+            # Finite balls prove that H and G are smooth throughout, not only DG.
+            self._equation.H.energy(state, clock)
+            self._equation.H.vector_field(state, clock)
+            rate = self._equation.logarithmic_norm(state, clock, self._units)
             radius = ((rate * duration).exp() * (radius + duration * defect)).upper()
         return radius
 
-    def _logarithmic_norm(self, state: list[arb], clock: arb) -> arb:
-        """m >= 0, a bound on the eigenvalues of the symmetric part of U^-1 DG U."""
-        dim, dof = len(state), len(state) // 2
-        rows = [[arb(0)] * dim for _ in range(dim)]
-        for (i, j), entry in self._H.hessian(state, clock).items():
-            for row, column in {(i, j), (j, i)}:
-                # J grad H: the rates of q are the slopes in p, those of p are minus those in q.
-                target, sign = (row - dof, 1) if row >= dof else (row + dof, -1)
-                scaled = entry * (self._units[column] / self._units[target])
-                rows[target][column] = sign * self.direction * scaled
-        largest = arb(0)
-        for i in range(dim):
-            circle = rows[i][i]
-            for j in range(dim):
-                if j != i:
-                    circle += abs(rows[i][j] + rows[j][i]) / 2
-            largest = largest.max(circle)
-        return largest.upper()
-
     def _accepted(
         self, elapsed: Fraction, length: Fraction, coefficients: list[list[arb]], radius: arb
-    ) -> tuple[ReferenceStep, list[arb], arb]:
+    ) -> tuple[EnclosureStep, list[arb], arb]:
+        """The finished step, the exact start of the next, and its distance from the solution."""
         polynomials = tuple(arb_poly(known) for known in coefficients)
         reached = [polynomial(ball(length)) for polynomial in polynomials]
         if not all(value.is_finite() for value in reached):
@@ -480,12 +460,12 @@ class _March:
             arb(0),
         )
         self._previous = length
-        step = ReferenceStep(elapsed, length, polynomials, radius, tuple(self._units))
+        step = EnclosureStep(elapsed, length, polynomials, radius, tuple(self._units))
         return step, start, (radius + moved.upper().sqrt()).upper()
 
 
 def coefficient(series: arb | arb_series, k: int) -> arb:
-    """The k-th Taylor coefficient, also of a formula that turned out to be constant."""
+    """The k-th Taylor coefficient of a series, or of a constant."""
     if isinstance(series, arb):
         return series if k == 0 else arb(0)
     return series[k]
@@ -496,7 +476,12 @@ def _square(value: arb) -> arb:
 
 
 def _short(length: Fraction) -> Fraction:
-    """The next smaller number of six bits, so that sums of lengths stay short, too."""
+    """The next smaller number of six bits; sums of such lengths have few bits, too."""
     shift = length.numerator.bit_length() - length.denominator.bit_length() - 6
     scale = Fraction(2) ** shift
     return (length // scale) * scale
+
+
+def _ended(time: float, reason: str) -> CertificationError:
+    found = f"'{reason}' is not smooth there" if reason else "near-collision or escape to infinity"
+    return CertificationError(f"no bound beyond t = {time:.6g}: {found}; use an earlier end time")

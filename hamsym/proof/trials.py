@@ -1,7 +1,7 @@
 """Trial solutions in ball arithmetic: z^(t) as the real function that its float64 numbers define.
 
-What is enclosed is not the rounded evaluation in torch, but the function of a real t given by the
-formulas below with every stored number (float64 or float32) as the exact binary fraction it is:
+The enclosed function is that of a real t given by the formulas below, with every stored number
+(float64 or float32) as an exact binary fraction, not its rounded evaluation:
 
 * a deep network (:class:`~hamsym.networks.trial.TrialSolution`), z^(t) = z0 + f(s) N(s) with
   s = (t - t0)/tau, f(s) = 1 - exp(-s) or s, and N the layers W h + b with sin, tanh or
@@ -11,8 +11,8 @@ formulas below with every stored number (float64 or float32) as the exact binary
       z^(t) = z_a + (1 - exp(-s)) sum_l T_l(2 s - 1) sum_m S_lm C_m,   s = (t - t_a)/(t_b - t_a),
 
   with T_l the Chebyshev polynomials; the numbers are the edges t_a, t_b, the states z_a, the series
-  S and the readouts C. The length t_b - t_a is the exact difference of two floats. At a joint two
-  windows have values that differ by what rounding left between them; both are enclosed.
+  S and the readouts C. The length t_b - t_a is the exact difference of two floats. At a joint the
+  values of two windows differ by round-off; both are enclosed.
 
 Everything is in elapsed time, t = t_start + sigma s with sigma = +-1, as in
 :mod:`hamsym.proof.taylor`.
@@ -35,33 +35,29 @@ __all__ = ["require_exact", "segments"]
 
 
 def require_exact(trial: Any, dim: int) -> None:
-    """Refuse a trial solution whose numbers are not real, finite and as many as they should be.
+    """Require that all numbers of a trial solution are real and finite, in arrays that fit.
 
     Raises
     ------
     CertificationError
-        Naming the first tensor or number that is not.
+        Naming the first array or number that is not valid.
     """
     if not isinstance(trial, FeatureTrial) and not _is_network(trial):
         raise CertificationError(
-            f"the trial solution is a {type(trial).__name__}, which has no enclosure; nothing can "
-            "be proven"
+            f"the trial solution is a {type(trial).__name__}, which has no enclosure; solve with "
+            "features or networks"
         )
     for name, array in trial.arrays().items():
         if array.dtype not in (np.float64, np.float32):
             raise CertificationError(
-                f"'{name}' of the solution holds numbers of {array.dtype}, not of float64 or "
-                "float32; nothing can be proven; solve again"
+                f"'{name}' of the solution has type {array.dtype}, not float64 or float32; "
+                "solve again"
             )
         if not np.isfinite(array).all():
-            raise CertificationError(
-                f"'{name}' of the solution is not finite; nothing can be proven; solve again"
-            )
+            raise CertificationError(f"'{name}' of the solution is not finite; solve again")
     fits = features_fit if isinstance(trial, FeatureTrial) else _of_networks().network_fits
     if not fits(trial, dim):
-        raise CertificationError(
-            "the arrays of the solution do not fit together; nothing can be proven; solve again"
-        )
+        raise CertificationError("the arrays of the solution do not fit together; solve again")
 
 
 def segments(trial: Any, span: tuple[float, float]) -> list[Segment]:

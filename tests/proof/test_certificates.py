@@ -1,7 +1,8 @@
-"""Certificates hold for what was computed, follow what is damaged, and cannot be edited."""
+"""Certificates bound the true error, follow changed weights, and reject edits."""
 
 import copy
 import dataclasses
+import functools
 import itertools
 import json
 import math
@@ -22,8 +23,10 @@ from hamsym.proof import prove
 from hamsym.proof.balls import above, exact, working
 from hamsym.proof.certificate import Certificate
 from hamsym.proof.enclosures import Enclosures
+from hamsym.proof.error_bounds import quantities
+from hamsym.proof.limits import Deadline
 from hamsym.proof.prove import verify
-from hamsym.proof.taylor import Deadline, validated_reference
+from hamsym.proof.taylor import enclose_solution
 from hamsym.proof.trials import segments
 
 _OPTIONS = {
@@ -31,9 +34,9 @@ _OPTIONS = {
     "fine features": {"tol": 1e-12},
     "levenberg-marquardt": {
         "method": "levenberg-marquardt",
-        "hidden": (20, 20),
+        "hidden": (16, 16),
         "points": 60,
-        "target_error": 1e-5,
+        "target_error": 1e-4,
     },
     "tanh": {"method": "adam", "epochs": 30, "hidden": (8, 8), "activation": "tanh"},
     "sigmoid": {"method": "adam", "epochs": 30, "hidden": (8,), "activation": "sigmoid"},
@@ -43,16 +46,29 @@ _OPTIONS = {
 }
 
 
-def solved(name, problem=None, span=None):
-    problem = problem or systems.nonlinear_oscillator()
-    return hamsym.solve(problem.H, problem.z0, span or (0.0, 4.0), **_OPTIONS[name])
+@functools.cache
+def solved(name):
+    problem = systems.nonlinear_oscillator()
+    return hamsym.solve(problem.H, problem.z0, (0.0, 4.0), **_OPTIONS[name])
+
+
+@functools.cache
+def certified(name):
+    return solved(name).certify()
+
+
+@functools.cache
+def short():
+    """A marched solution over a short span."""
+    problem = systems.nonlinear_oscillator()
+    return hamsym.solve(problem.H, problem.z0, (0.0, 0.5), tol=1e-9)
 
 
 def true_errors(solution, times):
-    """z^ - z to thirty digits: z by a second reference, z^ by its formula in mpmath."""
+    """z^ - z to thirty digits: z by a second enclosure, z^ by its formula in mpmath."""
     z0 = np.asarray(solution.z0, dtype=float)
     units = [(0.0, [1.0] * len(z0))]
-    found = validated_reference(
+    found = enclose_solution(
         Enclosures(solution.H), z0, solution.span, units, 160, Deadline.after(None)
     )
     errors = []
@@ -67,7 +83,7 @@ def _number(fraction):
 
 
 def formula(solution, t):
-    """z^(t) as its documentation defines it, in mpmath."""
+    """z^(t) by its definition in the documentation, in mpmath."""
     trial = solution.trial
     if hasattr(trial, "edges"):
         edges = trial.edges.tolist()
@@ -112,7 +128,7 @@ def formula(solution, t):
 
 
 def assert_holds(certificate, solution, times=None, count=40):
-    """The true error is below the bounds everywhere, and reaches the lower ones somewhere near."""
+    """The true error is below the upper bounds at all times; return the largest."""
     generator = np.random.default_rng(0)
     times = generator.uniform(*sorted(solution.span), count) if times is None else times
     with mpmath.workdps(50):
@@ -127,43 +143,32 @@ def assert_holds(certificate, solution, times=None, count=40):
 
 
 @pytest.mark.parametrize("name", _OPTIONS)
-def test_the_bound_holds_and_is_close(name):
-    solution = solved(name)
-    certificate = solution.certify()
-    assert_holds(certificate, solution)
+def test_bounds_hold_and_are_tight(name):
+    solution, certificate = solved(name), certified(name)
+    assert_holds(certificate, solution, count=20)
     assert certificate.bound <= 1.03 * certificate.lower
     assert certificate.ell_max_bound <= 1.03 * certificate.ell_max_lower
     assert certificate.energy_bound <= 1.03 * certificate.energy_lower
-    if name != "fine features":  # whose residual is not far from round-off
+    if name != "fine features":  # whose residual is near round-off
         assert certificate.ell_max_bound == pytest.approx(solution.ell_max, rel=0.03)
-
-
-def test_the_bound_is_within_five_percent_of_the_known_error():
-    problem = systems.nonlinear_oscillator()
-    solution = hamsym.solve(
-        problem.H, problem.z0, problem.span, method="levenberg-marquardt", target_error=1e-5
-    )
-    times = np.linspace(*problem.span, 8001)
-    error = np.linalg.norm(solution(times) - problem.exact(times), axis=1).max()
-    assert error <= solution.certify().bound <= 1.05 * error
 
 
 @pytest.mark.parametrize(
     ("problem", "span"),
     [
         (systems.henon_heiles(), (0.0, 3.0)),
-        (systems.kepler(), (0.0, 2.0)),
-        (systems.double_pendulum(), (0.0, 1.0)),
+        (systems.kepler(), (0.0, 1.0)),
+        (systems.double_pendulum(), (0.0, 0.5)),
         (systems.driven_oscillator(), (1.0, -3.0)),
     ],
     ids=lambda value: getattr(value, "name", None),
 )
 def test_other_systems(problem, span):
-    solution = solved("features", problem, span)
+    solution = hamsym.solve(problem.H, problem.z0, span, tol=1e-9)
     assert_holds(solution.certify(), solution, count=15)
 
 
-def test_units_of_any_size_do():
+def test_units_of_any_size():
     H = hamsym.Hamiltonian("p**2/(2*m) + k*x**2/2", parameters={"m": 1e-27, "k": 1e-27})
     solution = hamsym.solve(H, [1.0, 0.0], (0.0, 5.0))
     certificate = solution.certify()
@@ -173,7 +178,7 @@ def test_units_of_any_size_do():
 
 
 def damaged(solution, change):
-    """A solution whose trial solution is changed by a function of its tensors."""
+    """A copy of a solution with a changed trial solution."""
     other = copy.copy(solution)
     other.trial = copy.deepcopy(solution.trial)
     with torch.no_grad():
@@ -206,19 +211,18 @@ def _one_state(trial):
         ("fine features", _one_state),
     ],
 )
-def test_the_bound_follows_damage(name, change):
+def test_bound_follows_changed_weights(name, change):
     sound = solved(name)
     hurt = damaged(sound, change)
-    certificate = hurt.certify()
-    found = assert_holds(certificate, hurt, count=60)
+    certificate = hurt.certify(rtol=0.1)
+    found = assert_holds(certificate, hurt)
     assert certificate.bound > 0.5 * found
-    assert certificate.bound != sound.certify().bound
-    with pytest.raises(CertificationError, match="another solution"):
+    assert certificate.bound != certified(name).bound
+    with pytest.raises(CertificationError, match="does not belong to this solution"):
         verify(certificate, sound)
 
 
-def test_series_of_a_trial_solution_contain_it_anywhere_on_the_ball():
-
+def test_series_of_trials_hold_on_the_ball():
     for name in ("levenberg-marquardt", "tanh", "features"):
         solution = solved(name)
         part = segments(solution.trial, solution.span)[-1]
@@ -240,20 +244,32 @@ def test_series_of_a_trial_solution_contain_it_anywhere_on_the_ball():
 
 @pytest.fixture(scope="module")
 def case():
-    solution = solved("levenberg-marquardt")
+    """A network over a span short enough for a proof in milliseconds."""
+    problem = systems.nonlinear_oscillator()
+    solution = hamsym.solve(
+        problem.H, problem.z0, (0.0, 1.0), method="adam", epochs=30, hidden=(6,), seed=0
+    )
     return solution, solution.certify()
 
 
-def test_a_certificate_survives_its_text(case, tmp_path):
-    solution, certificate = case
-    text = certificate.to_json()
-    assert Certificate.from_json(text) == certificate
-    assert Certificate.from_json(text).to_json() == text
+def test_full_size_certificate_survives_saving(tmp_path):
+    solution, certificate = solved("levenberg-marquardt"), certified("levenberg-marquardt")
     solution.save(tmp_path / "a.hamsym")
-    verify(text, tmp_path / "a.hamsym")
+    verify(certificate.to_json(), tmp_path / "a.hamsym")
+    forged = dataclasses.replace(
+        certificate, bound=0.97 * certificate.bound, lower=0.9 * certificate.lower
+    )
+    with pytest.raises(CertificationError, match="claim about the norm is not proven"):
+        verify(forged, solution)
 
 
-def test_a_certificate_says_what_is_proven(case):
+def test_json_round_trip(case):
+    text = case[1].to_json()
+    assert Certificate.from_json(text) == case[1]
+    assert Certificate.from_json(text).to_json() == text
+
+
+def test_statement_describes_the_claim(case):
     statement = case[1].statement
     for word in ("Proven", "exact", "solves the equation once more", "weights", "bits", "Arb"):
         assert word in statement
@@ -273,7 +289,7 @@ def test_a_certificate_says_what_is_proven(case):
         ("piece_bounds", 1e-3),
     ],
 )
-def test_an_edited_certificate_fails(case, field, factor):
+def test_edited_certificate_fails(case, field, factor):
     solution, certificate = case
     value = getattr(certificate, field)
     if isinstance(value, tuple):
@@ -298,11 +314,11 @@ def test_an_edited_certificate_fails(case, field, factor):
     # Without the statement that belongs to its numbers the text is no certificate at all.
     if field in ("bound", "lower"):
         values = json.loads(forged) | {"statement": case[1].statement}
-        with pytest.raises(FileError, match="statement is not"):
+        with pytest.raises(FileError, match="statement does not match"):
             verify(json.dumps(values), solution)
 
 
-def test_claims_that_are_no_numbers_fail(case):
+def test_nan_claims_fail(case):
     solution, certificate = case
     values = json.loads(certificate.to_json()) | {"bound": "nan"}
     with pytest.raises((CertificationError, FileError)):
@@ -310,29 +326,29 @@ def test_claims_that_are_no_numbers_fail(case):
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "reason"),
     [
-        {"digest": "0" * 64},
-        {"edges": (0.0, 3.0), "piece_bounds": (1.0,)},
-        {"component_bounds": (1.0,), "component_lowers": (0.0,)},
+        ({"digest": "0" * 64}, "SHA-256 mismatch"),
+        ({"edges": (0.0, 3.0), "piece_bounds": (1.0,)}, "different spans"),
+        ({"component_bounds": (1.0,), "component_lowers": (0.0,)}, "different dimensions"),
     ],
 )
-def test_a_certificate_of_something_else_fails(case, change):
+def test_certificate_of_another_solution_fails(case, change, reason):
     solution, certificate = case
     other = dataclasses.replace(certificate, **change)
-    with pytest.raises(CertificationError, match="another"):
+    with pytest.raises(CertificationError, match=reason):
         verify(other.to_json(), solution)
 
 
 @pytest.mark.parametrize(
     "text", ["", "[]", "{}", '{"kind": "hamsym certificate", "version": 2}', "[" * 100_000]
 )
-def test_what_is_no_certificate_is_refused(case, text):
+def test_other_texts_are_rejected(case, text):
     with pytest.raises(FileError, match="not a certificate"):
         verify(text, case[0])
 
 
-def test_looser_claims_are_implied(case):
+def test_looser_claims_are_verified(case):
     solution, certificate = case
     looser = dataclasses.replace(
         certificate, bound=2 * certificate.bound, lower=certificate.lower / 2
@@ -341,39 +357,46 @@ def test_looser_claims_are_implied(case):
     verify(looser, solution)
 
 
-def test_bounds_outside_the_span_are_refused(case):
+def test_times_outside_the_span_are_rejected(case):
     certificate = case[1]
-    for t in (-0.1, 4.1, math.nan):
+    for t in (-0.1, 1.1, math.nan):
         with pytest.raises(InputError, match="outside"):
             certificate.bound_at(t)
     assert certificate.bound_at(0.0) >= 0
-    assert certificate.bound_at([0.0, 4.0]).shape == (2,)
+    assert certificate.bound_at([0.0, 1.0]).shape == (2,)
 
 
 # -- refusals -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("formula", "reason"),
+    ("formula", "z0", "end", "reason"),
     [
-        ("p**2/2 - x**4/4", "beyond.* t = 1.85.*escape to infinity"),
-        ("p**2/2 + abs(x)", "'abs'"),
-        ("p**2/2 + x**(5/2)", r"beyond t = 1\.0.*'(sqrt\(x\)|x.*3/2.*)'.*not smooth"),
+        pytest.param(
+            *("p**2/2 - x**4/4", [1.0, 0.0], 3.0, r"no bound beyond t = 1\.85.*escape"),
+            marks=pytest.mark.slow,
+        ),
+        ("x*p", [0.0, 0.0], 3000.0, "no bound beyond t = 1.*trajectories separate too fast"),
+        ("p**2/2 + abs(x)", [1.0, 0.0], 3.0, "'abs'"),
+        (
+            *("p**2/2 + x**(5/2)", [1.0, 0.0], 3.0),
+            r"no bound beyond t = 1\.0.*'(sqrt\(x\)|x.*3/2.*)'.*not smooth",
+        ),
     ],
 )
-def test_what_cannot_be_proven_is_refused_with_the_reason(formula, reason):
+def test_certify_fails_with_the_reason(formula, z0, end, reason):
     H = hamsym.Hamiltonian(formula)
-    solution = hamsym.solve(H, [1.0, 0.0], (0.0, 3.0), method="adam", epochs=5, hidden=(4,))
+    solution = hamsym.solve(H, z0, (0.0, end), method="adam", epochs=5, hidden=(4,))
     with pytest.raises(CertificationError, match=reason):
         solution.certify()
 
 
-def test_a_time_limit_is_kept():
+def test_time_limit_of_certify():
     with pytest.raises(CertificationError, match="time limit of 0.001 s"):
-        solved("features").certify(time_limit=1e-3)
+        short().certify(time_limit=1e-3)
 
 
-def test_too_few_bits_are_refused():
+def test_too_few_bits_are_rejected():
     with pytest.raises(CertificationError, match="64 bits are not enough"):
         solved("fine features").certify(bits=64)
 
@@ -391,12 +414,12 @@ def test_too_few_bits_are_refused():
         {"bits": 10**400},
     ],
 )
-def test_settings_are_checked(options):
+def test_invalid_options_are_rejected(options):
     with pytest.raises(InputError, match=next(iter(options))):
-        solved("tanh").certify(**options)
+        short().certify(**options)
 
 
-def test_the_papers_bound_is_proven_false_for_a_resonant_residual():
+def test_resonant_residual_refutes_the_papers_bound():
     """z^ = (1 + eps t)(cos t, -sin t), as the solution of another system, marched."""
     end = 4 * math.pi
     forced = hamsym.Hamiltonian(
@@ -413,10 +436,10 @@ def test_the_papers_bound_is_proven_false_for_a_resonant_residual():
     assert max(certificate.component_lowers) > 12 * certificate.ell_max_bound / 1.0
 
 
-# -- claims that were once believed ------------------------------------------------------------
+# -- unsound claims ----------------------------------------------------------------------------
 
 
-def test_nothing_is_verified_where_h_is_singular_along_the_solution():
+def test_singular_energy_has_no_bound():
     """z^ crosses the pole of 1/x, which z does not: energy and ell have no bound there."""
     free = hamsym.Hamiltonian("p**2/2 + 0*x", q=["x"], p=["p"])
     through = hamsym.solve(free, [0.5, -1.0], (0.0, 0.6), tol=1e-6)
@@ -432,7 +455,7 @@ def test_nothing_is_verified_where_h_is_singular_along_the_solution():
             verify(dataclasses.replace(honest, **change), solution)
 
 
-def test_floats_of_sympy_are_the_numbers_that_they_are():
+def test_sympy_floats_are_exact():
     """Of three digits here: differentiating would round 3 times 0.1 to three digits again."""
     x, p = sympy.symbols("x p", real=True)
     number = sympy.Float("0.1", 3)
@@ -447,7 +470,7 @@ def test_floats_of_sympy_are_the_numbers_that_they_are():
         assert all(abs(a - b).upper() < 1e-12 for a, b in pairs)
 
 
-def test_a_jump_of_h_with_smooth_derivatives_is_refused():
+def test_jump_with_smooth_derivatives_is_rejected():
     H = hamsym.Hamiltonian("p**2/2 + acot(x)")
     solution = hamsym.solve(H, [-0.5, 0.6], (0.0, 2.0), tol=1e-6)
     assert solution(2.0)[0] > 0.1
@@ -455,7 +478,7 @@ def test_a_jump_of_h_with_smooth_derivatives_is_refused():
         solution.certify()
 
 
-def test_windows_that_do_not_cover_the_span_are_refused():
+def test_incomplete_windows_are_rejected():
     solution = solved("features")
     longer = hamsym.Solution(
         solution.H, solution.z0, (0.0, 4.01), solution.trial,
@@ -476,42 +499,42 @@ def test_windows_that_do_not_cover_the_span_are_refused():
     ],
     ids=["statement", "more", "more digits", "a last digit", "out of order"],
 )
-def test_texts_that_say_more_than_their_numbers_are_refused(case, edit):
+def test_certificate_with_extra_digits_is_rejected(case, edit):
     values = json.loads(case[1].to_json())
     edit(values)
     with pytest.raises(FileError):
         Certificate.from_json(json.dumps(values))
 
 
-def test_a_name_twice_is_refused(case):
+def test_repeated_names_are_rejected(case):
     text = case[1].to_json().replace("{", '{"lower": "0",', 1)
     with pytest.raises(FileError, match="occurs twice"):
         Certificate.from_json(text)
 
 
-def test_threads_wait_for_each_other():
+def test_concurrent_proofs_agree():
     """Precision and series length are global to the process."""
-    solution = solved("features", span=(0.0, 1.0))
+    solution = short()
     alone = solution.certify()
     with ThreadPoolExecutor(2) as pool:
-        found = list(pool.map(lambda _: solution.certify(), range(6)))
+        found = list(pool.map(lambda _: solution.certify(), range(4)))
     assert all(certificate == alone for certificate in found)
 
 
 @pytest.mark.parametrize("name", ["levenberg-marquardt", "tanh", "sigmoid", "linear", "apart"])
-def test_the_bound_holds_at_a_thousand_times(name):
-    """Of each piece too; the exact solution and its evaluation are good to 1e-13."""
-    solution = solved(name)
-    certificate = solution.certify()
+def test_bound_holds_at_1000_times(name):
+    """Also on each piece; the exact solution and its evaluation are accurate to 1e-13."""
+    solution, certificate = solved(name), certified(name)
     t = np.random.default_rng(0).uniform(0.0, 4.0, 1_000)
     error = np.linalg.norm(solution(t) - systems.nonlinear_oscillator().exact(t), axis=-1)
     assert certificate.lower > 1e-9
     assert np.all(error <= certificate.bound_at(t) + 1e-12)
     assert error.max() <= certificate.bound + 1e-12
-    assert error.max() > 0.9 * certificate.lower
+    assert error.max() > 0.98 * certificate.lower
+    assert certificate.bound <= 1.05 * error.max()
 
 
-# -- what certify wrote is implied -----------------------------------------------------------------
+# -- certificates verify ------------------------------------------------------------------------
 
 _SADDLE, _PENDULUM = "p**2/2 - x**2/2", "p**2/2 - cos(x)"
 _HENON = "(px**2 + py**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3"
@@ -530,8 +553,8 @@ _NEAR = math.pi - 1e-6
         pytest.param(_HENON, [0, -0.15, 0.5555, 0], (4.1, -1.1), 1e-5, marks=pytest.mark.slow),
     ],
 )
-def test_certificates_of_growing_solutions_are_implied(formula, z0, span, tol):
-    """Where pieces begin at times that are no float64, whose neighbours are far less accurate."""
+def test_certificates_of_growing_solutions_verify(formula, z0, span, tol):
+    """Pieces begin at times that are not float64 numbers, beside far less accurate pieces."""
     solution = hamsym.solve(formula, z0, span, tol=tol)
     certificate = solution.certify()
     verify(certificate.to_json(), solution)
@@ -540,7 +563,7 @@ def test_certificates_of_growing_solutions_are_implied(formula, z0, span, tol):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(24))
-def test_certificates_of_random_solutions_are_implied(seed):
+def test_certificates_of_random_solutions_verify(seed):
     generator = np.random.default_rng(seed)
     formula = [_SADDLE, _PENDULUM, _HENON][seed % 3]
     start = float(generator.choice([0.0, 0.1, 1 / 3, -7.7, 1e4 / 3]))
@@ -554,15 +577,15 @@ def test_certificates_of_random_solutions_are_implied(seed):
     verify(solution.certify(rtol=10.0 ** -generator.uniform(0, 3)), solution)
 
 
-def test_a_sliver_of_a_piece_is_bounded_by_itself():
-    """Not by the expansion of the whole piece, whose remainder it is too narrow to shake off."""
+def test_narrow_pieces_are_bounded_tightly():
+    """By an expansion of their own, not by that of the whole piece."""
     solution = hamsym.solve(_SADDLE, [1.0, 0.3], (0.0, 2.0), tol=1e-5)
     proof = prove._Proof(solution, Deadline.after(None), False)
     low = Fraction(float(solution.trial.edges[1])) - Fraction(1, 2**30)
 
-    def attempt(comparison):
-        norm = comparison.quantities(proof.floors)[0]
-        cut = comparison.cut(norm, comparison.leaves(norm), low, low + Fraction(1, 2**70))
+    def attempt(bounds):
+        norm = quantities(proof.floors)[0]
+        cut = bounds.cut(norm, bounds.leaves(norm), low, low + Fraction(1, 2**70))
         return max(leaf.upper for leaf in cut)
 
     _, bound = proof.run(attempt, None, 1e-18)
@@ -571,11 +594,11 @@ def test_a_sliver_of_a_piece_is_bounded_by_itself():
         assert error <= bound <= error * (1 + mpmath.mpf(10) ** -9)
 
 
-def test_more_bits_than_needed_are_verified(cheap):
+def test_certificate_with_many_bits_verifies(cheap):
     verify(cheap[0].certify(bits=640), cheap[0])
 
 
-def test_precision_that_a_network_needs_is_found_again(cheap):
+def test_required_precision_is_found_again(cheap):
     """Its envelope is 1e-60, the difference of two numbers near one, and its weights are 1e60."""
 
     def change(trial):
@@ -588,7 +611,7 @@ def test_precision_that_a_network_needs_is_found_again(cheap):
     verify(certificate, other)
 
 
-# -- solutions that no proof is about --------------------------------------------------------------
+# -- invalid solutions ----------------------------------------------------------------------------
 
 
 def _of_type(name, dtype):
@@ -612,7 +635,7 @@ def _without_a_column(trial):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (_of_type("states", torch.complex64), "'states' .* complex64, not of float64 or float32"),
+        (_of_type("states", torch.complex64), "'states' .* complex64, not float64 or float32"),
         (_of_type("edges", torch.int64), "'edges' .* int64"),
         (_of_type("readouts", torch.float16), "'readouts' .* float16"),
         (_of_type("series", torch.bfloat16), "'series' .* bfloat16"),
@@ -621,9 +644,8 @@ def _without_a_column(trial):
         (_without_a_column, "do not fit together"),
     ],
 )
-def test_tensors_that_are_not_as_written_are_refused(cheap, change, reason):
-    sound = solved("features", span=(0.0, 0.5))
-    hurt = damaged(sound, change)
+def test_changed_tensors_are_rejected(cheap, change, reason):
+    hurt = damaged(short(), change)
     with pytest.raises(CertificationError, match=reason):
         hurt.certify()
     with pytest.raises(CertificationError, match=reason):
@@ -632,7 +654,7 @@ def test_tensors_that_are_not_as_written_are_refused(cheap, change, reason):
 
 @pytest.mark.parametrize("name", ["t0", "tau"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, 10**400, 1j, None])
-def test_numbers_of_networks_that_are_none_are_refused(cheap, name, value):
+def test_invalid_network_scales_are_rejected(cheap, name, value):
     hurt = damaged(cheap[0], lambda trial: setattr(trial, name, value))
     with pytest.raises(CertificationError, match=f"{name} of the solution"):
         hurt.certify()
@@ -641,9 +663,9 @@ def test_numbers_of_networks_that_are_none_are_refused(cheap, name, value):
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
-        ("z0", np.array([1, 0]), "not 2 numbers of float64"),
-        ("z0", np.array([1.0, 0.1j]), "not 2 numbers of float64"),
-        ("z0", np.array([1.0, 0.0, 0.0]), "not 2 numbers of float64"),
+        ("z0", np.array([1, 0]), "not an array of 2 float64 numbers"),
+        ("z0", np.array([1.0, 0.1j]), "not an array of 2 float64 numbers"),
+        ("z0", np.array([1.0, 0.0, 0.0]), "not an array of 2 float64 numbers"),
         ("z0", np.array([1.0, math.nan]), "not finite"),
         ("span", (0.0, math.inf), "span .* not two finite times"),
         ("span", (0.0, math.nan), "span .* not two finite times"),
@@ -651,7 +673,7 @@ def test_numbers_of_networks_that_are_none_are_refused(cheap, name, value):
         ("span", (0.5, 0.5), "span .* is empty"),
     ],
 )
-def test_starts_and_spans_that_are_none_are_refused(cheap, name, value, reason):
+def test_invalid_starts_and_spans_are_rejected(cheap, name, value, reason):
     hurt = copy.copy(cheap[0])
     setattr(hurt, name, value)
     with pytest.raises(CertificationError, match=reason):
@@ -660,24 +682,24 @@ def test_starts_and_spans_that_are_none_are_refused(cheap, name, value, reason):
         verify(cheap[1], hurt)
 
 
-# -- work in proportion ----------------------------------------------------------------------------
+# -- effort --------------------------------------------------------------------------------------
 
 
-def test_a_forged_precision_costs_nothing(cheap, monkeypatch):
+def test_forged_precision_is_not_used(cheap, monkeypatch):
     solution, certificate = cheap
-    used, own = [], prove.validated_reference
+    used, own = [], prove.enclose_solution
 
     def recorded(H, z0, span, units, bits, *rest):
         used.append(bits)
         return own(H, z0, span, units, bits, *rest)
 
-    monkeypatch.setattr(prove, "validated_reference", recorded)
+    monkeypatch.setattr(prove, "enclose_solution", recorded)
     verify(dataclasses.replace(certificate, bits=2048), solution)
     assert used == [certificate.bits]
 
 
 @pytest.mark.parametrize(("seconds", "limit"), [(0.0, 60.0), (2.0, 80.0), (1e300, 600.0)])
-def test_the_time_of_verify_is_limited_by_default(cheap, monkeypatch, seconds, limit):
+def test_default_time_limit_of_verify(cheap, monkeypatch, seconds, limit):
     solution, certificate = cheap
     found, own = [], prove.Deadline.after
 
@@ -686,26 +708,26 @@ def test_the_time_of_verify_is_limited_by_default(cheap, monkeypatch, seconds, l
         return own(0.0, origin)
 
     monkeypatch.setattr(prove.Deadline, "after", recorded)
-    with pytest.raises(CertificationError, match=r"by default .* at most 600 s, was reached"):
+    with pytest.raises(CertificationError, match=r"by default .* at most 600 s, reached"):
         verify(dataclasses.replace(certificate, seconds=seconds), solution)
     assert found == [limit]
 
 
-def test_a_time_limit_of_verify_is_kept(cheap):
-    with pytest.raises(CertificationError, match=r"limit of 1e-09 s was reached"):
+def test_time_limit_of_verify(cheap):
+    with pytest.raises(CertificationError, match=r"limit of 1e-09 s reached"):
         verify(cheap[1], cheap[0], time_limit=1e-9)
     with pytest.raises(InputError, match="time_limit"):
         verify(cheap[1], cheap[0], time_limit=math.inf)
 
 
-def test_arguments_that_are_something_else_are_refused(cheap):
-    with pytest.raises(InputError, match="certificate is neither"):
+def test_arguments_of_other_types_are_rejected(cheap):
+    with pytest.raises(InputError, match="certificate must be .* not NoneType"):
         verify(None, cheap[0])
-    with pytest.raises(InputError, match="solution is neither"):
+    with pytest.raises(InputError, match="solution must be .* not NoneType"):
         verify(cheap[1], None)
 
 
-# -- texts that are no certificates ----------------------------------------------------------------
+# -- invalid texts --------------------------------------------------------------------------------
 
 
 def _raw(name, text):
@@ -772,14 +794,14 @@ _BROKEN = {
 
 
 @pytest.mark.parametrize("name", _BROKEN)
-def test_broken_texts_are_refused_in_one_sentence(cheap, name):
+def test_broken_texts_are_rejected(cheap, name):
     text = _BROKEN[name](json.loads(cheap[1].to_json()))
     with pytest.raises(FileError, match="not a certificate") as caught:
         Certificate.from_json(text)
     assert len(str(caught.value)) < 300
 
 
-def test_what_was_never_written_is_no_certificate(cheap):
+def test_invalid_certificate_objects_are_rejected(cheap):
     """Objects that were made by hand, not read from a text."""
     solution, certificate = cheap
     for change in (
@@ -793,12 +815,12 @@ def test_what_was_never_written_is_no_certificate(cheap):
         {"seconds": -1.0},
         {"rtol": math.nan},
     ):
-        with pytest.raises(CertificationError, match="no certificate"):
+        with pytest.raises(CertificationError, match="not a valid certificate"):
             verify(dataclasses.replace(certificate, **change), solution)
 
 
 @pytest.mark.parametrize("t", ["soon", 10**400, None, [0.1, "x"]])
-def test_times_that_are_no_numbers_are_refused(cheap, t):
+def test_times_of_other_types_are_rejected(cheap, t):
     with pytest.raises(InputError):
         cheap[1].bound_at(t)
 
@@ -808,7 +830,7 @@ def test_times_that_are_no_numbers_are_refused(cheap, t):
 
 @pytest.fixture(scope="module")
 def cheap():
-    """A solution with one window whose error is large, so that verifying takes a moment."""
+    """A solution of one smooth part with a large error, so that a proof takes milliseconds."""
     H = hamsym.Hamiltonian("p**2/2 + x**2/2")
     solution = hamsym.solve(
         H, [1.0, 0.0], (0.0, 0.3), method="adam", epochs=30, hidden=(4,), seed=0
@@ -877,15 +899,15 @@ _FORGERIES = {
 
 
 @pytest.mark.parametrize("name", _FORGERIES)
-def test_forged_certificates_are_refused(cheap, name):
+def test_forged_certificates_are_rejected(cheap, name):
     solution, certificate = cheap
     forged = _FORGERIES[name](certificate)
     assert forged != certificate
-    with pytest.raises(CertificationError, match="does not hold|another solution"):
+    with pytest.raises(CertificationError, match="does not hold|does not belong"):
         verify(forged.to_json(), solution)
 
 
-def test_certificates_that_claim_less_are_implied(cheap):
+def test_weaker_claims_are_verified(cheap):
     solution, certificate = cheap
     for change in (
         {"bound": math.inf, "energy_bound": math.inf},
@@ -964,7 +986,7 @@ def _random_forgery(certificate, generator):
 
 
 @pytest.mark.slow
-def test_no_random_forgery_is_believed(cheap):
+def test_no_random_forgery_is_verified(cheap):
     """Whether a claim is false is decided by the formula, not by the proof."""
     solution, certificate = cheap
     truth = _Truth(solution)

@@ -1,4 +1,4 @@
-"""Formulas in ball arithmetic contain what mpmath computes to fifty digits."""
+"""Formulas in ball arithmetic contain the values of mpmath to fifty digits."""
 
 import math
 from decimal import Decimal
@@ -32,7 +32,7 @@ from hamsym.proof.functions import SingularityError
 x, y = sympy.symbols("x y", real=True)
 _TERMS = 5
 
-# What a formula may contain, and where it is smooth.
+# Functions that a formula may contain, and intervals on which they are smooth.
 FORMULAS = {
     "sum": (x / 3 - 2 * y + sympy.pi, -5, 5),
     "product": (-x * y * sympy.Rational(1, 7), -5, 5),
@@ -64,7 +64,7 @@ FORMULAS = {
 @pytest.mark.parametrize("name", FORMULAS)
 @given(data=st.data())
 @settings(max_examples=12, deadline=None)
-def test_a_formula_contains_its_values_and_its_taylor_coefficients(name, data):
+def test_values_and_taylor_coefficients_are_enclosed(name, data):
     formula, low, high = FORMULAS[name]
     number = st.integers(0, 997).map(lambda k: low + (high - low) * k / 997)
     a, b = data.draw(number), data.draw(number)
@@ -75,7 +75,7 @@ def test_a_formula_contains_its_values_and_its_taylor_coefficients(name, data):
 
 @pytest.mark.parametrize("name", FORMULAS)
 @pytest.mark.parametrize("inside", [-0.0495, 0.0, 0.0495])
-def test_a_formula_is_finite_in_the_widest_balls_at_the_ends_of_where_it_is_smooth(name, inside):
+def test_finite_on_widest_balls(name, inside):
     formula, low, high = FORMULAS[name]
     for a in (low, high):
         _check(formula, a, a, 0.05, inside)
@@ -139,7 +139,7 @@ def _ends(enclosure):
     ],
 )
 @pytest.mark.parametrize("as_series", [False, True])
-def test_balls_that_reach_a_singularity_give_no_result(formula, place, as_series):
+def test_singularities_raise(formula, place, as_series):
     with working(96, 4):
         arguments = [arb(place, 0.1), arb(0, 0.1)]
         if as_series:
@@ -148,7 +148,7 @@ def test_balls_that_reach_a_singularity_give_no_result(formula, place, as_series
             Formulas([formula], [x, y])(arguments)
 
 
-def test_squares_of_balls_around_zero_are_numbers():
+def test_squares_around_zero_are_finite():
     with working(96):
         square = Formulas([x**2], [x])([arb(0, 1)])[0]
     assert square.is_finite()
@@ -159,13 +159,13 @@ def test_squares_of_balls_around_zero_are_numbers():
 @pytest.mark.parametrize(
     "formula", ["p**2/2 + abs(x)", "p**2/2 + max(x, 1)", "p**2/2 + x*sign(x)", "p**2/2 + min(x, p)"]
 )
-def test_functions_with_kinks_are_refused_by_name(formula):
+def test_functions_with_kinks_are_rejected(formula):
     name = next(word for word in ("abs", "max", "sign", "min") if word in formula)
     with pytest.raises(CertificationError, match=name):
         Enclosures(Hamiltonian(formula))
 
 
-def test_unknown_functions_of_sympy_are_refused_by_name():
+def test_unknown_functions_are_rejected():
     p = sympy.Symbol("p")
     with pytest.raises(CertificationError, match="gamma"):
         Enclosures(Hamiltonian(p**2 / 2 + sympy.gamma(x), q=[x], p=[p]))
@@ -173,7 +173,7 @@ def test_unknown_functions_of_sympy_are_refused_by_name():
 
 @pytest.mark.parametrize("n", [1.0, 2.0, 3.0, 4.0])
 @pytest.mark.parametrize("formula", ["p**2/2 + x**n", "p**2/2 + ((x**2 + p**2)**(n/2) + 1)**n"])
-def test_powers_of_zero_with_a_whole_parameter_are_enclosed(formula, n):
+def test_powers_of_zero_with_integer_parameter(formula, n):
     n = 2 * n if "n/2" in formula else n
     found = Enclosures(Hamiltonian(formula, parameters={"n": n}))
     right = Enclosures(Hamiltonian(formula.replace("n", str(int(n)))))
@@ -207,7 +207,7 @@ def _quotient(value):
     return fmpq(value.numerator, value.denominator)
 
 
-def test_parameters_are_the_binary_fractions_that_they_are():
+def test_parameters_are_exact_binary_fractions():
     H = Hamiltonian("p**2/2 + k*x**2/2 + x/3", parameters={"k": 0.1})
     with working(200):
         rate = Enclosures(H).vector_field([arb(1), arb(0)], arb(0))[1]
@@ -215,7 +215,7 @@ def test_parameters_are_the_binary_fractions_that_they_are():
         assert above(rate.rad()) < 1e-58
 
 
-def test_the_hessian_agrees_with_the_generated_code():
+def test_hessian_agrees_with_generated_code():
     H = Hamiltonian("exp(-x*p)/3 + p**2*x**3 + t*x")
     system = H.compile("numpy")
     with working(96):
@@ -227,7 +227,7 @@ def test_the_hessian_agrees_with_the_generated_code():
 
 @given(st.floats(allow_nan=False, allow_infinity=False, min_value=1e-290), st.integers(1, 10**6))
 @settings(deadline=None)
-def test_conversions_are_directed(value, parts):
+def test_conversions_round_outward(value, parts):
     number = Fraction(value) / parts
     with working(64):
         enclosed = ball(number)
@@ -246,7 +246,7 @@ def test_conversions_are_directed(value, parts):
 
 @given(st.floats(-1e-290, 1e-290))
 @example(4 * math.ulp(0.0))  # nine digits are finer than floats there
-def test_decimals_of_tiny_numbers_are_directed(value):
+def test_tiny_decimals_round_outward(value):
     upper, lower = decimal_above(value), decimal_below(value)
     assert Decimal(lower) <= Decimal(value) <= Decimal(upper)
     assert decimal(float(upper)) == upper
@@ -256,7 +256,7 @@ def test_decimals_of_tiny_numbers_are_directed(value):
 
 
 @pytest.mark.parametrize("exponent", [2**40, 2**60])
-def test_numbers_far_beyond_floats_have_bounds(exponent):
+def test_bounds_of_numbers_beyond_floats(exponent):
     """Without their digits, which no memory would hold."""
     with working(64):
         large = arb(2) ** exponent
@@ -267,7 +267,7 @@ def test_numbers_far_beyond_floats_have_bounds(exponent):
     assert (above(-small), below(-small)) == (0.0, -math.ulp(0.0))
 
 
-def test_precision_is_given_back_after_an_error():
+def test_precision_is_restored_after_errors():
     from flint import ctx
 
     before = ctx.prec, ctx.cap

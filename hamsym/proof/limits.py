@@ -1,0 +1,64 @@
+"""Limits of a proof: wall time and working precision."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from fractions import Fraction
+
+from hamsym.errors import CertificationError
+
+__all__ = ["Deadline", "PrecisionError"]
+
+
+class PrecisionError(ArithmeticError):
+    """The working precision is too low.
+
+    Attributes
+    ----------
+    elapsed : fractions.Fraction, optional
+        Elapsed time that the enclosure of the solution reached.
+    missing : float, optional
+        Number of bits that are missing.
+    """
+
+    def __init__(self, elapsed: Fraction | None = None, missing: float | None = None) -> None:
+        self.elapsed, self.missing = elapsed, missing
+        super().__init__("the working precision is too low")
+
+
+@dataclass(frozen=True)
+class Deadline:
+    """A limit on wall time.
+
+    Attributes
+    ----------
+    limit : float, optional
+        Seconds.
+    began : float
+        Start, by ``time.monotonic``.
+    origin : str
+        Origin of the limit, for the message.
+    """
+
+    limit: float | None
+    began: float
+    origin: str = ""
+
+    @classmethod
+    def after(cls, limit: float | None, origin: str = "") -> Deadline:
+        """A limit that starts now."""
+        return cls(limit, time.monotonic(), origin)
+
+    def check(self, stage: str) -> None:
+        """Require that the limit is not exceeded.
+
+        Raises
+        ------
+        CertificationError
+            Naming the stage of the proof.
+        """
+        if self.limit is not None and not time.monotonic() - self.began <= self.limit:
+            raise CertificationError(
+                f"time limit of {self.limit:g} s{self.origin} reached while {stage}; increase it"
+            )
