@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -18,17 +19,16 @@ Make = Callable[[], Problem]
 
 #: Arguments other than the usual ones; those that exist are tested like the catalogue itself.
 VARIANTS: dict[str, Make] = {
-    **{f"toda_chain {n}": lambda n=n: systems.toda_chain(n) for n in (2, 4, 5, 6)},
+    **{f"toda_chain {n}": lambda n=n: systems.toda_chain(n) for n in (2, 5)},
     **{
         f"calogero_moser {n}, {omega}": lambda n=n, omega=omega: systems.calogero_moser(n, 1, omega)
-        for n in (2, 3, 4, 5, 6)
-        for omega in (0.0, 0.3, 1.0)
+        for n, omega in ((2, 0.0), (2, 0.3), (3, 0.0), (5, 0.3))
     },
     "calogero_moser, weak": lambda: systems.calogero_moser(g=0.05),
     "calogero_moser, strong": lambda: systems.calogero_moser(g=10.0, omega=3.0),
     **{
         f"driven_oscillator {drive}": lambda drive=drive: systems.driven_oscillator(drive=drive)
-        for drive in (0.0, 0.99, 1 - 1e-6, 1 - 1e-10, 1.0, 1 + 1e-8, 1.3, 7.0)
+        for drive in (0.0, 0.99, 1 - 1e-10, 1.0, 1 + 1e-8, 7.0)
     },
     "driven_oscillator, fast": lambda: systems.driven_oscillator(2.5, 2.5, force=-3.0),
     **{
@@ -38,15 +38,30 @@ VARIANTS: dict[str, Make] = {
     "morse_oscillator, deep": lambda: systems.morse_oscillator(8.0, 0.5, 1.0, -2.0),
     **{
         f"fermi_pasta_ulam_tsingou {n}, linear": lambda n=n: fermi_pasta_ulam_tsingou(n, 0.0, 0.0)
-        for n in (2, 5, 8)
+        for n in (2, 5)
     },
     "coupled_oscillators 5": lambda: systems.coupled_oscillators(5, coupling=2.0),
     "kepler, circle": lambda: systems.kepler(0.0),
     "charged_particle, left": lambda: systems.charged_particle(-2.5),
 }
 ALL = CATALOGUE | VARIANTS
-EXACT = [name for name, make in ALL.items() if make().exact]
-CONSERVING = [name for name, make in ALL.items() if make().conserved]
+# Lists of names: each process that collects the tests would take seconds to build all systems.
+EXACT = [name for name in ALL if name not in {
+    "double_pendulum", "fermi_pasta_ulam_tsingou", "henon_heiles", "spring_pendulum", "three_bodies"
+}]  # fmt: skip
+CONSERVING = [name for name in EXACT if not name.startswith((
+    "driven_oscillator 0.0", "harmonic", "morse", "nonlinear", "pendulum"
+))] + ["three_bodies"]  # fmt: skip
+PERIODIC = [
+    *("calogero_moser", "charged_particle", "harmonic_oscillator", "kepler", "morse_oscillator"),
+    *("nonlinear_oscillator", "pendulum"),
+    pytest.param("three_bodies", marks=pytest.mark.slow),
+]
+
+
+@functools.cache
+def made(name: str) -> Problem:
+    return ALL[name]()
 
 
 @pytest.fixture(
@@ -56,10 +71,17 @@ CONSERVING = [name for name, make in ALL.items() if make().conserved]
     ]
 )
 def problem(request: pytest.FixtureRequest) -> Problem:
-    return CATALOGUE[request.param]()
+    return made(request.param)
 
 
-def test_starts_fit(problem: Problem) -> None:
+def test_lists_of_names_are_complete() -> None:
+    assert {name for name in ALL if made(name).exact} == set(EXACT)
+    assert {name for name in ALL if made(name).conserved} == set(CONSERVING)
+    periodic = {name for name in CATALOGUE if made(name).period is not None}
+    assert periodic == {*PERIODIC[:-1], "three_bodies"}
+
+
+def test_start_and_span_are_valid(problem: Problem) -> None:
     assert problem.H.unbound_parameters == ()
     assert problem.H.state_from(problem.z0).shape == (problem.H.dim,)
     assert problem.span[1] > problem.span[0]
@@ -67,7 +89,7 @@ def test_starts_fit(problem: Problem) -> None:
 
 
 @pytest.mark.parametrize("e", [0.0, 0.3, 0.6, 0.9, 0.95, 0.99, 0.9999])
-def test_keplers_equation_is_solved_at_any_time(e: float) -> None:
+def test_kepler_equation_solved_at_any_time(e: float) -> None:
     mean = np.linspace(-math.pi, math.pi, 4_001)[1:-1]
     low, high = mean - 1.0, mean + 1.0
     for _ in range(80):
@@ -79,7 +101,7 @@ def test_keplers_equation_is_solved_at_any_time(e: float) -> None:
     np.testing.assert_allclose(found, position, atol=3e-14 / (1 - e))
 
 
-def test_exact_solution_starts_right_and_solves_the_equations(problem: Problem) -> None:
+def test_exact_solution_solves_the_equations(problem: Problem) -> None:
     if problem.exact is None:
         truth = reference(problem.H, problem.z0, problem.span)
     else:
@@ -97,7 +119,7 @@ def test_exact_solution_starts_right_and_solves_the_equations(problem: Problem) 
 @pytest.mark.parametrize("end", [1, -1], ids=["forwards", "backwards"])
 @pytest.mark.parametrize("name", EXACT)
 def test_exact_solution_agrees_with_integration(name: str, end: int) -> None:
-    problem = ALL[name]()
+    problem = made(name)
     span = (0.0, end * problem.span[1])
     t = np.linspace(*span, 201)
     truth = reference(problem.H, problem.z0, span)
@@ -110,7 +132,7 @@ def test_exact_solution_agrees_with_integration(name: str, end: int) -> None:
 
 @pytest.mark.parametrize("name", EXACT)
 def test_exact_solution_of_any_number_of_times(name: str) -> None:
-    problem = ALL[name]()
+    problem = made(name)
     z = problem.exact(np.array([1.0, 2.0]))
     assert problem.exact(np.array([])).shape == (0, problem.H.dim)
     np.testing.assert_allclose(problem.exact(np.array([2.0])), z[1:], rtol=0, atol=1e-14)
@@ -140,8 +162,8 @@ def slopes(problem: Problem, f: sympy.Expr, point: dict[sympy.Symbol, sympy.Floa
 
 
 @pytest.mark.parametrize("name", CONSERVING)
-def test_conserved_quantities(name: str) -> None:
-    problem = ALL[name]()
+def test_conserved_quantities_are_independent_integrals(name: str) -> None:
+    problem = made(name)
     point = random_point(problem)
     of_H = slopes(problem, problem.H.expr, point)
     for formula in problem.conserved:
@@ -154,7 +176,7 @@ def test_conserved_quantities(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["kepler", "charged_particle", "toda_chain"])
 def test_conserved_whatever_the_parameters(name: str) -> None:
-    problem = CATALOGUE[name]()
+    problem = made(name)
     assert problem.conserved
     assert all(problem.H.is_conserved(formula) for formula in problem.conserved)
 
@@ -184,9 +206,9 @@ def test_long_chains_are_not_written_out() -> None:
 # -- periods, parameters -------------------------------------------------------------------------
 
 
-def test_period(problem: Problem) -> None:
-    if problem.period is None:
-        return
+@pytest.mark.parametrize("name", PERIODIC)
+def test_orbit_closes_after_its_period(name: str) -> None:
+    problem = made(name)
     truth = reference(problem.H, problem.z0, (0.0, problem.period))
     np.testing.assert_allclose(truth(np.array([problem.period]))[0], problem.z0, atol=1e-9)
     halfway = truth(np.array([problem.period / 2]))[0]
@@ -228,7 +250,7 @@ def test_kepler_as_usual() -> None:
 
 
 @pytest.mark.parametrize("x", [1e-3, 1.5, 6.0, 16.0])
-def test_morse_oscillator_near_the_bottom_and_near_dissociation(x: float) -> None:
+def test_morse_oscillator_at_extreme_energies(x: float) -> None:
     problem = systems.morse_oscillator(x=x)
     t = np.linspace(0, problem.period, 1001)
     z = problem.exact(t)
@@ -239,7 +261,7 @@ def test_morse_oscillator_near_the_bottom_and_near_dissociation(x: float) -> Non
 
 
 @pytest.mark.parametrize("drive", [1 - 1e-9, 1 + 1e-9, 1 - 1e-15, 1 + 1e-13])
-def test_driven_oscillator_reaches_resonance_without_a_jump(drive: float) -> None:
+def test_driven_oscillator_continuous_at_resonance(drive: float) -> None:
     t = np.linspace(-30, 30, 601)
     resonance = systems.driven_oscillator(drive=1.0).exact(t)
     near = systems.driven_oscillator(drive=drive).exact(t)
@@ -249,7 +271,7 @@ def test_driven_oscillator_reaches_resonance_without_a_jump(drive: float) -> Non
 
 
 @pytest.mark.parametrize("which", ["alpha", "beta"])
-def test_fermi_pasta_ulam_tsingou_chain_tends_to_the_harmonic_one(which: str) -> None:
+def test_weakly_nonlinear_chain_tends_to_harmonic_one(which: str) -> None:
     linear = fermi_pasta_ulam_tsingou(alpha=0.0, beta=0.0)
     t = np.linspace(*linear.span, 101)
     distances = []
@@ -262,7 +284,7 @@ def test_fermi_pasta_ulam_tsingou_chain_tends_to_the_harmonic_one(which: str) ->
     assert distances[1] / distances[0] == pytest.approx(2, rel=0.01)
 
 
-def test_spring_bounces_twice_while_it_swings_once() -> None:
+def test_spring_pendulum_is_in_resonance() -> None:
     hessian = systems.spring_pendulum().H.compile("numpy").hessian([0.0, -1.0, 0.0, 0.0])
     np.testing.assert_allclose(hessian[:2, :2], np.diag([1.0, 4.0]), atol=1e-14)
     rates = systems.spring_pendulum().H.compile("numpy").vector_field([0.0, -1.0, 0.0, 0.0])
@@ -309,7 +331,7 @@ def test_spring_bounces_twice_while_it_swings_once() -> None:
         lambda: systems.charged_particle(field=math.nan),
     ],
 )
-def test_unusable_arguments(make: object) -> None:
+def test_unusable_arguments_are_rejected(make: object) -> None:
     with pytest.raises(InputError, match="cannot be used; give"):
         make()  # type: ignore[operator]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,8 @@ import hamsym
 
 from .taylor import Equations, StoppedError, formula, integrate
 
-_CASES, _CHUNK, _FAST = 300, 25, 15
+_CASES, _CHUNK = 300, 25
+_FAST = (0, 1, 2, 4, 5, 7, 8, 9, 10, 11)  # each judged in a second or two
 _TIMES = 40
 _UNJUDGED = "not judged"
 _CLOSE = 0.2  # of what is allowed: nearer to it float64 is no judge
@@ -243,14 +245,14 @@ def _exact(one: Case, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(
     "seeds",
     [
-        pytest.param(range(_FAST), id="fast"),
+        pytest.param(_FAST, id="fast"),
         *(
             pytest.param(range(k, k + _CHUNK), id=f"from_{k}", marks=pytest.mark.slow)
             for k in range(0, _CASES, _CHUNK)
         ),
     ],
 )
-def test_successes_are_confirmed(seeds: range) -> None:
+def test_successes_are_confirmed(seeds: Sequence[int]) -> None:
     verdicts = [verdict(seed) for seed in seeds]
     complaints = [wrong for _, wrong in verdicts if wrong]
     assert [wrong for wrong in complaints if _UNJUDGED not in wrong] == []

@@ -1,4 +1,4 @@
-"""What the documentation shows works: docstrings, README, examples."""
+"""Docstrings, README, the pages under examples and the examples themselves run as shown."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import doctest
 import importlib
 import pkgutil
 import re
-import subprocess
+import runpy
+import shlex
 import sys
 from pathlib import Path
 
 import pytest
 
 import hamsym
+from hamsym.cli.commands import main
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.systems import CATALOGUE
 
@@ -40,76 +42,116 @@ def test_public_names_are_documented(name: str) -> None:
     assert name in dir(hamsym)
 
 
-def test_unknown_names_are_refused() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'sove'"):
+def test_unknown_names_are_rejected() -> None:
+    with pytest.raises(AttributeError, match=r"attribute \W*sove"):
         hamsym.sove  # noqa: B018
 
 
+# -- examples --------------------------------------------------------------------------------------
+
 _MINIATURE = {
-    "chaos": ["--time", "1000"],
+    "chaos": ["--time", "300"],
     "henon_heiles": ["--epochs", "30"],
-    "oscillator": ["--epochs", "30"],
+    "oscillator": ["--method", "adam", "--epochs", "30"],
     "scheme": [],
 }
+_LONG = {"henon_heiles"}
 # The other scripts in examples/paper have tests of their own.
 _EXAMPLES = [*sorted((ROOT / "examples").glob("*.py")), ROOT / "examples" / "paper" / "scheme.py"]
 
 
-@pytest.mark.parametrize("example", _EXAMPLES, ids=lambda p: p.stem)
-def test_examples_run_in_miniature(example: Path, tmp_path: Path) -> None:
-    result = subprocess.run(
-        [sys.executable, str(example), *_MINIATURE[example.stem], "--out", str(tmp_path / "out")],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr
-    assert "wrote " in result.stdout
+@pytest.mark.parametrize(
+    "example",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in _LONG else ())
+        for path in _EXAMPLES
+    ],
+)
+def test_examples_run_in_miniature(
+    example: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = [*_MINIATURE[example.stem], "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", [str(example), *arguments])
+    runpy.run_path(str(example), run_name="__main__")
+    assert "wrote " in capsys.readouterr().out
     assert list((tmp_path / "out").glob("*.png"))
 
 
-def _blocks(language: str) -> list[str]:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+# -- README and the pages under examples -----------------------------------------------------------
+
+_PAGES = [ROOT / "README.md", *sorted((ROOT / "examples").glob("*.md"))]
+# A page in which this comment stands takes more than five seconds.
+_SLOW = "<!-- tests: slow -->"
 
 
-def test_readme_session_prints_what_it_says() -> None:
-    session = "\n".join(_blocks("pycon"))
-    assert session
-    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-    examples = doctest.DocTestParser().get_doctest(session, {}, "README", None, None)
-    runner = doctest.DocTestRunner(optionflags=flags)
-    runner.run(examples)
-    assert runner.summarize().failed == 0
+def _blocks(page: Path, language: str) -> list[str]:
+    text = page.read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.parametrize("block", _blocks("console"), ids=lambda b: b.splitlines()[0][:40])
-def test_readme_commands_print_what_they_say(
-    block: str, capsys: pytest.CaptureFixture[str]
+def _pages_with(language: str) -> pytest.MarkDecorator:
+    """One case for each page that has such blocks."""
+    cases = [
+        pytest.param(
+            page,
+            id=page.name,
+            marks=pytest.mark.slow if _SLOW in page.read_text(encoding="utf-8") else (),
+        )
+        for page in _PAGES
+        if _blocks(page, language)
+    ]
+    return pytest.mark.parametrize("page", cases)
+
+
+@_pages_with("pycon")
+def test_sessions_print_what_pages_show(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Commands that print the same each time; those with timings are marked `text` there."""
-    import shlex
-
-    from hamsym.cli.commands import main
-
-    for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
-        command, _, expected = part.partition("\n")
-        program, *arguments = shlex.split(command)
-        assert program == "hamsym"
-        main(arguments)
-        captured = capsys.readouterr()
-        assert (captured.out + captured.err).rstrip() == expected.rstrip()
+    """All blocks of a page are one session, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    session = "\n".join(_blocks(page, "pycon"))
+    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    examples = doctest.DocTestParser().get_doctest(session, {}, page.name, None, None)
+    assert examples.examples
+    failures: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=flags)
+    runner.run(examples, out=failures.append)
+    assert runner.summarize(verbose=False).failed == 0, "".join(failures)
 
 
-def test_readme_lists_every_integrator() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+@_pages_with("console")
+def test_commands_print_what_pages_show(
+    page: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Commands that print the same each time; blocks with timings are marked ``text``."""
+    monkeypatch.chdir(tmp_path)
+    for block in _blocks(page, "console"):
+        for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+            command, _, expected = part.partition("\n")
+            program, *arguments = shlex.split(command)
+            assert program == "hamsym"
+            main(arguments)
+            captured = capsys.readouterr()
+            assert (captured.out + captured.err).rstrip() == expected.rstrip(), command
+
+
+@_pages_with("python")
+def test_python_blocks_are_python(page: Path) -> None:
+    for block in _blocks(page, "python"):
+        compile(block, page.name, "exec")
+
+
+def test_pages_list_every_integrator_and_system() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in _PAGES)
     for name, row in INTEGRATORS.items():
         stages = "" if row.stages is None else row.stages
         assert f"| `{name}` | {row.order} | {stages} | {row.summary} | {row.source} |" in text
-
-
-def test_readme_names_every_system() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
     for name in CATALOGUE:
         assert f"`{name}`" in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from hamsym.dynamics.lyapunov import LyapunovExponents
 from hamsym.dynamics.monodromy import tangent_map
 from hamsym.systems import (
     CATALOGUE,
+    Problem,
     charged_particle,
     double_pendulum,
     driven_oscillator,
@@ -48,7 +50,9 @@ def test_variational_equations_do_not_reuse_a_name() -> None:
 # -- tangent maps ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("make", [henon_heiles, double_pendulum, driven_oscillator])
+@pytest.mark.parametrize(
+    "make", [henon_heiles, pytest.param(double_pendulum, marks=pytest.mark.slow), driven_oscillator]
+)
 def test_tangent_map_solves_the_variational_equations(make: object) -> None:
     problem = make()  # type: ignore[operator]
     H, dim = problem.H, problem.H.dim
@@ -68,7 +72,7 @@ def test_tangent_map_solves_the_variational_equations(make: object) -> None:
     assert found.symplecticity_error < 1e-11
 
 
-def test_tangent_map_that_cannot_be_had() -> None:
+def test_tangent_map_of_escape_is_rejected() -> None:
     with pytest.raises(InputError, match="does not reach t = 5; end the span before it"):
         tangent_map(Hamiltonian("p**2/2 - x**4/4"), [1.0, 1.0], (0, 5))
     problem = henon_heiles()
@@ -112,7 +116,7 @@ def test_unstable_orbit_has_a_multiplier_outside_the_circle() -> None:
     np.testing.assert_allclose(abs(found.multipliers[-1]), math.exp(-2 * math.pi), atol=1e-6)
 
 
-def test_a_period_that_cannot_be_used() -> None:
+def test_unusable_periods_are_rejected() -> None:
     problem = harmonic_oscillator()
     with pytest.raises(InputError, match="span="):
         hamsym.monodromy(problem.H, problem.z0, 0.0)
@@ -121,7 +125,7 @@ def test_a_period_that_cannot_be_used() -> None:
 
 
 @pytest.mark.parametrize("period", ["x", float("nan"), None])
-def test_periods_that_are_no_numbers(period: object) -> None:
+def test_periods_other_than_numbers_are_rejected(period: object) -> None:
     problem = harmonic_oscillator()
     with pytest.raises(InputError, match="period=.* cannot be used; give a number"):
         hamsym.monodromy(problem.H, problem.z0, period)  # type: ignore[arg-type]
@@ -140,18 +144,22 @@ def test_exponents_of_a_saddle_are_its_rates() -> None:
     assert "if the motion is bounded and comes back" in found.statement
 
 
-def test_the_largest_exponent_comes_first() -> None:
+@pytest.mark.parametrize(
+    ("make", "count"),
+    [(henon_heiles, 3), pytest.param(double_pendulum, 4, marks=pytest.mark.slow)],
+)
+def test_largest_exponent_comes_first(make: Callable[[], Problem], count: int) -> None:
     """At every time, also while the vectors have not yet turned into their order."""
-    for problem, count in ((henon_heiles(), 3), (double_pendulum(), 4)):
-        found = hamsym.lyapunov(problem.H, problem.z0, (0, 300), count=count)
-        assert np.all(np.diff(found.exponents, axis=1) <= 0)
-        assert found.maximal == found.exponents[-1].max()
-        assert f"the largest exponent is {found.maximal:.3g}" in found.statement
-        drawn = found.plot().axes[0].lines[0].get_ydata()
-        assert drawn[-1] == found.maximal
+    problem = make()
+    found = hamsym.lyapunov(problem.H, problem.z0, (0, 300), count=count)
+    assert np.all(np.diff(found.exponents, axis=1) <= 0)
+    assert found.maximal == found.exponents[-1].max()
+    assert f"the largest exponent is {found.maximal:.3g}" in found.statement
+    drawn = found.plot().axes[0].lines[0].get_ydata()
+    assert drawn[-1] == found.maximal
 
 
-def test_exponents_without_an_energy_are_no_success() -> None:
+def test_exponents_without_energy_fail() -> None:
     """log(x) has a force where x is negative, but no value."""
     found = hamsym.lyapunov(Hamiltonian("p**2/2 + log(x)"), [-1.0, 1.0], (0, 0.5), dt=1e-3)
     assert not found.success
@@ -168,12 +176,16 @@ def test_one_degree_of_freedom_is_never_called_chaotic() -> None:
     assert "chaos over" not in rising.statement
 
 
-def test_a_start_where_little_happens_does_not_set_the_steps() -> None:
+def test_default_step_not_set_by_slow_start() -> None:
     """The Hessian at the start is far smaller than on the way, also with explicit time."""
     driven = Hamiltonian("p**2/2 - (1 + sin(t)/2)*cos(x)")
     found = hamsym.lyapunov(driven, [math.pi / 2, 0.0], (0, 1e4))
     assert found.dt < 0.3
     assert 1e-3 < found.maximal < 2e-2  # 3.5e-3 with steps of 0.02
+
+
+@pytest.mark.slow
+def test_exponents_of_quartic_oscillator() -> None:
     quartic = Hamiltonian("(p_x**2 + p_y**2)/2 + x**2*y**2/2 + (x**4 + y**4)/400")
     found = hamsym.lyapunov(quartic, [0.0, 0.0, 1.0, 0.5], (0, 1e5), count=4)
     assert found.success
@@ -181,8 +193,10 @@ def test_a_start_where_little_happens_does_not_set_the_steps() -> None:
     assert found.maximal == pytest.approx(0.34, abs=0.02)
 
 
-@pytest.mark.parametrize("method", [None, "gauss4", "stormer_verlet"])
-def test_start_of_the_paper_is_not_seen_to_be_chaotic(method: str | None) -> None:
+@pytest.mark.parametrize(
+    "method", [None, pytest.param("gauss4", marks=pytest.mark.slow), "stormer_verlet"]
+)
+def test_start_of_the_paper_is_not_chaotic(method: str | None) -> None:
     """The paper has 0.069; here the exponent falls like log(t)/t, as on a torus."""
     problem = henon_heiles()
     found = hamsym.lyapunov(problem.H, problem.z0, (0, 2e4), method=method, dt=0.05)
@@ -208,7 +222,7 @@ def test_chaotic_orbit_of_henon_heiles() -> None:
     assert found.energy_error < 1e-9
 
 
-def test_undecided_is_a_statement_too() -> None:
+def test_undecided_trend_is_stated() -> None:
     t = np.geomspace(1, 1e4, 200)
     made = LyapunovExponents(
         t, t[:, None] ** -0.35, 0.0, 0.0, "gauss4", 0.1, 1.0, success=True, message=""
@@ -240,14 +254,14 @@ def test_backward_time_and_explicit_time_have_exponents() -> None:
     assert math.isnan(found.energy_error)
 
 
-def test_steps_that_are_too_long_are_no_success() -> None:
+def test_too_long_steps_fail() -> None:
     problem = henon_heiles()
     found = hamsym.lyapunov(problem.H, problem.z0, (0, 1e3), method="symplectic_euler", dt=0.3)
     assert not found.success
     assert "of its scale: take a smaller dt" in found.message
 
 
-def test_an_escape_keeps_what_was_done() -> None:
+def test_escape_keeps_exponents_before_it() -> None:
     H = Hamiltonian("p**2/2 - x**4/4")
     found = hamsym.lyapunov(H, [0.5, 0.5], (0, 20), dt=1e-3)
     assert not found.success
@@ -269,7 +283,7 @@ def test_an_escape_keeps_what_was_done() -> None:
         ({"count": True}, "count=True"),
     ],
 )
-def test_exponents_that_cannot_be_had(options: dict[str, object], message: str) -> None:
+def test_unusable_options_are_rejected(options: dict[str, object], message: str) -> None:
     problem = henon_heiles()
     with pytest.raises(InputError, match=message):
         hamsym.lyapunov(problem.H, problem.z0, (0, 10), **options)
@@ -283,9 +297,15 @@ def test_exponents_are_drawn() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["spring_pendulum", "toda_chain", "calogero_moser", "morse_oscillator"]
+    "name",
+    [
+        "morse_oscillator",
+        pytest.param("toda_chain", marks=pytest.mark.slow),
+        pytest.param("calogero_moser", marks=pytest.mark.slow),
+        pytest.param("spring_pendulum", marks=pytest.mark.slow),
+    ],
 )
-def test_integrable_and_other_systems_run(name: str) -> None:
+def test_exponents_of_other_systems_are_finite(name: str) -> None:
     problem = CATALOGUE[name]()
     found = hamsym.lyapunov(problem.H, problem.z0, (0, 200))
     assert found.success

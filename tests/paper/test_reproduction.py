@@ -25,22 +25,33 @@ from hamsym.paper.tables import lower, markdown_table, short, spread
 SCRIPTS = (oscillator, oscillator_long, henon_heiles, henon_heiles_long, claims)
 
 
-@pytest.fixture(scope="module")
-def written(tmp_path_factory):
-    """What all five scripts and the page write, with two epochs and one seed."""
-    out = tmp_path_factory.mktemp("paper")
+def _written(folder, scripts):
+    """What these scripts and the page write, with two epochs and one seed."""
     miniature = ["--epochs=2", "--seeds=1", "--seed=4", "--certify=0", "--workers=1"]
-    for script in SCRIPTS:
-        script.main([*miniature, f"--out={out}"])
-    page.main([f"--out={out}"])
-    return out
+    for script in scripts:
+        script.main([*miniature, f"--out={folder}"])
+    page.main([f"--out={folder}"])
+    everything = json.loads((folder / "results.json").read_text())
+    names = [script.__name__.rpartition(".")[2].replace("_", "-") for script in scripts]
+    assert [experiment["name"] for experiment in everything] == names
+    return everything
 
 
-def test_every_script_writes_its_table_its_figures_and_a_page_of_all(written):
-    everything = json.loads((written / "results.json").read_text())
+def test_script_writes_table_figures_and_page(tmp_path):
+    everything = _written(tmp_path, [oscillator])
+    _check_files(tmp_path, [oscillator], everything)
+
+
+@pytest.mark.slow
+def test_every_script_writes_table_figures_and_page(tmp_path):
+    everything = _written(tmp_path, SCRIPTS)
     assert [experiment["name"] for experiment in everything] == list(page.EXPERIMENTS)
+    _check_files(tmp_path, SCRIPTS, everything)
+
+
+def _check_files(written, scripts, everything):
     text = (written / "page.md").read_text()
-    for script, experiment in zip(SCRIPTS, everything, strict=True):
+    for script, experiment in zip(scripts, everything, strict=True):
         folder = written / experiment["name"]
         assert json.loads((folder / "results.json").read_text()) == experiment
         table = (folder / "table.md").read_text()
@@ -99,7 +110,7 @@ def test_settings_are_those_of_the_paper():
     assert published["envelope"] == "linear"
 
 
-def test_a_limit_shortens_what_trains_and_nothing_else():
+def test_limit_shortens_trainings_only():
     adam = {"method": "adam", "epochs": 50_000, "points": 3}
     assert limit(adam, None) == adam
     assert limit(adam, 20) == {"method": "adam", "epochs": 20, "points": 3}
@@ -115,14 +126,14 @@ def test_quick_is_a_limit_of_epochs():
 
 
 @pytest.mark.parametrize("name", ["seed=-1", "seeds=0", "epochs=0", "workers=0", "certify=-1"])
-def test_a_script_refuses_bad_numbers(name, capsys):
+def test_bad_numbers_are_rejected(name, capsys):
     with pytest.raises(SystemExit) as ended:
         parse("x", [f"--{name}"])
     assert ended.value.code == 2
     assert f"--{name.replace('=', ' ')}" in capsys.readouterr().err
 
 
-def test_verdicts_need_seeds_that_do_not_overlap():
+def test_overlapping_seeds_are_undecided():
     assert lower([2.0, 1.0, 3.0], [5.0, 4.0, 6.0]) is True
     assert lower([5.0, 4.0, 6.0], [2.0, 1.0, 3.0]) is False
     assert lower([2.0, 1.0, 4.5], [5.0, 4.0, 6.0]).startswith("undecided")
@@ -206,7 +217,7 @@ def test_numbers_in_tables():
         (["oscillator", "--out", "FILE"], "FILE"),
     ],
 )
-def test_bad_input_at_the_command_line(arguments, message, tmp_path, capsys, monkeypatch):
+def test_bad_command_line_is_rejected(arguments, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "FILE").write_text("")
     assert main(["reproduce", *arguments]) == 2
@@ -215,7 +226,7 @@ def test_bad_input_at_the_command_line(arguments, message, tmp_path, capsys, mon
     assert complaint.count("\n") == 1
 
 
-def test_a_page_of_nothing_is_refused(tmp_path, capsys):
+def test_page_without_results_is_rejected(tmp_path, capsys):
     with pytest.raises(SystemExit):
         page.main([f"--out={tmp_path}"])
     assert "holds no results" in capsys.readouterr().err
@@ -230,7 +241,7 @@ with exclusive(sys.argv[1]):
 """
 
 
-def test_two_commands_lock_each_other_out(tmp_path, monkeypatch, capsys):
+def test_folder_is_locked_against_other_commands(tmp_path, monkeypatch, capsys):
     for script in (oscillator, page):
         monkeypatch.setattr(script, "main", lambda options: None)
     command = ["reproduce", "oscillator", "--out", str(tmp_path)]
@@ -245,7 +256,7 @@ def test_two_commands_lock_each_other_out(tmp_path, monkeypatch, capsys):
     assert main(command) == 0
 
 
-def test_the_command_runs_what_is_named(tmp_path, monkeypatch, capsys):
+def test_command_runs_the_named_experiment(tmp_path, monkeypatch, capsys):
     called = []
     for script in (*SCRIPTS, page):
 

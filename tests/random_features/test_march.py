@@ -18,7 +18,10 @@ from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import march, newton
 from hamsym.systems import CATALOGUE, Problem
 
-EXACT = [name for name in CATALOGUE if CATALOGUE[name]().exact is not None]
+# Those with an exact solution; to build all systems to see it would take seconds.
+EXACT = [name for name in CATALOGUE if name not in {
+    "double_pendulum", "fermi_pasta_ulam_tsingou", "henon_heiles", "spring_pendulum", "three_bodies"
+}]  # fmt: skip
 
 
 def true_error(solution: hamsym.Solution, truth, samples: int = 4_001) -> np.ndarray:
@@ -28,7 +31,7 @@ def true_error(solution: hamsym.Solution, truth, samples: int = 4_001) -> np.nda
 
 
 @pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
-def test_tolerance_is_met_on_the_whole_catalogue(problem: Problem, tol: float) -> None:
+def test_tolerance_is_met_on_the_catalogue(problem: Problem, tol: float) -> None:
     truth = problem.exact or reference(problem.H, np.array(problem.z0), problem.span)
     solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=tol)
     assert solution.success, solution.message
@@ -45,7 +48,7 @@ def test_three_bodies_return_after_a_period() -> None:
 
 
 @pytest.mark.parametrize("name", EXACT)
-def test_eleven_digits_or_an_honest_refusal(name: str) -> None:
+def test_eleven_digits_or_refusal(name: str) -> None:
     problem = CATALOGUE[name]()
     solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-11)
     if solution.success:
@@ -54,7 +57,7 @@ def test_eleven_digits_or_an_honest_refusal(name: str) -> None:
         assert "round-off" in solution.message
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-9, 1e-11])
+@pytest.mark.parametrize("tol", [1e-5, 1e-11])
 @pytest.mark.parametrize("name", EXACT)
 def test_estimate_is_the_error_up_to_round_off(name: str, tol: float) -> None:
     problem = CATALOGUE[name]()
@@ -68,7 +71,7 @@ def test_estimate_is_the_error_up_to_round_off(name: str, tol: float) -> None:
     assert np.all(solution.largest_error >= np.abs(estimate).max(axis=0))
 
 
-def test_long_spans_are_estimated_as_well() -> None:
+def test_estimate_holds_on_long_spans() -> None:
     """Thousands of windows: neither the error nor the estimate may drift away unnoticed."""
     problem = systems.pendulum()
     solution = hamsym.solve(problem.H, problem.z0, (0, 2_000.0), tol=1e-8)
@@ -83,7 +86,7 @@ def test_long_spans_are_estimated_as_well() -> None:
 @pytest.mark.parametrize(
     ("mass", "stiffness"), [(1e-27, 1e3), (1e30, 1e12), (1.0, 1.0), (1e-27, 1e-45)]
 )
-def test_scales_are_the_users(mass: float, stiffness: float) -> None:
+def test_result_independent_of_units(mass: float, stiffness: float) -> None:
     omega = math.sqrt(stiffness / mass)
     H = Hamiltonian("p**2/(2*m) + k*x**2/2", parameters={"m": mass, "k": stiffness})
     solution = hamsym.solve(H, [1e-9, 0.0], (0, 40 / omega), tol=1e-9)
@@ -179,7 +182,7 @@ def test_newton_and_fixed_point_solve_the_same_equation() -> None:
     np.testing.assert_allclose(end * basis.fit @ rates, marched.readouts[0], atol=1e-13)
 
 
-def test_newton_takes_over_where_the_fixed_point_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_newton_replaces_failing_fixed_point(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = systems.nonlinear_oscillator()
     usual = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
     monkeypatch.setattr(window_loop, "ITERATIONS", 3)  # too few for any window
@@ -209,7 +212,7 @@ def test_equal_windows_reach_the_end_of_any_span(compiled: bool) -> None:
     if compiled:
         H.compile("numba")
     rng = np.random.default_rng(7)
-    for start, length in zip([0.0, 1.7, -1e3] * 20, rng.uniform(0.01, 9, 60), strict=True):
+    for start, length in zip([0.0, 1.7, -1e3] * 10, rng.uniform(0.01, 9, 30), strict=True):
         for end in (start + length, start - length):
             solution = hamsym.solve(H, [0.3, 0.1], (start, end))
             assert solution.success, solution.message
@@ -232,7 +235,7 @@ def test_breakpoints_end_windows() -> None:
 
 
 @pytest.mark.parametrize("breakpoints", [[5.0], [0.0], [math.nan], ["soon"], 3.0])
-def test_unusable_breakpoints(breakpoints: object) -> None:
+def test_unusable_breakpoints_are_rejected(breakpoints: object) -> None:
     with pytest.raises(InputError, match="breakpoint"):
         hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), breakpoints=breakpoints)
 
@@ -258,7 +261,7 @@ def _taylor_henon_heiles(z0: list[float], end: float, steps: int) -> tuple[np.nd
     return np.linspace(0, end, steps + 1), np.array(states)
 
 
-def test_three_hundred_units_of_henon_heiles() -> None:
+def test_long_henon_heiles_against_taylor_series() -> None:
     problem = systems.henon_heiles()
     t, truth = _taylor_henon_heiles(list(problem.z0), 300.0, 1_000)
     solution = hamsym.solve(problem.H, problem.z0, (0, 300), tol=1e-11)
@@ -266,7 +269,7 @@ def test_three_hundred_units_of_henon_heiles() -> None:
     assert np.abs(truth.astype(float) - solution(t) - solution.error_estimate(t)).max() <= 1e-12
 
 
-def test_a_chaotic_orbit_and_its_estimate() -> None:
+def test_estimate_holds_on_chaotic_orbit() -> None:
     z0 = [0.0, -0.1, math.sqrt(2 * (0.125 - 0.005 - 0.001 / 3)), 0.0]
     t, truth = _taylor_henon_heiles(z0, 150.0, 500)
     _, check = _taylor_henon_heiles(z0, 150.0, 1_000)
@@ -282,7 +285,7 @@ def test_a_chaotic_orbit_and_its_estimate() -> None:
 # -- failures ------------------------------------------------------------------------------------
 
 
-def test_escape_is_reported_with_the_solution_up_to_there() -> None:
+def test_escape_returns_solution_before_it() -> None:
     H = Hamiltonian("p**2/2 - x**4/4")
     solution = hamsym.solve(H, [1.0, 1.0], (0, 5), tol=1e-9)
     assert not solution.success
@@ -293,7 +296,7 @@ def test_escape_is_reported_with_the_solution_up_to_there() -> None:
     np.testing.assert_allclose(solution(t), truth(t), rtol=1e-7)
 
 
-def test_round_off_is_that_of_the_state_where_it_is_small() -> None:
+def test_round_off_scales_with_the_local_state() -> None:
     """From a tiny start near an unstable point, a scale of the whole run would say too much."""
     H = Hamiltonian("p**2/2 - x**2/2 + x**4/4")
     assert hamsym.solve(H, [1e-7, 0.0], (0, 17), tol=1e-9).success
@@ -309,7 +312,7 @@ def test_round_off_is_that_of_the_state_where_it_is_small() -> None:
         ("p**2/2 + x**2/2 + abs(p)/10", [1.0, 0.0], None),
     ],
 )
-def test_a_force_that_jumps_is_no_success(formula: str, z0: list, jump: float | None) -> None:
+def test_jumping_force_fails(formula: str, z0: list, jump: float | None) -> None:
     parameters = {"k": -1.0} if "k" in formula else {}
     H = Hamiltonian(formula, parameters=parameters)
     solution = hamsym.solve(H, z0, (0, 6), tol=1e-6)
@@ -321,7 +324,7 @@ def test_a_force_that_jumps_is_no_success(formula: str, z0: list, jump: float | 
 
 
 @pytest.mark.parametrize("span", [(0, 4), (0, 3.3), (0, 0.6)])  # the first has 0.5 as a joint
-def test_a_step_of_the_potential_is_no_success(span: tuple[float, float]) -> None:
+def test_potential_step_fails(span: tuple[float, float]) -> None:
     """The derivative of sign shows no force, and the energy changes."""
     H = Hamiltonian("p**2/2 + sign(x)/2")
     solution = hamsym.solve(H, [1.0, -2.0], span)
@@ -330,7 +333,7 @@ def test_a_step_of_the_potential_is_no_success(span: tuple[float, float]) -> Non
     assert hamsym.solve(H, [1.0, -2.0], (0, 0.49)).success
 
 
-def test_a_kink_of_the_force_alone_is_no_jump() -> None:
+def test_kink_of_the_force_succeeds() -> None:
     H = Hamiltonian("p**2/2 + abs(x)**3")
     solution = hamsym.solve(H, [1.0, 0.0], (0, 6), tol=1e-6)
     assert solution.success, solution.message
@@ -338,7 +341,7 @@ def test_a_kink_of_the_force_alone_is_no_jump() -> None:
     assert true_error(solution, truth).max() <= 1e-6
 
 
-def test_a_brief_event_in_a_long_rest() -> None:
+def test_brief_pulse_in_long_rest_is_resolved() -> None:
     H = Hamiltonian("p**2/2 - x*exp(-(t - 51.3)**2)")
     truth = hamsym.solve(H, [0.0, 0.0], (0, 100), tol=1e-9, max_window=0.5)
     solution = hamsym.solve(H, [0.0, 0.0], (0, 100), tol=1e-6)
@@ -348,12 +351,12 @@ def test_a_brief_event_in_a_long_rest() -> None:
 
 
 @pytest.mark.parametrize("max_window", [0.0, -1.0, math.nan, "long"])
-def test_unusable_windows(max_window: object) -> None:
+def test_unusable_max_window_is_rejected(max_window: object) -> None:
     with pytest.raises(InputError, match="max_window=.* cannot be used; give a time above 0"):
         hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), max_window=max_window)
 
 
-def test_windows_too_many_are_refused_beforehand() -> None:
+def test_too_many_windows_are_rejected_beforehand() -> None:
     with pytest.raises(InputError, match="makes more than 200,000 windows; give 5e-05 or more"):
         hamsym.solve("p**2 + x**2", [1, 0], (0, 10), max_window=1e-6)
 
@@ -392,7 +395,7 @@ def test_too_many_windows_is_reported() -> None:
     assert len(windows.readouts) == 20
 
 
-def test_a_hopeless_span_ends_early(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_span_needing_too_many_windows_ends_early(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hamsym.random_features.march._SURE", 50)
     solution = hamsym.solve("p**2/2 + x**2/2", [1.0, 0.0], (0, 1e9))
     assert not solution.success
@@ -401,7 +404,7 @@ def test_a_hopeless_span_ends_early(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(solution.history.readouts) < 200
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_at_the_limit_of_float64_whatever_the_features(seed: int) -> None:
     problem = systems.double_pendulum()
     solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-12, seed=seed)
@@ -412,13 +415,13 @@ def test_at_the_limit_of_float64_whatever_the_features(seed: int) -> None:
 
 
 @pytest.mark.parametrize("tol", [0.0, -1e-3, 1e-13, 1.0, math.nan, math.inf, "small"])
-def test_unusable_tolerances(tol: object) -> None:
+def test_unusable_tolerances_are_rejected(tol: object) -> None:
     with pytest.raises(InputError, match="tol=.* cannot be used; give a number from 1e-12"):
         hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), tol=tol)
 
 
 @pytest.mark.parametrize("atol", [-1.0, math.nan, [0.0] * 3, "none"])
-def test_unusable_absolute_tolerances(atol: object) -> None:
+def test_unusable_absolute_tolerances_are_rejected(atol: object) -> None:
     with pytest.raises(InputError, match="atol=.* cannot be used; give"):
         hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), atol=atol)
 
@@ -457,7 +460,7 @@ def _check_random_starts(name: str, count: int) -> None:
 
 @pytest.mark.parametrize("name", ["henon_heiles", "kepler", "double_pendulum", "quartic"])
 def test_success_is_never_false(name: str) -> None:
-    _check_random_starts(name, 12)
+    _check_random_starts(name, 6)
 
 
 @pytest.mark.slow

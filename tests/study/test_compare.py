@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ from hamsym.study.compare import Match
 from hamsym.systems import Problem, charged_particle, harmonic_oscillator, nonlinear_oscillator
 
 
-def quick(problem: Problem, epochs: int = 1500) -> Solution:
+@functools.cache
+def quick(make: Callable[[], Problem], epochs: int = 600) -> Solution:
+    problem = make()
     return hamsym.solve(
         problem.H,
         problem.z0,
@@ -26,6 +30,7 @@ def quick(problem: Problem, epochs: int = 1500) -> Solution:
         noise=0.0,
         tau=0.25,
         schedule="cosine",
+        learning_rate=0.02,
         epochs=epochs,
     )
 
@@ -33,7 +38,7 @@ def quick(problem: Problem, epochs: int = 1500) -> Solution:
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
     problem = harmonic_oscillator()
-    return hamsym.compare(quick(problem), exact=problem.exact)
+    return hamsym.compare(quick(harmonic_oscillator), exact=problem.exact)
 
 
 def test_rows_are_network_and_euler_at_k_10k_100k(comparison: Comparison) -> None:
@@ -67,9 +72,9 @@ def test_steps_to_match_are_just_enough(comparison: Comparison) -> None:
     assert comparison.matches["symplectic_euler"].error <= target
 
 
-def test_beyond_the_limit_is_an_extrapolation_and_says_so() -> None:
+def test_steps_beyond_the_limit_are_extrapolated() -> None:
     problem = harmonic_oscillator()
-    solution = quick(problem)
+    solution = quick(harmonic_oscillator)
     euler = "symplectic_euler"
     full = hamsym.compare(solution, exact=problem.exact).matches[euler].steps
     assert full is not None
@@ -80,9 +85,9 @@ def test_beyond_the_limit_is_an_extrapolation_and_says_so() -> None:
     assert str(limited).startswith("> ")
 
 
-def test_a_search_that_would_take_long_is_extrapolated(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_search_is_extrapolated(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = harmonic_oscillator()
-    solution = quick(problem)
+    solution = quick(harmonic_oscillator)
     full = hamsym.compare(solution, exact=problem.exact).matches["symplectic_euler"].steps
     assert full is not None
     assert full > 300
@@ -93,13 +98,14 @@ def test_a_search_that_would_take_long_is_extrapolated(monkeypatch: pytest.Monke
     assert match.extrapolated == pytest.approx(full, rel=0.1)
 
 
-METHODS = ["stormer_verlet", "yoshida4", "blanes_moan6", "yoshida8", "gauss4", "tao2", "dop853"]
+# One of each kind.
+METHODS = ["yoshida4", "gauss4", "tao2", "dop853"]
 
 
 @pytest.fixture(scope="module")
 def several() -> Comparison:
     problem = nonlinear_oscillator()
-    solution = hamsym.solve(problem.H, problem.z0, (0, 10), tol=1e-6)
+    solution = hamsym.solve(problem.H, problem.z0, (0, 5), tol=1e-5)
     return hamsym.compare(solution, METHODS, points=50, exact=problem.exact)
 
 
@@ -118,7 +124,7 @@ def test_every_match_is_just_enough(several: Comparison) -> None:
     problem, target = nonlinear_oscillator(), several.rows[0].error
 
     def error(**options: object) -> float:
-        found = hamsym.integrate(problem.H, problem.z0, (0, 10), **options)
+        found = hamsym.integrate(problem.H, problem.z0, (0, 5), **options)
         return float(np.linalg.norm(found.z - problem.exact(found.t), axis=1).max())
 
     for name, match in several.matches.items():
@@ -133,7 +139,7 @@ def test_every_match_is_just_enough(several: Comparison) -> None:
             assert error(method=name, steps=int(0.95 * match.steps)) > target
 
 
-def test_round_off_is_named_where_it_is_the_limit() -> None:
+def test_round_off_limit_is_named() -> None:
     """Against itself the network has no error, which no integrator can reach."""
     problem = nonlinear_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (0, 2), tol=1e-11)
@@ -146,16 +152,16 @@ def test_round_off_is_named_where_it_is_the_limit() -> None:
     assert "not reached: round-off leaves" in str(comparison)
 
 
-def test_an_error_as_large_as_the_motion_is_not_round_off() -> None:
+def test_error_of_the_size_of_the_motion_is_not_round_off() -> None:
     """It no longer falls because it cannot grow."""
     H = hamsym.Hamiltonian("p**2/2 - cos(x) - cos(x - t)")
     solution = hamsym.solve(H, [1.0, 0.5], (0, 60), tol=1e-6)
-    comparison = hamsym.compare(solution, "implicit_midpoint", points=3, max_steps=100_000)
+    comparison = hamsym.compare(solution, "implicit_midpoint", points=3, max_steps=20_000)
     match = comparison.matches["implicit_midpoint"]
     assert "round-off" not in match.reason
 
 
-def test_masses_of_an_electron_are_compared_as_any_other() -> None:
+def test_comparison_independent_of_units() -> None:
     m, w = 9.1e-31, 1e15
     H = hamsym.Hamiltonian("p**2/(2*m) + m*w**2*x**2/2", parameters={"m": m, "w": w})
     solution = hamsym.solve(H, [1e-10, 0.0], (0, 6e-15), tol=1e-9)
@@ -195,14 +201,14 @@ def test_ctrl_c_ends_a_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"max_steps": "a"}, "max_steps='a'"),
     ],
 )
-def test_settings_of_a_comparison_that_cannot_be_used(
+def test_unusable_options_are_rejected(
     comparison: Comparison, options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(hamsym.InputError, match=message):
         hamsym.compare(comparison.solution, **options)  # type: ignore[arg-type]
 
 
-def test_integrators_that_cannot_be_compared() -> None:
+def test_unusable_integrators_are_rejected() -> None:
     problem = charged_particle()
     solution = hamsym.solve(problem.H, problem.z0, (0, 1), tol=1e-6)
     with pytest.raises(hamsym.InputError, match="stormer_verlet needs H = "):
@@ -220,7 +226,7 @@ def test_how_matches_are_written() -> None:
     assert str(beyond) == "> 1e8 steps (extrapolated: 2.5e+09)"
 
 
-def test_where_the_reference_dominates_it_is_said() -> None:
+def test_dominant_reference_error_is_reported() -> None:
     H = hamsym.Hamiltonian("p**2/2 - x**2/2 + x**4/4")
     solution = hamsym.solve(H, [0.1, 0.0], (0, 30), tol=1e-11)
     comparison = hamsym.compare(solution, max_steps=10**6)
@@ -246,13 +252,12 @@ def test_table_of_many_fits_too(several: Comparison) -> None:
 
 
 def test_non_separable_systems_are_compared_too() -> None:
-    problem = charged_particle()
-    comparison = hamsym.compare(quick(problem, epochs=300))
+    comparison = hamsym.compare(quick(charged_particle, epochs=300))
     assert all(math.isfinite(row.error) for row in comparison.rows)
     assert comparison.matches["symplectic_euler"].steps is not None
 
 
-def test_coarse_euler_that_breaks_off_counts_as_infinitely_wrong() -> None:
+def test_failed_euler_has_infinite_error() -> None:
     # H = p q^2 blows up at t = 1/q(0), and its implicit step has no solution for h q > 1/4.
     H = hamsym.Hamiltonian("p*q**2", q=["q"], p=["p"])
     solution = hamsym.solve(H, [1.0, 1.0], (0, 0.7), method="adam", epochs=200, points=3, noise=0)
@@ -263,7 +268,7 @@ def test_coarse_euler_that_breaks_off_counts_as_infinitely_wrong() -> None:
 
 def test_reference_without_an_exact_solution() -> None:
     problem = harmonic_oscillator()
-    solution = quick(problem, epochs=200)
+    solution = quick(harmonic_oscillator, epochs=200)
     with_exact = hamsym.compare(solution, exact=problem.exact).rows[0].error
     assert hamsym.compare(solution).rows[0].error == pytest.approx(with_exact, rel=1e-8)
 
@@ -280,9 +285,9 @@ def test_figure_of_many(several: Comparison) -> None:
     assert len(axes[0].lines) == 1 + len(METHODS)
 
 
-def test_a_reference_that_is_no_number_makes_no_error_small() -> None:
+def test_nan_reference_gives_infinite_error() -> None:
     problem = harmonic_oscillator()
-    solution = quick(problem)
+    solution = quick(harmonic_oscillator)
 
     def gap(t: np.ndarray) -> np.ndarray:
         return np.where(np.abs(t[:, None] - 1) < 0.1, np.nan, problem.exact(t))
