@@ -7,7 +7,7 @@ HENON_HEILES := "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-wheel lint bench bench-quick tables docs clean
+.PHONY: help demo test test-slow test-wheel coverage lint bench bench-quick tables docs clean
 
 help: ## List what can be done
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed 's/:.*## /: /' | awk -F': ' '{printf "  make %-11s %s\n", $$1, $$2}'
@@ -20,14 +20,20 @@ $(VENV)/installed: pyproject.toml
 demo: $(VENV)/installed ## Train the paper's oscillator, compare, draw (two minutes)
 	$(BIN)/python examples/oscillator.py --out output
 
-test: $(VENV)/installed ## Run the test suite
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+test: $(VENV)/installed ## Run the test suite (two minutes)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 test-slow: $(VENV)/installed ## Run the slow checks too
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 test-wheel: $(VENV)/installed ## Build a wheel, install it elsewhere, see that it works
 	VENV_BIN="$(abspath $(BIN))" PYTHON="$(PYTHON)" TORCH="$(TORCH)" bash tests/wheel.sh
+
+coverage: $(VENV)/installed ## Run the test suite and print which lines of hamsym it does not reach
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest -n 2 --dist worksteal -m "not slow"
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report
 
 lint: $(VENV)/installed ## Check style, formatting, types and the layers of imports
 	$(BIN)/ruff check .
@@ -51,4 +57,4 @@ docs: tables ## Make tables and pictures of the documentation again (five minute
 	$(BIN)/python examples/chaos.py --out examples/pictures
 
 clean: ## Remove the environment and everything built
-	rm -rf $(VENV) build dist output *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist output *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage .coverage.*

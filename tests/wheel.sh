@@ -13,12 +13,13 @@ mkdir "$folder/source"
     { cat "$folder/build.log"; exit 1; }
 "$PYTHON" -m venv "$folder/venv"
 "$folder/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$TORCH" \
-    "$(echo "$folder"/*.whl)[dev]"
+    "$(echo "$folder"/*.whl)" pytest
 mkdir "$folder/tests"
 cp "$root/tests/test_packaging.py" "$folder/tests/"
 cp "$root/pyproject.toml" "$folder/"
 rm -rf "$folder/source"
 cd "$folder"
+export HAMSYM_CACHE_DIR="$folder/cache"
 venv/bin/python -c "import hamsym; assert hamsym.__file__.startswith('$folder/venv'), hamsym.__file__"
 venv/bin/python -m pytest tests/test_packaging.py
 venv/bin/hamsym --help >/dev/null

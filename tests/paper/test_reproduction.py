@@ -37,7 +37,14 @@ def _written(folder, scripts):
     return everything
 
 
-def test_script_writes_table_figures_and_page(tmp_path):
+def test_script_writes_table_figures_and_page(tmp_path, monkeypatch):
+    """One of the five, on a short span, with small networks."""
+    small = {
+        name: options | {"hidden": (4, 4)} if "hidden" in options else options
+        for name, options in oscillator.SETTINGS.items()
+    }
+    monkeypatch.setattr(oscillator, "SETTINGS", small)
+    monkeypatch.setattr(oscillator, "SPAN", (0.0, 1.0))
     everything = _written(tmp_path, [oscillator])
     _check_files(tmp_path, [oscillator], everything)
 
@@ -82,8 +89,8 @@ def _check_files(written, scripts, everything):
     first = everything[0]
     row = next(row for row in first["rows"] if row["method"] == "features, tol = 1e-6")
     problem = hamsym.systems.nonlinear_oscillator()
-    solution = hamsym.solve(problem.H, problem.z0, (0, 4 * math.pi), tol=1e-6, seed=4)
-    t = np.linspace(0, 4 * math.pi, 4_001)
+    solution = hamsym.solve(problem.H, problem.z0, oscillator.SPAN, tol=1e-6, seed=4)
+    t = np.linspace(*oscillator.SPAN, 4_001)
     error = np.linalg.norm(solution(t) - problem.exact(t), axis=-1).max()
     assert row["error"][0] == pytest.approx(error, rel=1e-6)
 
