@@ -64,13 +64,15 @@ def short():
     return hamsym.solve(problem.H, problem.z0, (0.0, 0.5), tol=1e-9)
 
 
+@functools.cache
+def exact_solution(H, z0, span):
+    units = [(0.0, [1.0] * len(z0))]
+    return enclose_solution(Enclosures(H), np.array(z0), span, units, 160, Deadline.after(None))
+
+
 def true_errors(solution, times):
     """z^ - z to thirty digits: z by a second enclosure, z^ by its formula in mpmath."""
-    z0 = np.asarray(solution.z0, dtype=float)
-    units = [(0.0, [1.0] * len(z0))]
-    found = enclose_solution(
-        Enclosures(solution.H), z0, solution.span, units, 160, Deadline.after(None)
-    )
+    found = exact_solution(solution.H, tuple(map(float, solution.z0)), tuple(solution.span))
     errors = []
     for t in times:
         truth = [_number(exact(value)) for value in found(float(t))]
@@ -145,7 +147,7 @@ def assert_holds(certificate, solution, times=None, count=40):
 @pytest.mark.parametrize("name", _OPTIONS)
 def test_bounds_hold_and_are_tight(name):
     solution, certificate = solved(name), certified(name)
-    assert_holds(certificate, solution, count=20)
+    assert_holds(certificate, solution, count=10)
     assert certificate.bound <= 1.03 * certificate.lower
     assert certificate.ell_max_bound <= 1.03 * certificate.ell_max_lower
     assert certificate.energy_bound <= 1.03 * certificate.energy_lower
@@ -157,7 +159,7 @@ def test_bounds_hold_and_are_tight(name):
     ("problem", "span"),
     [
         (systems.henon_heiles(), (0.0, 3.0)),
-        (systems.kepler(), (0.0, 1.0)),
+        (systems.kepler(), (0.0, 0.5)),
         (systems.double_pendulum(), (0.0, 0.5)),
         (systems.driven_oscillator(), (1.0, -3.0)),
     ],
@@ -165,7 +167,7 @@ def test_bounds_hold_and_are_tight(name):
 )
 def test_other_systems(problem, span):
     solution = hamsym.solve(problem.H, problem.z0, span, tol=1e-9)
-    assert_holds(solution.certify(), solution, count=15)
+    assert_holds(solution.certify(), solution, count=10)
 
 
 def test_units_of_any_size():
@@ -214,7 +216,7 @@ def test_bound_follows_changed_weights(name, change):
     sound = solved(name)
     hurt = damaged(sound, change)
     certificate = hurt.certify(rtol=0.1)
-    found = assert_holds(certificate, hurt)
+    found = assert_holds(certificate, hurt, count=20)
     assert certificate.bound > 0.5 * found
     assert certificate.bound != certified(name).bound
     with pytest.raises(CertificationError, match="does not belong to this solution"):
@@ -375,7 +377,6 @@ def test_times_outside_the_span_are_rejected(case):
             *("p**2/2 - x**4/4", [1.0, 0.0], 3.0, r"no bound beyond t = 1\.85.*escape"),
             marks=pytest.mark.slow,
         ),
-        ("x*p", [0.0, 0.0], 3000.0, "no bound beyond t = 1.*trajectories separate too fast"),
         ("p**2/2 + abs(x)", [1.0, 0.0], 3.0, "'abs'"),
         (
             *("p**2/2 + x**(5/2)", [1.0, 0.0], 3.0),
@@ -388,6 +389,14 @@ def test_certify_fails_with_the_reason(formula, z0, end, reason):
     solution = hamsym.solve(H, z0, (0.0, end), method="adam", epochs=5, hidden=(4,))
     with pytest.raises(CertificationError, match=reason):
         solution.certify()
+
+
+def test_separating_trajectories_end_the_proof(cheap):
+    """Errors grow by exp(3000), which needs more bits than a proof may have."""
+    other = damaged(cheap[0], lambda trial: trial.z0.zero_())
+    other.H, other.z0, other.span = hamsym.Hamiltonian("x*p"), np.zeros(2), (0.0, 3000.0)
+    with pytest.raises(CertificationError, match="no bound beyond t = 1.*separate too fast"):
+        other.certify()
 
 
 def test_time_limit_of_certify():
@@ -533,7 +542,7 @@ def test_bound_holds_at_1000_times(name):
     assert certificate.bound <= 1.05 * error.max()
 
 
-# -- certificates verify ------------------------------------------------------------------------
+# -- certificates verify --------------------------------------------------------------------------
 
 _SADDLE, _PENDULUM = "p**2/2 - x**2/2", "p**2/2 - cos(x)"
 _HENON = "(px**2 + py**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3"
