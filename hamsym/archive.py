@@ -68,7 +68,14 @@ def save(solution: Solution, path: str | os.PathLike[str]) -> None:
         raise FileError(
             f"'{path}' is not written: the solution is not valid: {one_line(error)}"
         ) from None
-    write_tensors(path, _KIND, *parts(solution))
+    arrays, values = parts(solution)
+    try:
+        same = hamiltonian_from(values["H"]) == solution.H
+    except MALFORMED:
+        same = False
+    if not same:
+        raise FileError(f"'{path}' is not written: H has no formula that is read back as it is")
+    write_tensors(path, _KIND, arrays, values)
 
 
 def load(path: str | os.PathLike[str]) -> Solution:
