@@ -1,4 +1,4 @@
-"""Every generated function of every backend against sympy, autograd and finite differences."""
+"""Every generated function of every backend against sympy and autograd."""
 
 from __future__ import annotations
 
@@ -9,27 +9,50 @@ import itertools
 import keyword
 import math
 import os
+import re
 import subprocess
 import sys
 import textwrap
 import traceback
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 import sympy
 import torch
 
 from hamsym import Hamiltonian, InputError, integrate
-from hamsym.codegen.names import RESERVED as _TEMPLATE_NAMES
+from hamsym.codegen.generate import Source
+from hamsym.codegen.names import RESERVED
 from hamsym.codegen.printers import PRINTERS
 from hamsym.codegen.system import System
 from hamsym.errors import CodeGenerationError
 from hamsym.formula import parser
 from hamsym.symbolic import derivatives
-from hamsym.systems import Problem
+from hamsym.systems import CATALOGUE, Problem
 
 FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss")
+
+
+# One degree of freedom, explicit time, two, many temporaries, not separable.
+SYSTEMS = ["nonlinear_oscillator", "driven_oscillator", "kepler", "three_bodies", "double_pendulum"]
+
+
+@pytest.fixture(params=SYSTEMS)
+def example(request: pytest.FixtureRequest) -> Problem:
+    return CATALOGUE[request.param]()
+
+
+def interpreted(H: Hamiltonian, backend: str, monkeypatch: pytest.MonkeyPatch) -> System:
+    """The functions of a backend; those of numba run as the Python that they are."""
+    if backend != "numba":
+        return H.compile(backend)
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
+    system = System(Source(H.real_equations, backend))
+    for name in FUNCTIONS:
+        getattr(system, name)  # is loaded now
+    return system
 
 
 def array(value: object) -> np.ndarray:
@@ -90,77 +113,81 @@ def spellings(H: Hamiltonian) -> list[Hamiltonian]:
     return variants
 
 
-def test_all_functions_against_sympy(problem: Problem, backend: str) -> None:
-    H = problem.H
-    z = states(H, np.array(problem.z0), count=3)
+def check_against_sympy(H: Hamiltonian, z: np.ndarray, system: System) -> None:
     dz = np.random.default_rng(2).normal(size=z.shape)
     energy, gradient, hessian = sympy_values(H, z)
     J = np.array(H.poisson_matrix, dtype=float)
     residual = dz - gradient @ J.T
     loss = (residual**2).sum(axis=1).mean()
-    penalty = ((energy - 0.7) ** 2).mean()
-    for variant in spellings(H):
-        system = variant.compile(backend)
-        close = {"rtol": 1e-12, "atol": 1e-13}
-        np.testing.assert_allclose(call(system, "energy", z), energy, **close)
-        np.testing.assert_allclose(call(system, "gradient", z), gradient, **close)
-        np.testing.assert_allclose(call(system, "vector_field", z), gradient @ J.T, **close)
-        np.testing.assert_allclose(call(system, "hessian", z), hessian, **close)
-        np.testing.assert_allclose(call(system, "residual", z, dz), residual, **close)
-        if H.time is not None:  # there is no energy penalty then
-            np.testing.assert_allclose(call(system, "loss", z, dz), loss, **close)
-            continue
-        np.testing.assert_allclose(call(system, "loss", z, dz, 0.7), loss, **close)
-        weighted = call(system, "loss", z, dz, 0.7, 2.5)
-        np.testing.assert_allclose(weighted, loss + 2.5 * penalty, **close)
+    close = {"rtol": 1e-12, "atol": 1e-13}
+    np.testing.assert_allclose(call(system, "energy", z), energy, **close)
+    np.testing.assert_allclose(call(system, "gradient", z), gradient, **close)
+    np.testing.assert_allclose(call(system, "vector_field", z), gradient @ J.T, **close)
+    np.testing.assert_allclose(call(system, "hessian", z), hessian, **close)
+    np.testing.assert_allclose(call(system, "residual", z, dz), residual, **close)
+    if H.time is not None:  # there is no energy penalty then
+        np.testing.assert_allclose(call(system, "loss", z, dz), loss, **close)
+        return
+    np.testing.assert_allclose(call(system, "loss", z, dz, 0.7), loss, **close)
+    weighted = loss + 2.5 * ((energy - 0.7) ** 2).mean()
+    np.testing.assert_allclose(call(system, "loss", z, dz, 0.7, 2.5), weighted, **close)
 
 
-def test_derivatives_against_autograd(problem: Problem, backend: str) -> None:
-    z = states(problem.H, np.array(problem.z0), count=4)
-    torch_system, system = problem.H.compile("torch"), problem.H.compile(backend)
-    for point in z:
-        arguments = torch_system.arguments(torch.tensor(point), TIME)
-        gradient = torch.func.grad(torch_system.energy)(*arguments).numpy()
-        hessian = torch.func.hessian(torch_system.energy)(*arguments).numpy()
+def test_all_functions_match_sympy(
+    problem: Problem, backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    z = states(problem.H, np.array(problem.z0), count=2)
+    check_against_sympy(problem.H, z, interpreted(problem.H, backend, monkeypatch))
+
+
+@pytest.mark.parametrize("name", ["driven_oscillator", "double_pendulum"])
+def test_compiled_functions_match_sympy(name: str) -> None:
+    problem = CATALOGUE[name]()
+    z = states(problem.H, np.array(problem.z0), count=2)
+    check_against_sympy(problem.H, z, problem.H.compile("numba"))
+
+
+def test_assumptions_of_symbols_change_nothing(example: Problem) -> None:
+    H = example.H
+    z = states(H, np.array(example.z0), count=2)
+    sources = {variant.source("numpy") for variant in spellings(H)}
+    assert len(sources) == 1
+    check_against_sympy(H, z, spellings(H)[-1].compile("numpy"))
+
+
+def test_torch_derivatives_match_autograd(problem: Problem) -> None:
+    system = problem.H.compile("torch")
+    for point in states(problem.H, np.array(problem.z0), count=2):
+        arguments = system.arguments(torch.tensor(point), TIME)
+        gradient = torch.func.grad(system.energy)(*arguments).numpy()
+        hessian = torch.func.hessian(system.energy)(*arguments).numpy()
         np.testing.assert_allclose(call(system, "gradient", point), gradient, atol=1e-12)
         np.testing.assert_allclose(call(system, "hessian", point), hessian, atol=1e-11)
 
 
-def test_derivatives_against_finite_differences(problem: Problem, backend: str) -> None:
-    H = problem.H
-    system = H.compile(backend)
-    z = states(H, np.array(problem.z0), count=2)
-    step = 1e-5
-    for i in range(H.dim):
-        shift = step * np.eye(H.dim)[i]
-        slope = (call(system, "energy", z + shift) - call(system, "energy", z - shift)) / (2 * step)
-        np.testing.assert_allclose(call(system, "gradient", z)[:, i], slope, rtol=1e-6, atol=1e-7)
-        slope = call(system, "gradient", z + shift) - call(system, "gradient", z - shift)
-        row = call(system, "hessian", z)[:, i]
-        np.testing.assert_allclose(row, slope / (2 * step), rtol=1e-6, atol=1e-6)
-
-
-def test_shapes_and_dtypes_follow_the_input(problem: Problem, backend: str) -> None:
+@pytest.mark.parametrize("name", ["driven_oscillator", "henon_heiles"])
+def test_shapes_and_dtypes_follow_the_state(name: str, backend: str) -> None:
+    problem = CATALOGUE[name]()
     H = problem.H
     system, dim = H.compile(backend), H.dim
     for dtype in (np.float32, np.float64):
         for batch in ((), (4,), (2, 3)):
             z = np.broadcast_to(np.array(problem.z0, dtype), (*batch, dim)).copy()
-            for name, shape in [
+            for function, shape in [
                 ("energy", batch),
                 ("gradient", (*batch, dim)),
                 ("vector_field", (*batch, dim)),
                 ("hessian", (*batch, dim, dim)),
             ]:
-                value = call(system, name, z)
-                assert (value.shape, value.dtype) == (shape, dtype), name
+                value = call(system, function, z)
+                assert (value.shape, value.dtype) == (shape, dtype), function
             assert call(system, "residual", z, z).shape == (*batch, dim)
             assert call(system, "residual", z, z).dtype == dtype
             penalty = (0.5, 1.0) if H.time is None else ()
             assert call(system, "loss", z, z, *penalty).shape == ()
 
 
-def test_states_of_the_wrong_length_are_refused(backend: str) -> None:
+def test_states_of_wrong_length_are_refused(backend: str) -> None:
     system = Hamiltonian("p**2/2 + x**2/2").compile(backend)
     for shape in ((3,), (2, 5), ()):
         with pytest.raises((ValueError, RuntimeError, IndexError)):
@@ -201,39 +228,58 @@ FORMULAS = {
 }
 
 
-@pytest.mark.parametrize("formula", FORMULAS)
-def test_every_function_in_every_backend(formula: str, backend: str) -> None:
-    has_k = "k" in formula
-    H = Hamiltonian(f"p**2/2 + {formula}", q=["x"], p=["p"], parameters={"k": 1.3} if has_k else {})
-    z = np.array([[FORMULAS[formula], 0.8], [FORMULAS[formula] + 0.01, -0.4]])
-    energy, gradient, hessian = sympy_values(H, z)
+@pytest.fixture(scope="module")
+def every_function() -> tuple[Hamiltonian, np.ndarray]:
+    """A sum with one formula for each degree of freedom, and states inside all domains."""
+    terms = []
+    for i, formula in enumerate(FORMULAS):
+        own = re.sub(r"\b[xp]\b", lambda name, i=i: f"{name.group()}{i}", formula)
+        terms.append(f"p{i}**2/2 + {own}")
+    names = [[f"{letter}{i}" for i in range(len(FORMULAS))] for letter in "xp"]
+    H = Hamiltonian(" + ".join(terms), q=names[0], p=names[1], parameters={"k": 1.3})
+    at = np.array(list(FORMULAS.values()))
+    z = np.stack((np.concatenate((at, 0 * at + 0.8)), np.concatenate((at + 0.01, 0 * at - 0.4))))
+    return H, z
+
+
+def test_every_function_in_every_backend(
+    every_function: tuple[Hamiltonian, np.ndarray], backend: str
+) -> None:
+    H, z = every_function
+    own = [Hamiltonian(f"p**2/2 + {formula}", q=["x"], p=["p"], parameters={"k": 1.3} if "k" in
+                       formula else {}) for formula in FORMULAS]  # fmt: skip
+    n = len(FORMULAS)
+    energy, gradient, hessian = np.zeros(2), np.zeros((2, 2 * n)), np.zeros((2, 2 * n, 2 * n))
+    for i, one in enumerate(own):
+        value, first, second = sympy_values(one, z[:, [i, n + i]])
+        energy += value
+        gradient[:, [i, n + i]] = first
+        hessian[np.ix_([0, 1], [i, n + i], [i, n + i])] = second
     system = H.compile(backend)
-    np.testing.assert_allclose(call(system, "energy", z), energy, rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(call(system, "energy", z), energy, rtol=1e-13)
     np.testing.assert_allclose(call(system, "gradient", z), gradient, rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(call(system, "hessian", z), hessian, rtol=1e-12, atol=1e-13)
 
 
-@pytest.mark.parametrize("formula", FORMULAS)
-def test_gradients_flow_twice_through_every_function(formula: str) -> None:
-    H = Hamiltonian(
-        f"p**2/2 + {formula}", q=["x"], p=["p"], parameters={"k": 1.3} if "k" in formula else {}
-    )
+def test_gradients_flow_twice_through_every_function(
+    every_function: tuple[Hamiltonian, np.ndarray],
+) -> None:
+    H, states = every_function
     system = H.compile("torch")
-    z = torch.tensor([[FORMULAS[formula], 0.8]], dtype=torch.float64, requires_grad=True)
+    z = torch.tensor(states[:1], requires_grad=True)
 
     def slope(value: torch.Tensor) -> torch.Tensor:
-        if not value.requires_grad:  # it is constant
-            return torch.zeros_like(z)
         return torch.autograd.grad(value, z, create_graph=True, materialize_grads=True)[0]
 
     first = slope(system.energy(z).sum())
     torch.testing.assert_close(first, system.gradient(z))
-    rows = [slope(first[0, i])[0] for i in range(2)]
+    rows = [slope(entry)[0] for entry in first[0]]
     torch.testing.assert_close(torch.stack(rows), system.hessian(z)[0])
     assert torch.isfinite(slope(system.hessian(z).sum())).all()
     twice = slope(slope(system.loss(z, z, 0.0, 1.0)).sum())
     assert torch.isfinite(twice).all()
-    assert twice.any()
+    n = len(FORMULAS)
+    assert (twice[0, :n] != 0).sum() >= n - 3  # but for what is constant or linear
 
 
 x, p = sympy.symbols("x p", real=True)
@@ -249,9 +295,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_a_backend_lacks_is_refused_by_name_when_the_source_is_asked_for(
-    name: str, backend: str
-) -> None:
+def test_missing_functions_are_refused_by_name(name: str, backend: str) -> None:
     H = Hamiltonian(p**2 / 2 + REFUSED[name])
     with pytest.raises(CodeGenerationError, match=f"'{name}' cannot be generated for {backend}"):
         H.source(backend)
@@ -272,12 +316,12 @@ def test_coefficients_beyond_floating_point_are_refused(backend: str) -> None:
             H.compile(backend)
 
 
-def test_many_arguments_and_rewrites_inside_each_other(backend: str) -> None:
-    q = sympy.symbols("q1:50", real=True)
+def test_many_arguments_and_nested_rewrites(backend: str) -> None:
+    q = sympy.symbols("q1:13", real=True)
     H = Hamiltonian(p**2 / 2 + sympy.Max(*q) * x, q=["x"], p=["p"])
     values = {symbol.name: float(i) for i, symbol in enumerate(q)}
     H = H.with_parameters(**values)
-    assert call(H.compile(backend), "energy", np.array([2.0, 0.0])) == pytest.approx(2 * 48)
+    assert call(H.compile(backend), "energy", np.array([2.0, 0.0])) == pytest.approx(2 * 11)
     H = Hamiltonian("p**2/2 + csc(cot(x) - atan(2))")
     z = np.array([[0.4, 0.3]])
     np.testing.assert_allclose(call(H.compile(backend), "energy", z), sympy_values(H, z)[0])
@@ -354,19 +398,19 @@ def test_loss_of_the_oscillator_reads_like_the_paper() -> None:
             return value''')
 
 
-def test_source_is_what_runs(problem: Problem, backend: str) -> None:
-    system = problem.H.compile(backend)
-    assert system.source == problem.H.source(backend)
+def test_source_is_what_runs(example: Problem, backend: str) -> None:
+    system = example.H.compile(backend)
+    assert system.source == example.H.source(backend)
     for name in FUNCTIONS:
-        assert problem.H.source(backend, part=name) == inspect.getsource(
+        assert example.H.source(backend, part=name) == inspect.getsource(
             getattr(system, name)
         ).rstrip("\n")
-    assert problem.H.compile(backend) is system
+    assert example.H.compile(backend) is system
 
 
-def test_generated_text_is_tidy(problem: Problem, backend: str) -> None:
-    source = problem.H.source(backend)
-    assert max(map(len, source.splitlines())) <= 120
+def test_generated_text_is_tidy(example: Problem, backend: str) -> None:
+    source = example.H.source(backend)
+    assert max(map(len, source.splitlines())) <= 96
     assert all(line == line.rstrip() for line in source.splitlines())
     assert "\n\n\n\n" not in source
     assert source.endswith("\n")
@@ -396,27 +440,49 @@ def test_unknown_backend_or_part(arguments: tuple[str, ...], message: str) -> No
         Hamiltonian("p**2 + x**2").source(*arguments)
 
 
-def test_step_loops_are_parts_of_numba_source() -> None:
+def test_kernels_and_loops_are_parts() -> None:
     H = Hamiltonian("p**2 + x**2")
-    assert "x = x + drift*(2*p)" in H.source("numba", part="splitting")
-    assert "p = p - kick*(2*x)" in H.source("numba", part="splitting")
+    assert "return (2*p,)" in H.source("numba", part="velocity")
+    assert "return (2*x,)" in H.source("numba", part="slope")
+    assert "velocity(q, p, t, parameters)" in H.source("numba", part="splitting")
+
+
+def test_only_used_components_are_unpacked() -> None:
+    H = CATALOGUE["kepler"]().H
+    polar = Hamiltonian("p_r**2/2 + p_phi**2/(2*r**2) - 1/r")
+    assert "_, r, p_phi, p_r = z.unbind(-1)" in polar.source("torch", part="energy")
+    assert "r, p_phi = z[..., 1], z[..., 2]" not in H.source("numpy", part="energy")
+    assert "phi" not in re.sub("p_phi", "", polar.source("numpy", part="gradient"))
+
+
+def test_functions_are_derived_when_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("the Hessian is derived")
+
+    H = Hamiltonian("p**2/2 + x**2/2 + x**8/8 - 1/1001")
+    monkeypatch.setattr(derivatives, "hessian", refuse)
+    z = integrate(H, [1.0, 0.2], (0, 1), "forest_ruth", steps=10).z
+    assert H.compile("numpy").gradient(z).shape == z.shape
+    with pytest.raises(AssertionError, match="the Hessian is derived"):
+        H.compile("numpy").hessian(z)
 
 
 # -- names ---------------------------------------------------------------------------------------
 
 
-def test_every_name_of_the_templates_is_reserved(problem: Problem, backend: str) -> None:
-    tree = ast.parse(problem.H.source(backend))
-    # No name of the user's gets into these.
-    tree.body = [n for n in tree.body if getattr(n, "name", "") not in ("_factor", "_floating")]
-    bound = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name)}
-    bound |= {a.arg for a in ast.walk(tree) if isinstance(a, ast.arg)}
-    bound |= {n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)}
-    H = problem.H
+def test_names_beside_the_users_are_reserved(example: Problem, backend: str) -> None:
+    """In every function that has names of the user's."""
+    H = example.H
     users = {f"{mark}{name}" for name in H.names for mark in ("", "d")} | set(H.parameter_names)
-    users |= {f"{name}_low" for name in H.names}
-    template = {n for n in bound - users if not n.startswith("_") and not n[1:].isdigit()}
-    assert template <= _TEMPLATE_NAMES | set(dir(builtins))
+    for node in ast.parse(H.source(backend)).body:
+        bound = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
+        bound |= {a.arg for a in ast.walk(node) if isinstance(a, ast.arg)}
+        if not isinstance(node, ast.FunctionDef) or not bound & users:
+            continue
+        if {a.arg for a in ast.walk(node) if isinstance(a, ast.arg)} & {"states", "tangents", "x"}:
+            continue  # a loop of the integrators, or a kernel of tuples
+        own = {name for name in bound - users if not re.fullmatch(r"u\d+", name)}
+        assert own - {"njit"} <= RESERVED | set(dir(builtins)), node.name
 
 
 AWKWARD = [
@@ -442,13 +508,16 @@ AWKWARD = [
 
 @pytest.mark.parametrize(("formula", "parameters"), AWKWARD)
 def test_names_that_mean_something_in_the_code(
-    formula: str, parameters: dict[str, float], backend: str
+    formula: str,
+    parameters: dict[str, float],
+    backend: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     q = ["dx", "x"] if "dx**2" in formula else None
     H = Hamiltonian(formula, q=q, p=["p_dx", "p_x"] if q else None, parameters=parameters)
     z = states(H, np.ones(H.dim), count=2)
     energy, gradient, hessian = sympy_values(H, z)
-    system = H.compile(backend)
+    system = interpreted(H, backend, monkeypatch)
     np.testing.assert_allclose(call(system, "energy", z), energy, rtol=1e-13)
     np.testing.assert_allclose(call(system, "gradient", z), gradient, rtol=1e-13)
     np.testing.assert_allclose(call(system, "hessian", z), hessian, rtol=1e-13, atol=1e-14)
@@ -587,9 +656,9 @@ def test_powers_with_a_parameter_have_derivatives_at_zero(n: float, backend: str
 # -- torch ---------------------------------------------------------------------------------------
 
 
-def test_torch_functions_under_vmap_and_on_another_device(problem: Problem) -> None:
-    system = problem.H.compile("torch")
-    z = torch.tensor(states(problem.H, np.array(problem.z0)))
+def test_torch_functions_under_vmap_and_on_another_device(example: Problem) -> None:
+    system = example.H.compile("torch")
+    z = torch.tensor(states(example.H, np.array(example.z0)))
     for name in ("energy", "gradient", "vector_field", "hessian"):
         arguments = system.arguments((), torch.tensor(TIME, dtype=z.dtype))[1:]
         function = getattr(system, name)

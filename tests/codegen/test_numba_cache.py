@@ -18,11 +18,15 @@ import pytest
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.codegen import numba_cache
+from hamsym.codegen.generate import Source
 from hamsym.random_features import compiled_loop, window_loop
-from hamsym.systems import Problem
+from hamsym.symbolic import derivatives
+from hamsym.systems import CATALOGUE
 
 
-def test_compiled_and_plain_march_agree(problem: Problem) -> None:
+@pytest.mark.parametrize("name", ["driven_oscillator", "kepler", "double_pendulum"])
+def test_compiled_and_plain_march_agree(name: str) -> None:
+    problem = CATALOGUE[name]()
     plain = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9, compiled=False)
     fast = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9, compiled=True)
     assert (plain.history.compiled, fast.history.compiled) == (False, True)
@@ -110,6 +114,33 @@ def test_planted_bytecode_does_not_run(fresh_cache, tmp_path: Path) -> None:
     unchecked = py_compile.PycInvalidationMode.UNCHECKED_HASH  # as Python takes it unasked
     py_compile.compile(str(other), str(planted), invalidation_mode=unchecked)
     assert numba_cache.load_module("VALUE = 3\n", "numba").VALUE == 3
+
+
+def test_texts_are_kept_and_checked(fresh_cache, tmp_path: Path) -> None:
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
+    fresh_cache.setattr(numba_cache, "_SLOW", -1.0)
+    assert numba_cache.cached_text("key", lambda: "one") == "one"
+    assert numba_cache.cached_text("key", lambda: "two") == "one"
+    assert numba_cache.cached_text("other", lambda: "two") == "two"
+    (file,) = [path for path in tmp_path.glob("text_*.txt") if "one" in path.read_text()]
+    for damaged in (file.read_bytes().replace(b"one", b"own"), b"one", b"", b"\xff\n"):
+        file.write_bytes(damaged)
+        assert numba_cache.cached_text("key", lambda: "three") == "three"
+        file.write_bytes(damaged)
+    (key, text) = ("key", "one")
+    file.write_text(f"{numba_cache._digest('other key', text)}\n{text}")
+    assert numba_cache.cached_text(key, lambda: "four") == "four"
+
+
+def test_derived_text_serves_the_next_process(fresh_cache, tmp_path: Path) -> None:
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
+    fresh_cache.setattr(numba_cache, "_SLOW", -1.0)
+    H = Hamiltonian(" + ".join(f"p{i}**2/2 + cos(x{i} - x{i + 1})" for i in range(8)) + " + p8**2")
+    written = Source(H.real_equations, "numba").module("splitting")
+    fresh_cache.setattr(derivatives, "gradient", lambda *_: pytest.fail("derived again"))
+    again = Hamiltonian(H.expr, q=H.q, p=H.p).real_equations
+    again.__dict__["is_separable"] = True
+    assert Source(again, "numba").module("splitting") == written
 
 
 def _entry(cache: Path, source: str, days: float, size: int) -> list[Path]:

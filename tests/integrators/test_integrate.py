@@ -16,7 +16,7 @@ import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import SeparabilityError, StepSizeWarning
 from hamsym.integrators import fixed_step
-from hamsym.integrators.coefficients import Doubled, RungeKutta, Splitting
+from hamsym.integrators.coefficients import Doubled, Splitting
 from hamsym.integrators.energy_drift import EnergyDrift
 from hamsym.integrators.integrate import fixed_step as stepper_of
 from hamsym.integrators.integrate import reference
@@ -40,12 +40,19 @@ ANY_H = [
     for name in FIXED
     if name.startswith("symplectic_euler") or not isinstance(INTEGRATORS[name].scheme, Splitting)
 ]
-# One of each kind: separable, with explicit time, not separable and linear, not separable.
-KINDS = ["henon_heiles", "driven_oscillator", "charged_particle", "double_pendulum"]
-ON_KINDS = [
-    (system, method)
-    for system in KINDS
-    for method in (FIXED if CATALOGUE[system]().H.is_separable else ANY_H)
+# Every loop, on systems that are separable, that depend on time, and that are not separable (with a
+# linear and with a nonlinear implicit half).
+LOOPS = [
+    ("henon_heiles", "symplectic_euler"),
+    ("henon_heiles", "blanes_moan6"),
+    ("driven_oscillator", "ruth3"),
+    ("driven_oscillator", "gauss4"),
+    ("driven_oscillator", "tao2"),
+    ("charged_particle", "symplectic_euler"),
+    ("double_pendulum", "symplectic_euler"),
+    ("double_pendulum", "symplectic_euler_p"),
+    ("double_pendulum", "gauss6"),
+    ("double_pendulum", "tao4"),
 ]
 
 
@@ -68,37 +75,24 @@ def error(system: str, method: str, steps: int) -> float:
 # -- order -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("system", ["nonlinear_oscillator", "henon_heiles"])
-@pytest.mark.parametrize("method", FIXED)
-def test_errors_fall_with_the_order(system: str, method: str) -> None:
-    """The slope over all errors from 1e-3 to 1e-11 that up to 400,000 steps reach."""
-    points = []
-    for k in range(105):
-        steps = int(20 * 1.1**k)
-        if steps > 400_000:
-            break
-        found = error(system, method, steps)
-        if found < 2e-11:  # DOP853 as a reference is good to 2e-13
-            break
-        if found < 1e-3:
-            points.append((np.log(steps), -np.log(found)))
-    assert len(points) >= 4
-    x, y = np.array(points).T
-    slope = np.polyfit(x, y, 1)[0]
-    assert slope >= INTEGRATORS[method].order - 0.3
-    # Once the steps are small it is the order and no more.
-    assert abs((y[-1] - y[-3]) / (x[-1] - x[-3]) - INTEGRATORS[method].order) < 0.6
-
-
-@pytest.mark.parametrize(("system", "method"), ON_KINDS)
-def test_order_on_every_kind_of_system(system: str, method: str) -> None:
+def slope_of_errors(system: str, method: str) -> float:
+    """The observed order: from halving the step where errors are small, but not round-off."""
     order = INTEGRATORS[method].order
-    coarse = error(system, method, 400 if order > 1 else 4_000)
-    steps = 800 if order > 1 else 8_000
-    while coarse > 1e-3 and steps < 10_000:
+    coarse, steps = np.inf, 400 if order > 1 else 4_000
+    while coarse > 1e-4 and steps < 40_000:
         coarse, steps = error(system, method, steps), 2 * steps
-    fine = error(system, method, steps)
-    assert fine < 1e-10 or np.log2(coarse / fine) > order - 0.3
+    return float(np.log2(coarse / error(system, method, steps)))
+
+
+@pytest.mark.parametrize("method", FIXED)
+def test_halving_the_step_shows_the_order(method: str) -> None:
+    order = INTEGRATORS[method].order
+    assert slope_of_errors("nonlinear_oscillator", method) == pytest.approx(order, abs=0.3)
+
+
+@pytest.mark.parametrize("method", ["symplectic_euler", "symplectic_euler_p", "gauss4", "tao4"])
+def test_order_without_separability(method: str) -> None:
+    assert slope_of_errors("double_pendulum", method) > INTEGRATORS[method].order - 0.3
 
 
 def test_explicit_time_in_both_halves_keeps_the_order() -> None:
@@ -116,15 +110,13 @@ def test_explicit_time_in_both_halves_keeps_the_order() -> None:
 
 
 @pytest.mark.parametrize("method", ADAPTIVE)
-def test_adaptive_methods_are_accurate(problem: Problem, method: str) -> None:
-    if problem.exact is None:
-        span = (0.0, 5.0)
-        right = reference(problem.H, problem.z0, span)
-    else:
-        span, right = problem.span, problem.exact
-    trajectory = hamsym.integrate(problem.H, problem.z0, span, method, steps=100)
+@pytest.mark.parametrize("system", ["driven_oscillator", "kepler", "double_pendulum"])
+def test_adaptive_methods_are_accurate(system: str, method: str) -> None:
+    problem = CATALOGUE[system]()
+    trajectory = hamsym.integrate(problem.H, problem.z0, (0, 5), method, steps=100)
     assert trajectory.success
     assert trajectory.evaluations > 100
+    right = problem.exact or reference(problem.H, problem.z0, (0.0, 5.0))
     assert np.abs(trajectory.z - right(trajectory.t)).max() < 1e-8
 
 
@@ -149,10 +141,10 @@ def step_map(problem: Problem, method: str, h: float) -> tuple[np.ndarray, np.nd
     return z0, stepper.tangents[0]
 
 
-@pytest.mark.parametrize(("system", "method"), ON_KINDS)
-def test_step_map_is_symplectic(system: str, method: str) -> None:
+@pytest.mark.parametrize(("system", "method"), LOOPS)
+def test_tangent_map_is_symplectic_and_the_derivative(system: str, method: str) -> None:
     problem = CATALOGUE[system]()
-    _, M = step_map(problem, method, 0.1)
+    z0, M = step_map(problem, method, 0.1)
     J = np.array(problem.H.poisson_matrix, dtype=float)
     copies = len(M) // len(J)  # the doubled phase space has two pairs of coordinates and momenta
     J = np.kron(np.eye(copies), J)
@@ -162,18 +154,10 @@ def test_step_map_is_symplectic(system: str, method: str) -> None:
     time = (0.2,) if problem.H.time is not None else ()
     explicit = np.eye(len(J)) + 0.1 * J @ np.kron(np.eye(copies), hessian(problem.z0, *time))
     assert np.abs(explicit.T @ J @ explicit - J).max() > 1e-4
-
-
-@pytest.mark.parametrize(("system", "method"), ON_KINDS)
-def test_tangent_map_is_the_derivative_of_the_step(system: str, method: str) -> None:
-    problem = CATALOGUE[system]()
-    z0, M = step_map(problem, method, 0.1)
     dim = problem.H.dim
+    options = {}
     if len(M) > dim:  # a perturbed start is copied
-        M = M[:dim] @ np.tile(np.eye(dim), (2, 1))
-        options = {"omega": 3.0}
-    else:
-        options = {}
+        M, options = M[:dim] @ np.tile(np.eye(dim), (2, 1)), {"omega": 3.0}
 
     def step(z: np.ndarray) -> np.ndarray:
         return hamsym.integrate(problem.H, z, (0.2, 0.3), method, steps=1, **options).z[-1]
@@ -186,7 +170,7 @@ def test_tangent_map_is_the_derivative_of_the_step(system: str, method: str) -> 
     np.testing.assert_allclose(M, np.array(columns).T / (12 * h), rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize(("system", "method"), ON_KINDS)
+@pytest.mark.parametrize(("system", "method"), LOOPS)
 def test_symmetric_methods_return_to_the_start(system: str, method: str) -> None:
     problem = CATALOGUE[system]()
     start = np.array([problem.z0])
@@ -203,8 +187,10 @@ def test_symmetric_methods_return_to_the_start(system: str, method: str) -> None
         assert back > 1e-8
 
 
-@pytest.mark.parametrize("method", SYMPLECTIC)
-def test_energy_does_not_drift_over_a_million_steps(method: str) -> None:
+@pytest.mark.parametrize(
+    "method", ["symplectic_euler", "stormer_verlet", "blanes_moan6", "implicit_midpoint"]
+)
+def test_energy_does_not_drift_in_a_million_steps(method: str) -> None:
     problem = nonlinear_oscillator()
     trajectory = hamsym.integrate(
         problem.H, problem.z0, (0, 1e5), method, dt=0.1, save_every=50, compensated=True
@@ -314,7 +300,7 @@ def test_unsolvable_step_is_reported_with_what_was_done() -> None:
         assert np.all(np.isfinite(trajectory.z))
 
 
-@pytest.mark.parametrize("method", INTEGRATORS)
+@pytest.mark.parametrize("method", ["yoshida8", "gauss6", "tao2", *ADAPTIVE])
 def test_escape_to_infinity_is_reported(method: str) -> None:
     H = Hamiltonian("p**2/2 - x**4/4")
     trajectory = hamsym.integrate(H, [1.0, 1.0], (0, 5), method, steps=1000)
@@ -324,14 +310,13 @@ def test_escape_to_infinity_is_reported(method: str) -> None:
     assert len(trajectory.t) == len(trajectory.z) == len(trajectory.energy) < 1001
 
 
-@pytest.mark.parametrize("method", INTEGRATORS)
-def test_backward_time_and_explicit_time(method: str) -> None:
-    H = Hamiltonian("p**2/2 + x**2/2 - x*cos(2*t)")
-    t = np.linspace(0, -3, 3001)
-    exact = (np.cos(t) - np.cos(2 * t)) / 3
-    trajectory = hamsym.integrate(H, [0, 0], (0, -3), method, steps=3000)
-    assert np.array_equal(trajectory.t, t)
-    assert np.abs(trajectory.z[:, 0] - exact).max() < 5e-3
+@pytest.mark.parametrize("method", [*FIXED, *ADAPTIVE])
+def test_time_runs_backward(method: str) -> None:
+    problem = CATALOGUE["driven_oscillator"]()
+    end, start = problem.span[0], problem.span[0] + 3
+    z = hamsym.integrate(problem.H, problem.exact(start), (start, end), method, steps=3_000).z
+    right = problem.exact(np.linspace(start, end, 3_001))
+    assert np.abs(z - right).max() < 5e-3
 
 
 def test_time_is_that_of_the_drift() -> None:
@@ -356,19 +341,16 @@ def test_save_every_keeps_the_same_states(method: str) -> None:
     assert some.dt == 0.01
 
 
-@pytest.mark.parametrize("compensated", [False, True])
-@pytest.mark.parametrize(("system", "method"), ON_KINDS)
+ENSEMBLES = [(*case, {}) for case in LOOPS if not case[1].startswith("tao")]
+ENSEMBLES += [(system, m, {"omega": 2.0}) for system, m in LOOPS if m.startswith("tao")]
+ENSEMBLES += [(system, m, {"compensated": True}) for system, m in LOOPS[:4]]
+
+
+@pytest.mark.parametrize(("system", "method", "options"), ENSEMBLES)
 def test_ensembles_are_many_trajectories(
-    system: str, method: str, compensated: bool, monkeypatch: pytest.MonkeyPatch
+    system: str, method: str, options: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To the last bit, whatever the pieces and the threads are."""
-    scheme = INTEGRATORS[method].scheme
-    separable = CATALOGUE[system]().H.is_separable
-    if compensated and not (isinstance(scheme, RungeKutta) or separable):
-        return
-    options = {"compensated": True} if compensated and not isinstance(scheme, Doubled) else {}
-    if isinstance(scheme, Doubled):
-        options["omega"] = 2.0
     problem = CATALOGUE[system]()
     starts = np.array(problem.z0) + 0.01 * np.random.default_rng(0).normal(size=(70, problem.H.dim))
     many = hamsym.integrate(problem.H, starts, (0, 3), method, steps=60, save_every=20, **options)
@@ -444,7 +426,7 @@ def test_listing_has_a_line_for_each_row() -> None:
 
 
 @pytest.mark.parametrize("method", [m for m in FIXED if m not in ANY_H])
-def test_splitting_is_refused_by_name_where_h_is_not_separable(method: str) -> None:
+def test_splitting_needs_a_separable_h(method: str) -> None:
     problem = double_pendulum()
     with pytest.raises(
         SeparabilityError, match=f"{method} needs H = T.p. . V.q., and this H is not sep"
@@ -782,14 +764,14 @@ def test_a_hessian_that_is_not_finite_asks_for_omega() -> None:
     assert hamsym.integrate(H, [0.0, 1.0], (0, 1), "tao2", omega=5.0).success
 
 
-def test_parameters_may_have_any_name() -> None:
-    """Names that the loops use themselves, as parameters and as coordinates."""
-    names = "omega coupling drift kick kicks states low size count stage weights nodes terms half"
-    for name in names.split():
+def test_parameters_and_coordinates_may_have_any_name() -> None:
+    """Names that kernels and loops use themselves."""
+    for name in ("parameters", "h", "stages"):
         H = Hamiltonian(f"p**2/2 + {name}*x**2/2", parameters={name: 4.0})
-        for method in ("forest_ruth", "gauss4", "tao4"):
-            z = hamsym.integrate(H, [1.0, 0.0], (0, np.pi), method, steps=300).z[-1]
-            np.testing.assert_allclose(z, [1.0, 0.0], atol=1e-3)
-    H = Hamiltonian("low**2/2 + states**2/2", q=["states"], p=["low"])
-    z = hamsym.integrate(H, [1.0, 0.0], (0, 2 * np.pi), "forest_ruth", steps=300).z[-1]
-    np.testing.assert_allclose(z, [1.0, 0.0], atol=1e-5)
+        z = hamsym.integrate(H, [1.0, 0.0], (0, np.pi), "forest_ruth", steps=300).z[-1]
+        np.testing.assert_allclose(z, [1.0, 0.0], atol=1e-3)
+    H = Hamiltonian("momenta**2/2 + t_**2/2 + momenta*t_/9", q=["t_"], p=["momenta"])
+    rate = np.sqrt(1 - 1 / 81)
+    for method in ("symplectic_euler", "gauss4"):
+        z = hamsym.integrate(H, [1.0, 0.0], (0, 2 * np.pi / rate), method, steps=3_000).z[-1]
+        np.testing.assert_allclose(z, [1.0, 0.0], atol=2e-3)
