@@ -3,7 +3,7 @@
 numba keeps what it has compiled beside the source, as pickles; who can write there can run code.
 Everything is therefore kept in one directory that only the user can write, and what was not used
 for long is removed from it. Nothing is compiled unless somebody asks for it
-(``H.compile("numba")``) or it pays (:func:`hamsym.random_features.basis.march`).
+(``compiled=True``, an integrator) or it saves time (:mod:`hamsym.random_features.march`).
 """
 
 from __future__ import annotations

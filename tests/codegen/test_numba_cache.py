@@ -63,9 +63,8 @@ def test_compiled_is_true_false_or_auto(value: object) -> None:
 
 def test_parameters_and_time_reach_compiled_code() -> None:
     H = Hamiltonian("p**2/(2*m) + k*x**2/2 - x*cos(2*t)", parameters={"m": 2.0, "k": 3.0})
-    plain = hamsym.solve(H, [0.3, 0.1], (1.0, 9.0), tol=1e-10)
-    H.compile("numba")
-    fast = hamsym.solve(H, [0.3, 0.1], (1.0, 9.0), tol=1e-10)
+    plain = hamsym.solve(H, [0.3, 0.1], (1.0, 9.0), tol=1e-10, compiled=False)
+    fast = hamsym.solve(H, [0.3, 0.1], (1.0, 9.0), tol=1e-10, compiled=True)
     assert fast.history.compiled
     t = np.linspace(1, 9, 101)
     np.testing.assert_allclose(fast(t), plain(t), atol=1e-9)
@@ -214,12 +213,12 @@ def _all_but_the_loop(folder: str, names: list[str]) -> list[str]:
 def test_damaged_cache_is_replaced(tmp_path: Path) -> None:
     code = (
         "import hamsym; H = hamsym.Hamiltonian('p**2/2 + x**4');"
-        "H.compile('numba'); print(hamsym.solve(H, [1, 0], (0, 1)).history.compiled)"
+        "print(hamsym.solve(H, [1, 0], (0, 1), compiled=True).history.compiled)"
     )
     environment = {**os.environ, "HAMSYM_CACHE_DIR": str(tmp_path)}
     run = [sys.executable, "-c", code]
     # The loop of the march, the same for every H, is brought along: it takes long to compile.
-    Hamiltonian("p**2/2 + x**2/2").compile("numba")
+    hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1), compiled=True)
     shutil.copytree(
         numba_cache.cache_directory(), tmp_path, ignore=_all_but_the_loop, dirs_exist_ok=True
     )
