@@ -9,6 +9,7 @@ the work-precision benchmark is drawn too.
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -49,6 +50,8 @@ def origin(section: Section) -> str:
 
 def main() -> None:
     sections = read()
+    if missing := [name for name in BENCHMARKS if name not in sections]:
+        sys.exit(f"no results of {', '.join(missing)}; run python -m tests.benchmarks with them")
     PAGE.write_text(filled(PAGE.read_text("utf-8"), sections), "utf-8")
     print(f"wrote {PAGE.relative_to(_ROOT)}")
     draw(sections["work-precision"], FIGURE)
