@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import time
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -34,8 +35,22 @@ def replace_section(name: str, section: Section, quick: bool, path: Path = FILE)
     """Write the results of one benchmark and leave the other sections as they are."""
     sections = read(path)
     sections[name] = {"quick": quick, "environment": environment(), **section}
-    text = json.dumps(dict(sorted(sections.items())), indent=1) + "\n"
-    write_atomically(path, text.encode())
+    write_atomically(path, as_text(dict(sorted(sections.items()))).encode())
+
+
+def as_text(sections: Mapping[str, Section]) -> str:
+    """JSON with one line for each row of a table, so that changes can be read."""
+    parts = []
+    for name, section in sections.items():
+        entries = [f"  {json.dumps(key)}: {_entry(value)}" for key, value in section.items()]
+        parts.append(f" {json.dumps(name)}: {{\n" + ",\n".join(entries) + "\n }")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+def _entry(value: Any) -> str:
+    if not (isinstance(value, list) and value and isinstance(value[0], dict)):
+        return json.dumps(value)
+    return "[\n" + ",\n".join(f"   {json.dumps(row)}" for row in value) + "\n  ]"
 
 
 def environment() -> dict[str, Any]:
