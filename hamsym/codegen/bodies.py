@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,9 +20,12 @@ from hamsym.symbolic.equations import Equations
 # at least a third of them; smaller functions read better without temporaries.
 _CSE_OPERATIONS = 30
 _CSE_SAVING = 0.67
+# From so many costly terms on that others are like, loops are faster to compile.
+_MANY = 24
 _IDENTIFIER = re.compile(r"[^\W\d]\w*")
 
 Index = tuple[int, int]
+_Half = tuple[Sequence[sympy.Symbol], list[derivatives.Alike], sympy.Expr]
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,37 @@ class Body:
     def like(self) -> str:
         """A component of the state that is unpacked."""
         return (self.used or self.names.state)[0]
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The derivatives of terms that are alike, computed by a loop over a table of indices.
+
+    Attributes
+    ----------
+    table : list of str
+        The indices of each term's variables in its half of the state, as text.
+    weights : list of str
+        The factor of each term, as text; empty if they are in the results.
+    places, indices : list of str
+        Names of a term's variables, and of their indices.
+    body : Body
+        The derivatives by the places.
+    """
+
+    table: list[str]
+    weights: list[str]
+    places: list[str]
+    indices: list[str]
+    body: Body
+
+
+@dataclass(frozen=True)
+class Looped:
+    """A gradient by one half of the state: loops, and what the other terms add."""
+
+    loops: list[Loop]
+    rest: Body
 
 
 class Bodies:
@@ -143,6 +178,63 @@ class Bodies:
         return self._body(self._form.gradient[: self._form.dof])
 
     @cached_property
+    def is_looped(self) -> bool:
+        """Whether so many terms are alike and costly that they are not written out."""
+        return any(
+            sum(len(group.rows) - 1 for group in groups) >= _MANY for _, groups, _ in self._halves
+        )
+
+    @property
+    def velocity_loops(self) -> Looped:
+        """dH/dp, with loops for costly terms that are alike."""
+        return self._looped(*self._halves[1])
+
+    @property
+    def slope_loops(self) -> Looped:
+        """dH/dq, with loops for costly terms that are alike."""
+        return self._looped(*self._halves[0])
+
+    @cached_property
+    def _halves(self) -> list[_Half]:
+        """Coordinates and momenta of a separable H, each with the terms that contain them."""
+        form, d = self._form, self._form.dof
+        if not form.is_separable or len(sympy.Add.make_args(form.expr)) < _MANY:
+            return []
+        found: list[_Half] = []
+        for half in (form.z[:d], form.z[d:]):
+            terms = [e for e in sympy.Add.make_args(form.expr) if e.free_symbols & set(half)]
+            # Sums of polynomials are faster written out.
+            cheap = [term for term in terms if term.is_polynomial(*half)]
+            costly = [term for term in terms if term not in cheap]
+            groups, rest = derivatives.alike_terms(sympy.Add(*costly), half)
+            found.append((half, groups, sympy.Add(rest, *cheap)))
+        return found
+
+    def _looped(
+        self, half: Sequence[sympy.Symbol], groups: Sequence[derivatives.Alike], rest: sympy.Expr
+    ) -> Looped:
+        position = {symbol: i for i, symbol in enumerate(half)}
+        loops = [self._loop(group, position) for group in groups]
+        return Looped(loops, self._body(derivatives.gradient(rest, half)))
+
+    def _loop(self, group: derivatives.Alike, position: Mapping[sympy.Symbol, int]) -> Loop:
+        places = list(itertools.islice(self._names.temporaries("a"), len(group.places)))
+        names = {symbol: symbol.name for symbol in places}
+        template = group.template.xreplace(dict(zip(group.places, places, strict=True)))
+        rows = [[position[symbol] for symbol in row] for row in group.rows]
+        order = sorted(range(len(rows)), key=rows.__getitem__)
+        weights = [self._printer([], {})(group.factors[k]) for k in order]
+        if len(set(weights)) == 1:
+            template, weights = template * group.factors[0], []
+        return Loop(
+            [f"({', '.join(map(str, rows[k]))},)" for k in order],
+            weights,
+            list(names.values()),
+            [s.name for s in itertools.islice(self._names.temporaries("i"), len(places))],
+            self._body(derivatives.gradient(template, places), more=names),
+        )
+
+    @cached_property
     def velocity_curvature(self) -> Body:
         """dH/dp, and its derivatives by p."""
         d = self._form.dof
@@ -181,8 +273,13 @@ class Bodies:
     def _matrix(self, first: Sequence[sympy.Expr], entries: Mapping[Index, sympy.Expr]) -> Body:
         return self._body([*first, *entries.values()], list(entries))
 
-    def _body(self, exprs: Sequence[sympy.Expr], indices: Sequence[Index] = ()) -> Body:
-        names, state = dict(self._names.of), set(self._form.z)
+    def _body(
+        self,
+        exprs: Sequence[sympy.Expr],
+        indices: Sequence[Index] = (),
+        more: Mapping[sympy.Symbol, str] | None = None,
+    ) -> Body:
+        names, state = {**self._names.of, **(more or {})}, set(self._form.z)
         printer = self._printer(state, names)
         exprs = [printer.lower(expr) for expr in exprs]
         replacements, exprs = _common_subexpressions(exprs, self._names.temporaries())

@@ -116,6 +116,11 @@ class Source:
         needed = self.needed(function)
         return self._joined(name for name in _PARTS if name in needed)
 
+    @property
+    def is_looped(self) -> bool:
+        """Whether the kernels of the integrators loop over terms, with a state as arrays."""
+        return "np.empty(DOF)" in self.part("access")
+
     def needed(self, function: str) -> list[str]:
         """The part that defines a function, after those that it needs."""
         wanted = [name for name, part in _PARTS.items() if function in part.defines]

@@ -17,7 +17,7 @@ RESERVED = frozenset(
     """
     torch np math z dz t out zero rows matrix entries positions value energy_0 energy_weight
     energy_error point times parameters coordinates momenta slopes mixed DIM _ _erf _floating
-    _evaluate _energy _gradient _vector_field _hessian
+    row weight terms weights _evaluate _energy _gradient _vector_field _hessian
     """.split()
 ) | frozenset(FUNCTIONS)
 
@@ -47,9 +47,9 @@ class Names:
         self._taken |= {name}
         return name
 
-    def temporaries(self) -> Iterator[sympy.Symbol]:
+    def temporaries(self, letter: str = "u") -> Iterator[sympy.Symbol]:
         """Endless symbols u0, u1, ... that no name of the user's collides with."""
         for number in range(10**9):
-            if f"u{number}" not in self._taken:
-                yield sympy.Symbol(f"u{number}", real=True)
+            if f"{letter}{number}" not in self._taken:
+                yield sympy.Symbol(f"{letter}{number}", real=True)
         raise AssertionError("unreachable")

@@ -103,6 +103,11 @@ class System:
                 self._loaded.add(part)
         return getattr(self._module, name)  # type: ignore[no-any-return]
 
+    @property
+    def is_looped(self) -> bool:
+        """Whether the kernels of the integrators loop over terms that are alike (numba only)."""
+        return self._source.is_looped
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self._source.form, self.backend)
 

@@ -203,7 +203,9 @@ def _loop(H: Hamiltonian, scheme: Scheme, count: int, tangent: bool) -> str:
         return "euler"
     if tangent:
         return "splitting_tangent"
-    return "splitting_ensemble" if count >= _ENSEMBLE else "splitting"
+    # Loops over terms leave nothing to do side by side.
+    together = count >= _ENSEMBLE and not H.compile("numba").is_looped
+    return "splitting_ensemble" if together else "splitting"
 
 
 def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[slice | None, int, int]]:

@@ -13,6 +13,7 @@ import itertools
 import random
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from graphlib import TopologicalSorter
 from itertools import pairwise
 
@@ -21,8 +22,10 @@ import sympy
 from hamsym.errors import CodeGenerationError
 
 __all__ = [
+    "Alike",
     "Effort",
     "Narrow",
+    "alike_terms",
     "common_subexpressions",
     "connected_blocks",
     "gradient",
@@ -201,6 +204,86 @@ def hessian(
         if entry != 0:
             entries[i, j] = entries[j, i] = entry
     return entries
+
+
+@dataclass(frozen=True)
+class Alike:
+    """Terms of a sum that are one expression in different variables.
+
+    Attributes
+    ----------
+    template : sympy.Expr
+        In the places.
+    places : list of sympy.Symbol
+    rows : list of tuple of sympy.Symbol
+        The variables of each term, in the order of the places.
+    factors : list of sympy.Number
+        By which the template is multiplied in each term.
+    """
+
+    template: sympy.Expr
+    places: list[sympy.Symbol]
+    rows: list[tuple[sympy.Symbol, ...]]
+    factors: list[sympy.Expr]
+
+
+def alike_terms(
+    expr: sympy.Expr, variables: Iterable[sympy.Symbol], fewest: int = 4
+) -> tuple[list[Alike], sympy.Expr]:
+    """The terms of a sum that differ in their variables and factors alone, and the other terms.
+
+    Examples
+    --------
+    >>> x, y, z = sympy.symbols("x y z")
+    >>> groups, rest = alike_terms(sympy.exp(x) + 2*sympy.exp(y) + z, (x, y, z), fewest=2)
+    >>> sorted(zip(groups[0].rows, groups[0].factors), key=str), rest
+    ([((x,), 1), ((y,), 2)], z)
+    """
+    known = frozenset(variables)
+    groups: dict[sympy.Expr, Alike] = {}
+    for term in sympy.Add.make_args(expr):
+        factor, body = term.as_coeff_Mul()
+        row = _in_order_of_shape(body, known)
+        places = [sympy.Dummy(f"a{k}", real=True, dummy_index=k + 1) for k in range(len(row))]
+        template = body.xreplace(dict(zip(row, places, strict=True)))
+        group = groups.setdefault(template, Alike(template, places, [], []))
+        group.rows.append(tuple(row))
+        group.factors.append(factor)
+    found = [group for group in groups.values() if group.places and len(group.rows) >= fewest]
+    few = [group for group in groups.values() if group not in found]
+    rest = [
+        factor * group.template.xreplace(dict(zip(group.places, row, strict=True)))
+        for group in few
+        for row, factor in zip(group.rows, group.factors, strict=True)
+    ]
+    return found, sympy.Add(*rest)
+
+
+def _in_order_of_shape(expr: sympy.Expr, variables: frozenset[sympy.Symbol]) -> list[sympy.Symbol]:
+    """The variables of an expression, in an order that does not depend on their names.
+
+    The parts of a sum or a product are visited by their shapes, variables left blank; parts of one
+    shape stay in sympy's order.
+    """
+    shapes: dict[sympy.Basic, str] = {}
+
+    def shape(node: sympy.Basic) -> str:
+        if node not in shapes:
+            inner = ",".join(sorted(map(shape, node.args)))
+            shapes[node] = "_" if node in variables else f"{node.func.__name__}({inner or node})"
+        return shapes[node]
+
+    order: dict[sympy.Symbol, None] = {}
+
+    def visit(node: sympy.Basic) -> None:
+        if node in variables:
+            order.setdefault(node)
+        commutes = node.is_Add or node.is_Mul
+        for part in sorted(node.args, key=shape) if commutes else node.args:
+            visit(part)
+
+    visit(expr)
+    return list(order)
 
 
 #: Temporaries in the order in which they are computed.

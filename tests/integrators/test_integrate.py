@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 import signal
 import warnings
@@ -775,3 +776,27 @@ def test_parameters_and_coordinates_may_have_any_name() -> None:
     for method in ("symplectic_euler", "gauss4"):
         z = hamsym.integrate(H, [1.0, 0.0], (0, 2 * np.pi / rate), method, steps=3_000).z[-1]
         np.testing.assert_allclose(z, [1.0, 0.0], atol=2e-3)
+
+
+def test_loops_over_alike_terms_step_as_written_out() -> None:
+    """Eight bodies on a line: 28 pairs in one loop, against the numpy gradient term by term."""
+    pairs = itertools.combinations(range(8), 2)
+    H = Hamiltonian(
+        " + ".join(f"p{i}**2/{2 + i}" for i in range(8))
+        + "".join(f" - {1 + i + j}/sqrt((x{i} - x{j})**2 + 1/100)" for i, j in pairs)
+        + " + x3**2/2 + cos(x5)"
+    )
+    assert "for row in range(28):" in H.source("numba", part="slope")
+    gradient, h = H.compile("numpy").gradient, 0.01
+    starts = np.random.default_rng(4).normal(size=(5, 16))
+    q, p = starts[:, :8], starts[:, 8:]
+    q = q + h * gradient(starts)[:, 8:]
+    p = p - h * gradient(np.concatenate((q, p), axis=1))[:, :8]
+    for compensated in (False, True):
+        found = hamsym.integrate(
+            H, starts, (0, h), "symplectic_euler", steps=1, compensated=compensated
+        )
+        np.testing.assert_allclose(found.z[:, -1], np.concatenate((q, p), axis=1), rtol=1e-12)
+    _, M = step_map(Problem("bodies", H, tuple(starts[0]), (0.0, 1.0), ""), "forest_ruth", h)
+    J = np.array(H.poisson_matrix, dtype=float)
+    assert np.abs(M.T @ J @ M - J).max() < 1e-10 * np.linalg.norm(M, 2) ** 2
