@@ -1,7 +1,7 @@
-"""Solutions in files: save and load.
+"""Files of solutions: save and load.
 
-A solution is accepted only if it is exactly what a solver returns: every type, shape, order and
-value is checked, when it is loaded and when it is saved.
+A file is accepted only if it describes exactly a solution that a solver returns: every type, shape,
+order and value is checked when it is loaded and when it is saved.
 """
 
 from __future__ import annotations
@@ -35,22 +35,23 @@ from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 __all__ = ["assembled", "load", "parts", "save"]
 
 _KIND = "solution"
-_IN_TRIAL = ("edges", "states", "readouts")  # arrays of a march that its trial solution holds
+# Arrays of a march that are also arrays of its trial solution, and are stored once.
+_IN_TRIAL = ("edges", "states", "readouts")
 
 
 def save(solution: Solution, path: str | os.PathLike[str]) -> None:
-    """Write a solution into one file, from which :func:`load` makes it again.
+    """Write a solution to a file, from which :func:`load` restores it.
 
     Parameters
     ----------
     solution : Solution
     path : path-like
-        Replaced in one step; safetensors with JSON, nothing to execute.
+        File in the safetensors format, replaced in one step.
 
     Raises
     ------
     FileError
-        If the file cannot be written, or the solution is not one that a solver returns.
+        If the file cannot be written, or the solution is invalid.
 
     Examples
     --------
@@ -66,7 +67,7 @@ def save(solution: Solution, path: str | os.PathLike[str]) -> None:
         _check(solution)
     except MALFORMED as error:
         raise FileError(
-            f"'{path}' is not written: the solution is not valid: {one_line(error)}"
+            f"'{path}' was not written, because the solution is not valid: {one_line(error)}"
         ) from None
     arrays, values = parts(solution)
     try:
@@ -79,13 +80,13 @@ def save(solution: Solution, path: str | os.PathLike[str]) -> None:
 
 
 def load(path: str | os.PathLike[str]) -> Solution:
-    """The solution that :func:`save` or :meth:`hamsym.Solution.save` wrote.
+    """Read a solution that :func:`save` or :meth:`hamsym.Solution.save` wrote.
 
     Raises
     ------
     FileError
-        If the file cannot be read, is damaged, of another kind or of another version, or does not
-        hold a valid solution.
+        If the file cannot be read, is damaged, has another kind or version, or is not a valid
+        solution.
     """
     arrays, values = read_tensors(path, _KIND)
     try:
@@ -97,7 +98,7 @@ def load(path: str | os.PathLike[str]) -> Solution:
 
 
 def parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays, and values that JSON can hold, from which :func:`assembled` makes it again."""
+    """Return the arrays and JSON values from which :func:`assembled` builds the solution."""
     record, error = solution.record, solution.error
     arrays = {f"trial.{name}": array for name, array in solution.trial.arrays().items()}
     arrays["z0"] = solution.z0
@@ -124,7 +125,7 @@ def parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution:
-    """The solution of which these are the :func:`parts`."""
+    """Build a solution from its :func:`parts`."""
     record_name = "training" if "training" in values else "march"
     names = {"H", "span", "method", "energy_weight", "success", "message", "trial", record_name}
     has_error = "error" in values
@@ -134,7 +135,7 @@ def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution
     z0 = given.pop("z0")
     formula = checked_mapping("H", values["H"])
     dim = len(checked_list("q", formula["q"])) + len(checked_list("p", formula["p"]))
-    # The number of components is compared with that of names before anything is made of either.
+    # The numbers of components and names are compared before anything is built from them.
     require_array("z0", z0, (dim,))
     form, own = checked_mapping("trial", values["trial"]), _taken(given, "trial")
     if form["form"] == "features":
@@ -166,45 +167,45 @@ def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution
 
 
 def _network_trial(form: dict[str, Any], arrays: dict[str, np.ndarray], dim: int) -> Any:
-    # Needs torch, which marches do without.
+    # Imports torch, which marches do not need.
     from hamsym.networks.trial import TrialSolution
 
     return TrialSolution.from_description(form, arrays, dim)
 
 
 def _training(numbers: Any, history: dict[str, np.ndarray]) -> Any:
-    from hamsym.networks.training import History, Training
+    from hamsym.networks.record import History, Training
 
     return checked_record(Training, numbers, {"history": checked_record(History, {}, history)})
 
 
 def _taken(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """Arrays with such a prefix, taken out, by the rest of their names."""
+    """Remove and return the arrays with a prefix, by the rest of their names."""
     start = prefix + "."
     names = [name for name in arrays if name.startswith(start)]
     return {name.removeprefix(start): arrays.pop(name) for name in names}
 
 
 def _check(solution: Solution) -> None:
-    """Raise ValueError unless a solution is one that a solver returns."""
+    """Raise ValueError unless a solution is valid."""
     check_definition(solution)
     trial, record, error = solution.trial, solution.record, solution.error
     if not isinstance(solution.success, (bool, np.bool_)):
-        raise ValueError("its success is neither true nor false")
+        raise ValueError("its success is not a bool")
     if not 0 <= solution.energy_weight < math.inf:
-        raise ValueError("its energy_weight is negative or infinite")
+        raise ValueError("its energy_weight is not a finite number from 0")
     marched = isinstance(trial, FeatureTrial)
     if marched != isinstance(record, March):
-        raise ValueError("its record is not that of its trial solution")
+        raise ValueError("its record does not belong to its trial solution")
     record.check(trial, solution.method)
     if error is not None:
         if not marched:
-            raise ValueError("a network has no error of a march")
+            raise ValueError("it is a network with the error estimate of a march")
         error.check(trial, finite=solution.success)
     elif marched and solution.success:
-        raise ValueError("its error is missing")
+        raise ValueError("its error estimate is missing")
     if solution.success:
         for part in (record, error):
             for name, value in numbers_of(part).items() if part is not None else ():
                 if isinstance(value, float) and not math.isfinite(value):
-                    raise ValueError(f"it is called a success, and its {name} is not finite")
+                    raise ValueError(f"its success is true, but its {name} is not finite")

@@ -22,7 +22,7 @@ from hamsym.random_features.method import FeatureOptions, solve_by_features
 from hamsym.solution.solution import Solution
 
 if TYPE_CHECKING:
-    from hamsym.networks.training import TrainingState
+    from hamsym.networks.record import TrainingState
 
 __all__ = ["METHODS", "checked_options", "solve"]
 
@@ -79,7 +79,7 @@ def solve(
         Of all that is random: same seed, same machine, same result.
     progress : bool or callable, optional
         Draw progress on standard error; by default where that is a terminal. A callable is given
-        a :class:`~hamsym.networks.training.TrainingState` now and then instead, by the methods
+        a :class:`~hamsym.networks.record.TrainingState` now and then instead, by the methods
         that train.
     **options
         For ``"features"``:

@@ -1,4 +1,4 @@
-"""Checkpoints: files from which a training goes on."""
+"""Checkpoints: files from which an interrupted training is resumed."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ __all__ = ["Checkpoint"]
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A file from which a training that was killed goes on as if it had not been.
+    """A file from which a training is resumed, to the same bits as without an interruption.
 
     Attributes
     ----------
     path : path-like
-        Written in one step, now and then and at the end; read if it is there.
+        Replaced in one step, periodically and at the end; read if it exists.
     settings : mapping
-        What the training is of; a file with other settings is refused.
+        Settings that determine the training; a file with other settings is refused.
     every : float
-        Seconds between writing.
+        Seconds between two writes.
     """
 
     path: str | os.PathLike[str]
@@ -36,37 +36,41 @@ class Checkpoint:
     every: float = 10.0
 
     def read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-        """What was written last, if anything was.
+        """Return the tensors and values of the file, or None if it does not exist.
 
         Raises
         ------
         FileError
-            If the file cannot be read, or is of a training with other settings.
+            If the file cannot be read, or belongs to a training with other settings.
         """
         if not isinstance(self.path, (str, os.PathLike)):
-            raise InputError(f"checkpoint={self.path!r} is not a path; give one")
+            raise InputError(f"checkpoint={self.path!r} is not a path; give a str or path-like")
         try:
             if not Path(self.path).exists():
                 if not Path(self.path).absolute().parent.is_dir():
-                    raise FileError(
-                        f"'{self.path}' has no folder to stand in; make the folder first"
-                    )
+                    raise FileError(f"directory of '{self.path}' does not exist; create it first")
                 return None
         except (OSError, TypeError, ValueError) as error:
             raise FileError(f"'{self.path}' cannot be read: {one_line(error)}") from None
         arrays, values = read_tensors(self.path, "checkpoint")
-        theirs = values.get("settings")
-        if not isinstance(theirs, dict):
+        saved = values.get("settings")
+        if not isinstance(saved, dict):
             raise FileError(f"'{self.path}' is damaged; give another file")
-        for name in sorted({*theirs, *self.settings}):
-            if theirs.get(name) != self.settings.get(name):
+        for name in sorted({*saved, *self.settings}):
+            if saved.get(name) != self.settings.get(name):
                 raise FileError(
-                    f"'{self.path}' is of a training with {name}={theirs.get(name)}, this one has "
+                    f"'{self.path}' belongs to a training with {name}={saved.get(name)}, not "
                     f"{self.settings.get(name)}; give another file"
                 )
         return {name: torch.from_numpy(array) for name, array in arrays.items()}, values
 
     def write(self, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
-        """Replace the file."""
+        """Replace the file.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written.
+        """
         arrays = {name: tensor.detach().numpy() for name, tensor in tensors.items()}
         write_tensors(self.path, "checkpoint", arrays, {"settings": dict(self.settings), **values})

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt for trial solutions: least squares with more weights than residuals.
 
 With J the derivative of the m K residual rows r in the weights, the step is -J^T y with
-(J J^T + mu) y = r: a system of the size of the residuals. J itself is never made. Each layer of a
+(J J^T + mu) y = r: a system of the size of the residuals. J itself is never formed. Each layer of a
 network contributes to J J^T sums of elementwise products of small Gram matrices: with x the input
 of the layer and xd its derivative in s, and U, V the sensitivities of the rows to a layer's
 pre-activations and to their derivatives,
@@ -9,7 +9,7 @@ pre-activations and to their derivatives,
     (U U^T) (x x^T + 1) + (U V^T) (x xd^T) + (V U^T) (xd x^T) + (V V^T) (xd xd^T).
 
 A second-order correction along the step, geodesic acceleration (Transtrum & Sethna 2012), costs
-one more solution with the same factor and spares most of the iterations.
+one more solve with the same factor and saves most of the iterations.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from hamsym.errors import InputError
-from hamsym.networks.network import ACTIVATIONS, ComponentNetworks, Network
+from hamsym.networks.network import ACTIVATIONS, Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.points import fresh_points, points_between
 from hamsym.networks.trial import TrialSolution
@@ -31,13 +31,13 @@ __all__ = ["LevenbergMarquardt"]
 
 _MU_FIRST, _MU_LEAST = 1e-3, 1e-14  # relative to the mean diagonal of J J^T
 _ATTEMPTS = 10
-_FAILURES = 3  # iterations in a row without an acceptable step, before it has stalled
+_FAILURES = 3  # iterations in a row without an acceptable step that count as a stall
 _FEWEST_POINTS = 60
-_PROBE = 0.1  # part of the step over which its curvature is measured
+_PROBE = 0.1  # fraction of the step over which its curvature is measured
 
 
 class LevenbergMarquardt:
-    """Levenberg-Marquardt on fresh random points in every iteration.
+    """Levenberg-Marquardt with new random points in every iteration.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class LevenbergMarquardt:
     ------
     InputError
         If a trial solution has weights outside of a :class:`~hamsym.networks.trial.Network`, or the
-        objective has regularisers, which have no least-squares form.
+        objective has regularizers, which have no least-squares form.
     """
 
     check_every = 5
@@ -70,10 +70,8 @@ class LevenbergMarquardt:
                 "regularizers have no least-squares form; use method 'adam' or 'lbfgs' with them"
             )
         if not isinstance(trial, TrialSolution):
-            raise InputError("the trial solution is not a TrialSolution; use Adam or LBFGS for it")
-        network = trial.network
-        parts = network.networks if isinstance(network, ComponentNetworks) else [network]
-        self._networks = [part for part in parts if isinstance(part, Network)]
+            raise InputError("the trial solution is not a TrialSolution; use Adam or LBFGS")
+        self._networks = trial.parts
         self._trial, self._objective, self._generator = trial, objective, generator
         self._dtype = self._networks[0].theta.dtype
         self.reset()
@@ -82,7 +80,7 @@ class LevenbergMarquardt:
         self._mu, self._failures = _MU_FIRST, 0
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
-        """Midpoints between twice as many points of the same density."""
+        """Return midpoints between twice as many points of the same density."""
         return points_between(span, self.points, self._dtype)
 
     @torch.no_grad()
@@ -161,7 +159,7 @@ class LevenbergMarquardt:
     def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
         mu, failures = values["mu"], values["failures"]
         if tensors or not (is_positive(mu) and isinstance(failures, int)):
-            raise ValueError("its damping is not that of this method")
+            raise ValueError("its damping does not belong to this method")
         self._mu, self._failures = mu, failures
 
 
@@ -175,9 +173,9 @@ def _norm(parts: list[Tensor]) -> float:
 
 @dataclass(frozen=True)
 class _Layer:
-    """A layer at K points: its input x and the input's derivative, and what follows it.
+    """A layer at K points: its matrix, its input x, and the input's derivative xd.
 
-    ``slope`` is the activation's derivative f'(a), ``bend`` f''(a) a', both (K, neurons); None
+    ``slope`` is the activation's derivative f'(a), ``bend`` f''(a) a', both (K, neurons); both None
     for the last layer, which is linear.
     """
 
@@ -189,7 +187,7 @@ class _Layer:
 
 
 class _Linearised:
-    """The derivative J of the rows in the weights, as products with it; rows (component, point)."""
+    """Products with the derivative J of the rows (component, point) in the weights."""
 
     def __init__(
         self,
@@ -210,7 +208,7 @@ class _Linearised:
         self._columns = [slice(e - n, e) for e, n in zip(ends, outputs.tolist(), strict=True)]
 
     def gram(self) -> Tensor:
-        """J J^T, of which only the blocks on and below the diagonal are filled."""
+        """Return J J^T; only the blocks on and below the diagonal are filled."""
         m, count, _ = self._to_value.shape
         gram = self._to_value.new_zeros(m * count, m * count)
         for layers, columns in zip(self._layers, self._columns, strict=True):
@@ -222,7 +220,7 @@ class _Linearised:
         return gram
 
     def transposed(self, y: Tensor) -> list[Tensor]:
-        """J^T y, one vector for each network."""
+        """Return J^T y, one vector for each network."""
         weights = y.view(*self._to_value.shape[:2], 1)
         value, rate = (weights * self._to_value).sum(0), (weights * self._to_rate).sum(0)
         result = []
@@ -248,7 +246,7 @@ def _forward(network: Network, s: Tensor) -> list[_Layer]:
 
 
 def _backward(layers: list[_Layer], u: Tensor, v: Tensor) -> list[tuple[_Layer, Tensor, Tensor]]:
-    """Sensitivities to each layer's pre-activations and their derivatives, last layer first."""
+    """Return sensitivities to pre-activations and their derivatives, last layer first."""
     found = []
     for layer in reversed(layers):
         if layer.slope is not None and layer.bend is not None:

@@ -1,8 +1,8 @@
 """The methods "adam", "lbfgs" and "levenberg-marquardt": a deep network, all weights trained.
 
 Stage 1  A network and the envelope make a trial solution that starts at z0.
-Stage 2  The generated residual and loss, as an objective, are handed to the trainer, which knows
-         nothing else of H.
+Stage 2  The generated residual and loss are the objective of the trainer, which does not depend on
+         H otherwise.
 Stage 3  The best weights are judged by the estimated error and become a Solution.
 """
 
@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -32,15 +31,9 @@ from hamsym.networks.options import (
     precision_name,
 )
 from hamsym.networks.progress import training_progress
-from hamsym.networks.training import (
-    Criterion,
-    History,
-    Optimizer,
-    Stages,
-    Stopping,
-    Training,
-    train,
-)
+from hamsym.networks.record import Stopped, Training
+from hamsym.networks.rules import Criterion, Stages, Stopping
+from hamsym.networks.training import Optimizer, train
 from hamsym.networks.trial import TrialSolution
 from hamsym.problem import InitialValueProblem
 from hamsym.solution.digest import digest
@@ -51,12 +44,18 @@ from hamsym.support.validation import plain, require_positive
 __all__ = ["solve_by_training"]
 
 _DTYPES = {"float32": torch.float32, "float64": torch.float64}
-# A trajectory that is estimated to be off by more than this part of its scale is no solution.
+# Largest estimated error of a converged solution, relative to its scale.
 _CONVERGED = 0.01
-# Of the methods of second order: the network's input runs from 0 to this, whatever the span.
+# Largest input of the network for methods of second order, on any span.
 _INPUT_RANGE = 4 * math.pi
 _STALLED_AFTER = 60  # iterations of Levenberg-Marquardt on one span
-_UNFINISHED = Training(History(*[np.empty(0)] * 5), 0, 0, 0, math.inf, math.inf, "", 0.0, 0.0)
+# Reasons for which a training stopped without a target, as they end its message.
+_REASONS = {
+    Stopped.ITERATIONS: "",
+    Stopped.PATIENCE: "; the loss did not fall in the last {patience} {unit}",
+    Stopped.TIME_LIMIT: "; the time limit of {time_limit:g} s was reached",
+    Stopped.STALLED: "; the optimizer stalled",
+}
 
 
 def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Solution:
@@ -66,7 +65,10 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
         isinstance(options.regularizers, Sequence)
         and all(isinstance(r, Regularizer) for r in options.regularizers)
     ):
-        raise InputError("regularizers is not a list of Regularizer(weight, function); give one")
+        raise InputError(
+            "regularizers is not a list of Regularizer objects; give e.g. "
+            "[Regularizer(weight, function)]"
+        )
     tau = abs(end - start) / _INPUT_RANGE if options.tau is None else options.tau
     precision = _DTYPES[precision_name(options.dtype)]
     generator = torch.Generator().manual_seed(problem.seed)
@@ -81,7 +83,7 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
     if options.initial is not None:
         _take_over(options.initial, trial)
 
-    def solution(training: Training = _UNFINISHED) -> Solution:
+    def solution(training: Training) -> Solution:
         return Solution(
             H,
             problem.z0,
@@ -93,16 +95,24 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
         )
 
     criteria = []
-    if (wanted := options.target_error) is not None:
-        require_positive("target_error", wanted)
+    if (target := options.target_error) is not None:
+        require_positive("target_error", target)
         criteria.append(
             Criterion(
-                "target error", wanted, lambda _: solution().relative_error_estimate <= wanted
+                Stopped.TARGET_ERROR,
+                target,
+                lambda _, record: solution(record).relative_error_estimate <= target,
             )
         )
     if (accuracy := options.accuracy) is not None:
         require_positive("accuracy", accuracy)
-        criteria.append(Criterion("accuracy", accuracy, lambda _: _accurate(solution(), accuracy)))
+        criteria.append(
+            Criterion(
+                Stopped.ACCURACY,
+                accuracy,
+                lambda _, record: _is_accurate(solution(record), accuracy),
+            )
+        )
     stopping = Stopping(
         iterations=options.total,
         target_loss=options.target_loss,
@@ -128,18 +138,18 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
     return found.judged(*_verdict(found, training, options))
 
 
-def _accurate(solution: Solution, accuracy: float) -> bool:
-    """The paper's rule for an accuracy chosen beforehand: ell_max <= sigma_min * accuracy."""
+def _is_accurate(solution: Solution, accuracy: float) -> bool:
+    """Return whether ell_max <= sigma_min * accuracy, the paper's rule for stopping."""
     return solution.ell_max_regularized <= solution.sigma_min * accuracy
 
 
 def _checkpoint(problem: InitialValueProblem, options: DeepOptions) -> Checkpoint | None:
-    """The file to go on from, with all that the weights depend on but the rules of the end."""
+    """Return the checkpoint with all settings that determine the weights, if it has a path."""
     if options.checkpoint is None:
         return None
     require_positive("checkpoint_every", options.checkpoint_every)
     if options.regularizers:
-        raise InputError("regularizers are functions, which no file can hold; leave checkpoint out")
+        raise InputError("regularizers cannot be serialised; train without checkpoint")
     ends = {"target_loss", "target_ell_max", "target_error", "accuracy", "patience", "time_limit"}
     apart = {*ends, "regularizers", "checkpoint", "checkpoint_every", "iterations"}
     settings = {
@@ -171,6 +181,7 @@ def _objective(
     energy_weight: float,
     regularizers: tuple[Regularizer, ...],
 ) -> Objective:
+    """Return the objective made of the functions generated for H."""
     system, half = H.compile("torch"), H.dof
 
     def arguments(z: Tensor, t: Tensor) -> tuple[Any, ...]:
@@ -224,74 +235,69 @@ def _network(
 
 @torch.no_grad()
 def _take_over(initial: Solution, trial: TrialSolution) -> None:
-    """Give the trial solution the weights of a solution that was trained before."""
+    """Copy the weights of a trained solution into the trial solution."""
     if not isinstance(initial, Solution) or not isinstance(initial.trial, TrialSolution):
         raise InputError(
             "initial is not a trained network; give a Solution of a method that trains one"
         )
-    theirs, own = initial.trial.network, trial.network
-    if _layout(theirs) != _layout(own):
+    given, expected = _layout(initial.trial), _layout(trial)
+    if given != expected:
         raise InputError(
-            f"initial has {_layout(theirs)}, this training {_layout(own)}; "
+            f"initial has {given}, this training {expected}; "
             "give the same hidden, activation and shared_weights"
         )
-    own.load_state_dict(theirs.state_dict())
+    trial.network.load_state_dict(initial.trial.network.state_dict())
 
 
-def _layout(network: Any) -> str:
-    parts = getattr(network, "networks", [network])
-    sizes = " + ".join("-".join(map(str, part.sizes)) for part in parts)
-    return f"{sizes} {network.activation}"
+def _layout(trial: TrialSolution) -> str:
+    """Return the layer widths and the activation, as in "1-50-50-2 sin"."""
+    sizes = " + ".join("-".join(map(str, part.sizes)) for part in trial.parts)
+    return f"{sizes} {trial.network.activation}"
 
 
 def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tuple[bool, str]:
+    """Return success and message of a solution by the way its training ended."""
     done = f"{training.iterations:,} {options.unit}"
     if training.restarts:
         done += f" with {training.restarts} restart{'s' if training.restarts > 1 else ''}"
-    if training.stopped == "diverged":
-        return False, f"the loss was no longer finite after {done}; lower the learning rate"
+    if training.stopped == Stopped.DIVERGED:
+        return False, f"the loss was not finite after {done}; reduce the learning rate"
     relative = solution.relative_error_estimate
     state = (
         f"loss {training.best_loss:.2e}, ell_max {solution.ell_max:.2e}, "
         f"estimated error {relative:.1e} of the motion"
     )
-    if training.stopped == "interrupted":
+    if training.stopped == Stopped.INTERRUPTED:
         return False, f"interrupted after {done}: {state}"
-
-    def jump() -> str | None:
-        return first_jump(solution, solution.scan_times, unresolved(solution))
-
-    targets = {
-        "target loss": options.target_loss,
-        "target ell_max": options.target_ell_max,
-        "target error": options.target_error,
-        "accuracy": options.accuracy,
-    }
-    asked = {name: value for name, value in targets.items() if value is not None}
-    if training.stopped in asked:
-        value = asked[training.stopped]
-        if training.stopped == "target error" and (found := jump()) is not None:
-            return False, f"{found} ({state})"
-        return True, f"{training.stopped} {value:.2e} reached after {done}: {state}"
-    ends = {
-        "iterations": f"in {done}",
-        "patience": f"in {done}, the last {options.patience} without a better loss",
-        "time limit": f"in {options.time_limit:g} s, {done}" if options.time_limit else "",
-        "stalled": f"in {done}, after which no step was of use",
-    }
-    end = ends[training.stopped]
-    if asked:
-        missed = " and ".join(f"{name} {value:.2e}" for name, value in asked.items())
+    targets = _targets(options)
+    reached = targets.get(training.stopped)
+    # Estimated errors are not valid beyond a discontinuity of H.
+    if training.stopped == Stopped.TARGET_ERROR or (not targets and relative <= _CONVERGED):
+        jump = first_jump(solution, solution.scan_times, unresolved(solution))
+        if jump is not None:
+            return False, f"{jump} ({state})"
+    if reached is not None:
+        return True, f"{training.stopped} {reached:.2e} reached after {done}: {state}"
+    reason = _REASONS[Stopped(training.stopped)].format(**vars(options), unit=options.unit)
+    if targets:
+        missed = " and ".join(f"{name} {value:.2e}" for name, value in targets.items())
         if options.accuracy is not None and solution.sigma_min == 0:
-            state += (
-                "; the accuracy means nothing here, because sigma_min is 0 along the trajectory"
-            )
-        return False, f"{missed} not reached {end}: {state}"
-    if relative <= _CONVERGED and (found := jump()) is not None:
-        return False, f"{found} ({state})"
+            reason += "; accuracy is undefined: sigma_min = 0 on this trajectory"
+        return False, f"{missed} not reached after {done}: {state}{reason}"
     if relative <= _CONVERGED:
-        return True, f"{end.removeprefix('in ')}: {state}"
-    return False, f"not converged {'after' + end[2:]}: {state}, more than {_CONVERGED:g}"
+        return True, f"error below {_CONVERGED:.0%} of the motion after {done}: {state}{reason}"
+    return False, f"not converged after {done}: {state}, more than {_CONVERGED:g}{reason}"
+
+
+def _targets(options: DeepOptions) -> dict[str, float]:
+    """Return the targets that are set, by the names of the rules that they end a training by."""
+    targets = {
+        Stopped.TARGET_LOSS: options.target_loss,
+        Stopped.TARGET_ELL_MAX: options.target_ell_max,
+        Stopped.TARGET_ERROR: options.target_error,
+        Stopped.ACCURACY: options.accuracy,
+    }
+    return {name: value for name, value in targets.items() if value is not None}
 
 
 def _optimizer(options: DeepOptions) -> Optimizer:

@@ -1,7 +1,6 @@
 """Fully connected networks of one input, with their derivative in it.
 
-Value and derivative come together from one forward pass: each layer carries both on, the derivative
-in forward mode.
+One forward pass computes the value and, in forward mode, the derivative.
 """
 
 from __future__ import annotations
@@ -17,12 +16,19 @@ from torch import Tensor
 
 from hamsym.errors import InputError
 
-__all__ = ["ACTIVATIONS", "ComponentNetworks", "Network", "chosen", "weights_of", "written_out"]
+__all__ = [
+    "ACTIVATIONS",
+    "ComponentNetworks",
+    "Network",
+    "chosen",
+    "has_explicit_gradient",
+    "weights_of",
+]
 
 
 @dataclass(frozen=True)
 class _Activation:
-    """An activation and its first two derivatives, which cost little once it is known."""
+    """An activation and its first two derivatives, from its value where that is cheaper."""
 
     value: Callable[..., Tensor]
     slope: Callable[[Tensor, Tensor], Tensor]  # of pre-activation a and value h
@@ -40,11 +46,12 @@ ACTIVATIONS: dict[str, _Activation] = {
 
 
 class _Jet(torch.autograd.Function):
-    """(N, dN/ds) of a fully connected network, with the gradient of both written out.
+    """(N, dN/ds) of a fully connected network, with an explicit gradient of both.
 
     Automatic differentiation of the same computation records and visits about four times as many
-    operations, and at the paper's sizes their number is what an epoch costs. The first K rows of
-    each matrix x hold values, the last K rows derivatives in s, so that a layer is one product.
+    operations, and at the paper's sizes their number determines the cost of an epoch. The first
+    K rows of each matrix x are values, the last K rows derivatives in s, so that a layer is one
+    product.
     """
 
     @staticmethod
@@ -71,7 +78,7 @@ class _Jet(torch.autograd.Function):
             saved,
             [matrix for matrix, _ in layers],
         )
-        ctx.save_for_backward(s, theta)  # theta too, so that a change before backward is noticed
+        ctx.save_for_backward(s, theta)  # theta too, so that torch detects a change before backward
         return a, a_dot
 
     @staticmethod
@@ -101,7 +108,7 @@ class _Jet(torch.autograd.Function):
 
 
 def _layers(theta: Tensor, sizes: tuple[int, ...]) -> list[tuple[Tensor, Tensor]]:
-    """(matrix, bias) of each layer, as views into the flat vector of all weights."""
+    """Return (matrix, bias) of each layer, as views into the flat vector of all weights."""
     layers, start = [], 0
     for inputs, neurons in pairwise(sizes):
         middle, end = start + inputs * neurons, start + (inputs + 1) * neurons
@@ -128,7 +135,7 @@ class Network(torch.nn.Module):
     generator : torch.Generator, optional
         Source of the initial weights.
     dtype : torch.dtype
-        float64 unless asked otherwise.
+        By default float64.
 
     Examples
     --------
@@ -164,7 +171,7 @@ class Network(torch.nn.Module):
 
     @torch.no_grad()
     def draw(self, generator: torch.Generator | None = None) -> None:
-        """Give all weights new random values."""
+        """Draw new random weights."""
         last = len(self.sizes) - 2
         for position, (matrix, bias) in enumerate(self.layers):
             neurons, inputs = matrix.shape
@@ -186,8 +193,8 @@ class Network(torch.nn.Module):
         return _layers(self.theta, self.sizes)
 
     def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
-        """N(s) and dN/ds for s of shape (K,); each of shape (K, outputs)."""
-        if written_out(self.theta, s):
+        """Return N(s) and dN/ds for s of shape (K,); each of shape (K, outputs)."""
+        if has_explicit_gradient(self.theta, s):
             value, rate = _Jet.apply(self._activation, self.sizes, s, self.theta)
             return value, rate
         *hidden, (last, last_bias) = self.layers
@@ -200,7 +207,7 @@ class Network(torch.nn.Module):
 
 
 class ComponentNetworks(torch.nn.Module):
-    """One single-output network per component instead of one network that shares its weights."""
+    """One network with a single output per component, in place of one with shared weights."""
 
     def __init__(self, networks: Sequence[Network]) -> None:
         super().__init__()
@@ -208,22 +215,23 @@ class ComponentNetworks(torch.nn.Module):
         self.activation = networks[0].activation
 
     def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
-        """As :meth:`Network.forward`, the components side by side."""
+        """Return values and derivatives as :meth:`Network.forward`, one column per component."""
         values, rates = zip(*(network(s) for network in self.networks), strict=True)
         return torch.cat(values, dim=-1), torch.cat(rates, dim=-1)
 
 
 def weights_of(sizes: Sequence[int]) -> int:
-    """Number of weights of a network with layers of these sizes."""
+    """Return the number of weights of a network with layers of these sizes."""
     return sum((inputs + 1) * neurons for inputs, neurons in pairwise(sizes))
 
 
-def written_out(weights: Tensor, s: Tensor) -> bool:
-    """Whether gradients go to the weights alone, as in training: those are written out above."""
+def has_explicit_gradient(weights: Tensor, s: Tensor) -> bool:
+    """Return whether only the gradient in the weights is needed, which has an explicit form."""
     return torch.is_grad_enabled() and weights.requires_grad and not s.requires_grad
 
 
 def chosen(name: str, table: dict[str, Any], kind: str) -> Any:
+    """Return an entry of a table by name, or raise InputError."""
     if not isinstance(name, str) or name not in table:
         raise InputError(f"'{name}' is not an {kind}; choose one of {', '.join(table)}")
     return table[name]

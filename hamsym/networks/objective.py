@@ -1,4 +1,4 @@
-"""What a training minimises: the residual of the equations and regularisers."""
+"""Objective of a training: the residual of the equations, and regularizers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Regularizer:
 
 @dataclass(frozen=True)
 class Objective:
-    """What training makes small.
+    """The objective that a training minimises.
 
     Attributes
     ----------
@@ -32,8 +32,8 @@ class Objective:
     regularizers : tuple of Regularizer
         Further terms.
     rows : callable, optional
-        (t, z, dz) -> shape (K, m), of which the loss without regularisers is the mean square
-        2-norm over the points; by default the residual. For least-squares methods.
+        (t, z, dz) -> shape (K, m); the loss without regularizers is the mean of its squared 2-norm
+        over the points; by default the residual. For least-squares methods.
     slopes : callable, optional
         (t, z, dz) -> derivatives of the rows in z and in dz, each of shape (K, m, dim); by default
         from automatic differentiation.
@@ -46,7 +46,7 @@ class Objective:
     slopes: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]] | None = None
 
     def __call__(self, t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
-        """The loss with all its terms, a scalar."""
+        """Return the loss with all its terms, a scalar."""
         if self.loss is not None:
             value = self.loss(t, z, dz)
         else:

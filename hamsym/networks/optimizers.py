@@ -1,4 +1,4 @@
-"""First-order and quasi-Newton optimisers of torch, as the trainer takes them."""
+"""Adam and L-BFGS of torch with the interface of :class:`hamsym.networks.training.Optimizer`."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from hamsym.support.validation import is_positive, require, require_positive, re
 __all__ = ["LBFGS", "Adam"]
 
 
-class _OfTorch:
-    """What the optimisers that torch has share."""
+class _TorchOptimizer:
+    """Common part of the optimizers that torch provides."""
 
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
@@ -29,7 +29,7 @@ class _OfTorch:
         raise NotImplementedError
 
 
-class Adam(_OfTorch):
+class Adam(_TorchOptimizer):
     """Adam (Kingma & Ba 2015) on noisy points, as in the paper.
 
     Each iteration moves the collocation points by Gaussian noise, reflected into the span, so
@@ -41,12 +41,12 @@ class Adam(_OfTorch):
     betas : (float, float)
         Decay rates of the moment estimates.
     schedule : {"constant", "cosine"}
-        The learning rate stays, as in the paper, or falls to zero along half a cosine.
+        Constant learning rate, as in the paper, or decay to zero along half a cosine.
     points : int
         Collocation points K, equally spaced over the span.
     noise : float, optional
         Standard deviation of the noise, in units of time; by default three times the spacing of
-        the points, which is what the paper's settings are.
+        the points, as in the paper.
     """
 
     check_every = 50
@@ -82,7 +82,7 @@ class Adam(_OfTorch):
         )
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
-        """The midpoints of a grid twice as fine."""
+        """Return the midpoints of a grid twice as fine."""
         return midpoints(span, 2 * self.points, self._parameters[0].dtype)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
@@ -119,34 +119,34 @@ class Adam(_OfTorch):
             index, name = key.split(".", 1)
             states.setdefault(int(index), {})[name] = tensor
         if values or (states and {*states} != {*range(len(self._parameters))}):
-            raise ValueError("its moments are not those of the weights")
+            raise ValueError("its moments do not match the weights")
         for position, of_weights in states.items():
             like = self._parameters[position]
             shapes = {"step": (), "exp_avg": like.shape, "exp_avg_sq": like.shape}
             if {name: tensor.shape for name, tensor in of_weights.items()} != shapes:
-                raise ValueError("its moments are not those of the weights")
+                raise ValueError("its moments do not match the weights")
         groups = self._adam.state_dict()["param_groups"]
         self._adam.load_state_dict({"state": states, "param_groups": groups})
 
 
-class LBFGS(_OfTorch):
+class LBFGS(_TorchOptimizer):
     """L-BFGS with a strong Wolfe line search (Liu & Nocedal 1989), of torch.
 
-    The points stay while its memory of curvature lasts, and are drawn anew, with the memory
-    emptied, now and then and whenever the line search finds no way on.
+    The points are constant while the curvature pairs are in use. New points are drawn, and the
+    pairs discarded, after ``refresh`` iterations and whenever the line search fails.
 
     Parameters
     ----------
     points : int
         Collocation points K.
     memory : int
-        Pairs of steps and gradient changes that are kept.
+        Number of pairs of steps and gradient changes.
     refresh : int
-        Iterations after which the points are drawn anew.
+        Iterations after which new points are drawn.
     """
 
     check_every = 10
-    _PATIENCE = 5  # fresh starts in a row without a step, before it has stalled
+    _PATIENCE = 5  # restarts in a row without a step that count as a stall
 
     def __init__(self, *, points: int = 200, memory: int = 50, refresh: int = 200) -> None:
         require_whole("points", points, 2)
@@ -156,7 +156,7 @@ class LBFGS(_OfTorch):
 
     @property
     def stalled(self) -> bool:
-        """Whether fresh points and an empty memory led to no step several times in a row."""
+        """Whether several restarts in a row with new points made no step."""
         return self._failures >= self._PATIENCE
 
     def reset(self) -> None:
@@ -173,7 +173,7 @@ class LBFGS(_OfTorch):
         self._age, self._failures, self._share = 0, 0, 0.0
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
-        """Midpoints between twice as many points of the same density."""
+        """Return midpoints between twice as many points of the same density."""
         return points_between(span, self.points, self._parameters[0].dtype)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
@@ -247,6 +247,3 @@ class LBFGS(_OfTorch):
         groups = self._lbfgs.state_dict()["param_groups"]
         states = {0: state} if state else {}
         self._lbfgs.load_state_dict({"state": states, "param_groups": groups})
-
-
-# -- points ----------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.solution import Solution
+from hamsym.support.option_fields import option
 from hamsym.support.validation import is_positive, require_positive, require_whole
 
 if TYPE_CHECKING:
@@ -31,28 +32,40 @@ _FREQUENCY = 3.0  # of the first layer at the start, for methods of second order
 
 @dataclass(frozen=True, kw_only=True)
 class DeepOptions:
-    """What all methods that train a deep network share; see :func:`hamsym.solve`."""
+    """Options of all methods that train a network; see :func:`hamsym.solve`."""
 
-    hidden: Sequence[int] = (50, 50)
-    activation: str = "sin"
-    envelope: str = "exponential"
-    tau: float | None = None
-    frequency: float | None = _FREQUENCY
-    shared_weights: bool = True
-    points: int = 200
-    stages: int = 12
-    energy_weight: float = 0.0
+    hidden: Sequence[int] = option((50, 50), "Neurons of each hidden layer.", unit="WIDTHS")
+    activation: str = option("sin", "Activation function.", choices=("sin", "sigmoid", "tanh"))
+    envelope: str = option(
+        "exponential", "Envelope that fixes the initial state.", choices=("exponential", "linear")
+    )
+    tau: float | None = option(
+        None, "Unit of time of the network's input.", default_text="span/(4 pi)", unit="TIME"
+    )
+    frequency: float | None = option(
+        _FREQUENCY,
+        "Largest initial weight of the first layer.",
+        default_text="torch's initialisation",
+    )
+    shared_weights: bool = option(True, "One network for all components, or one for each.")
+    points: int = option(200, "Collocation points K.")
+    stages: int = option(12, "Spans of sequential training.")
+    energy_weight: float = option(0.0, "Weight of the energy penalty.")
     regularizers: Sequence[Regularizer] = ()
-    target_loss: float | None = None
-    target_ell_max: float | None = None
-    target_error: float | None = None
-    accuracy: float | None = None
-    patience: int | None = None
-    time_limit: float | None = None
-    checkpoint: str | os.PathLike[str] | None = None
-    checkpoint_every: float = 10.0
-    dtype: str | torch.dtype = "float64"
-    initial: Solution | None = None
+    target_loss: float | None = option(None, "Stop at this loss.")
+    target_ell_max: float | None = option(None, "Stop at this largest residual.")
+    target_error: float | None = option(None, "Stop at this estimated error of the motion.")
+    accuracy: float | None = option(None, "Stop at this ell_max / sigma_min.")
+    patience: int | None = option(None, "Stop after this many iterations without a lower loss.")
+    time_limit: float | None = option(None, "Stop after this time.", unit="SECONDS")
+    checkpoint: str | os.PathLike[str] | None = option(
+        None, "File from which the training is resumed."
+    )
+    checkpoint_every: float = option(10.0, "Time between two checkpoints.", unit="SECONDS")
+    dtype: str | torch.dtype = option(
+        "float64", "Precision of the weights.", choices=("float64", "float32")
+    )
+    initial: Solution | None = option(None, "Saved solution with the initial weights.")
 
     method: ClassVar[str]
     unit: ClassVar[str] = "iterations"
@@ -65,13 +78,21 @@ class DeepOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class AdamOptions(DeepOptions):
-    """Options of the method "adam"; but for the schedule the defaults are those of the paper."""
+    """Options of the method "adam"; all defaults but the schedule are those of the paper."""
 
-    epochs: int = 50_000
-    learning_rate: float = 8e-3
-    betas: tuple[float, float] = (0.9, 0.999)
-    schedule: str = "cosine"
-    noise: float | None = None
+    epochs: int = option(50_000, "Epochs of training.")
+    learning_rate: float = option(8e-3, "Learning rate.")
+    betas: tuple[float, float] = option((0.9, 0.999), "Decay rates of the moment estimates.")
+    schedule: str = option(
+        "cosine", "Schedule of the learning rate.", choices=("cosine", "constant")
+    )
+    noise: float | None = option(
+        None,
+        "Standard deviation of the noise of the points.",
+        default_text="3 spacings",
+        unit="TIME",
+    )
+    # Other defaults of options that all methods have.
     tau: float | None = 1.0
     frequency: float | None = None
     stages: int = 1
@@ -89,7 +110,7 @@ class AdamOptions(DeepOptions):
 class LBFGSOptions(DeepOptions):
     """Options of the method "lbfgs"."""
 
-    iterations: int = 5_000
+    iterations: int = option(5_000, "Largest number of iterations.")
 
     method = "lbfgs"
 
@@ -102,9 +123,9 @@ class LBFGSOptions(DeepOptions):
 class LevenbergMarquardtOptions(DeepOptions):
     """Options of the method "levenberg-marquardt"."""
 
-    iterations: int = 1_000
+    iterations: int = option(1_000, "Largest number of iterations.")
+    restarts: int = option(10, "Largest number of restarts with new weights.")
     patience: int | None = 200
-    restarts: int = 10
 
     method = "levenberg-marquardt"
 
@@ -114,7 +135,7 @@ class LevenbergMarquardtOptions(DeepOptions):
 
 
 def check_options(H: Hamiltonian, options: DeepOptions) -> None:
-    """Raise InputError if an option cannot be used, as far as that needs no network."""
+    """Raise InputError if an option is invalid; checks that need a network are left to it."""
     energy_weight = options.energy_weight
     if options.frequency is not None:
         require_positive("frequency", options.frequency)
@@ -132,12 +153,12 @@ def check_options(H: Hamiltonian, options: DeepOptions) -> None:
 
 
 def precision_name(dtype: str | torch.dtype) -> str:
-    """Name of a precision, "float32" or "float64".
+    """Return the name of a precision, "float32" or "float64".
 
     Raises
     ------
     InputError
-        If it is neither.
+        If it is neither of them.
     """
     name = str(dtype).removeprefix("torch.")
     if name not in ("float32", "float64"):

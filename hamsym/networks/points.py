@@ -11,14 +11,14 @@ __all__ = ["fresh_points", "midpoints", "points_between"]
 
 
 def midpoints(span: tuple[float, float], count: int, dtype: torch.dtype) -> Tensor:
-    """The midpoints of equal cells of a span, shape (count,)."""
+    """Return the midpoints of equal cells of a span, shape (count,)."""
     return min(span) + _cells(count, dtype) * abs(span[1] - span[0])
 
 
 def fresh_points(
     span: tuple[float, float], count: int, dtype: torch.dtype, generator: torch.Generator
 ) -> Tensor:
-    """Random times, one in each of ``count`` cells of a span, and both its ends."""
+    """Return random times, one in each of ``count`` cells of a span, and both its ends."""
     u = (
         torch.arange(count, dtype=dtype) + torch.rand(count, generator=generator, dtype=dtype)
     ) / count
@@ -27,14 +27,14 @@ def fresh_points(
 
 
 def points_between(span: tuple[float, float], count: int, dtype: torch.dtype) -> Tensor:
-    """Midpoints of twice as many cells and one, of the density of :func:`fresh_points`."""
+    """Return the midpoints of 2 count + 1 cells with the density of :func:`fresh_points`."""
     return spread(span, _cells(2 * count + 1, dtype))
 
 
 def spread(span: tuple[float, float], u: Tensor) -> Tensor:
-    """u in [0, 1] to times, half of them denser at the ends as Chebyshev points are.
+    """Map u in [0, 1] to times that are denser at both ends, between uniform and Chebyshev points.
 
-    A residual that is not held down at the very start offsets the whole trajectory.
+    A residual that is large at the start offsets the whole trajectory.
     """
     start, end = span
     s = 0.5 * u + 0.25 * (1 - torch.cos(math.pi * u))

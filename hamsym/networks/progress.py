@@ -1,4 +1,4 @@
-"""Progress of a training on a terminal, silence elsewhere."""
+"""Progress bar of a training, drawn on terminals only."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from hamsym.networks.training import TrainingState
+from hamsym.networks.record import TrainingState
 
 __all__ = ["training_progress"]
 
@@ -17,13 +17,14 @@ __all__ = ["training_progress"]
 def training_progress(
     iterations: int, show: bool | Callable[[TrainingState], None] | None = None
 ) -> Iterator[list[Callable[[TrainingState], None]]]:
-    """Callbacks that draw loss, ell_max and the time left on standard error.
+    """Yield the callbacks that draw loss, ell_max and the time left on standard error.
 
     Parameters
     ----------
     iterations : int
+        Largest number of iterations.
     show : bool or callable, optional
-        By default only where standard error is a terminal. A callable takes its place.
+        By default the bar is drawn if standard error is a terminal. A callable replaces the bar.
     """
     if callable(show):
         yield [show]

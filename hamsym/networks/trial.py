@@ -1,6 +1,6 @@
 """The trial solution z^(t) = z0 + f(s) N(s), s = |t - t0| / tau, and its time derivative.
 
-f(0) = 0 makes the initial state exact whatever the weights of the network N (the paper's eqs.
+f(0) = 0 makes the initial state exact for any weights of the network N (the paper's eqs.
 par_sol and f_param).
 """
 
@@ -18,8 +18,8 @@ from hamsym.networks.network import (
     ComponentNetworks,
     Network,
     chosen,
+    has_explicit_gradient,
     weights_of,
-    written_out,
 )
 from hamsym.support.checked_data import (
     checked_list,
@@ -69,7 +69,7 @@ class TrialSolution(torch.nn.Module):
     Parameters
     ----------
     network : Network or ComponentNetworks
-        With as many outputs as z0 has components.
+        Its outputs are the components of z0.
     z0 : Tensor
         Initial state, shape (dim,).
     t0 : float
@@ -98,16 +98,16 @@ class TrialSolution(torch.nn.Module):
         self._envelope = chosen(envelope, ENVELOPES, "envelope")
 
     def envelope_at(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """s, f(s) and f'(s) at times t of shape (K,)."""
+        """Return s, f(s) and f'(s) at times t of shape (K,)."""
         s = (t - self.t0) / self.tau
         return s, *self._envelope(s)
 
     def forward(self, t: Tensor) -> tuple[Tensor, Tensor]:
-        """z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
+        """Return z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
         s, *envelope = self.envelope_at(t)
         value, rate = self.network(s)
         f, f_dot = (part.unsqueeze(-1) for part in envelope)
-        if written_out(value, s):
+        if has_explicit_gradient(value, s):
             z, dz = _Envelope.apply(self.z0, f, f_dot / self.tau, self.tau, value, rate)
             return z, dz
         return self.z0 + f * value, (f_dot * value + f * rate) / self.tau
@@ -116,32 +116,32 @@ class TrialSolution(torch.nn.Module):
 
     @property
     def dtype(self) -> np.dtype:
-        """Type of its numbers, float32 or float64."""
+        """Type of the weights and of z0, float32 or float64."""
         return np.dtype(str(self.z0.dtype).removeprefix("torch."))
 
     @torch.no_grad()
     def states_and_rates(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
+        """Return z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
         z, dz = self(torch.from_numpy(np.ascontiguousarray(t)).to(self.z0.dtype))
         return z.numpy(), dz.numpy()
 
     def states_at(self, t: np.ndarray) -> np.ndarray:
-        """z^ alone."""
+        """Return z^ at times t of shape (K,), shape (K, dim)."""
         return self.states_and_rates(t)[0]
 
     def tensors(self, t: Tensor) -> tuple[Tensor, Tensor]:
-        """z^ and dz^/dt at times t of shape (K,), differentiable in t."""
+        """Return z^ and dz^/dt at times t of shape (K,), differentiable in t."""
         z, dz = self(t.to(self.z0.dtype))
         return z, dz
 
     @property
     def parts(self) -> list[Network]:
-        """The network, or that of each component."""
+        """The network, or the networks of the components."""
         whole = self.network
         return [whole] if isinstance(whole, Network) else list(whole.networks)  # type: ignore[arg-type]
 
     def describe(self) -> dict[str, Any]:
-        """Its form and settings, as JSON can hold them."""
+        """Return form and settings as JSON values."""
         first = self.parts[0]
         return {
             "form": "network",
@@ -155,21 +155,21 @@ class TrialSolution(torch.nn.Module):
         }
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Its weights and z0, by name."""
+        """Return the weights and z0 by name."""
         return {name: tensor.detach().numpy() for name, tensor in self.state_dict().items()}
 
     @classmethod
     def from_description(
         cls, values: Mapping[str, Any], arrays: Mapping[str, np.ndarray], dim: int
     ) -> TrialSolution:
-        """The trial solution of such a :meth:`describe` and :meth:`arrays`.
+        """Build a trial solution from the results of :meth:`describe` and :meth:`arrays`.
 
-        Sizes are compared with the arrays before anything is built of them.
+        Sizes are compared with the arrays before anything is built from them.
 
         Raises
         ------
         ValueError
-            If they are not those of a trial solution with so many components.
+            If they do not describe a trial solution with ``dim`` components.
         """
         names = {"form", "shared", "sizes", "activation", "frequency", "t0", "tau", "envelope"}
         require_names("trial solution", values, names)
@@ -179,18 +179,18 @@ class TrialSolution(torch.nn.Module):
         )
         frequency = checked_type("frequency", values["frequency"], "float | None")
         if frequency is not None and not 0 < frequency < math.inf:
-            raise ValueError("its frequency is not positive")
+            raise ValueError("its frequency is not a positive number")
         outputs = dim if shared else 1
         keys = ["network.theta"] if shared else [f"network.networks.{k}.theta" for k in range(dim)]
         require_names("network", arrays, {"z0", *keys})
         if len(sizes) < 3 or min(sizes) < 1 or sizes[0] != 1 or sizes[-1] != outputs:
-            raise ValueError("the sizes of its networks do not fit together")
+            raise ValueError("the layer sizes of its networks are inconsistent")
         z0 = arrays["z0"]
         for key in keys:
             if arrays[key].shape != (weights_of(sizes),) or arrays[key].dtype != z0.dtype:
                 raise ValueError(f"'{key}' does not have the size and type that its layers need")
         if z0.dtype not in (np.float32, np.float64) or z0.shape != (dim,):
-            raise ValueError("its networks are of another type or dimension")
+            raise ValueError("its z0 has another type or dimension")
         precision = torch.from_numpy(z0).dtype
 
         def network() -> Network:
@@ -218,29 +218,29 @@ class TrialSolution(torch.nn.Module):
         return TrialSolution.from_description, (self.describe(), self.arrays(), len(self.z0))
 
     def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
-        """Raise ValueError if it is not a trial solution from z0 over the span."""
+        """Raise ValueError if this is not a trial solution from z0 over the span."""
         parts, dim = self.parts, len(z0)
         if not parts or not all(isinstance(part, Network) for part in parts):
-            raise ValueError("its network is not one of this package")
+            raise ValueError("its network is not a Network or ComponentNetworks")
         outputs = [dim] if isinstance(self.network, Network) else [1] * dim
         if [part.sizes[-1] for part in parts] != outputs:
-            raise ValueError("the sizes of its networks do not fit together")
+            raise ValueError("the layer sizes of its networks are inconsistent")
         if {(part.sizes[:-1], part.activation, part.frequency) for part in parts} != {
             (parts[0].sizes[:-1], parts[0].activation, parts[0].frequency)
         }:
-            raise ValueError("its networks are not alike")
+            raise ValueError("its networks differ in layers, activation or frequency")
         own = self.z0.numpy()
         if own.dtype not in (np.float32, np.float64):
-            raise ValueError(f"its weights are of type {own.dtype}")
+            raise ValueError(f"its weights are of type {own.dtype}, not float32 or float64")
         require_array("z0 of the network", own, (dim,), own.dtype)
         for part in parts:
             theta = part.theta.detach().numpy()
             require_array("theta", theta, (weights_of(part.sizes),), own.dtype)
         if not (math.isfinite(self.t0) and math.isfinite(self.tau)):
-            raise ValueError("its unit of time is not finite")
+            raise ValueError("its t0 or tau is not finite")
         start, end = span
         if self.t0 != start or not math.copysign(1.0, end - start) * self.tau > 0:
             raise ValueError("its span is not that of its network")
         with np.errstate(over="ignore"):
             if own.tobytes() != z0.astype(own.dtype).tobytes():
-                raise ValueError("it does not start at its z0")
+                raise ValueError("its network does not start at its z0")

@@ -26,6 +26,7 @@ from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.solution import Solution
+from hamsym.support.option_fields import option
 
 __all__ = ["FeatureOptions", "solve_by_features"]
 
@@ -41,11 +42,17 @@ _FEWEST_WINDOWS = 8  # so that a short event in a long rest is not stepped over 
 class FeatureOptions:
     """Options of the method "features"; see :func:`hamsym.solve`."""
 
-    tol: float = 1e-9
-    atol: float | Sequence[float] = 0.0
-    breakpoints: Sequence[float] = ()
-    max_window: float | None = None
-    compiled: bool | Literal["auto"] = "auto"
+    tol: float = option(1e-9, "Tolerance, relative to the largest value of each component.")
+    atol: float | Sequence[float] = option(
+        0.0, "Absolute tolerance, one or one for each component.", unit="NUMBERS"
+    )
+    breakpoints: Sequence[float] = option((), "Times at which a window ends.", unit="TIMES")
+    max_window: float | None = option(
+        None, "Longest window.", default_text=f"span/{_FEWEST_WINDOWS}", unit="TIME"
+    )
+    compiled: bool | Literal["auto"] = option(
+        "auto", "Compile the march.", choices={"auto": "auto", "yes": True, "no": False}
+    )
 
 
 def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> Solution:

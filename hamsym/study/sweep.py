@@ -44,7 +44,7 @@ from hamsym.support.locking import exclusive
 from hamsym.support.validation import plain, require_positive, require_whole
 
 if TYPE_CHECKING:  # torch is slow to import
-    from hamsym.networks.training import TrainingState
+    from hamsym.networks.record import TrainingState
 
 __all__ = ["Sweep", "sweep"]
 

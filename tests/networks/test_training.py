@@ -1,4 +1,4 @@
-"""The trainer works on any residual, and is honest about how it ended."""
+"""Training of any residual function: rules for stopping, restarts, checkpoints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from hamsym.networks.levenberg_marquardt import LevenbergMarquardt, _Linearised
 from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.optimizers import LBFGS, Adam
-from hamsym.networks.training import Criterion, Stages, Stopping, Training, TrainingState, train
+from hamsym.networks.record import Training, TrainingState
+from hamsym.networks.rules import Criterion, Stages, Stopping
+from hamsym.networks.training import train
 from hamsym.networks.trial import TrialSolution
 from hamsym.support.tensor_files import read_tensors, write_tensors
 
@@ -27,7 +29,7 @@ def decay_trial(seed: int = 0) -> tuple[TrialSolution, torch.Generator]:
     return TrialSolution(network, torch.ones(1, dtype=torch.float64)), generator
 
 
-# z' = -z, which is no Hamiltonian system.
+# z' = -z, which is not a Hamiltonian system.
 DECAY = Objective(residual=lambda t, z, dz: dz + z)
 
 
@@ -251,7 +253,7 @@ def test_each_optimizer_solves_another_equation(optimizer) -> None:
         ({"target_loss": 1e-2}, "target loss"),
         ({"target_ell_max": 0.3}, "target ell_max"),
         ({"time_limit": 1e-9}, "time limit"),
-        ({"criteria": (Criterion("enough", 1.0, lambda trial: True),)}, "enough"),
+        ({"criteria": (Criterion("enough", 1.0, lambda trial, training: True),)}, "enough"),
         ({}, "iterations"),
     ],
 )
@@ -301,7 +303,7 @@ def test_sequential_training_grows_the_span(optimizer) -> None:
 
 
 class Stubborn(Adam):
-    """Gets nowhere until its weights have been replaced twice."""
+    """Adam whose loss stays at 1 until its weights have been replaced twice."""
 
     check_every = 5
 
@@ -404,11 +406,11 @@ class KilledError(Exception):
 def _below(level: float) -> Criterion:
     t = torch.linspace(0, 2, 9, dtype=torch.float64)
 
-    def holds(trial: torch.nn.Module) -> bool:
+    def is_met(trial: torch.nn.Module, training: Training) -> bool:
         with torch.no_grad():
             return bool((trial(t)[0][:, 0] - torch.exp(-t)).abs().max() < level)
 
-    return Criterion("error", level, holds)
+    return Criterion("error", level, is_met)
 
 
 @pytest.mark.parametrize(
@@ -448,11 +450,11 @@ def test_resumes_to_the_same_bits(optimizer, stopping: Stopping, tmp_path: Path)
             run(checkpoint, [kill])
         except KilledError:
             continue
-    resumed, told = run(checkpoint)
+    resumed, second = run(checkpoint)
     assert torch.equal(weights, resumed)
-    np.testing.assert_array_equal(told.history.loss, training.history.loss)
-    np.testing.assert_array_equal(told.history.fixed_loss, training.history.fixed_loss)
-    assert (told.stopped, told.restarts) == (training.stopped, training.restarts)
+    np.testing.assert_array_equal(second.history.loss, training.history.loss)
+    np.testing.assert_array_equal(second.history.fixed_loss, training.history.fixed_loss)
+    assert (second.stopped, second.restarts) == (training.stopped, training.restarts)
     again, _ = run(checkpoint)  # a finished run is read, not trained further
     assert torch.equal(weights, again)
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
@@ -475,7 +477,7 @@ def test_foreign_and_damaged_checkpoints_are_rejected(tmp_path: Path) -> None:
         )
 
     run(1)
-    with pytest.raises(FileError, match="of a training with seed=1, this one has 2"):
+    with pytest.raises(FileError, match="belongs to a training with seed=1, not 2"):
         run(2)
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(FileError, match="damaged"):
@@ -504,7 +506,7 @@ def test_edited_checkpoints_are_rejected(optimizer, tmp_path: Path) -> None:
         )
 
     run()
-    run()  # what is there is read
+    run()  # the existing checkpoint is read
     whole = path.read_bytes()
     middle = len(whole) - 9
     path.write_bytes(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :])
@@ -515,20 +517,22 @@ def test_edited_checkpoints_are_rejected(optimizer, tmp_path: Path) -> None:
         (lambda t, v: t.update({"weights.0": t["weights.0"][:1].copy()}), "weights.0"),
         (lambda t, v: t.update({"weights.0": t["weights.0"].astype(np.float32)}), "weights.0"),
         (lambda t, v: t.update({"best.0": t["best.0"] * math.nan}), "best.0 are not finite"),
-        (lambda t, v: t.update(losses=t["losses"][:2]), "do not fit together"),
+        (lambda t, v: t.update(losses=t["losses"][:2]), "are inconsistent"),
         (lambda t, v: t.update(checks=t["checks"][:, :1]), "checks"),
         (lambda t, v: t.update(generator=t["generator"][:8]), "generator"),
-        (lambda t, v: t.update({"optimizer.more": t["losses"]}), "makes no sense"),
-        (lambda t, v: t.pop("best.0"), "other weights"),
+        (lambda t, v: t.update({"optimizer.more": t["losses"]}), "not a valid checkpoint"),
+        (lambda t, v: t.pop("best.0"), "those of another network"),
         (lambda t, v: v.update(more=1), "not those of a training"),
         (lambda t, v: v.pop("rules"), "not those of a training"),
-        (lambda t, v: v["counts"].update(stage=0), "do not fit together"),
-        (lambda t, v: v["counts"].update(restarts=10.5), "its counts"),
-        (lambda t, v: v["levels"].update(best_loss=math.nan), "its levels"),
-        (lambda t, v: v["levels"].update(seconds=10**400), "its levels"),
-        (lambda t, v: v.update(stopped=3), "its end"),
-        (lambda t, v: v.update(counts=[]), "makes no sense"),
-        (lambda t, v: v.update(optimizer=[]), "makes no sense"),
+        (lambda t, v: v["progress"].update(stage=0), "are inconsistent"),
+        (lambda t, v: v["progress"].update(restarts=10.5), "'restarts' is not of type int"),
+        (lambda t, v: v["progress"].update(best_loss=math.nan), "'best_loss' is negative or not"),
+        (lambda t, v: v["progress"].update(improved=-1), "'improved' is negative or not"),
+        (lambda t, v: v["progress"].update(seconds=10**400), "'seconds' is too large"),
+        (lambda t, v: v["progress"].pop("judged"), "'judged' of its Progress is missing"),
+        (lambda t, v: v.update(stopped=3), "'stopped' is not of type"),
+        (lambda t, v: v.update(progress=[]), "not a valid checkpoint"),
+        (lambda t, v: v.update(optimizer=[]), "not a valid checkpoint"),
     ):
         tensors, values = read_tensors(path, "checkpoint")
         change(tensors, values)

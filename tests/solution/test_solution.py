@@ -231,7 +231,7 @@ def test_missed_and_reached_targets() -> None:
     settings = {"method": "adam", "points": 20, "hidden": (20,), "learning_rate": 0.01}
     missed = hamsym.solve(problem.H, problem.z0, (0, 1), **settings, epochs=50, target_loss=1e-9)
     assert not missed.success
-    assert "target loss 1.00e-09 not reached in 50 epochs" in missed.message
+    assert "target loss 1.00e-09 not reached after 50 epochs" in missed.message
     reached = hamsym.solve(problem.H, problem.z0, (0, 1), **settings, epochs=5000, target_loss=1e-3)
     assert reached.success
     assert "target loss 1.00e-03 reached" in reached.message

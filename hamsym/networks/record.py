@@ -1,0 +1,126 @@
+"""Records of a training: its course, how it ended, and the state that callbacks receive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hamsym.support.checked_data import require_array, require_counts
+
+__all__ = ["History", "Stopped", "Training", "TrainingState"]
+
+#: Methods of solution that train a network.
+TRAINING_METHODS = ("adam", "lbfgs", "levenberg-marquardt")
+
+
+class Stopped(StrEnum):
+    """Reasons for which a training ended."""
+
+    ITERATIONS = "iterations"
+    TARGET_LOSS = "target loss"
+    TARGET_ELL_MAX = "target ell_max"
+    TARGET_ERROR = "target error"
+    ACCURACY = "accuracy"
+    PATIENCE = "patience"
+    TIME_LIMIT = "time limit"
+    STALLED = "stalled"
+    DIVERGED = "diverged"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True)
+class TrainingState:
+    """State of a training, passed to callbacks after each evaluation at the fixed points."""
+
+    iteration: int
+    iterations: int
+    loss: float
+    best_loss: float
+    ell_max: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class History:
+    """The course of a training.
+
+    Attributes
+    ----------
+    loss : numpy.ndarray
+        Loss at the optimizer's own points, one value per iteration.
+    iteration, fixed_loss, ell_max, seconds : numpy.ndarray
+        Evaluations at the fixed points: the iteration, the loss, the largest 2-norm of the
+        residual, and the time since the start.
+    """
+
+    loss: np.ndarray = field(repr=False)
+    iteration: np.ndarray = field(repr=False)
+    fixed_loss: np.ndarray = field(repr=False)
+    ell_max: np.ndarray = field(repr=False)
+    seconds: np.ndarray = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Training:
+    """Record of a training; the best weights are in the trial solution.
+
+    Attributes
+    ----------
+    history : History
+    points : int
+        Collocation points K.
+    iterations : int
+        Epochs of Adam, steps of the other optimizers.
+    restarts : int
+        Number of restarts with new weights.
+    best_loss, best_ell_max : float
+        Loss and largest residual of the best weights at the fixed points.
+    stopped : str
+        Reason for which the training ended: a value of :class:`Stopped`, or the name of a
+        :class:`~hamsym.networks.rules.Criterion`.
+    seconds, cpu_seconds : float
+        Time, including that before a resumption from a checkpoint.
+    """
+
+    history: History
+    points: int
+    iterations: int
+    restarts: int
+    best_loss: float
+    best_ell_max: float
+    stopped: str
+    seconds: float
+    cpu_seconds: float
+
+    # A network is one smooth function over the whole span.
+    edges: ClassVar[None] = None
+    origin: ClassVar[float] = 0.0
+
+    @property
+    def point_evaluations(self) -> int:
+        """Evaluations of the vector field, each at one point."""
+        return self.iterations * self.points
+
+    def times(self, span: tuple[float, float], count: int) -> np.ndarray:
+        """Return ``count`` equally spaced times over a span."""
+        return np.linspace(*span, count)
+
+    def check(self, trial: Any, method: str) -> None:
+        """Raise ValueError if this is not the record of a training by a method."""
+        if method not in TRAINING_METHODS:
+            raise ValueError(f"method '{method}' does not train a network")
+        history = self.history
+        checks = len(history.iteration)
+        # The record of a training that restarted can contain losses that are not finite.
+        for name, dtype, count in (
+            ("loss", np.float64, self.iterations),
+            ("iteration", np.int64, checks),
+            ("fixed_loss", np.float64, checks),
+            ("ell_max", np.float64, checks),
+            ("seconds", np.float64, checks),
+        ):
+            require_array(name, getattr(history, name), (count,), dtype, finite=False)
+        require_counts(self)

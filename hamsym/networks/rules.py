@@ -1,0 +1,212 @@
+"""Rules of a training: when it stops, and how its span grows in stages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import torch
+
+from hamsym.networks.record import Stopped, Training
+from hamsym.support.validation import require_positive, require_whole
+
+__all__ = ["Criterion", "Progress", "StageSchedule", "Stages", "Stopping"]
+
+
+@dataclass
+class Progress:
+    """Counters and levels of a training, all of which are saved in a checkpoint.
+
+    Attributes
+    ----------
+    iteration, stage, in_stage, restarts, improved : int
+        Iterations done, the current stage from 1, iterations in it, restarts, and the iteration
+        of the best loss.
+    best_loss, best_ell_max : float
+        Of the best weights, at the fixed points.
+    lowest : float
+        Lowest loss in this stage at the optimizer's points.
+    judged : float
+        Best loss when the criteria were last evaluated.
+    seconds, cpu_seconds : float
+    """
+
+    iteration: int = 0
+    stage: int = 1
+    in_stage: int = 0
+    restarts: int = 0
+    improved: int = 0
+    best_loss: float = math.inf
+    best_ell_max: float = math.inf
+    lowest: float = math.inf
+    judged: float = math.inf
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+
+    def check(self) -> None:
+        """Raise ValueError if a number is negative or not a number."""
+        for entry in fields(self):
+            if not getattr(self, entry.name) >= 0:
+                raise ValueError(f"'{entry.name}' is negative or not a number")
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A rule for stopping that evaluates the trial solution when the loss has quartered.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+        Its threshold, by which a checkpoint tells whether the rule has changed.
+    is_met : callable
+        (trial solution with the best weights, record of the training so far) -> bool.
+    """
+
+    name: str
+    value: float
+    is_met: Callable[[torch.nn.Module, Training], bool]
+
+
+@dataclass(frozen=True)
+class Stopping:
+    """Rules for stopping; the first that is met ends the training.
+
+    Attributes
+    ----------
+    iterations : int
+        Largest number of iterations.
+    target_loss : float, optional
+        Largest loss at the fixed points.
+    target_ell_max : float, optional
+        Largest residual at the fixed points.
+    patience : int, optional
+        Iterations without a lower loss at the fixed points.
+    time_limit : float, optional
+        Seconds.
+    criteria : tuple of Criterion
+    """
+
+    iterations: int
+    target_loss: float | None = None
+    target_ell_max: float | None = None
+    patience: int | None = None
+    time_limit: float | None = None
+    criteria: tuple[Criterion, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_whole("iterations", self.iterations, 1)
+        if self.patience is not None:
+            require_whole("patience", self.patience, 1)
+        for name in ("target_loss", "target_ell_max", "time_limit"):
+            if getattr(self, name) is not None:
+                require_positive(name, getattr(self, name))
+
+    def target_reached(self, progress: Progress) -> Stopped | None:
+        """Return the target that the best weights reach, if any."""
+        if self.target_loss is not None and progress.best_loss <= self.target_loss:
+            return Stopped.TARGET_LOSS
+        if self.target_ell_max is not None and progress.best_ell_max <= self.target_ell_max:
+            return Stopped.TARGET_ELL_MAX
+        return None
+
+    def limit_reached(self, progress: Progress, last_stage: bool) -> Stopped | None:
+        """Return the limit of time or patience that is reached, if any."""
+        if self.time_limit is not None and progress.seconds >= self.time_limit:
+            return Stopped.TIME_LIMIT
+        waited = min(progress.iteration - progress.improved, progress.in_stage)
+        if self.patience is not None and last_stage and waited >= self.patience:
+            return Stopped.PATIENCE
+        return None
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Sequential training: a short span first, then longer ones, with the weights carried over.
+
+    Attributes
+    ----------
+    count : int
+        Stage k trains on the fraction k / count of the span.
+    residual : float
+        A stage ends when the root mean square of the residual is below this fraction of that of
+        dz/dt, or when its share of the iterations is used up.
+    restart_after : int, optional
+        Instead of the share: iterations after which the training restarts from the first stage
+        with new weights, if the stage has not ended (the last stage: if the residual is above
+        1e-4).
+    restarts : int
+        Largest number of such restarts.
+    """
+
+    count: int = 1
+    residual: float = 0.03
+    restart_after: int | None = None
+    restarts: int = 10
+
+    def __post_init__(self) -> None:
+        require_whole("stages", self.count, 1)
+        require_whole("restarts", self.restarts, 0)
+        if self.restart_after is not None:
+            require_whole("restart_after", self.restart_after, 1)
+
+
+class StageSchedule:
+    """The current stage of a training and the rules by which it ends."""
+
+    def __init__(
+        self, stages: Stages, span: tuple[float, float], iterations: int, progress: Progress
+    ) -> None:
+        self.stages, self.whole, self.iterations = stages, span, iterations
+        self.progress = progress
+
+    @property
+    def share(self) -> float:
+        """Fraction of the span that the current stage trains on."""
+        return self.progress.stage / self.stages.count
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Start and end of the current stage."""
+        start, end = self.whole
+        return start, end if self.is_last else start + self.share * (end - start)
+
+    @property
+    def is_last(self) -> bool:
+        """Whether the current stage trains on the whole span."""
+        return self.progress.stage == self.stages.count
+
+    @property
+    def is_exhausted(self) -> bool:
+        """Whether the iterations after which the training restarts are used up."""
+        limit = self.stages.restart_after
+        return limit is not None and self.progress.in_stage >= limit
+
+    def is_passed(self, loss: float, motion: float) -> bool:
+        """Whether the next stage begins, by the loss and the mean square of dz/dt."""
+        progress, stages = self.progress, self.stages
+        if loss <= stages.residual**2 * motion:
+            return True
+        # The remaining stages share the remaining iterations.
+        before = progress.iteration - progress.in_stage
+        share = (self.iterations - before) / (stages.count - progress.stage + 1)
+        return stages.restart_after is None and progress.in_stage >= share
+
+    def advance(self) -> None:
+        """Begin the next stage."""
+        self._begin(self.progress.stage + 1)
+
+    def can_restart(self) -> bool:
+        """Whether a restart with new weights is allowed."""
+        stages = self.stages
+        return stages.restart_after is not None and self.progress.restarts < stages.restarts
+
+    def restart(self) -> None:
+        """Begin the first stage again."""
+        self.progress.restarts += 1
+        self._begin(1)
+
+    def _begin(self, stage: int) -> None:
+        self.progress.stage, self.progress.in_stage = stage, 0
+        self.progress.lowest = math.inf
