@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "WIDTH",
+    "check_directory",
     "check_figure",
-    "check_folder",
     "check_table",
     "echo_wrapped",
     "report",
@@ -79,13 +79,13 @@ def check_figure(path: str | None) -> None:
     if Path(path).suffix not in _FIGURE_ENDINGS:
         listed = ", ".join(_FIGURE_ENDINGS)
         raise InputError(f"'{path}' is not a figure file; choose one of {listed}")
-    check_folder(path)
+    check_directory(path)
 
 
-def check_folder(path: str | None) -> None:
-    """Refuse a file whose folder is not there."""
+def check_directory(path: str | None) -> None:
+    """Raise InputError if the directory of a file does not exist."""
     if path is not None and not Path(path).absolute().parent.is_dir():
-        raise InputError(f"'{path}' has no folder to stand in; make the folder first")
+        raise InputError(f"directory of '{path}' does not exist; create it first")
 
 
 def save_figure(figure: Any, path: str) -> None:
@@ -100,7 +100,7 @@ def check_table(path: str | None) -> None:
     """Refuse a table that could not be written."""
     if path is not None and Path(path).suffix not in (".csv", ".npz"):
         raise InputError(f"'{path}' is neither .csv nor .npz; choose one of these endings")
-    check_folder(path)
+    check_directory(path)
 
 
 def write_table(

@@ -17,6 +17,7 @@ from hamsym import Certificate, Hamiltonian
 from hamsym.cli.commands import main
 from hamsym.integrators import fixed_step
 from hamsym.integrators.table import listing
+from hamsym.solving import METHODS
 
 OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
 HENON_HEILES = "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
@@ -100,7 +101,7 @@ def test_solve_exits_with_success(capsys: Captured) -> None:
     settings += ["--learning-rate", "0.02"]
     status, out, _ = run(capsys, "solve", *SOLVE, *settings, "--hidden", "20,20")
     assert status == 0, out
-    assert out.startswith("converged: 600 epochs")
+    assert out.startswith("converged: error below 1% of the motion after 600 epochs: ")
 
 
 def test_solve_by_least_squares_saves_and_resumes(capsys: Captured, tmp_path: Path) -> None:
@@ -116,7 +117,7 @@ def test_solve_by_least_squares_saves_and_resumes(capsys: Captured, tmp_path: Pa
     assert solution.relative_error_estimate <= 1e-2
     status, _, err = run(capsys, "solve", *SOLVE, *settings, "--seed", "1")
     assert status == 2
-    assert "is of a training with seed=0, this one has 1" in err
+    assert "belongs to a training with seed=0, not 1" in err
 
 
 def test_solve_with_breakpoints(capsys: Captured) -> None:
@@ -358,19 +359,19 @@ BAD = [
         ["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--breakpoints", "9"],
         "breakpoint 9 is not inside the span",
     ),
-    (["solve", *SOLVE, "-o", "/no/such/folder/s"], "has no folder to stand in"),
+    (["solve", *SOLVE, "-o", "/no/such/folder/s"], "does not exist; create it first"),
     (
         ["solve", *SOLVE, "--method", "lbfgs", "--checkpoint", "/no/such/folder/s"],
-        "has no folder to stand in",
+        "does not exist; create it first",
     ),
     (["solve", *SOLVE, "--method", "lbfgs", "--iterations", "0"], "iterations=0"),
     (["solve", *SOLVE, "--method", "lbfgs", "--accuracy", "-1"], "accuracy=-1.0"),
     (["solve", *SOLVE, "--method", "lbfgs", "--dtype", "float32"], "too coarse for lbfgs"),
     (["solve", *SOLVE, "--epochs", "0"], "epochs=0"),
-    (["solve", *SOLVE, "--hidden", "50,x"], "'x' in --hidden"),
+    (["solve", *SOLVE, "--hidden", "50,x"], "'x' is not a whole number"),
     (["solve", *SOLVE, "--seed", "-1"], "seed=-1"),
     (["solve", *SOLVE, "--plot", "figure.doc"], "'figure.doc' is not a figure file"),
-    (["solve", *SOLVE, "--plot", "no/such/f.png"], "no folder"),
+    (["solve", *SOLVE, "--plot", "no/such/f.png"], "does not exist; create it first"),
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--method", "rk4"], "'rk4'"),
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "-o", "x.txt"], "neither .csv"),
     (["integrate", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--dt", "2"], "longer than the span"),
@@ -390,7 +391,7 @@ BAD = [
     (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--at", "y = 0"], "'y' does not occ"),
     (
         ["section", OSCILLATOR, "--z0", "1", "--t-end", "1", "--at", "x = 0", "--energy", "1"],
-        "with --energy a start is given by name",
+        "--energy needs states by name",
     ),
     (
         ["section", OSCILLATOR, "--z0", "x=9", "--t-end", "1", "--at", "x = 0", "--energy", "1"],
@@ -417,6 +418,55 @@ def test_bad_input_gets_one_line_and_status_2(
     assert err.startswith("hamsym: ")
     assert message in err
     assert err.count("\n") == 1
+
+
+def test_every_option_of_solve_is_offered(capsys: Captured) -> None:
+    _, out, _ = run(capsys, "solve", "--help")
+    offered = {word.rstrip(",") for word in out.split() if word.startswith("--")}
+    names = {
+        field.name for entry in METHODS.values() for field in dataclasses.fields(entry.options)
+    }
+    assert {f"--{name.replace('_', '-')}" for name in names - {"regularizers"}} <= offered
+
+
+def test_options_of_solve_are_passed_on(capsys: Captured, tmp_path: Path) -> None:
+    """Options of every type; a run with the same checkpoint is refused unless all are equal."""
+    path = tmp_path / "run"
+    options = {"hidden": (5, 4), "tau": 0.5, "frequency": 2.0, "shared_weights": False}
+    options |= {"betas": (0.8, 0.9), "points": 7, "schedule": "constant", "energy_weight": 0.25}
+    options |= {"epochs": 3, "dtype": "float32", "checkpoint": path, "checkpoint_every": 5.0}
+    arguments = (
+        "--hidden 5,4 --tau 1/2 --frequency 2 --no-shared-weights --betas 0.8 0.9 --points 7"
+    )
+    arguments += " --schedule constant --energy-weight 1/4 --epochs 3 --dtype float32"
+    arguments += f" --checkpoint {path} --checkpoint-every 5"
+    state = ["--z0", "1.3,1", "--t-end", "2", "--method", "adam"]
+    assert run(capsys, "solve", OSCILLATOR, *state, *arguments.split())[0] == 1
+    solution = hamsym.solve(OSCILLATOR, [1.3, 1], (0, 2), method="adam", **options)
+    assert solution.record.iterations == 3
+    status, _, err = run(
+        capsys, "solve", OSCILLATOR, *state, *arguments.split(), "--shared-weights"
+    )
+    assert status == 2
+    assert "with shared_weights=False, not True" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options"),
+    [
+        ("--atol 1e-3 --tol 1e-5 --compiled no", {"atol": 1e-3, "tol": 1e-5, "compiled": False}),
+        ("--atol 1e-3,1e-2 --max-window 1/8", {"atol": [1e-3, 1e-2], "max_window": 0.125}),
+    ],
+)
+def test_options_of_features_are_passed_on(
+    capsys: Captured, tmp_path: Path, arguments: str, options: dict[str, object]
+) -> None:
+    path = tmp_path / "orbit"
+    state = ["--z0", "1.3,1", "--t-end", "2"]
+    assert run(capsys, "solve", OSCILLATOR, *state, *arguments.split(), "-o", str(path))[0] == 0
+    expected = hamsym.solve(OSCILLATOR, [1.3, 1], (0, 2), **options)
+    t = np.linspace(0, 2, 9)
+    np.testing.assert_array_equal(hamsym.load(path)(t), expected(t))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,67 @@
+"""The command that reproduces the paper's experiments."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from pathlib import Path
+
+import click
+
+__all__ = ["reproduce"]
+
+_EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long")
+
+
+@click.command()
+@click.argument(
+    "experiments", nargs=-1, type=click.Choice([*_EXPERIMENTS, "all"]), metavar="[EXPERIMENTS]..."
+)
+@click.option("--quick", is_flag=True, help="Few epochs: the same rows in minutes.")
+@click.option("--claims", is_flag=True, help="Test further claims of the paper.")
+@click.option("--seed", default=0, show_default=True, help="The first seed.")
+@click.option("--seeds", type=int, help="Number of seeds  [3, or 1 with --quick]")
+@click.option("--workers", type=int, help="Number of processes  [number of cores]")
+@click.option(
+    "--out", type=click.Path(), default="output/paper", show_default=True, help="Output directory."
+)
+def reproduce(
+    experiments: tuple[str, ...],
+    quick: bool,
+    claims: bool,
+    seed: int,
+    seeds: int | None,
+    workers: int | None,
+    out: str,
+) -> None:
+    """Reproduce the paper's experiments, with further methods and integrators.
+
+    Each experiment writes its table, figures and results; page.md summarises them. Existing runs
+    are reused, and interrupted ones are resumed. With --quick the output directory is its
+    subdirectory "quick". EXPERIMENTS are oscillator, oscillator-long, henon-heiles,
+    henon-heiles-long or all, the default.
+    """
+    from hamsym.support.locking import exclusive
+    from hamsym.support.validation import require_whole
+
+    require_whole("--seed", seed, 0)
+    if seeds is None:
+        seeds = 1 if quick else 3
+    require_whole("--seeds", seeds, 1)
+    if workers is not None:
+        require_whole("--workers", workers, 1)
+    chosen = [name for name in _EXPERIMENTS if not experiments or {name, "all"} & {*experiments}]
+    if claims:
+        chosen.append("claims")
+    directory = Path(out) / "quick" if quick else Path(out)
+    directory.mkdir(parents=True, exist_ok=True)
+    options = [f"--seed={seed}", f"--seeds={seeds}", f"--out={directory}"] + ["--quick"] * quick
+    if workers is not None:
+        options.append(f"--workers={workers}")
+    began = time.monotonic()
+    with exclusive(directory):
+        for name in chosen:
+            script = importlib.import_module(f"hamsym.paper.{name.replace('-', '_')}")
+            script.main(options)
+        importlib.import_module("hamsym.paper.page").main([f"--out={directory}"])
+    click.echo(f"{(time.monotonic() - began) / 60:.1f} minutes")

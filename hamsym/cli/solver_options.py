@@ -1,0 +1,158 @@
+"""Options of the methods of solution, built from the fields of the methods' option dataclasses."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import Field, fields
+from typing import Any
+
+import click
+
+from hamsym.cli.texts import number, numbers, saved_solution, whole_numbers
+
+__all__ = ["SolverCommand"]
+
+
+class SolverCommand(click.Command):
+    """A command that takes the options of all methods of solution.
+
+    The options are built when they are first needed, since that imports sympy. Options that are not
+    given are not passed on, so that the method's own defaults apply.
+    """
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        return [*super().get_params(ctx), *_solver_parameters()]
+
+    def invoke(self, ctx: click.Context) -> Any:
+        for parameter in _solver_parameters():
+            if parameter.name in ctx.params and ctx.params[parameter.name] is None:
+                del ctx.params[parameter.name]
+        return super().invoke(ctx)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options in sections, one for each group of methods that share options."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None and isinstance(parameter, click.Option):
+                section = getattr(parameter, "section", "Options")
+                sections.setdefault(section, []).append(record)
+        for section, records in sections.items():
+            with formatter.section(section):
+                formatter.write_dl(records)
+
+
+class _MethodOption(click.Option):
+    """An option in a section of the help text."""
+
+    def __init__(self, *arguments: Any, section: str, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self.section = section
+
+
+class _Parsed(click.ParamType):
+    """A type of values that a function reads from text."""
+
+    def __init__(self, name: str, read: Callable[[str], Any]) -> None:
+        self.name, self.read = name, read
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return self.read(value) if isinstance(value, str) else value
+
+
+class _NamedChoice(click.Choice):
+    """A choice among names of values."""
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        super().__init__(list(values))
+        self.values = values
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return self.values[super().convert(value, param, ctx)]
+
+
+#: Types of options by the annotation of their field, without "| None".
+_TYPES: dict[str, Any] = {
+    "int": click.INT,
+    "bool": click.BOOL,
+    "float": _Parsed("number", number),
+    "tuple[float, float]": (click.FLOAT, click.FLOAT),
+    "Sequence[int]": _Parsed("numbers", whole_numbers),
+    "Sequence[float]": _Parsed("numbers", numbers),
+    "float | Sequence[float]": _Parsed("numbers", numbers),
+    "str | os.PathLike[str]": click.Path(),
+    "Solution": _Parsed("file", saved_solution),
+}
+
+
+@functools.cache
+def _solver_parameters() -> tuple[click.Parameter, ...]:
+    """Return the options of all methods, each once."""
+    from hamsym.solving import METHODS, solve
+
+    defaults = inspect.signature(solve).parameters
+    found: list[click.Parameter] = [
+        click.Option(
+            ["--method"],
+            type=click.Choice(list(METHODS)),
+            default=defaults["method"].default,
+            show_default=True,
+            help="Method of solution.",
+        ),
+        click.Option(
+            ["--seed"],
+            type=click.INT,
+            default=defaults["seed"].default,
+            show_default=True,
+            help="Seed of random numbers.",
+        ),
+    ]
+    by_name: dict[str, dict[str, Field[Any]]] = {}
+    for method, entry in METHODS.items():
+        for field in fields(entry.options):
+            by_name.setdefault(field.name, {})[method] = field
+    for of_methods in by_name.values():
+        # A subclass may change a default alone: the metadata is that of the field it replaces.
+        described = [field for field in of_methods.values() if field.metadata]
+        if described:
+            found.append(_parameter(described[0], of_methods))
+    return tuple(found)
+
+
+def _parameter(described: Field[Any], of_methods: Mapping[str, Field[Any]]) -> click.Parameter:
+    metadata, name = described.metadata, described.name.replace("_", "-")
+    choices = metadata["choices"]
+    kind = _TYPES.get(str(described.type).removesuffix(" | None"))
+    if choices is not None:
+        kind = _NamedChoice(choices) if isinstance(choices, Mapping) else click.Choice(choices)
+    defaults = _default_text({m: _text(f.default, metadata) for m, f in of_methods.items()})
+    return _MethodOption(
+        [f"--{name}/--no-{name}" if kind is click.BOOL else f"--{name}"],
+        type=kind,
+        metavar=metadata["unit"],
+        default=None,
+        help=f"{metadata['help']}{defaults}",
+        section=f"Options of {', '.join(of_methods)}",
+    )
+
+
+def _text(default: Any, metadata: Mapping[str, Any]) -> str:
+    """Return a default as text, empty if there is none."""
+    if default is None or default == ():
+        return metadata["default_text"] or ""
+    if isinstance(default, tuple):
+        return ",".join(map(str, default))
+    if isinstance(default, bool):
+        return "yes" if default else "no"
+    return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _default_text(texts: Mapping[str, str]) -> str:
+    """Return the default of most methods, and the methods with others, in brackets."""
+    common, count = Counter(texts.values()).most_common(1)[0]
+    parts = [common] if common and 2 * count > len(texts) else []
+    parts += [f"{m}: {text}" for m, text in texts.items() if text and [text] != parts[:1]]
+    return f"  [{'; '.join(parts)}]" if parts else ""

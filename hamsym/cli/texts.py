@@ -1,0 +1,70 @@
+"""Values of the texts that options take: numbers, lists, states, files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hamsym.errors import InputError
+
+if TYPE_CHECKING:
+    from hamsym.solution.solution import Solution
+
+__all__ = [
+    "assignments",
+    "listed",
+    "number",
+    "numbers",
+    "saved_solution",
+    "state",
+    "whole_numbers",
+]
+
+
+def listed(text: str) -> list[str]:
+    """Return the parts of a text between its commas."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def number(text: str) -> float:
+    """Return the value of a formula without variables."""
+    from hamsym.formula.parser import parse_number  # sympy is slow to import
+
+    return parse_number(text)
+
+
+def numbers(text: str) -> list[float]:
+    """Return the values of formulas between commas."""
+    return [number(part) for part in listed(text)]
+
+
+def whole_numbers(text: str) -> tuple[int, ...]:
+    """Return the whole numbers between commas."""
+    for part in listed(text):
+        if not (part.isascii() and part.isdigit()):
+            raise InputError(f"'{part}' is not a whole number; write e.g. 50,50")
+    return tuple(map(int, listed(text)))
+
+
+def saved_solution(path: str) -> Solution:
+    """Return the solution in a file."""
+    from hamsym.archive import load
+
+    return load(path)
+
+
+def assignments(text: str, option: str) -> dict[str, float]:
+    """Return the values of NAME=VALUE parts between commas."""
+    values: dict[str, float] = {}
+    for part in listed(text):
+        name, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals or not name or not value:
+            raise InputError(f"'{part}' in {option} is not NAME=VALUE; write e.g. m=1.0")
+        if name in values:
+            raise InputError(f"'{name}' occurs twice in {option}; give it once")
+        values[name] = number(value)
+    return values
+
+
+def state(text: str) -> dict[str, float] | list[float]:
+    """Return a state, by name if the text has names."""
+    return assignments(text, "--z0") if "=" in text else numbers(text)
