@@ -1,4 +1,4 @@
-"""A Hamiltonian as values that JSON can hold, and back."""
+"""Conversion of a Hamiltonian to JSON values and back."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hamsym.support.checked_data import (
 __all__ = ["MALFORMED", "described", "hamiltonian_from"]
 
 _LARGEST_POWER = 1_100  # of two, in a number of the formula; float64 ends at 1,024
-#: Errors that any part of the package may raise for values that no solution has.
+#: Errors that parts of the package raise for values that are not those of a solution.
 MALFORMED = (
     *(ArithmeticError, AssertionError, AttributeError, HamsymError, LookupError, RuntimeError),
     *(TypeError, ValueError),
@@ -31,9 +31,10 @@ MALFORMED = (
 
 
 def described(H: Hamiltonian) -> dict[str, Any]:
-    """A Hamiltonian as values that JSON can hold.
+    """Return a Hamiltonian as JSON values.
 
-    The formula is text; its binary fractions are listed apart, since text is read as decimals.
+    The formula is text; its binary fractions are listed separately, since numbers in text
+    are parsed as decimals.
 
     Raises
     ------
@@ -66,19 +67,19 @@ def described(H: Hamiltonian) -> dict[str, Any]:
 
 
 def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
-    """The Hamiltonian of such values.
+    """Return the Hamiltonian of the values of :func:`described`.
 
     Raises
     ------
     ValueError, HamsymError
-        If they are not values that :func:`described` returns.
+        If the values are invalid.
     """
     require_names("H", values, {"formula", "floats", "q", "p", "parameters"})
     floats, parameters = (checked_mapping(name, values[name]) for name in ("floats", "parameters"))
     expr = parse_expression(values["formula"])
     symbols = {symbol.name: symbol for symbol in expr.free_symbols}
     if not floats.keys() <= symbols.keys():
-        raise ValueError("its formula lacks one of its numbers")
+        raise ValueError("a number is listed that does not occur in its formula")
     numbers = {
         symbols[name]: _float(*checked_list(name, number, 4)) for name, number in floats.items()
     }
@@ -86,7 +87,7 @@ def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
         with call_limit(MAX_EFFORT, MAX_SECONDS):
             expr = _with_numbers(expr, numbers)
     except CallLimitExceededError:
-        raise ValueError("its formula takes too long to read") from None
+        raise ValueError("its formula takes too long to evaluate") from None
     names = [
         [checked_type("name", name, "str") for name in checked_list(of, values[of])]
         for of in ("q", "p")
@@ -96,10 +97,10 @@ def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
 
 
 def _float(sign: Any, mantissa: Any, exponent: Any, precision: Any) -> sympy.Float:
-    """A binary fraction from what it is made of, none of it large enough to take long."""
+    """Return a binary fraction from its parts, whose sizes are limited."""
     plain = isinstance(mantissa, str) and mantissa.isascii() and mantissa.isdigit()
     if checked_type("sign", sign, "int") not in (0, 1) or not plain or len(mantissa) > MAX_BITS:
-        raise ValueError("a number of its formula is none")
+        raise ValueError("a number of its formula is invalid")
     digits = int(mantissa)
     size = digits.bit_length()
     if not (
@@ -112,9 +113,9 @@ def _float(sign: Any, mantissa: Any, exponent: Any, precision: Any) -> sympy.Flo
 
 
 def _with_numbers(expr: sympy.Expr, numbers: Mapping[sympy.Symbol, sympy.Float]) -> sympy.Expr:
-    """``expr.xreplace(numbers)``, each constant of it checked before the next is made of it.
+    """Return ``expr.xreplace(numbers)``; each constant is checked before it is used further.
 
-    As in the parser: a tower such as exp(exp(exp(9.5))) would be evaluated otherwise.
+    Otherwise a tower as exp(exp(exp(9.5))) would be evaluated, as in the parser.
     """
     if expr in numbers:
         return numbers[expr]

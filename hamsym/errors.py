@@ -1,7 +1,7 @@
-"""The errors that hamsym raises on purpose.
+"""Errors and warnings of hamsym.
 
-Bad input is an :class:`InputError`, which is also a ``ValueError``: its message is one
-sentence that names the offending token and says what to write instead.
+Invalid input raises :class:`InputError`, which is also a ``ValueError``. Its message is one
+sentence with the expected value, the given one and a suggestion.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ __all__ = [
 
 
 class HamsymError(Exception):
-    """Any error that hamsym raises on purpose."""
+    """Base class of all errors of hamsym."""
 
 
 class InputError(HamsymError, ValueError):
-    """The caller's input cannot be used as it stands."""
+    """Invalid argument or input."""
 
 
 class ParseError(InputError):
-    """A text is not a formula that hamsym reads.
+    """A text that is not a valid formula.
 
     Attributes
     ----------
     token : str
-        The offending piece of the text.
+        The invalid part of the text.
     column : int
-        Where it starts, counted from 1.
+        Its first column, counted from 1.
     remedy : str
-        What to write instead.
+        Suggestion.
     """
 
     def __init__(self, token: str, column: int, problem: str, remedy: str) -> None:
@@ -49,32 +49,32 @@ class ParseError(InputError):
 
 
 class VariableError(InputError):
-    """Coordinates and momenta cannot be told apart, or a state does not fit them."""
+    """Coordinates and momenta cannot be identified, or a state does not match them."""
 
 
 class ParameterError(InputError):
-    """A parameter has no value, an unusable one, or does not occur in the Hamiltonian."""
+    """A parameter without a value, with an invalid one, or that does not occur in H."""
 
 
 class SeparabilityError(InputError):
-    """A method that needs H = T(p) + V(q) was asked to work on another Hamiltonian."""
+    """A method for H = T(p) + V(q) was applied to a Hamiltonian that is not separable."""
 
 
 class CodeGenerationError(InputError):
-    """The Hamiltonian contains a function that a backend cannot evaluate."""
+    """A Hamiltonian with a function that a backend cannot evaluate."""
 
 
 class CertificationError(HamsymError):
-    """Nothing could be proven about a solution; the message says where, why and what may help."""
+    """A refused proof; the message gives the place, the reason and a suggestion."""
 
 
 class FileError(HamsymError):
-    """A file cannot be read or written, or does not hold what it should."""
+    """A file that cannot be read or written, or is not of the expected kind."""
 
 
 class VacuousBoundWarning(UserWarning):
-    """An error bound says nothing, because the Hessian is singular along the trajectory."""
+    """An infinite error bound, because the Hessian is singular along the trajectory."""
 
 
 class StepSizeWarning(UserWarning):
-    """Time steps are too long: H drifts, or halving the step changes the result."""
+    """Time steps that are too long: H drifts, or halving the step changes the result."""

@@ -1,1 +1,1 @@
-"""Files, locks, progress and checks of arguments."""
+"""Files, locks, progress bars, checks of arguments and of data."""

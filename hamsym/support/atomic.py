@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ __all__ = ["write_atomically"]
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that, whenever it stops, the old content is there or the new one.
+    """Write a file so that it has either the old or the new content at any time.
 
-    A symbolic link is followed, and a file keeps its permissions. A device or a pipe cannot be
-    replaced: it is written into.
+    A symbolic link is followed, and a file keeps its permissions. Devices and pipes, which cannot
+    be replaced, are appended to.
     """
     try:
         status = os.stat(path)
@@ -39,14 +39,14 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def _is_replaceable(status: os.stat_result) -> bool:
-    """Whether a path leads to a regular file other than the output of this process."""
+    """Return whether a file is a regular file other than the output of this process."""
     return stat.S_ISREG(status.st_mode) and not any(
         os.path.samestat(status, own) for own in _outputs()
     )
 
 
 def _outputs() -> list[os.stat_result]:
-    """Standard output and standard error, which /dev/stdout and /dev/stderr lead to."""
+    """Return the status of standard output and standard error."""
     found = []
     for descriptor in (1, 2):
         try:
@@ -57,6 +57,6 @@ def _outputs() -> list[os.stat_result]:
 
 
 def _new_mode() -> int:
-    umask = os.umask(0)  # there is no way to ask for it
+    umask = os.umask(0)  # the umask can be read only by setting it
     os.umask(umask)
     return 0o666 & ~umask

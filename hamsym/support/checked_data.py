@@ -1,6 +1,6 @@
-"""Checks of data that come from files: values of JSON, arrays, the fields of a dataclass.
+"""Checks of data from files: JSON values, arrays, fields of dataclasses.
 
-Each raises a ValueError that names the part; readers of files turn it into a FileError.
+Each raises ValueError with the name of the part; readers of files convert it to FileError.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ _TYPES: dict[str, tuple[type, ...]] = {
 }
 
 
-def require_names(what: str, found: Mapping[str, Any], wanted: set[str]) -> None:
+def require_names(part: str, found: Mapping[str, Any], expected: set[str]) -> None:
     """Raise ValueError unless a mapping has exactly these keys."""
-    different = sorted({*found} ^ wanted)
+    different = sorted({*found} ^ expected)
     if different:
-        problem = "missing" if different[0] in wanted else "unknown"
-        raise ValueError(f"'{different[0][:40]}' of its {what} is {problem}")
+        problem = "missing" if different[0] in expected else "unknown"
+        raise ValueError(f"'{different[0][:40]}' of its {part} is {problem}")
 
 
 def require_array(
@@ -51,7 +51,7 @@ def require_array(
     *,
     finite: bool = True,
 ) -> None:
-    """Raise ValueError unless an array has this shape and type, and finite numbers."""
+    """Raise ValueError unless an array has this shape and type, and finite values."""
     if not isinstance(array, np.ndarray) or array.dtype != dtype:
         raise ValueError(f"'{name}' is not of type {np.dtype(dtype)}")
     if array.shape != shape:
@@ -61,24 +61,24 @@ def require_array(
 
 
 def require_counts(record: Any) -> None:
-    """Raise ValueError if a whole number of a dataclass is negative or beyond 64 bits."""
+    """Raise ValueError if a whole number of a dataclass is negative or exceeds 64 bits."""
     for name, value in numbers_of(record).items():
         if isinstance(value, int) and not 0 <= value < 2**63:
             raise ValueError(f"'{name}' is out of range")
 
 
-def checked_type(name: str, value: Any, wanted: str) -> Any:
-    """A value of JSON, if it has one of the types of an annotation such as ``int | None``."""
-    for kind in wanted.split(" | "):
+def checked_type(name: str, value: Any, expected: str) -> Any:
+    """Return a JSON value that has one of the types of an annotation, e.g. ``int | None``."""
+    for kind in expected.split(" | "):
         if isinstance(value, _TYPES.get(kind, ())) and isinstance(value, bool) == (kind == "bool"):
             if kind == "float" and isinstance(value, int) and abs(value) >= 2**1_023:
                 raise ValueError(f"'{name}' is too large")
             return float(value) if kind == "float" else value  # type: ignore[arg-type]
-    raise ValueError(f"'{name}' is not of type {wanted}")
+    raise ValueError(f"'{name}' is not of type {expected}")
 
 
 def checked_number(name: str, value: Any) -> float:
-    """A finite number of JSON, as a float."""
+    """Return a finite JSON number as a float."""
     number: float = checked_type(name, value, "float")
     if not math.isfinite(number):
         raise ValueError(f"'{name}' is not finite")
@@ -86,7 +86,7 @@ def checked_number(name: str, value: Any) -> float:
 
 
 def checked_list(name: str, value: Any, count: int | None = None) -> list[Any]:
-    """A list of JSON, of this length if one is given."""
+    """Return a JSON list, of this length if one is given."""
     if not isinstance(value, (list, tuple)) or len(value) > _MOST_ENTRIES:
         raise ValueError(f"'{name}' is not a list of at most {_MOST_ENTRIES:,} entries")
     if count is not None and len(value) != count:
@@ -95,14 +95,14 @@ def checked_list(name: str, value: Any, count: int | None = None) -> list[Any]:
 
 
 def checked_mapping(name: str, value: Any) -> dict[str, Any]:
-    """An object of JSON."""
+    """Return a JSON object."""
     if not isinstance(value, dict):
         raise ValueError(f"'{name}' is not a mapping")
     return value
 
 
 def checked_record(kind: type, numbers: Any, arrays: Mapping[str, Any]) -> Any:
-    """A dataclass from its numbers, each of the type of its field, and its arrays."""
+    """Build a dataclass from its numbers, each of the type of its field, and its arrays."""
     types = {field.name: field.type for field in fields(kind)}
     checked_mapping(kind.__name__, numbers)
     require_names(kind.__name__, {**numbers, **arrays}, {*types})
@@ -111,13 +111,13 @@ def checked_record(kind: type, numbers: Any, arrays: Mapping[str, Any]) -> Any:
 
 
 def numbers_of(record: Any) -> dict[str, Any]:
-    """Fields of a dataclass that JSON can hold."""
-    known = {field.name: getattr(record, field.name) for field in fields(record)}
-    plain = {n: v.item() if isinstance(v, np.generic) else v for n, v in known.items()}
+    """Return the fields of a dataclass that are JSON values."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    plain = {n: v.item() if isinstance(v, np.generic) else v for n, v in values.items()}
     return {n: v for n, v in plain.items() if isinstance(v, (bool, int, float, str, type(None)))}
 
 
 def arrays_of(prefix: str, record: Any) -> dict[str, np.ndarray]:
-    """Fields of a dataclass that are arrays, their names with a prefix."""
-    known = {field.name: getattr(record, field.name) for field in fields(record)}
-    return {f"{prefix}.{name}": v for name, v in known.items() if isinstance(v, np.ndarray)}
+    """Return the fields of a dataclass that are arrays, their names with a prefix."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    return {f"{prefix}.{name}": v for name, v in values.items() if isinstance(v, np.ndarray)}

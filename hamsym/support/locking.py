@@ -1,4 +1,4 @@
-"""Locks of folders that only one process at a time may write into."""
+"""Locks of directories that one process at a time writes to."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from hamsym.errors import FileError
 
 __all__ = ["LOCK", "exclusive"]
 
-#: Name of the lock file in a folder; it stays there, and is empty.
+#: Name of the lock file in a directory; it is empty and is not deleted.
 LOCK = ".lock"
 
 
 @contextmanager
-def exclusive(folder: str | os.PathLike[str]) -> Iterator[None]:
-    """Keep other processes from writing into a folder; the system ends the lock of a dead process.
+def exclusive(directory: str | os.PathLike[str]) -> Iterator[None]:
+    """Lock a directory against other processes; the system releases the lock of a dead process.
 
     Raises
     ------
     FileError
-        If another process holds the lock, or the folder cannot be written.
+        If another process has the lock, or the directory cannot be written.
     """
-    lock = FileLock(Path(folder) / LOCK)
+    lock = FileLock(Path(directory) / LOCK)
     try:
         lock.acquire(timeout=0)
     except Timeout:
         raise FileError(
-            f"'{folder}' is in use by another process of hamsym that writes there; wait until it "
-            "ends, or give another folder"
+            f"'{directory}' is in use by another process of hamsym; wait until it ends, or give "
+            "another directory"
         ) from None
     except OSError as error:
-        raise FileError(f"'{folder}' cannot be locked: {error.strerror or error}") from None
+        raise FileError(f"'{directory}' cannot be locked: {error.strerror or error}") from None
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""Progress on a terminal, silence elsewhere."""
+"""Progress bar of time stepping, drawn on terminals only."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ __all__ = ["stepping_progress"]
 
 @contextmanager
 def stepping_progress(steps: int, show: bool | None = None) -> Iterator[Callable[[int], None]]:
-    """A function that takes the number of steps done and, after a second, draws how far it is.
+    """Yield a function that takes a number of further steps and, after a second, draws a bar.
 
     Parameters
     ----------
     steps : int
+        Number of all steps.
     show : bool, optional
-        By default only where standard error is a terminal.
+        By default the bar is drawn if standard error is a terminal.
     """
     if not (sys.stderr.isatty() if show is None else show):
         yield lambda _: None

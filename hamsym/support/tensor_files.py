@@ -1,8 +1,8 @@
-"""Files that hold data and nothing to execute: tensors and JSON in one safetensors file.
+"""Files of tensors and JSON in the safetensors format, which contain nothing to execute.
 
-Numbers are kept to the last bit. A file is replaced in one step, so that at any moment there is
-either the old one or the new one. It holds the SHA-256 of all its bytes, with zeros in the place
-of the checksum itself: damage anywhere in it is found.
+Numbers are stored exactly. A file is replaced in one step, so that at any moment either the old one
+or the new one exists. It contains the SHA-256 of all its bytes, with zeros in place of the checksum
+itself, so that damage to any byte is detected.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _KEY = "hamsym"
 _NO_CHECKSUM = "0" * 64
 _DTYPES = {"F64", "F32", "I64", "U8"}  # as safetensors names them
 _LARGEST_HEADER = 4_000_000  # bytes; a formula has 50,000 characters at most
-_LARGEST_FILE = 2**34  # bytes, more than a solution of the most windows has
+_LARGEST_FILE = 2**34  # bytes, more than a solution with the largest number of windows
 
 
 def write_tensors(
@@ -39,14 +39,14 @@ def write_tensors(
     arrays: Mapping[str, np.ndarray],
     values: Mapping[str, Any],
 ) -> None:
-    """Write named arrays, and values that JSON can hold, as a file of the given kind.
+    """Write named arrays and JSON values as a file of the given kind.
 
     Raises
     ------
     FileError
-        If the file cannot be written; what was there before is still there.
+        If the file cannot be written; an existing file is left unchanged.
     """
-    # The checksum comes first, so that the first zeros like it in the file are its place.
+    # The checksum comes first, so that the first run of zeros of its length is its place.
     text = json.dumps({"sha256": _NO_CHECKSUM, "version": _VERSION, "kind": kind, **values})
     content = safetensors.numpy.save(
         {name: np.array(array, order="C") for name, array in arrays.items()},
@@ -54,7 +54,10 @@ def write_tensors(
     )
     (header,) = struct.unpack("<Q", content[:8])
     if header > _LARGEST_HEADER or len(content) > _LARGEST_FILE:
-        raise FileError(f"'{path}' cannot be written: it would be too large to be read again")
+        raise FileError(
+            f"'{path}' cannot be written: it would be larger than the largest file that "
+            "hamsym reads"
+        )
     place = content.index(_NO_CHECKSUM.encode())
     content = content[:place] + _checksum(content, place).encode() + content[place + 64 :]
     try:
@@ -66,7 +69,7 @@ def write_tensors(
 def read_tensors(
     path: str | os.PathLike[str], kind: str
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays and values of a file that :func:`write_tensors` wrote.
+    """Return the arrays and values of a file that :func:`write_tensors` wrote.
 
     Raises
     ------
@@ -79,28 +82,27 @@ def read_tensors(
             header, values = _header(file, size)
             version, found = values.pop("version", None), values.pop("kind", None)
             if found != kind:
-                raise FileError(f"'{path}' holds a {_shown(found)}, not a {kind}")
+                raise FileError(f"'{path}' is a file of kind {_shown(found)}, not {kind}")
             if version != _VERSION:
-                without = ", which has no checksum" if version == 1 else ""
                 raise FileError(
-                    f"'{path}' is of version {_shown(version)}{without}; this hamsym reads version "
-                    f"{_VERSION}, so solve again with it"
+                    f"'{path}' has file version {_shown(version)}; this hamsym reads version "
+                    f"{_VERSION}; solve again"
                 )
             file.seek(0)
             content = file.read(size)
     except _DamagedError:
-        raise FileError(f"'{path}' is damaged or no file of hamsym") from None
+        raise FileError(f"'{path}' is damaged or not a file of hamsym") from None
     except (OSError, ValueError, TypeError) as error:
         raise FileError(f"'{path}' cannot be read: {_reason(error)}") from None
     claimed = values.pop("sha256", None)
     place = content.find(claimed.encode()) if isinstance(claimed, str) else -1
     if place < 0 or claimed != _checksum(content, place):
-        raise FileError(f"'{path}' is damaged: its checksum is not that of what it holds")
+        raise FileError(f"'{path}' is damaged: its checksum does not match its content")
     try:
         for name, entry in header.items():
             if entry["dtype"] not in _DTYPES:
                 raise ValueError(f"'{name[:40]}' is of type {_shown(entry['dtype'])}")
-        # Copies, since what is loaded shares one buffer that cannot be written.
+        # Copies, since the loaded arrays share one read-only buffer.
         arrays = safetensors.numpy.load(content)
         return {name: array.copy() for name, array in arrays.items()}, values
     except (
@@ -111,7 +113,7 @@ def read_tensors(
 
 
 def one_line(error: Exception) -> str:
-    """What an error says, as part of one sentence."""
+    """Return the message of an error as part of one sentence."""
     return " ".join(str(error).split())[:200]
 
 
@@ -121,15 +123,15 @@ class _DamagedError(Exception):
 
 def _size(path: Path) -> int:
     status = os.stat(path)
-    if not stat.S_ISREG(status.st_mode):  # reading another might never end
-        raise ValueError("it is no regular file")
+    if not stat.S_ISREG(status.st_mode):  # reading a pipe or a device may never end
+        raise ValueError("it is not a regular file")
     if status.st_size > _LARGEST_FILE:
         raise ValueError("it is larger than any file that hamsym writes")
     return status.st_size
 
 
 def _header(file: BinaryIO, size: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the header says of the tensors, and the values; nothing else is read."""
+    """Return the description of the tensors, and the values; only the header is read."""
     length = int.from_bytes(file.read(8), "little")
     if not 0 < length <= min(_LARGEST_HEADER, size - 8):
         raise _DamagedError
@@ -145,11 +147,11 @@ def _header(file: BinaryIO, size: int) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _shown(value: object) -> str:
-    return str(value)[:40] if isinstance(value, (str, int, float)) else "thing of no name"
+    return str(value)[:40] if isinstance(value, (str, int, float)) else type(value).__name__
 
 
 def _checksum(content: bytes, place: int) -> str:
-    """SHA-256 of the content, with zeros for the checksum that is at this place in it."""
+    """Return the SHA-256 of the content, with zeros for the checksum at ``place``."""
     whole = memoryview(content)
     found = hashlib.sha256(whole[:place])
     found.update(_NO_CHECKSUM.encode())

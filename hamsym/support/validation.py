@@ -1,4 +1,4 @@
-"""What callers give, checked: numbers that can be used, or one clear sentence."""
+"""Argument checks that raise InputError."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from hamsym.errors import InputError
 __all__ = ["is_positive", "plain", "require", "require_number", "require_positive", "require_whole"]
 
 
-def require(holds: bool, name: str, value: object, wanted: str) -> None:
-    """Refuse a setting, unless it holds."""
-    if not holds:
-        raise InputError(f"{name}={value!r} cannot be used; give {wanted}")
+def require(valid: bool, name: str, value: object, expected: str) -> None:
+    """Raise InputError unless an argument is valid."""
+    if not valid:
+        raise InputError(f"{name}={value!r} cannot be used; give {expected}")
 
 
 def require_whole(name: str, value: object, least: int = 1, most: int = 2**63 - 1) -> None:
-    """Refuse what is not a whole number from ``least`` to ``most``."""
+    """Raise InputError unless a value is a whole number from ``least`` to ``most``."""
     number = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     whole = number and least <= value <= most  # type: ignore[operator]
     limit = "" if most == 2**63 - 1 else f" to {most}"
@@ -28,18 +28,18 @@ def require_whole(name: str, value: object, least: int = 1, most: int = 2**63 - 
 
 
 def require_number(name: str, value: object, least: float = -math.inf) -> None:
-    """Refuse what is not a finite number from ``least``."""
+    """Raise InputError unless a value is a finite number from ``least``."""
     number = _is_finite(value) and value >= least  # type: ignore[operator]
     require(number, name, value, "a number" if least == -math.inf else f"a number from {least:g}")
 
 
 def require_positive(name: str, value: object) -> None:
-    """Refuse what is not a finite number above 0."""
+    """Raise InputError unless a value is a finite number above 0."""
     require(is_positive(value), name, value, "a number above 0")
 
 
 def is_positive(value: object) -> bool:
-    """Whether a value is a finite number above 0."""
+    """Return whether a value is a finite number above 0."""
     return _is_finite(value) and value > 0  # type: ignore[operator]
 
 
@@ -49,7 +49,7 @@ def _is_finite(value: object) -> bool:
 
 
 def plain(value: Any) -> Any:
-    """The same value as lists and numbers, whose ``repr`` has every digit."""
+    """Return arrays and tuples as lists, whose ``repr`` has all digits."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     return [plain(part) for part in value] if isinstance(value, (tuple, list)) else value
