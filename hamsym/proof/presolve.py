@@ -13,6 +13,7 @@ import numpy as np
 import scipy.integrate
 
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.call_limit import TooManyCallsError, limited
 from hamsym.numerics.symplectic import generators
 
 __all__ = ["Presolution", "presolve"]
@@ -30,10 +31,6 @@ _RANGE = 1_000  # largest exponent of a scale that is a power of two
 
 #: Pairs of an elapsed time and the units of the components from there on.
 Schedule = tuple[tuple[float, tuple[float, ...]], ...]
-
-
-class _TooManyCalls(Exception):  # noqa: N818
-    pass
 
 
 @dataclass(frozen=True)
@@ -169,7 +166,7 @@ def _trajectory(
     H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], guess: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times and states, shapes (n,) and (n, dim), until the integration fails or ends."""
-    system, calls = H.compile("numpy"), 0
+    system = H.compile("numpy")
     found = [(span[0], z0)]
     # The start sets the scales, because a trajectory that escapes becomes large later; at rest the
     # largest sizes set them.
@@ -177,12 +174,10 @@ def _trajectory(
     own, largest = _exponents(np.abs(z0)), _exponents(guess)
     unit = 2.0 ** np.where(at_rest, largest, np.minimum(own, largest))
 
-    def rate(t: float, y: np.ndarray) -> np.ndarray:
-        nonlocal calls
-        calls += 1
-        if calls > _CALLS:
-            raise _TooManyCalls
+    def vector_field(t: float, y: np.ndarray) -> np.ndarray:
         return np.asarray(system.vector_field(*system.arguments(y * unit, t))) / unit
+
+    rate = limited(vector_field, _CALLS)
 
     try:
         solver = scipy.integrate.DOP853(rate, span[0], z0 / unit, span[1], rtol=1e-8, atol=1e-12)
@@ -194,7 +189,7 @@ def _trajectory(
             share = abs(solver.t - solver.t_old) / abs(span[1] - span[0])
             for t in np.linspace(solver.t_old, solver.t, 3 + int(_SAMPLES * share))[1:]:
                 found.append((float(t), dense(t) * unit))
-    except (_TooManyCalls, ValueError, OverflowError, FloatingPointError):
+    except (TooManyCallsError, ValueError, OverflowError, FloatingPointError):
         pass
     return np.array([t for t, _ in found]), np.array([z for _, z in found])
 

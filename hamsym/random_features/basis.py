@@ -1,14 +1,15 @@
-"""Random sine features marched to a tolerance: a network of which only the readout is solved for.
+"""Basis of random sine features: networks whose readout alone is solved for.
 
-On each window [t_a, t_a + h] the solution has the trial form z^ = z_a + f(s) N(s), s = (t - t_a)/h,
+On each window [t_a, t_a + h] the trial solution is z^ = z_a + f(s) N(s), s = (t - t_a)/h,
 f(s) = 1 - exp(-s), where N is one hidden layer of sine neurons whose inner weights are random and
 fixed (an extreme learning machine: Dong & Li 2021, Fabiani et al. 2023). Windows join exactly,
-because the form reproduces z_a whatever the readout.
+because the trial solution reproduces z_a for any readout.
 
-Stage 1  The basis f(s) sin(a s + b) is orthonormalised once (:class:`FeatureBasis`); it knows no H.
-Stage 2  Windows are marched over a span (:mod:`hamsym.random_features.march`) and become a
+Stage 1  The basis f(s) sin(a s + b), independent of H, is orthonormalised once
+         (:class:`FeatureBasis`).
+Stage 2  Windows are marched over a span (:mod:`hamsym.random_features.march`) into a
          :class:`~hamsym.random_features.windows.March`.
-Stage 3  As a function of time that is a :class:`~hamsym.random_features.trial.FeatureTrial`.
+Stage 3  As a function of time the march is a :class:`~hamsym.random_features.trial.FeatureTrial`.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ _BITS = 200  # of the sums that its coefficients are
 _INNER_RANGE = 10.0  # inner weights a are uniform within +- this
 
 
-@dataclass(frozen=True, eq=False)  # one object a seed, so that tables of it can be cached
+@dataclass(frozen=True, eq=False)  # one object per seed, so that its tables can be cached
 class FeatureBasis:
     """Orthonormal combinations Q = f(s) sin(a s + b) W of the features, for s in [0, 1].
 
     Attributes
     ----------
     seed : int
-        What a and b were drawn with.
+        Seed of a and b.
     inner, shift : numpy.ndarray
         a and b, shape (M,).
     mixing : numpy.ndarray
@@ -59,11 +60,9 @@ class FeatureBasis:
         Q and dQ/ds at the points in between.
     end : numpy.ndarray
         Q at s = 1 in extended precision, shape (m,).
-    tables : tuple of numpy.ndarray
-        What :func:`~hamsym.random_features.window_loop.march_windows` takes, in its order.
     series : numpy.ndarray
-        Chebyshev series of N = sin(a s + b) W in 2 s - 1, shape (degree + 1, m). It is the same
-        function to the last bit or two, without the cancellation in that product.
+        Chebyshev series of N = sin(a s + b) W in 2 s - 1, shape (degree + 1, m): the same function
+        to one or two bits, without the cancellation in that product.
     """
 
     seed: int
@@ -80,7 +79,8 @@ class FeatureBasis:
     series: np.ndarray
 
     @cached_property
-    def tables(self) -> tuple[np.ndarray, ...]:
+    def tables(self) -> window_loop.Tables:
+        """Tables of :func:`~hamsym.random_features.window_loop.march_windows`."""
         end = self.end.astype(float)
         # The polynomial of degree 2 through the last rates of a window, in s - 1.
         tail = np.linalg.pinv(np.vander(self.nodes[-window_loop.TAIL :] - 1, 3, increasing=True))
@@ -95,24 +95,24 @@ class FeatureBasis:
             (self.end - end).astype(float),
             tail,
         )
-        return tuple(np.ascontiguousarray(array) for array in arrays)
+        return window_loop.Tables(*(np.ascontiguousarray(array) for array in arrays))
 
     def columns(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Q and dQ/ds at s of shape (n,), in the precision of s; each of shape (n, m).
+        """Evaluate Q and dQ/ds at s of shape (n,), in the precision of s; each of shape (n, m).
 
-        They are evaluated from the stored series, and so are columns of the solution itself.
+        The values come from the stored series, as those of the solution do.
         """
         return _columns(self.series, self.rate_series, s)
 
     @cached_property
     def rate_series(self) -> np.ndarray:
-        """Chebyshev series of dN/ds, derived from that of N."""
+        """Chebyshev series of dN/ds, the derivative of that of N."""
         return rate_series(self.series)
 
 
 @functools.lru_cache(maxsize=8)
 def feature_basis(seed: int = 0) -> FeatureBasis:
-    """The basis of a seed; made once, since it depends on nothing else."""
+    """Make the basis of a seed, once per seed."""
     generator = np.random.default_rng(seed)
     inner = generator.uniform(-_INNER_RANGE, _INNER_RANGE, _NEURONS)
     shift = generator.uniform(-math.pi, math.pi, _NEURONS)
@@ -122,13 +122,13 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
     kept = sizes > _TRUNCATION * sizes[0]
     mixing = right[kept].T / sizes[kept]
     nodes = chebyshev_points(NODES)
-    # Just inside the window: at a breakpoint the equations of the next one may hold.
+    # Just inside the window: at a breakpoint the equations of the next window may hold.
     between = np.clip(np.linspace(0.0, 1.0, _BETWEEN), 1e-9, 1 - 1e-9)
 
     series = _series(inner, shift, mixing)
 
     def columns(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        # A rounded table carries its error into every window, each time the same.
+        # The rounding error of a table enters every window with the same sign.
         values, rates = _columns(series, rate_series(series), s.astype(np.longdouble))
         return values.astype(float), rates.astype(float)
 
@@ -152,12 +152,12 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
 
 
 def _series(inner: np.ndarray, shift: np.ndarray, mixing: np.ndarray) -> np.ndarray:
-    """Chebyshev coefficients of sin(a s + b) W in x = 2 s - 1, shape (degree + 1, m).
+    """Return Chebyshev coefficients of sin(a s + b) W in x = 2 s - 1, shape (degree + 1, m).
 
     sin(a s + b) = sin(c) cos(w x) + cos(c) sin(w x) with w = a/2, c = a/2 + b, and the coefficients
     of cos(w x) and sin(w x) are Bessel functions of w (Jacobi and Anger). The features are nearly
-    dependent and W is large, so the sums are taken in integers: only the result is rounded. Noise
-    of high degree would be small in z^ and large in its derivative.
+    dependent and W is large, so the sums are exact, in integers, and only the result is rounded:
+    noise of high degree would be small in z^ and large in its derivative.
     """
     count, unit = DEGREE + 1, 1 << _BITS
     rows = np.empty((count, len(inner)), dtype=object)
@@ -174,7 +174,7 @@ def _series(inner: np.ndarray, shift: np.ndarray, mixing: np.ndarray) -> np.ndar
 
 
 def _bessel(w: mpmath.mpf, count: int) -> list[mpmath.mpf]:
-    """J_0(w) .. J_(count-1)(w) by Miller's backward recurrence."""
+    """Evaluate J_0(w) .. J_(count-1)(w) by Miller's backward recurrence."""
     values = [mpmath.mpf(0), mpmath.mpf(1)]  # from a degree where they are negligible
     for k in range(count + 20, 0, -1):
         values.append(2 * k / w * values[-1] - values[-2])
@@ -184,7 +184,7 @@ def _bessel(w: mpmath.mpf, count: int) -> list[mpmath.mpf]:
 
 
 def _columns(series: np.ndarray, rates: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """f N and its derivative at s, from Chebyshev series of N and dN/ds, in the precision of s."""
+    """Evaluate f N and its derivative at s from the series of N and dN/ds, in s's precision."""
     if s.dtype != series.dtype:  # more digits of the derivative of exactly this series
         series = series.astype(s.dtype)
         rates = rate_series(series)
@@ -197,7 +197,7 @@ def _columns(series: np.ndarray, rates: np.ndarray, s: np.ndarray) -> tuple[np.n
 
 
 def rate_series(series: np.ndarray) -> np.ndarray:
-    """Chebyshev series of the derivative in s of series in x = 2 s - 1, of the same length."""
+    """Differentiate Chebyshev series in x = 2 s - 1 with respect to s; the length is kept."""
     rates = np.zeros_like(series)
     rates[:-1] = 2 * chebyshev.chebder(series)
     return rates

@@ -1,16 +1,17 @@
-"""The error of a marched solution, estimated to where float64 ends.
+"""Error estimate of a march: truncation and round-off, to the limits of float64.
 
 The error delta = z - z^ obeys delta' = J Hess(z^) delta - r(t) with r the residual (the paper's
 eq. ell), up to terms of second order. Inside a window r oscillates about as often as there are
-columns in the basis, so it is sampled at twice as many nodes as the solution itself used, and
+columns in the basis, so it is sampled at twice as many nodes as the solution used, and
 carried to the ends of the windows by their tangent maps: delta(t) = Phi(t) (delta_a - integral of
-Phi^-1 r). Round-off is in r only as another sample of the same noise: random perturbations of its
-size are sent along the same maps, one batch at every joint. Its size is measured: what F changes by
-when the states change by a unit in the last place. Numbers of H that float64 does not hold, such as
-pi, push every window the same way; a perturbation in the direction of the motion stands for them.
+Phi^-1 r). The residual r contains only another sample of the round-off: random
+perturbations of its size are moved by the same maps, one batch at every joint. Its size is measured
+as the change of F when the states change by one unit in the last place. Numbers of H that float64
+cannot represent, such as pi, push every window the same way; a perturbation in the direction of the
+motion represents them.
 
-The linear equation ends where the errors reach the size of the motion, or where J Hess is not
-finite. From there on the estimate is infinite.
+The estimate is infinite from the time at which the errors reach the size of the motion, or J Hess
+is not finite: the linear equation is not valid there.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from numpy.polynomial import chebyshev
 from hamsym.numerics.collocation import Collocation, collocation
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.numerics.tangent_maps import TangentMaps
+from hamsym.numerics.windows import locate
 from hamsym.random_features.basis import FeatureBasis, feature_basis
 from hamsym.random_features.flow import Flow, flow_of
 from hamsym.random_features.windows import March
@@ -33,17 +35,16 @@ from hamsym.support.checked_data import require_array
 
 __all__ = ["RESOLUTIONS", "Estimate", "MarchError", "estimate_error"]
 
-#: Nodes for the residual, twice those of the march or thrice, and for the tangent maps: of the
+#: Nodes for the residual, two or three times those of the march, and for the tangent maps: of the
 #: estimate, and of its check.
 RESOLUTIONS = ((48, 28), (72, 40))
-_PERTURBATIONS = 4  # random vectors that stand for round-off
+_PERTURBATIONS = 4  # random vectors that represent round-off
 _EPS = float(np.finfo(float).eps)
 _RESOLVED = 1e-3  # residual, relative to the rates, that a smooth force leaves at most
-_ROUND_OFF = 1.0  # calibrated against estimates whose residual is taken in extended precision
-_LOST = 1.0  # error, in units of the motion, beyond which the linear equation says nothing
+_LOST = 1.0  # error, in units of the motion, beyond which the linear equation is not valid
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged
 _ACCURACY = 1e-5  # of the maps of all windows together
-_CHUNK = 2_000_000  # numbers in the tangent maps held at once
+_CHUNK = 2_000_000  # numbers in the tangent maps of one batch
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class MarchError:
         Largest magnitude of both together, shape (dim,).
     scale : numpy.ndarray
         Sizes of the components to which tolerances are relative, shape (dim,): the largest |z^_i|,
-        or 1e-8 of what the terms of its own equation give it (:mod:`hamsym.numerics.scales`).
+        or 1e-8 of its coupled size (:mod:`hamsym.numerics.scales`).
     origin : numpy.ndarray
         Time from which the edges are counted, shape ().
     """
@@ -75,11 +76,11 @@ class MarchError:
     origin: np.ndarray = field(repr=False)
 
     def check(self, trial: Any, *, finite: bool) -> None:
-        """Raise ValueError if it is not the error of such a trial solution."""
+        """Raise ValueError unless it is the error of the trial solution."""
         count, _, dim = trial.readouts.shape
         require_array("edges of the error", self.edges, (count + 1,))
         if not np.array_equal(self.edges, trial.edges):
-            raise ValueError("its error has other windows")
+            raise ValueError("the windows of its error differ from those of its trial solution")
         if not self.series.size:
             raise ValueError("its error has no series")
         shape = (count, self.series.size // (count * dim), dim)
@@ -89,18 +90,18 @@ class MarchError:
         require_array("scale of the error", self.scale, (dim,))
         require_array("origin of the error", self.origin, ())
         if self.origin != trial.origin:
-            raise ValueError("its error counts the time from elsewhere")
+            raise ValueError("the origin of its error differs from that of its trial solution")
         if any((sizes < 0).any() for sizes in (self.floors, self.largest, self.scale)):
-            raise ValueError("its error has a size below zero")
+            raise ValueError("its error has a negative size")
 
     def refined(self, path: Any) -> MarchError:
-        """The estimate along the same march, with half as many nodes again."""
+        """Estimate the error of the same march with half as many nodes again."""
         basis = feature_basis(path.record.seed)
         return estimate_error(path.record, basis, flow_of(path.H), resolution=1).error
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Estimated z - z^ at times t, shape (*t.shape, dim)."""
-        window, s = self._place(t)
+        window, s = locate(self.edges, t - self.origin)
         degrees = np.arange(self.series.shape[1])
         basis = np.cos(np.multiply.outer(np.arccos(np.clip(2 * s - 1, -1, 1)), degrees))
         with np.errstate(invalid="ignore"):
@@ -109,10 +110,10 @@ class MarchError:
 
     def floor(self, t: np.ndarray) -> np.ndarray:
         """Estimated size of the accumulated round-off at times t, shape (*t.shape, dim)."""
-        return self.floors[self._place(t)[0]]
+        return self.floors[locate(self.edges, t - self.origin)[0]]
 
     def until(self, allowed: np.ndarray) -> float:
-        """The end of the last window before estimate and floor exceed what is allowed."""
+        """Return the end of the last window before estimate and floor exceed the allowed error."""
         with np.errstate(invalid="ignore"):
             peaks = np.abs(_dense(self.series.shape[1]) @ self.series).max(axis=1)
         good = (peaks + self.floors <= allowed).all(axis=1)
@@ -120,29 +121,22 @@ class MarchError:
         return float(self.origin + end)
 
     def excess(self, allowed: np.ndarray) -> float:
-        """The largest ratio of estimate and floor to what is allowed; infinite if it is unknown."""
+        """Return the largest ratio of estimate and floor to the allowed error, or infinity."""
         with np.errstate(all="ignore"):
             ratios = np.where(self.largest == 0, 0.0, self.largest / allowed)
         return float(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf).max())
 
-    def _place(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        t = t - self.origin
-        direction = math.copysign(1.0, self.edges[-1] - self.edges[0])
-        window = np.searchsorted(direction * self.edges, direction * t, side="right") - 1
-        window = np.clip(window, 0, len(self.series) - 1)
-        return window, (t - self.edges[window]) / np.diff(self.edges)[window]
-
 
 class Estimate(NamedTuple):
-    """The error of a march, and what was noticed while it was estimated.
+    """The error of a march, with the reason where it is infinite and the unresolved windows.
 
     Attributes
     ----------
     error : MarchError
     limit : str
-        Why the error is infinite in the last windows; "" if it is not.
+        Reason why the error is infinite in the last windows, "" if it is finite.
     unresolved : list of (float, float)
-        Windows whose residual is not small beside the rates: where the force may jump.
+        Windows whose residual is large relative to the rates: the force may jump there.
     """
 
     error: MarchError
@@ -153,7 +147,7 @@ class Estimate(NamedTuple):
 def estimate_error(
     windows: March, basis: FeatureBasis, flow: Flow, resolution: int = 0
 ) -> Estimate:
-    """The error of a march with this basis, from the equations once more.
+    """Estimate the error of a march from its residual and its tangent maps.
 
     ``resolution`` is an index of :data:`RESOLUTIONS`.
     """
@@ -161,7 +155,7 @@ def estimate_error(
 
 
 class _Estimation:
-    """The errors of one run of windows after the other, carried from joint to joint."""
+    """Error estimate in batches of windows, carried from joint to joint."""
 
     def __init__(
         self, windows: March, basis: FeatureBasis, flow: Flow, nodes: int, tangent_nodes: int
@@ -170,19 +164,19 @@ class _Estimation:
         self._windows, self._basis, self._flow = windows, basis, flow
         self._lengths = np.diff(windows.edges)
         count, _, dim = windows.readouts.shape
-        # Of each window's map, since all of them follow each other.
+        # Of each window's map: the errors of consecutive maps add up.
         self._accuracy = _ACCURACY / max(count, 100)
         scale = _scales(windows, flow)
         self._scale = np.where(scale > 0, scale, 1.0)
-        # What rounding did to the state at each joint, the same way every time, is known.
+        # The rounding of the state at each joint is deterministic, and therefore known.
         jumps = windows.states[:-1] + np.einsum("m,wmd->wd", basis.end, windows.readouts)
         self._jumps = np.asarray(jumps - windows.states[1:], dtype=float) / self._scale
         self._generator = np.random.default_rng(0)
         self._unresolved: list[int] = []
-        # That of the window in which a random time lies.
+        # Expected length of the window that contains a random time.
         self._usual_length = float((self._lengths**2).sum() / np.abs(self._lengths).sum())
         series, floors = np.full((count, nodes, dim), np.inf), np.full((count, dim), np.inf)
-        # Column 0 is the error, the last one what rounded numbers of H do, the others are
+        # Column 0 is the error, the last one the effect of rounded numbers of H; the others are
         # perturbations of the size of round-off.
         joint = np.zeros((dim, 2 + _PERTURBATIONS))
         step = max(1, _CHUNK // (nodes * dim * dim))
@@ -208,9 +202,25 @@ class _Estimation:
         all_floors: np.ndarray,
         largest: np.ndarray,
     ) -> tuple[np.ndarray, str, int]:
-        """Estimate a run of windows; from and to the errors at its ends, in units of the scale.
+        """Estimate the error of a batch of windows.
 
-        Also returns why it ended early, or "", and the first window that was not estimated.
+        Parameters
+        ----------
+        part : slice
+            Its windows.
+        joint : numpy.ndarray
+            Errors at its start, in units of the scale, shape (dim, columns).
+        all_series, all_floors, largest : numpy.ndarray
+            Of the whole march; updated.
+
+        Returns
+        -------
+        joint : numpy.ndarray
+            Errors at its end.
+        limit : str
+            Reason for ending early, or "".
+        first : int
+            First window that was not estimated.
         """
         lengths, count, dim = self._lengths[part], part.stop - part.start, len(self._scale)
         z, dz, times = self._sampled(part, self._rule)
@@ -260,29 +270,29 @@ class _Estimation:
         return joint, limit, part.start + done
 
     def _residual(self, part: slice, dz: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """dz^/dt - F at the nodes of a run of windows, shape (windows, nodes, dim)."""
+        """Return dz^/dt - F at the nodes of a batch of windows, shape (windows, nodes, dim)."""
         return dz - rates
 
     def _note_unresolved(self, part: slice, residual: np.ndarray, rates: np.ndarray) -> None:
         left, sizes = np.abs(residual).max(axis=1), np.abs(rates).max(axis=1)
-        # Of components that hold nothing but round-off the rates are noise.
+        # The rates of components that are nothing but round-off are noise.
         good = (left <= _RESOLVED * sizes) | (self._usual_length * left <= _RESOLVED * self._scale)
         self._unresolved.extend(part.start + np.flatnonzero(~good.all(axis=1)))
 
     def _round_off(
         self, part: slice, z: np.ndarray, dz: np.ndarray, times: np.ndarray, rates: np.ndarray
     ) -> np.ndarray:
-        """What rounding in the residual moves each window by, shape (windows, dim)."""
+        """Estimate the effect of round-off on the end of each window, shape (windows, dim)."""
         signs = self._generator.choice((-1.0, 1.0), size=z.shape)
         disturbed = (z * (1 + _EPS / 2 * signs)).reshape(-1, z.shape[-1])
         late = times.ravel() * (1 + _EPS / 2 * self._generator.choice((-1.0, 1.0), times.size))
         noise = self._flow.vector_field(disturbed, late).reshape(z.shape) - rates
         noise = np.sqrt((noise**2).mean(axis=1)) + _EPS * np.abs(dz).max(axis=1)
         # The nodes average it.
-        return _ROUND_OFF * np.abs(self._lengths[part])[:, None] * noise / math.sqrt(z.shape[1])
+        return np.abs(self._lengths[part])[:, None] * noise / math.sqrt(z.shape[1])
 
     def _constants(self, part: slice) -> np.ndarray:
-        """What rounded numbers in H move each window by, shape (windows, dim)."""
+        """Estimate the effect of rounded numbers in H on each window, shape (windows, dim)."""
         if not self._flow.rounded:
             return np.zeros((part.stop - part.start, len(self._scale)))
         return _EPS / 2 * np.diff(self._windows.states[part.start : part.stop + 1], axis=0)
@@ -291,10 +301,10 @@ class _Estimation:
         t = float(self._windows.origin + self._windows.edges[window])
         if not np.isfinite(jacobians).all():
             return f"the Hessian of H is not finite near t = {t:.6g}"
-        return f"errors of the size of round-off grow to that of the motion by t = {t:.6g}"
+        return f"round-off errors grow to the size of the motion by t = {t:.6g}"
 
     def _sampled(self, part: slice, rule: Collocation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """z^ and dz^/dt at the nodes of a rule, both (windows, nodes, dim), and the times."""
+        """Evaluate z^ and dz^/dt at nodes of a rule, shape (windows, nodes, dim), and the times."""
         values, rates, lost = _columns(self._basis, len(rule.nodes))
         readouts, lengths = self._windows.readouts[part], self._lengths[part]
         z = self._windows.states[part][:, None] + values @ readouts
@@ -304,7 +314,7 @@ class _Estimation:
 
 
 def _scales(windows: March, flow: Flow) -> np.ndarray:
-    """Sizes of the components, each by itself, shape (dim,)."""
+    """Return the size of each component in its own units, shape (dim,)."""
     count = len(windows.readouts)
     some = np.unique(np.linspace(0, count, min(count + 1, _SCALE_SAMPLES)).astype(int))
     edges = windows.edges[some]
@@ -317,7 +327,7 @@ def _scales(windows: March, flow: Flow) -> np.ndarray:
 
 @functools.lru_cache(maxsize=8)
 def _columns(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Q and dQ/ds at the nodes of a rule, and what dQ/ds loses by rounding."""
+    """Evaluate Q and dQ/ds at the nodes of a rule, and the rounding error of dQ/ds."""
     values, rates = basis.columns(collocation(count).nodes.astype(np.longdouble))
     rounded = rates.astype(float)
     return values.astype(float), rounded, (rates - rounded).astype(float)
@@ -325,5 +335,5 @@ def _columns(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray, n
 
 @functools.cache
 def _dense(count: int) -> np.ndarray:
-    """A Chebyshev series of so many terms -> values at points dense enough to show its peaks."""
+    """Return the matrix from Chebyshev series of ``count`` terms to values that show peaks."""
     return chebyshev.chebvander(np.linspace(-1, 1, 4 * count), count - 1)

@@ -1,4 +1,4 @@
-"""Hamilton's equations as the march of random features takes them: functions of arrays."""
+"""Hamilton's equations as functions of arrays, for the march of random features."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NarrowArguments: TypeAlias = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Flow:
-    """The equation z' = F(z, t), with what the march and its checks take of H.
+    """The equation z' = F(z, t) and the functions of H that the march and its checks evaluate.
 
     Attributes
     ----------
@@ -40,13 +40,13 @@ class Flow:
         (z, t) -> arguments of the functions in H that may act briefly, shape (n, k), and their
         kinds (:class:`~hamsym.symbolic.derivatives.Narrow`), shape (k,).
     rounded : bool
-        Whether H has numbers that float64 does not hold.
+        Whether H has numbers that float64 cannot represent.
     loop : callable
-        :func:`~hamsym.random_features.window_loop.march_windows`, or the same compiled.
+        :func:`~hamsym.random_features.window_loop.march_windows`, plain or compiled.
     compiled : bool
         Whether ``rates`` and ``loop`` are compiled.
     compile : callable, optional
-        Returns the same with compiled ``rates`` and ``loop``; None where that is not wanted.
+        Returns the flow with compiled ``rates`` and ``loop``; None if ``compiled`` is not "auto".
     """
 
     vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -61,7 +61,7 @@ class Flow:
 
 
 def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
-    """The equations of H; with ``"auto"`` they can still be compiled."""
+    """Make the flow of H: compiled, plain, or with ``"auto"`` plain until compiling pays."""
     system = H.compile("numpy")
 
     def vector_field(z: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -97,15 +97,15 @@ def _compiled(H: Hamiltonian, plain: Flow) -> Flow:
 def _narrow_arguments(
     H: Hamiltonian,
 ) -> Callable[[np.ndarray, np.ndarray], NarrowArguments] | None:
-    """Arguments of functions in H that may act briefly, None if H has no such functions.
+    """Compile the arguments of functions in H that may act briefly; None without such functions.
 
     They are the arguments of exp, tanh, erf and similar functions, of abs and of Max, and the bases
     of negative and fractional powers.
     """
     equations = H.real_equations
-    known = {symbol: value for symbol, value in equations.parameters.values() if value is not None}
+    given = {symbol: value for symbol, value in equations.parameters.values() if value is not None}
     variables = [*equations.z, *([] if equations.time is None else [equations.time])]
-    found = derivatives.narrow_arguments(equations.expr.xreplace(known), variables)
+    found = derivatives.narrow_arguments(equations.expr.xreplace(given), variables)
     if not found:
         return None
     arguments = compile_expressions([argument for argument, _ in found], equations)
@@ -114,7 +114,7 @@ def _narrow_arguments(
 
 
 def has_rounded_numbers(expr: sympy.Expr) -> bool:
-    """Whether a formula has numbers that float64 cannot represent: pi, sqrt(2), 0.1."""
+    """Return whether a formula has numbers that float64 cannot represent: pi, sqrt(2), 0.1."""
     return any(
         not isinstance(number, sympy.Rational) or number.q & (number.q - 1)
         for number in expr.atoms(sympy.Number, sympy.NumberSymbol)

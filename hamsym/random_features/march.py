@@ -1,4 +1,4 @@
-"""The march over a span: windows of collocation, each solved, judged and checked.
+"""March over a span: windows of collocation, each solved, judged and checked.
 
 Stage 1  On a window, collocation at Chebyshev nodes is the fixed point Z = z_a + h S F(Z) with a
          precomputed integration matrix S; the residual between the nodes decides whether the window
@@ -7,8 +7,8 @@ Stage 2  Where that does not contract, Newton's method with the generated Hessia
          equation.
 Stage 3  Some tens of windows at a time are checked at times that were not used
          (:mod:`hamsym.random_features.window_checks`). Where a check fails the march goes back,
-         with windows that end at the times that failed, so that what is there lies at the end of a
-         window, where the residual is judged.
+         with windows that end at the times that failed: at the end of a window the residual is
+         judged.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.random_features import compiled_loop, window_loop
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import Flow
-from hamsym.random_features.window_checks import Failure, WindowChecks, Windows
+from hamsym.random_features.window_checks import Failure, WindowChecks
+from hamsym.random_features.window_loop import Progress, Settings, Windows
 from hamsym.random_features.windows import March
 
 __all__ = ["MAX_WINDOWS", "march", "newton"]
@@ -33,10 +34,10 @@ _NEWTON_ITERATIONS = 12
 _SHORTEST = 1e-13  # window, relative to the times
 _ROOM = 64  # windows for which there is room at first
 _CHUNKS = 32, 1_024  # windows between checks: after a failure, and at most
-_RETURNS = 12  # to one place, before the march goes on without its being resolved
-_DOUBTS = 3  # after which there are no more checks
+_RETURNS = 12  # to one place, before the march goes on although it is not resolved
+_MOST_FAILURES = 3  # after which there are no more checks
 MAX_WINDOWS = 200_000
-_SURE = 5_000  # windows after which it is clear how many more are needed, within a factor of ten
+_SURE = 5_000  # windows from which the total is known within a factor of ten
 
 
 def march(
@@ -70,8 +71,32 @@ def march(
     return _Marching(flow, z0, span, tolerance, basis, breakpoints, longest, max_windows).run()
 
 
+class _Buffer:
+    """Windows in arrays that grow; the loop fills them, the caller counts them."""
+
+    def __init__(self, start: float, z0: np.ndarray, columns: int, room: int) -> None:
+        dim = len(z0)
+        self.room = room
+        self._arrays = Windows(
+            np.empty(room + 1), np.empty((room + 1, dim)), np.empty((room, columns, dim))
+        )
+        self._arrays.edges[0], self._arrays.states[0] = start, z0
+
+    def part(self, first: int, end: int) -> Windows:
+        """Views of the windows from ``first`` to before ``end``."""
+        edges, states, readouts = self._arrays
+        return Windows(edges[first : end + 1], states[first : end + 1], readouts[first:end])
+
+    def grow(self, room: int) -> None:
+        """Make room for this many windows in total."""
+        more, self.room = room - self.room, room
+        self._arrays = Windows(
+            *(np.concatenate((old, np.empty((more, *old.shape[1:])))) for old in self._arrays)
+        )
+
+
 class _Marching:
-    """One march: its windows so far, and what the loop needs to go on."""
+    """One march: its windows so far and the state of the loop."""
 
     def __init__(
         self,
@@ -85,174 +110,163 @@ class _Marching:
         max_windows: int,
     ) -> None:
         self._began, self._cpu_began = time.perf_counter(), time.process_time()
-        self._flow, self._basis, self._tolerance = flow, basis, tolerance
-        self._longest, self._max_windows = longest, max_windows
+        self._flow, self._basis = flow, basis
+        self._max_windows = max_windows
         self._origin = _origin(flow, span)
         self._start, self._end = (t - self._origin for t in span)
+        self._whole = abs(self._end - self._start)
         self._direction = 1.0 if self._end > self._start else -1.0
         self._stops = [*(t - self._origin for t in breakpoints), self._end]
-        self._shortest = _SHORTEST * max(
-            abs(self._end - self._start), abs(self._start), abs(self._end)
+        dim = len(z0)
+        self._settings = Settings(
+            stops=np.array(self._stops),
+            tolerance=tolerance,
+            floors=np.zeros(dim),
+            signs=_signs(basis, dim),
+            shortest=_SHORTEST * max(self._whole, abs(self._start), abs(self._end)),
+            longest=longest,
         )
-        dim, columns = len(z0), basis.mixing.shape[1]
-        self._signs = _signs(basis, dim)
-        # What the loop carries from call to call.
         self._rate = np.empty((1, dim))
         flow.rates(z0[None], np.array([self._start]), self._rate)
-        self._sizes, self._floors = np.abs(z0), np.zeros(dim)
-        self._clock = np.array([self._start, 0.0])
-        self._counts = np.array([0, 1, 0])
-        self._tail = np.vstack((self._rate, np.zeros((2, dim))))
-        self._found = np.empty((len(basis.nodes), dim))
-        room = min(_ROOM, max_windows)
-        self._edges, self._states = np.empty(room + 1), np.empty((room + 1, dim))
-        self._readouts = np.empty((room, columns, dim))
-        self._edges[0], self._states[0] = self._start, z0
+        self._progress = Progress(
+            clock=np.array([self._start, 0.0]),
+            counts=np.array([0, 1, 0]),
+            sizes=np.abs(z0),
+            tail=np.vstack((self._rate, np.zeros((2, dim)))),
+            found=np.empty((len(basis.nodes), dim)),
+        )
+        columns = basis.mixing.shape[1]
+        self._windows = _Buffer(self._start, z0, columns, min(_ROOM, max_windows))
         self._checks = WindowChecks(flow, basis, tolerance)
         self._checked, self._chunk = 0, _ROOM
-        self._furthest: float | None = None  # end of a window that failed
+        self._furthest: float | None = None  # end of the last window that failed a check
         self._returns = 0  # to windows before it
-        self._doubts: list[str] = []
+        self._failures: list[str] = []  # that shorter windows did not mend
         self._widen_floors()
-        sizes = np.maximum(self._sizes, self._floors / SMALLEST)
-        self._clock[1] = _first_length(sizes, self._rate[0], abs(self._end - self._start))
+        sizes = np.maximum(self._progress.sizes, self._settings.floors / SMALLEST)
+        self._progress.clock[1] = _first_length(sizes, self._rate[0], self._whole)
 
     @property
     def _count(self) -> int:
-        return int(self._counts[0])
+        return int(self._progress.counts[0])
 
     def run(self) -> March:
-        newton_windows, given, reason = 0, False, ""
-        while True:
+        newton_windows, given, status = 0, False, window_loop.FULL
+        reason = ""
+        while status != window_loop.FINISHED and not reason:
             # The loop returns when it has no room: after a chunk its windows are checked.
-            room = min(len(self._readouts), max(self._checked + self._chunk, self._count))
-            status = self._loop(room, given)
-            given = False
+            room = min(self._windows.room, max(self._checked + self._chunk, self._count))
+            status = self._flow.loop(
+                self._flow.rates,
+                self._basis.tables,
+                self._settings,
+                self._progress,
+                self._windows.part(0, room),
+                given,
+            )
+            given = status == window_loop.NEWTON and self._newton()
+            newton_windows += given
             if status == window_loop.NEWTON:
-                rates, spent = newton(
-                    self._flow,
-                    self._basis,
-                    self._states[self._count],
-                    float(self._clock[0]),
-                    self._direction * float(self._clock[1]),
-                    self._tolerance,
-                    np.maximum(self._sizes, self._floors),
-                )
-                self._counts[1] += spent
-                if rates is None:
-                    self._clock[1] *= window_loop.SHRINK
-                else:
-                    given, self._found = True, rates
-                    newton_windows += 1
                 continue
             failure = self._check()
             if failure is not None:
                 self._go_back(failure)
-                continue
-            if status == window_loop.FINISHED:
-                reason = ""
-                break
-            if status == window_loop.TOO_SHORT:
-                reason = (
-                    "the windows became too short, as near a singularity or the end of a domain"
-                )
-                if max(abs(self._start), abs(self._end)) > 100 * abs(self._end - self._start):
-                    reason += ", or for float64 to resolve t; let the time begin nearer to 0"
-                if self._flow.energy is None:
-                    reason += "; where the time switches a force, give such times as breakpoints"
-                break
-            if reason := self._too_many():
-                break
-            self._grow()
-        count = self._count
+                status = window_loop.FULL
+            elif status == window_loop.TOO_SHORT:
+                reason = self._too_short()
+            elif status == window_loop.FULL and not (reason := self._too_many()):
+                self._grow()
+        windows = self._windows.part(0, self._count)
         return March(
-            edges=self._edges[: count + 1].copy(),
-            states=self._states[: count + 1].copy(),
-            readouts=self._readouts[:count].copy(),
-            reached=self._origin + float(self._clock[0]),
+            edges=windows.edges.copy(),
+            states=windows.states.copy(),
+            readouts=windows.readouts.copy(),
+            reached=self._origin + float(self._progress.clock[0]),
             reason=reason,
-            evaluations=int(self._counts[1]),
+            evaluations=int(self._progress.counts[1]),
             newton_windows=newton_windows,
             compiled=self._flow.compiled,
-            scale=self._sizes,
+            scale=self._progress.sizes,
             seconds=time.perf_counter() - self._began,
             cpu_seconds=time.process_time() - self._cpu_began,
             seed=self._basis.seed,
             origin=self._origin,
-            doubt=self._doubts[0] if self._doubts else "",
+            doubt=self._failures[0] if self._failures else "",
         )
 
-    def _loop(self, room: int, given: bool) -> int:
-        return self._flow.loop(
-            self._flow.rates,
-            *self._basis.tables,
-            np.array(self._stops),
-            self._tolerance,
-            self._floors,
-            self._signs,
-            self._shortest,
-            self._longest,
-            given,
-            self._found,
-            self._clock,
-            self._counts,
-            self._sizes,
-            self._tail,
-            self._edges[: room + 1],
-            self._states[: room + 1],
-            self._readouts[:room],
+    def _newton(self) -> bool:
+        """Solve the present window by Newton's method; shorten it where that fails."""
+        t, length = self._progress.clock
+        rates, spent = newton(
+            self._flow,
+            self._basis,
+            self._windows.part(0, self._count).states[-1],
+            float(t),
+            self._direction * float(length),
+            self._settings.tolerance,
+            np.maximum(self._progress.sizes, self._settings.floors),
         )
+        self._progress.counts[1] += spent
+        if rates is None:
+            self._progress.clock[1] *= window_loop.SHRINK
+            return False
+        self._progress.found[:] = rates
+        return True
 
-    # -- going on ------------------------------------------------------------------------------
+    # -- between two calls of the loop -----------------------------------------------------------
+
+    def _too_short(self) -> str:
+        """The reason for ending at a window that is too short."""
+        reason = (
+            "window length fell below the float64 limit; the solution may be singular or leave the "
+            "domain of H"
+        )
+        if max(abs(self._start), abs(self._end)) > 100 * self._whole:
+            reason += ", or t is too large for float64 to resolve: shift the time towards 0"
+        if self._flow.energy is None:
+            reason += "; give times at which H is discontinuous as breakpoints"
+        return reason
 
     def _too_many(self) -> str:
-        """Why there will be more windows than allowed, if that is clear, or ""."""
-        count, done = self._count, abs(float(self._clock[0]) - self._start)
+        """The reason for ending where more windows than allowed are needed, "" where they fit."""
+        count, done = self._count, abs(float(self._progress.clock[0]) - self._start)
         if not done > 0:
             return ""
-        needed = count * abs(self._end - self._start) / done
+        needed = count * self._whole / done
         if count >= self._max_windows or (count >= _SURE and needed > 10 * self._max_windows):
             return f"the span needs about {needed:.0e} windows, more than {self._max_windows:,}"
         return ""
 
     def _grow(self) -> None:
-        """Make room for more windows, with compiled code where that saves more than it costs."""
+        """Make room for more windows, and compile where that saves more than it costs."""
         count = self._count
-        if count == len(self._readouts):
-            room = min(2 * count, self._max_windows) - count
-            self._edges, self._states, self._readouts = (
-                np.concatenate((array, np.empty((room, *array.shape[1:]))))
-                for array in (self._edges, self._states, self._readouts)
-            )
-        spent, done = time.perf_counter() - self._began, abs(self._clock[0] - self._start)
-        left = abs(self._end - self._start) / done - 1
+        if count == self._windows.room:
+            self._windows.grow(min(2 * count, self._max_windows))
+        spent = time.perf_counter() - self._began
+        left = self._whole / abs(self._progress.clock[0] - self._start) - 1
         if self._flow.compile and spent * left > compiled_loop.cost():
             self._flow = self._flow.compile()
         self._widen_floors()
 
     def _widen_floors(self) -> None:
-        """Sizes that components have at least, from what the others do to them."""
+        """Update the smallest sizes of the components from their coupling to the others."""
         count = self._count
         places = np.unique(np.linspace(0, count, min(count + 1, 8)).astype(int))
-        z, t = self._states[places], self._edges[places]
+        windows = self._windows.part(0, count)
+        z, t = windows.states[places], windows.edges[places]
         coupling = np.abs(self._flow.jacobian(z, t)).mean(axis=0)
-        coupled = coupled_sizes(self._sizes, coupling, abs(self._end - self._start))
-        self._floors = np.maximum(self._floors, SMALLEST * coupled)
-
-    # -- checking ------------------------------------------------------------------------------
+        coupled = coupled_sizes(self._progress.sizes, coupling, self._whole)
+        floors = np.maximum(self._settings.floors, SMALLEST * coupled)
+        self._settings = self._settings._replace(floors=floors)
 
     def _check(self) -> Failure | None:
         """Check the windows since the last check."""
         first, count = self._checked, self._count
-        if count == first or len(self._doubts) >= _DOUBTS:
+        if count == first or len(self._failures) >= _MOST_FAILURES:
             self._checked = count
             return None
-        part = Windows(
-            self._edges[first : count + 1],
-            self._states[first : count + 1],
-            self._readouts[first:count],
-        )
-        failure = self._checks.first_failure(part, np.maximum(self._sizes, self._floors))
+        sizes = np.maximum(self._progress.sizes, self._settings.floors)
+        failure = self._checks.first_failure(self._windows.part(first, count), sizes)
         if failure is None:
             self._checked, self._chunk = count, min(2 * self._chunk, _CHUNKS[1])
             return None
@@ -260,37 +274,39 @@ class _Marching:
         return failure._replace(window=first + failure.window)
 
     def _go_back(self, failure: Failure) -> None:
-        """Return to the start of a window with stops at what is in it."""
+        """Return to the start of a window, with stops at the times that failed."""
         window, direction = failure.window, self._direction
-        start, end = (float(edge) for edge in self._edges[window : window + 2])
+        start, end = (float(edge) for edge in self._windows.part(window, window + 1).edges)
         if self._furthest is None or direction * end > direction * self._furthest:
             self._furthest, self._returns = end, 0
         self._returns += 1
-        if self._returns > _RETURNS or abs(end - start) < 100 * self._shortest:
-            # As at a jump: the march goes on, but is no success.
-            self._doubts.append(
+        shortest = self._settings.shortest
+        if self._returns > _RETURNS or abs(end - start) < 100 * shortest:
+            # For example at a jump: the march goes on, without success.
+            self._failures.append(
                 f"near t = {self._origin + failure.times[0]:.6g}, between the points of "
-                f"collocation, {failure.cause} changes by {failure.excess:.0e} times what the "
-                "tolerance allows, in windows of any length"
+                f"collocation, {failure.cause} changes by {failure.excess:.0e} times the tolerance "
+                "in windows of any length"
             )
             self._checked = window + 1
             return
-        self._counts[0], self._clock[0] = window, start
+        clock, counts, tail = self._progress.clock, self._progress.counts, self._progress.tail
+        counts[0], clock[0] = window, start
         for t in failure.times:
             nearest = min(abs(t - stop) for stop in (*self._stops, start, end))
-            if nearest > 10 * self._shortest:
+            if nearest > 10 * shortest:
                 self._stops.append(t)
         self._stops.sort(key=lambda stop: direction * stop)
-        self._counts[2] = sum(direction * stop <= direction * start for stop in self._stops)
-        self._clock[1] = abs(end - start) / 2
+        self._settings = self._settings._replace(stops=np.array(self._stops))
+        counts[2] = sum(direction * stop <= direction * start for stop in self._stops)
+        clock[1] = abs(end - start) / 2
+        tail[1:] = 0
+        tail[0] = self._rate[0]
         if window:
-            h = start - self._edges[window - 1]
+            last = self._windows.part(window - 1, window)
+            h = start - last.edges[0]
             _, rates = self._basis.columns(self._basis.nodes[-window_loop.TAIL :])
-            last = rates @ self._readouts[window - 1] / h
-            self._tail[:] = self._basis.tables[-1] @ last
-        else:
-            self._tail[:] = 0
-            self._tail[0] = self._rate[0]
+            tail[:] = self._basis.tables.tail_fit @ (rates @ last.readouts[0] / h)
 
 
 def newton(
@@ -302,9 +318,25 @@ def newton(
     tolerance: float,
     sizes: np.ndarray,
 ) -> tuple[np.ndarray | None, int]:
-    """F at the nodes of one window by Newton's method from the constant state, and evaluations.
+    """Solve one window by Newton's method from the constant state.
 
-    None in place of F where it does not converge. ``length`` has the sign of the direction of time.
+    Parameters
+    ----------
+    flow : Flow
+    basis : FeatureBasis
+    z : numpy.ndarray
+        State at the start of the window, shape (dim,).
+    start, length : float
+        Start and length of the window, negative backwards in time.
+    tolerance : float
+    sizes : numpy.ndarray
+        Sizes of the components, shape (dim,).
+
+    Returns
+    -------
+    rates : numpy.ndarray or None
+        F at the nodes, shape (nodes, dim); None without convergence.
+    evaluations : int
     """
     times, integration = start + length * basis.nodes, length * basis.integration
     count, dim = len(times), len(z)
@@ -340,15 +372,15 @@ def _signs(basis: FeatureBasis, dim: int) -> np.ndarray:
 
 
 def _origin(flow: Flow, span: tuple[float, float]) -> float:
-    """Where to count the time from: near times far from zero float64 resolves no short windows."""
+    """Choose the time from which times are counted, since float64 resolves large times coarsely."""
     start, end = span
-    # By Sterbenz's lemma all differences to the start are exact then.
+    # Then all differences to the start are exact (Sterbenz's lemma).
     exact = start != 0 and 0.5 <= end / start <= 2
     return start if flow.energy is not None and exact else 0.0
 
 
 def _first_length(sizes: np.ndarray, rate: np.ndarray, span: float) -> float:
-    """A tenth of the shortest time in which a component would change by its size."""
+    """Return a tenth of the shortest time in which a component changes by its size."""
     speeds = np.abs(rate)
-    known = (sizes > 0) & (speeds > 0)
-    return min(span, 0.1 * float((sizes[known] / speeds[known]).min(initial=math.inf)))
+    moving = (sizes > 0) & (speeds > 0)
+    return min(span, 0.1 * float((sizes[moving] / speeds[moving]).min(initial=math.inf)))

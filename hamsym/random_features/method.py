@@ -1,9 +1,9 @@
-"""The method "features": random sine features marched until the estimated error is as asked.
+"""The method "features": random sine features marched until the estimated error meets tol.
 
 Stage 1  March with a local tolerance (:mod:`hamsym.random_features.march`).
 Stage 2  Estimate the global error and the round-off along the march
          (:mod:`hamsym.random_features.error_estimate`).
-Stage 3  If both together exceed what was asked, march again with a tighter local tolerance.
+Stage 3  If both together exceed the tolerance, march again with a tighter local tolerance.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from hamsym.support.option_fields import option
 
 __all__ = ["FeatureOptions", "solve_by_features"]
 
-_SMALLEST_TOL = 1e-12  # below it float64 cannot hold the answer
-_SMALLEST_LOCAL = 1e-13  # residuals cannot be told from round-off below
+_SMALLEST_TOL = 1e-12  # below it float64 cannot represent the solution
+_SMALLEST_LOCAL = 1e-13  # below it residuals are round-off
 _STEP = 1e-4  # of the local tolerance from one march to the next, at most
 _ATTEMPTS = 6
 _JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
-_FEWEST_WINDOWS = 8  # so that a short event in a long rest is not stepped over unseen
+_FEWEST_WINDOWS = 8  # so that a short event in a long rest is sampled
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class FeatureOptions:
 
 
 def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> Solution:
-    """March to a tolerance; options as in :func:`hamsym.solve`."""
+    """Solve by marching random features to a tolerance; options as in :func:`hamsym.solve`."""
     tol = options.tol
     H = problem.H
     if not (isinstance(tol, (int, float, np.floating)) and _SMALLEST_TOL <= tol < 1):
@@ -87,13 +87,13 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
             tried = _Attempt(windows, estimate, absolute + tol * error.scale)
             if best is None or tried.is_better_than(best):
                 best = tried
-            # Where most of the error is round-off, no march gets below it.
+            # A tighter march does not reduce an error that is mostly round-off.
             floors = error.floors.max(axis=0)
-            hopeless = (
+            at_round_off = (
                 not estimate.limit
                 and (error.largest <= np.maximum(2 * floors, tried.allowed)).all()
             )
-            if tried.excess <= 1 or hopeless or local <= _SMALLEST_LOCAL:
+            if tried.excess <= 1 or at_round_off or local <= _SMALLEST_LOCAL:
                 break
             local = max(local * min(max(0.3 / tried.excess, _STEP), 0.3), _SMALLEST_LOCAL)
     if best is None:
@@ -130,7 +130,7 @@ class _Attempt:
         return self.estimate.error.excess(self.allowed)
 
     def is_better_than(self, other: _Attempt) -> bool:
-        """Whether it reached further or, where both reached as far, is more accurate."""
+        """Return whether it reached further, or as far with a smaller error."""
         own, others = (
             abs(float(attempt.windows.edges[-1] - attempt.windows.edges[0]))
             for attempt in (self, other)
@@ -141,7 +141,7 @@ class _Attempt:
 def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
     windows, excess = attempt.windows, attempt.excess
     error, limit = attempt.estimate.error, attempt.estimate.limit
-    state = f"{len(windows.readouts):,} windows, estimated error {excess:.1e} of what was allowed"
+    state = f"{len(windows.readouts):,} windows, estimated error {excess:.1e} of the tolerance"
     held = error.until(attempt.allowed)
     if windows.reason:
         until, missing = f"t = {held:.6g}", abs(windows.reached - held)
@@ -152,7 +152,7 @@ def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
             f"{until}"
         )
     if windows.doubt:
-        return False, f"{windows.doubt}; a narrow pulse or a step is there, or a jump; {state}"
+        return False, f"{windows.doubt}: a narrow pulse, a step or a jump; {state}"
     if excess <= 1:
         return True, f"tol {tol:.1e} met: {state}"
     if limit:
@@ -172,7 +172,7 @@ def _checked_atol(atol: float | Sequence[float], dim: int) -> np.ndarray:
     except (TypeError, ValueError):
         values = np.array([math.nan])
     if not (np.all(np.isfinite(values)) and np.all(values >= 0)):
-        raise InputError(f"atol={atol!r} cannot be used; give a number from 0, or {dim} of them")
+        raise InputError(f"atol={atol!r} cannot be used; give a number from 0, or a list of {dim}")
     return values
 
 
@@ -183,18 +183,20 @@ def _checked_window(max_window: float | None, span: tuple[float, float]) -> floa
         raise InputError(f"max_window={max_window!r} cannot be used; give a time above 0")
     if (shortest := abs(span[1] - span[0]) / MAX_WINDOWS) > max_window:
         raise InputError(
-            f"max_window={max_window!r} makes more than {MAX_WINDOWS:,} windows; give "
+            f"max_window={max_window!r} needs more than {MAX_WINDOWS:,} windows; give "
             f"{shortest:.3g} or more, or a shorter span"
         )
     return float(max_window)
 
 
 def _checked_breakpoints(breakpoints: Sequence[float], span: tuple[float, float]) -> list[float]:
-    """Breakpoints in the direction of the span, each once."""
+    """Return the breakpoints in the direction of the span, without repetitions."""
     try:
         times = sorted({float(time) for time in breakpoints})
     except (TypeError, ValueError):
-        raise InputError(f"breakpoints={breakpoints!r} is not a list of times; give one") from None
+        raise InputError(
+            f"breakpoints={breakpoints!r} is not a list of times; give a list of numbers"
+        ) from None
     for time in times:
         if not min(span) < time < max(span):
             raise InputError(

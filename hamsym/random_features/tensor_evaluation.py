@@ -1,4 +1,4 @@
-"""The trial solution of a march evaluated with torch, so that gradients flow to the times."""
+"""Evaluation of the trial solution of a march with torch, differentiable in the times."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def evaluate(
     rate_series: np.ndarray,
     origin: np.ndarray,
 ) -> tuple[Tensor, Tensor]:
-    """z^ and dz^/dt at times t of shape (K,), each of shape (K, dim).
+    """Evaluate z^ and dz^/dt at times t of shape (K,), each of shape (K, dim).
 
     The arrays are those of :class:`~hamsym.random_features.trial.FeatureTrial`.
     """
@@ -42,11 +42,11 @@ def evaluate(
 
 
 def _chebyshev_values(x: Tensor, count: int) -> Tensor:
-    """T_0 .. T_(count-1) at x of shape (K,), shape (K, count)."""
+    """Evaluate T_0 .. T_(count-1) at x of shape (K,), shape (K, count)."""
     if not x.requires_grad:
         angles = torch.arccos(x.clamp(-1, 1)).unsqueeze(-1)
         return torch.cos(angles * torch.arange(count, dtype=x.dtype))
-    # The arc cosine has no derivative at the ends of a window; the recurrence has.
+    # The arc cosine has no derivative at the ends of a window; the recurrence has one.
     values = [torch.ones_like(x), x]
     for _ in range(count - 2):
         values.append(2 * x * values[-1] - values[-2])

@@ -1,19 +1,19 @@
 """Checks of windows at times that the march did not use.
 
-The march judges a window by its residual at fixed places. What happens between them, such as a
-pulse of the force that is narrower than their distance, leaves no trace there. Three checks look
-again:
+The march judges a window by its residual at fixed places. A feature between them, for example a
+pulse of the force that is narrower than their distance, leaves no trace there. Three further checks
+follow:
 
 1. *Places from the formula.* Pulses, steps and poles of H have their places where the argument of
-   exp, tanh, erf and the like, or the base of a negative or broken power, is zero or extreme.
-   These arguments vary slowly along the trajectory, so that samples of them show where; the
-   residual is taken at and around these times, as far as the width of what happens there.
-2. *Random places*, seeded: the residual again.
+   exp, tanh, erf or a similar function, or the base of a negative or fractional power, is zero or
+   extreme. These arguments vary slowly along the trajectory, so that samples of them give the
+   times; the residual is taken there and around them, up to the width of the feature.
+2. *Random places*, seeded: the residual there.
 3. *Energy.* Where H does not depend on time, it may change over a window by no more than the local
-   error that the tolerance allows. A step of the potential that was passed over unseen changes it.
+   error that the tolerance allows. A step of the potential between the sampled times changes it.
 
-Not detectable is a pulse that leaves H as it was, such as a narrow bump of the potential, whose
-place cannot be read from the formula in this way, and which no sampled time meets.
+A pulse that restores H, for example a narrow bump of the potential, is not detected if its place
+cannot be read from the formula in this way and no sampled time meets it.
 """
 
 from __future__ import annotations
@@ -27,39 +27,31 @@ import numpy as np
 from hamsym.numerics.collocation import collocation
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import Flow
-from hamsym.random_features.window_loop import EPS, NOISE, ROUND_OFF, TINY
+from hamsym.random_features.window_loop import EPS, NOISE, ROUND_OFF, TINY, Windows
 from hamsym.symbolic.derivatives import Narrow
 
 __all__ = ["Failure", "WindowChecks"]
 
 _NODES, _DENSE = 32, 400  # places where arguments are sampled, of which the first make a series
 _RESOLVED = 1e-2  # last coefficients of that series, relative to the largest
-_NARROW = 0.1  # of a window: what is wider is seen by the march
+_NARROW = 0.1  # of a window: the march resolves wider features
 _ENDS = np.array([0.0, 1e-9, 1e-8, 1e-7, 1e-6])  # before the first node, less for the last
 _AT_ONCE = 1e-7  # of a window
 _AROUND = np.array([-1.5, -0.7, 0.0, 0.7, 1.5])  # places of the residual, in widths
 _RANDOM = 2  # places in each window
-_SLACK = 10.0  # of what the march allows at its own places
+_SLACK = 10.0  # times the residual that the march allows at its own places
 _BISECTIONS = 40
 _SECTIONS, _HALVINGS = 70, 40  # of the interval of a zero or a turning point
 _GOLDEN = (3 - 5**0.5) / 2
 
 
 class Failure(NamedTuple):
-    """The first window that failed, times to look at, by how much it failed, and what did."""
+    """The first window that failed: suspicious times, the excess over the limit, and its cause."""
 
     window: int
     times: list[float]
     excess: float
     cause: str
-
-
-class Windows(NamedTuple):
-    """Consecutive windows: edges (n + 1,), states (n + 1, dim) and readouts (n, m, dim)."""
-
-    edges: np.ndarray
-    states: np.ndarray
-    readouts: np.ndarray
 
 
 @dataclass
@@ -83,7 +75,7 @@ class WindowChecks:
         self._generator = np.random.default_rng(self.basis.seed)
 
     def first_failure(self, windows: Windows, sizes: np.ndarray) -> Failure | None:
-        """Check windows of which the components have these sizes; None if all pass."""
+        """Check windows with components of these sizes; return None if all pass."""
         worst, place = self._residuals(windows, sizes)
         by_energy: set[int] = set()
         if self.flow.energy is not None:
@@ -101,7 +93,7 @@ class WindowChecks:
     def _residuals(
         self, windows: Windows, sizes: np.ndarray
     ) -> tuple[np.ndarray, dict[int, list[float]]]:
-        """The largest residual of each window, in units of what is allowed, and where it is."""
+        """Return the largest residual of each window, in units of the limit, and its times."""
         count = len(windows.readouts)
         lengths = np.abs(np.diff(windows.edges))
         window = np.repeat(np.arange(count), _RANDOM)
@@ -116,7 +108,7 @@ class WindowChecks:
         rates = self.flow.vector_field(z, t)
         length = lengths[window, None]
         defect = np.minimum(length, width[:, None] * length) * np.abs(dz - rates)
-        # At one place the rate may be zero: what it is elsewhere in the window counts.
+        # The rate may be zero at one place: its size elsewhere in the window counts.
         largest = np.zeros((count, z.shape[1]))
         np.maximum.at(largest, window, np.abs(dz))
         allowed = self.tolerance * sizes + ROUND_OFF * length * largest[window]
@@ -133,9 +125,10 @@ class WindowChecks:
         return worst, places
 
     def _round_off(self, windows: Windows, window: np.ndarray) -> np.ndarray:
-        """What a unit in the last place of states and times changes in the rates, shape (n, dim).
+        """Measure the change of the rates for one unit in the last place of states and times.
 
-        As is usual in the window: where something narrow happens the rates change by far more.
+        It is the median over the window, since at a narrow feature the rates change by far more;
+        shape (n, dim).
         """
         used, index = np.unique(window, return_inverse=True)
         s = self.basis.nodes
@@ -146,7 +139,7 @@ class WindowChecks:
         return np.asarray(np.median(noise.reshape(len(used), len(s), -1), axis=1)[index])
 
     def _narrow_places(self, windows: Windows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where something narrow may happen: windows, places s and widths, in window lengths."""
+        """Locate possible narrow features: windows, places s and widths, in window lengths."""
         count = len(windows.readouts)
         s, values, to_series = _table(self.basis, _NODES)
         g, kinds = self._arguments(windows, np.arange(count), s, values)
@@ -168,13 +161,13 @@ class WindowChecks:
         if not len(window):
             return np.empty(0, dtype=int), np.empty(0), np.empty(0)
         place, width = self._located(windows, low, high, window, which, turns, kinds)
-        # A switch or a pole acts at once, and goes on.
+        # A switch or a pole acts at once and lastingly.
         switched = (kinds[which] != Narrow.FUNCTION) & (turns == 0)
         lasting = np.where(switched, 1.0, np.minimum(4 * width, 1.0))
         width = np.where(switched, _AT_ONCE, width)
         narrow = width < _NARROW
         place, width, window = place[narrow], width[narrow], window[narrow]
-        # Inside the window: at a breakpoint the equations of the next one may hold.
+        # Inside the window: at a breakpoint the equations of the next window may hold.
         around = np.clip(place[:, None] + width[:, None] * _AROUND, 1e-9, 1 - 1e-9)
         lasting = np.repeat(lasting[narrow], len(_AROUND))
         return np.repeat(window, len(_AROUND)), around.ravel(), lasting
@@ -182,7 +175,7 @@ class WindowChecks:
     def _arguments(
         self, windows: Windows, window: np.ndarray, s: np.ndarray, values: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The arguments at the same places of windows, shape (windows, places, arguments)."""
+        """Evaluate the arguments at places s of windows, shape (windows, places, arguments)."""
         assert self.flow.narrow_arguments is not None
         z = windows.states[window, None] + values @ windows.readouts[window]
         t = windows.edges[window, None] + np.diff(windows.edges)[window, None] * s
@@ -192,7 +185,7 @@ class WindowChecks:
     def _candidates(
         self, window: np.ndarray, s: np.ndarray, g: np.ndarray, kinds: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Zeros and turning points of arguments that are steep there, between samples.
+        """Find intervals with zeros and turning points of arguments that are steep there.
 
         Returns
         -------
@@ -201,8 +194,8 @@ class WindowChecks:
             minimum, 0 for a zero; shape (n,) each.
         """
         changes = np.diff(g, axis=1)
-        # Within a tenth of a window the argument must change by 1, or a base by its size: here it
-        # does so between two samples, or between its neighbours.
+        # Within a tenth of a window the argument must change by 1, or a base by its size, between
+        # two samples or between their neighbours.
         steps = np.diff(s)[:, None]
         steep = np.abs(changes) * _NARROW > steps
         acts = steep | (kinds != Narrow.FUNCTION)
@@ -231,10 +224,10 @@ class WindowChecks:
         turns: np.ndarray,
         kinds: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Places of candidates to round-off, and the distance in which the argument changes by 1.
+        """Locate candidates to round-off, and the distance in which the argument changes by 1.
 
-        By bisection for a zero and golden sections for a turning point, of the argument itself: its
-        digits near a multiple zero are lost in any series.
+        Bisection locates a zero and golden sections a turning point, both of the argument itself:
+        a series loses its digits near a multiple zero.
         """
         narrow_arguments = self.flow.narrow_arguments
         assert narrow_arguments is not None
@@ -248,7 +241,7 @@ class WindowChecks:
         for _ in range(_SECTIONS):
             inner, outer = low + _GOLDEN * (high - low), high - _GOLDEN * (high - low)
             at_inner, at_outer = values(inner), values(outer)
-            # A zero beyond the first point, or a peak beyond it.
+            # The zero or the peak lies beyond the inner point.
             beyond = np.where(turns == 0, at_low * at_inner > 0, sign * at_inner < sign * at_outer)
             low = np.where(beyond, inner, low)
             high = np.where(beyond, high, np.where(turns == 0, inner, outer))
@@ -260,16 +253,16 @@ class WindowChecks:
             distance = span * 2.0**-halvings
             near = [np.clip(place + side * distance, 0.0, 1.0) for side in (-1, 1)]
             change = np.max([np.abs(values(s) - at_place) for s in near], axis=0)
-            # Where the argument is not a number the residual is to decide.
+            # Where the argument is NaN, the residual decides.
             width = np.where(change < unit, width, distance)
         return place, width
 
     def _energy_changes(self, windows: Windows, sizes: np.ndarray) -> np.ndarray:
-        """The change of H over each window, in units of what is allowed."""
+        """Return the change of H over each window, in units of the limit."""
         assert self.flow.energy is not None
         z, t = windows.states, windows.edges
         energies = self.flow.energy(z, t)
-        # The gradient of H is the vector field turned by a right angle.
+        # The gradient of H is the vector field with its halves exchanged, up to signs.
         half = z.shape[1] // 2
         slopes = np.abs(np.roll(self.flow.vector_field(z, t), half, axis=1))
         slopes = np.maximum(slopes[:-1], slopes[1:])
@@ -279,7 +272,7 @@ class WindowChecks:
         return _excess(np.abs(np.diff(energies))[:, None], _SLACK * allowed[:, None])
 
     def _energy_jump(self, windows: Windows, index: int) -> float:
-        """The time in a window at which H changes fastest."""
+        """Locate the time in a window at which H changes fastest."""
         assert self.flow.energy is not None
         energy = self.flow.energy
 
@@ -304,7 +297,7 @@ class WindowChecks:
     def _at(
         self, windows: Windows, window: np.ndarray, s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """z^, dz^/dt and t at places s of windows, shapes (n, dim), (n, dim) and (n,)."""
+        """Evaluate z^, dz^/dt and t at places s of windows, shapes (n, dim), (n, dim) and (n,)."""
         values, rates = self.basis.columns(s)
         readouts, lengths = windows.readouts[window], np.diff(windows.edges)[window]
         z = windows.states[window] + np.einsum("nm,nmd->nd", values, readouts)
@@ -314,14 +307,14 @@ class WindowChecks:
 
 @functools.lru_cache(maxsize=16)
 def _table(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes of a rule and places near both ends, Q there, and values at the nodes -> series."""
+    """Return nodes of a rule and places near both ends, Q there, and the rule's ``to_series``."""
     rule = collocation(count)
     s = np.concatenate((_ENDS, rule.nodes, 1 - _ENDS[::-1]))
     return s, basis.columns(s)[0], rule.to_series
 
 
 def _excess(values: np.ndarray, allowed: np.ndarray) -> np.ndarray:
-    """The largest ratio in each row, infinite where it is not a number."""
+    """Return the largest ratio in each row, infinite where it is NaN."""
     with np.errstate(all="ignore"):
         largest = (values / np.maximum(allowed, TINY)).max(axis=1)
     return np.where(np.isnan(largest), np.inf, largest)

@@ -1,6 +1,6 @@
-"""The march itself: windows of collocation, one after the other, each to a local tolerance.
+"""The loop over windows of collocation, one after the other, each to a local tolerance.
 
-Written in what numpy and numba have in common: it runs as it stands, and
+Written in the common subset of numpy and numba: it runs as plain Python, and
 :mod:`hamsym.random_features.compiled_loop` compiles the same text. The vector field is a function
 rates(z, t, out).
 """
@@ -9,31 +9,120 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-__all__ = ["FINISHED", "FULL", "NEWTON", "TOO_SHORT", "march_windows"]
+__all__ = [
+    "FINISHED",
+    "FULL",
+    "NEWTON",
+    "TOO_SHORT",
+    "Progress",
+    "Settings",
+    "Tables",
+    "Windows",
+    "march_windows",
+]
 
-# How march_windows ends: at the end of the span, at a window whose equation the fixed point
+# Outcomes of march_windows: at the end of the span, at a window whose equation the fixed-point
 # iteration does not solve, at a window too short for float64, or with its arrays full.
 FINISHED, NEWTON, TOO_SHORT, FULL = range(4)
 
 ORDER = 18  # at which the residual falls with the length of the window, empirically
 ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
 EPS = 2.0**-52
-NOISE = 8.0  # times what a unit in the last place of the states typically changes in the rates
+NOISE = 8.0  # times the typical change of the rates for one unit in the last place of the states
 SLOW = 30  # iterations, after which the next window is shorter
-LOOKS = 3  # at the round-off of the rates, in one window
+ROUND_OFF_TESTS = 3  # estimates of the round-off of the rates in one window
 SHRINK, GROW = 0.6, 2.5
-WELL = 0.3  # of the allowed residual: the next window need not be shorter
-SLIVER = 1e-6  # of a window that it takes along rather than leave
+GOOD = 0.3  # of the allowed residual: the next window need not be shorter
+SLIVER = 1e-6  # share of a window by which it is lengthened to reach a stop
 ITERATIONS = 60
-SMALL, RETRIES = 600, 3  # unknowns above which so many shorter windows are tried before Newton
-TAIL = 6  # last nodes of a window, from which the next one is guessed
+SMALL, RETRIES = 600, 3  # unknowns above which shorter windows are tried, and how often
+TAIL = 6  # last nodes of a window, from which the next one is extrapolated
 TINY = 2.2250738585072014e-308
 
 Array: TypeAlias = np.ndarray
+Rates: TypeAlias = Callable[[Array, Array, Array], None]
+
+
+class Tables(NamedTuple):
+    """Tables of a :class:`~hamsym.random_features.basis.FeatureBasis`, contiguous.
+
+    ``end`` and ``end_low`` are the high and low parts of its extended-precision values;
+    ``tail_fit``, shape (3, TAIL), fits a parabola to the rates at the last nodes of a window.
+    """
+
+    nodes: Array
+    integration: Array
+    fit: Array
+    between: Array
+    to_between: Array
+    rates_between: Array
+    end: Array
+    end_low: Array
+    tail_fit: Array
+
+
+class Settings(NamedTuple):
+    """Constants of a march.
+
+    Attributes
+    ----------
+    stops : array
+        Times at which a window must end, the last of them the end of the march.
+    tolerance : float
+        Of each window, relative to the sizes of the components, each by itself.
+    floors : array (dim,)
+        Sizes below which no component is counted.
+    signs : array (between, dim)
+        1 and -1 at random. The change of the rates when states and times change by one unit in the
+        last place, with these signs, is their round-off.
+    shortest : float
+        Length below which a window is not tried.
+    longest : float
+        Length that no window exceeds, but for a sliver.
+    """
+
+    stops: Array
+    tolerance: float
+    floors: Array
+    signs: Array
+    shortest: float
+    longest: float
+
+
+class Progress(NamedTuple):
+    """State of a march between calls, updated in place.
+
+    Attributes
+    ----------
+    clock : array (2,)
+        Time, and length of the next window.
+    counts : array (3,)
+        Windows so far, evaluations of the vector field, stops passed.
+    sizes : array (dim,)
+        Largest magnitude of each component so far.
+    tail : array (3, dim)
+        Quadratic extrapolation of the rates after the last window, in units of its length.
+    found : array (nodes, dim)
+        Rates at the nodes of the present window.
+    """
+
+    clock: Array
+    counts: Array
+    sizes: Array
+    tail: Array
+    found: Array
+
+
+class Windows(NamedTuple):
+    """Consecutive windows: edges (n + 1,), states (n + 1, dim) and readouts (n, m, dim)."""
+
+    edges: Array
+    states: Array
+    readouts: Array
 
 
 def column_sizes(values: Array) -> Array:
@@ -42,208 +131,194 @@ def column_sizes(values: Array) -> Array:
 
 
 def column_sizes_in_loops(values: Array) -> Array:
-    """The same for the compiler, which knows no maximum along an axis."""
+    """Largest magnitude in each column, for numba, which lacks the maximum along an axis."""
     sizes = np.zeros(values.shape[1])
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
             size = abs(values[row, column])
-            # Once it is not a number, it stays so.
+            # A size that is NaN remains NaN.
             if not size <= sizes[column] and sizes[column] == sizes[column]:
                 sizes[column] = size
     return sizes
 
 
 def typical_sizes(values: Array) -> Array:
-    """Mean magnitude in each column but for the largest, which may sit at a jump."""
+    """Mean magnitude in each column without its largest entry, which may lie at a jump."""
     sizes = np.abs(values)
     return (sizes.sum(axis=0) - column_sizes(values)) / (len(values) - 1)
 
 
-def march_windows(
-    rates: Callable[[Array, Array, Array], None],
-    nodes: Array,
-    integration: Array,
-    fit: Array,
-    between: Array,
-    to_between: Array,
-    rates_between: Array,
-    end: Array,
-    end_low: Array,
-    tail_fit: Array,
-    stops: Array,
-    tolerance: float,
-    floors: Array,
-    signs: Array,
-    shortest: float,
-    longest: float,
-    given: bool,
-    found: Array,
-    clock: Array,
-    counts: Array,
-    sizes: Array,
-    tail: Array,
-    edges: Array,
-    states: Array,
-    readouts: Array,
-) -> int:
-    """Fill edges, states and readouts from counts[0] on; returns how it ended.
+def iterate(
+    rates: Rates,
+    tables: Tables,
+    settings: Settings,
+    progress: Progress,
+    z: Array,
+    h: float,
+    ratio: float,
+) -> tuple[int, int]:
+    """Solve the collocation equation of one window by fixed-point iteration.
 
     Parameters
     ----------
-    rates : callable
-        (z, t, out) for z, out of shape (n, dim) and t of shape (n,).
-    nodes, integration, fit, between, to_between, rates_between, end, end_low, tail_fit
-        Tables of the :class:`~hamsym.random_features.basis.FeatureBasis`.
-    stops : array
-        Times at which a window must end, the last of them the end of the march.
-    tolerance : float
-        Of each window, relative to the sizes of the components, each by itself.
-    floors : array (dim,)
-        Sizes that components count as having at least.
-    signs : array (between, dim)
-        1 and -1 at random. What the rates change by when states and times change by a unit in
-        the last place, with these signs, is their round-off.
-    shortest : float
-        Length below which a window is not tried.
-    longest : float
-        Length that no window exceeds, but for a sliver.
-    given : bool
-        Whether ``found`` has the rates at the nodes of the first window already.
-    found : array (nodes, dim)
-        Those rates.
-    clock : array (2,)
-        Time, and length of the next window; updated.
-    counts : array (3,)
-        Windows so far, evaluations of the vector field, stops passed; updated.
-    sizes : array (dim,)
-        Largest magnitude of each component so far; updated.
-    tail : array (3, dim)
-        Quadratic guess of the rates after the last window, in units of its length; updated.
-    edges, states, readouts : arrays
-        Shapes (n + 1,), (n + 1, dim) and (n, columns, dim).
+    z : array (dim,)
+        State at the start of the window.
+    h : float
+        Length of the window, negative backwards in time.
+    ratio : float
+        Length relative to the last window; 0 for the first window.
+
+    Returns
+    -------
+    iterations, evaluations : int
+        Iterations until convergence, 0 without convergence; evaluations of the vector field.
+        ``progress.found`` contains the rates at the nodes.
     """
-    dim = len(sizes)
-    count, evaluations, passed = counts[0], counts[1], counts[2]
-    t, length = clock[0], clock[1]
-    direction = 1.0 if stops[-1] > t else -1.0
-    last_length = abs(t - edges[count - 1]) if count else 0.0
-    enough = max(0.01 * tolerance, 4e-16)
-    guess = np.empty((len(nodes), 3))
-    values = np.empty((len(nodes), dim))
-    flow = np.empty((len(between), dim))
-    disturbed = np.empty((len(between), dim))
-    # Where the iteration fails, Newton's method is asked; in large systems only if shorter windows
-    # fail too, or if it served the last window.
+    values, signs = progress.found, settings.signs[: len(tables.nodes)]
+    times = progress.clock[0] + h * tables.nodes
+    enough = max(0.01 * settings.tolerance, 4e-16)
+    guess = np.empty((len(times), 3))
+    guess[:, 0] = 1.0
+    guess[:, 1] = ratio * tables.nodes
+    guess[:, 2] = guess[:, 1] ** 2
+    scaled = h * tables.integration
+    nearby = z + scaled @ (guess @ progress.tail)
+    scale = np.maximum(np.maximum(progress.sizes, settings.floors), column_sizes(nearby))
+    scale = np.maximum(scale, TINY)
+    last = math.inf
+    tests = 0
+    for iteration in range(1, ITERATIONS + 1):
+        rates(nearby, times, values)
+        moved = z + scaled @ values
+        changes = column_sizes(moved - nearby)
+        change = (changes / scale).max()
+        if change <= enough or (change < 1e-12 and change >= last):
+            return iteration, iteration + tests
+        if change >= last and tests < ROUND_OFF_TESTS:
+            # A component may stay away from its limit by the round-off of its rate.
+            tests += 1
+            disturbed = np.empty(values.shape)
+            rates(nearby * (1 + EPS * signs), times * (1 + EPS * signs[:, 0]), disturbed)
+            noise = typical_sizes(disturbed - values)
+            if (changes <= enough * scale + NOISE * abs(h) * noise).all():
+                return iteration, iteration + tests
+        if not change < 1e9 or (iteration > 31 and change > 0.9 * last):
+            return 0, iteration + tests
+        nearby = moved
+        last = change
+    return 0, ITERATIONS + tests
+
+
+def judge(
+    rates: Rates,
+    tables: Tables,
+    settings: Settings,
+    progress: Progress,
+    z: Array,
+    h: float,
+    readout: Array,
+) -> tuple[float, Array, int]:
+    """Compare the residual between the nodes of a window with the tolerance.
+
+    Returns
+    -------
+    error : float
+        Largest ratio of the residual to the allowed one.
+    sizes : array (dim,)
+        Largest magnitudes of the components so far, this window included.
+    evaluations : int
+    """
+    length, times = abs(h), progress.clock[0] + h * tables.between
+    middle = z + tables.to_between @ readout
+    flow = np.empty(middle.shape)
+    rates(middle, times, flow)
+    residual = (tables.rates_between @ readout) / h - flow
+    sizes = np.maximum(progress.sizes, column_sizes(middle))
+    # No window is short enough to bring the residual below the round-off of the rates.
+    allowed = settings.tolerance * np.maximum(sizes, settings.floors)
+    allowed = np.maximum(allowed + ROUND_OFF * length * column_sizes(progress.found), TINY)
+    defects = length * column_sizes(residual)
+    error = (defects / allowed).max()
+    if error <= GOOD:
+        return error, sizes, 1
+    # Where large terms cancel, the round-off is many units of the rates.
+    disturbed = np.empty(middle.shape)
+    signs = settings.signs
+    rates(middle * (1 + EPS * signs), times * (1 + EPS * signs[:, 0]), disturbed)
+    allowed = allowed + NOISE * length * typical_sizes(disturbed - flow)
+    return (defects / allowed).max(), sizes, 2
+
+
+def march_windows(
+    rates: Rates,
+    tables: Tables,
+    settings: Settings,
+    progress: Progress,
+    windows: Windows,
+    given: bool,
+) -> int:
+    """Fill windows from progress.counts[0] on; return the outcome.
+
+    ``given`` says whether ``progress.found`` already contains the rates at the nodes of the first
+    window.
+    """
+    edges, states, readouts = windows
+    clock, counts, stops = progress.clock, progress.counts, settings.stops
+    direction = 1.0 if stops[-1] > clock[0] else -1.0
+    last_length = abs(clock[0] - edges[counts[0] - 1]) if counts[0] else 0.0
+    # Where the iteration fails, Newton's method follows; in large systems only after shorter
+    # windows failed too, or right after a window that needed it.
     stiff, failures = given, 0
-    retries = 0 if dim * len(nodes) <= SMALL else RETRIES
-    status = FINISHED
-    while passed < len(stops):
-        stop = stops[passed]
-        left = abs(stop - t)
-        length = min(length, longest, left)
+    retries = 0 if progress.found.size <= SMALL else RETRIES
+    while counts[2] < len(stops):
+        stop, count = stops[counts[2]], counts[0]
+        left = abs(stop - clock[0])
+        length = min(clock[1], settings.longest, left)
         # Equal windows may miss the stop by round-off: no sliver is left before it.
         if left - length < SLIVER * length:
             length = left
-        if length < shortest:
-            status = TOO_SHORT
-            break
+        clock[1] = length
+        if length < settings.shortest:
+            return TOO_SHORT
         if count == len(readouts):
-            status = FULL
-            break
-        h = direction * length
-        z = states[count]
+            return FULL
+        h, z = direction * length, states[count]
+        slow = False
         if not given:
-            times = t + h * nodes
             ratio = length / last_length if count else 0.0
-            guess[:, 0] = 1.0
-            guess[:, 1] = ratio * nodes
-            guess[:, 2] = guess[:, 1] ** 2
-            scaled = h * integration
-            nearby = z + scaled @ (guess @ tail)
-            scale = np.maximum(np.maximum(sizes, floors), column_sizes(nearby))
-            scale = np.maximum(scale, TINY)
-            last = math.inf
-            looks = 0
-            solved = False
-            for attempt in range(ITERATIONS):
-                rates(nearby, times, values)
-                moved = z + scaled @ values
-                changes = column_sizes(moved - nearby)
-                change = (changes / scale).max()
-                evaluations += 1
-                if change <= enough or (change < 1e-12 and change >= last):
-                    nearby = moved
-                    solved = True
-                    break
-                if change >= last and looks < LOOKS:
-                    # A component may stay away from its limit by the round-off of its rate.
-                    looks += 1
-                    inner = disturbed[: len(nodes)]
-                    late = times * (1 + EPS * signs[: len(nodes), 0])
-                    rates(nearby * (1 + EPS * signs[: len(nodes)]), late, inner)
-                    evaluations += 1
-                    noise = typical_sizes(inner - values)
-                    if (changes <= enough * scale + NOISE * length * noise).all():
-                        nearby = moved
-                        solved = True
-                        break
-                nearby = moved
-                if not change < 1e9 or (attempt > 30 and change > 0.9 * last):
-                    break
-                last = change
-            if not solved and (stiff or failures >= retries):
-                status = NEWTON
-                break
-            if not solved:
+            iterations, spent = iterate(rates, tables, settings, progress, z, h, ratio)
+            counts[1] += spent
+            if iterations == 0:
+                if stiff or failures >= retries:
+                    return NEWTON
                 failures += 1
-                length *= SHRINK
+                clock[1] = length * SHRINK
                 continue
-            slow = attempt > SLOW
-            found = values
-            stiff = False
-        else:
-            slow = False
+            slow, stiff = iterations > SLOW + 1, False
         given = False
-        readout = h * (fit @ found)
-        middle = z + to_between @ readout
-        rates(middle, t + h * between, flow)
-        evaluations += 1
-        residual = (rates_between @ readout) / h - flow
-        sizes_now = np.maximum(sizes, column_sizes(middle))
-        # No window is short enough to bring the residual below the round-off of the rates.
-        allowed = tolerance * np.maximum(sizes_now, floors)
-        allowed = np.maximum(allowed + ROUND_OFF * length * column_sizes(found), TINY)
-        defects = length * column_sizes(residual)
-        error = (defects / allowed).max()
-        if not error <= WELL:
-            # That is many units of the rates where large terms cancel.
-            late = (t + h * between) * (1 + EPS * signs[:, 0])
-            rates(middle * (1 + EPS * signs), late, disturbed)
-            evaluations += 1
-            allowed = allowed + NOISE * length * typical_sizes(disturbed - flow)
-            error = (defects / allowed).max()
-        if not error <= 1:  # also where it is not a number
+        readout = h * (tables.fit @ progress.found)
+        error, sizes, spent = judge(rates, tables, settings, progress, z, h, readout)
+        counts[1] += spent
+        if not error <= 1:  # also where it is NaN
             factor = (0.3 / error) ** (1 / ORDER) if math.isfinite(error) else 0.3
-            length *= min(max(factor, 0.3), 0.9)
+            clock[1] = length * min(max(factor, 0.3), 0.9)
             continue
         # Rounding Q(1) would push every window the same way, and energies would drift.
-        states[count + 1] = z + (end @ readout + end_low @ readout)
-        if length == left:
-            t = stop
-            passed += 1
-        else:
-            t += h
-        failures = 0
+        states[count + 1] = z + (tables.end @ readout + tables.end_low @ readout)
         readouts[count] = readout
-        count += 1
-        edges[count] = t
-        tail[:, :] = tail_fit @ found[-TAIL:]
-        sizes[:] = sizes_now
+        if length == left:
+            clock[0] = stop
+            counts[2] += 1
+        else:
+            clock[0] += h
+        edges[count + 1] = clock[0]
+        counts[0] += 1
+        failures = 0
+        progress.tail[:, :] = tables.tail_fit @ progress.found[-TAIL:]
+        progress.sizes[:] = sizes
         growth = min(GROW, (0.1 / max(error, 1e-30)) ** (1 / ORDER))
-        if error <= WELL:
+        if error <= GOOD:
             growth = max(growth, 1.0)
         last_length = length
-        length *= SHRINK if slow else growth
-    clock[0], clock[1] = t, length
-    counts[0], counts[1], counts[2] = count, evaluations, passed
-    return status
+        clock[1] = length * (SHRINK if slow else growth)
+    return FINISHED

@@ -1,4 +1,4 @@
-"""The windows of a march: what it found, and what it cost."""
+"""The windows of a march and their cost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["March"]
 
 @dataclass(frozen=True)
 class March:
-    """Windows of a solution, and what they cost.
+    """Windows of a solution and their cost.
 
     Attributes
     ----------
@@ -26,15 +26,15 @@ class March:
     readouts : numpy.ndarray
         Coefficients of the orthonormal columns, shape (n, m, dim).
     reached : float
-        The time up to which there are windows.
+        Time at which the last window ends.
     reason : str
-        Why it ended before the end of the span; "" if it did not.
+        Reason for ending before the end of the span, "" at its end.
     evaluations : int
         Calls of the vector field, each at all points of a window.
     newton_windows : int
         Windows for which Newton's method was needed.
     compiled : bool
-        Whether compiled code marched.
+        Whether the loop was compiled.
     scale : numpy.ndarray
         Largest magnitude of each component, shape (dim,).
     seconds, cpu_seconds : float
@@ -44,7 +44,7 @@ class March:
         Time from which the edges are counted: the start of the span, where H does not depend on
         time and differences to it are exact in float64, otherwise 0.
     doubt : str
-        What a check of the windows found and shorter windows did not mend; "" if nothing.
+        First failure of a check that shorter windows did not mend, "" without one.
     """
 
     edges: np.ndarray = field(repr=False)
@@ -75,17 +75,17 @@ class March:
         return self.evaluations * self.points_per_window
 
     def check(self, trial: Any, method: str) -> None:
-        """Raise ValueError if these are not the windows of a trial solution."""
+        """Raise ValueError unless these are the windows of the trial solution."""
         if method != "features":
-            raise ValueError(f"method '{method}' does not march")
+            raise ValueError(f"its method is '{method}', not 'features'")
         for name in ("edges", "states", "readouts"):
             if not np.array_equal(getattr(self, name), getattr(trial, name)):
-                raise ValueError(f"its march has other {name}")
+                raise ValueError(f"the {name} of its march differ from those of its trial solution")
         require_array("scale", self.scale, self.states[0].shape)
         if (self.scale < 0).any():
-            raise ValueError("its scale is below zero")
+            raise ValueError("its scale is negative")
         if self.origin != trial.origin or self.reached != self.origin + self.edges[-1]:
-            raise ValueError("its march reached another time")
+            raise ValueError("its march does not end at the end of its windows")
         require_counts(self)
 
     @property
@@ -94,11 +94,11 @@ class March:
         return self.points_per_window * len(self.readouts)
 
     def times(self, span: tuple[float, float], count: int) -> np.ndarray:
-        """About so many times, at least nine in each window, its start among them, and the end."""
+        """Return about ``count`` times: at least nine per window, its start first, and the end."""
         return self.times_in_windows(max(9, count // len(self.edges)))
 
     def times_in_windows(self, per_window: int) -> np.ndarray:
-        """So many equally spaced times in each window, its start among them, and the end."""
+        """Return equally spaced times in each window, with its start, and the end."""
         inside = np.linspace(0, 1, per_window, endpoint=False)
         within = self.edges[:-1, None] + np.diff(self.edges)[:, None] * inside
         return self.origin + np.append(within.ravel(), self.edges[-1])

@@ -1,4 +1,4 @@
-"""The equation that the error of a trajectory obeys, integrated along it.
+"""Integration of the equation of the error along a trajectory.
 
 With z = z^ + delta and the residual r = dz^/dt - J grad H(z^), exactly
 
@@ -14,6 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy.integrate
 
+from hamsym.numerics.call_limit import TooManyCallsError, limited
 from hamsym.numerics.symplectic import generators
 from hamsym.solution.path import Path
 
@@ -24,14 +25,10 @@ RESOLUTIONS = ((1e-6, 1 / 50), (1e-9, 1 / 200))
 _CALLS = 20_000  # evaluations, at most, at the first resolution
 
 
-class _TooManyCalls(Exception):  # noqa: N818
-    pass
-
-
 def integrated_error(
     solution: Path, *, linear: bool = False, resolution: int = 0
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """delta as a function of time, by DOP853; infinite from where the equation has no solution.
+    """Integrate delta with DOP853; it is infinite from where the equation has no solution.
 
     Parameters
     ----------
@@ -49,13 +46,8 @@ def integrated_error(
     H, system = solution.H, solution.H.compile("numpy")
     size = solution.ell_max or 1.0  # errors are measured in units of ell_max
     rtol, share = RESOLUTIONS[resolution]
-    most, calls = _CALLS * (1 + 3 * resolution), 0
 
     def rate(t: float, error: np.ndarray) -> np.ndarray:
-        nonlocal calls
-        calls += 1
-        if calls > most:
-            raise _TooManyCalls
         z, dz = solution.evaluate(t, extrapolate=True)
         if linear:
             residual = dz - system.vector_field(*system.arguments(z, t))
@@ -68,7 +60,7 @@ def integrated_error(
     with np.errstate(all="ignore"):
         try:
             result = scipy.integrate.solve_ivp(
-                rate,
+                limited(rate, _CALLS * (1 + 3 * resolution)),
                 solution.span,
                 np.zeros(H.dim),
                 method="DOP853",
@@ -78,13 +70,13 @@ def integrated_error(
                 max_step=share * abs(end - start),
             )
             reached, found = float(result.t[-1]), result.sol
-        except _TooManyCalls:  # a network this wild is no solution
+        except TooManyCallsError:  # the residual oscillates too fast for a solution
             reached, found = start, lambda t: np.zeros((H.dim, *np.shape(t)))
     sign = np.sign(end - start)
 
     def error(t: np.ndarray) -> np.ndarray:
-        known = sign * t <= sign * reached
-        values = size * found(np.where(known, t, reached)).T
-        return np.asarray(np.where(known[..., None], values, np.inf))
+        solved = sign * t <= sign * reached
+        values = size * found(np.where(solved, t, reached)).T
+        return np.asarray(np.where(solved[..., None], values, np.inf))
 
     return error

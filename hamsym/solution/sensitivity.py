@@ -1,4 +1,4 @@
-"""dz(t)/dz0 along a solution: the tangent map as a function of time.
+"""The sensitivity dz(t)/dz0 along a solution: the tangent map as a function of time.
 
 Phi' = J Hess(z^(t)) Phi with Phi = 1 at the start of the span. Each window is solved by collocation
 (:mod:`hamsym.numerics.tangent_maps`), in units of the components' scales.
@@ -12,17 +12,18 @@ import numpy as np
 
 from hamsym.numerics.symplectic import generators
 from hamsym.numerics.tangent_maps import TangentMaps
+from hamsym.numerics.windows import locate
 from hamsym.solution.path import Path
 
 __all__ = ["Sensitivity"]
 
-_CHUNK = 4_096  # times for which series are gathered at once
-_WINDOWS = 1_024  # for which tangent maps are held at once
+_CHUNK = 4_096  # times in one batch
+_WINDOWS = 1_024  # windows whose tangent maps are computed together
 _MOST_WINDOWS = 100_000
 
 
 class Sensitivity:
-    """Phi(t) along a path.
+    """The tangent map Phi(t) along a path.
 
     Parameters
     ----------
@@ -43,17 +44,13 @@ class Sensitivity:
         self._origin = origin
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
-        """Phi at times t of shape (K,), shape (K, dim, dim)."""
+        """Evaluate Phi at times t of shape (K,), shape (K, dim, dim)."""
         parts = [self._values(t[k : k + _CHUNK]) for k in range(0, len(t), _CHUNK)]
         return np.concatenate(parts) * (self._units[:, None] / self._units)
 
     def _values(self, t: np.ndarray) -> np.ndarray:
-        edges, times = self._edges, t - self._origin
-        sign = np.sign(edges[-1] - edges[0])
-        window = np.searchsorted(sign * edges, sign * times, side="right") - 1
-        window = np.clip(window, 0, len(edges) - 2)
-        s = (times - edges[window]) / np.diff(edges)[window]
-        values = np.empty((len(times), len(self._units), len(self._units)))
+        window, s = locate(self._edges, t - self._origin)
+        values = np.empty((len(t), len(self._units), len(self._units)))
         used = np.unique(window)
         for first in range(0, len(used), _WINDOWS):
             some = used[first : first + _WINDOWS]
@@ -89,7 +86,7 @@ class Sensitivity:
     def _own_edges(self) -> np.ndarray:
         start, end = self._path.span
         hessians = self._path.hessians(self._path.scan_times)
-        # J Hess in units of the scales has the size of the rates at which nearby states part.
+        # J Hess in units of the scales has the size of the rates at which nearby states separate.
         sizes = np.abs(generators(hessians) * self._units / self._units[:, None])
         wanted = float(sizes.sum(axis=-1).max()) * abs(end - start) / 2
         return np.linspace(start, end, 2 + int(min(np.nan_to_num(wanted), _MOST_WINDOWS)))

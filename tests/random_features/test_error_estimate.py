@@ -69,7 +69,7 @@ def test_estimate_of_chaos_ends_with_the_motion() -> None:
     solution = hamsym.solve(H, {"x": 0, "y": -0.15, "px": 0.5555, "py": 0}, (0, 3000), tol=1e-6)
     assert not solution.success
     assert "met only until t = " in solution.message
-    assert "grow to that of the motion by t = " in solution.message
+    assert "grow to the size of the motion by t = " in solution.message
     assert np.isinf(solution.error_estimate(2999.0)).all()
     assert np.isfinite(solution.error_estimate(10.0)).all()
     assert np.isinf(solution.relative_error_estimate)

@@ -26,14 +26,14 @@ def test_kick_from_the_formula_has_its_impulse() -> None:
     assert solution(20.0)[0] == pytest.approx(1.0 + 10.0 + impulse * (20 - 3.37), abs=1e-8)
 
 
-def test_kick_goes_unseen_without_the_formula() -> None:
+def test_kick_is_missed_without_the_formula() -> None:
     """Otherwise the test above shows nothing of the check."""
     flow = dataclasses.replace(flow_of(Hamiltonian(KICK)), narrow_arguments=None)
     windows = march(flow, np.array([1.0, 0.5]), (0.0, 20.0), 1e-10, feature_basis(0), longest=2.5)
     assert windows.states[-1, 1] == pytest.approx(0.5, abs=1e-12)
 
 
-def test_energy_shows_a_step_that_no_place_does() -> None:
+def test_energy_check_finds_hidden_step() -> None:
     H = Hamiltonian("p**2/2 + x**2/2 + tanh(100000*(x - 1/3))/20")
     flow = dataclasses.replace(flow_of(H), narrow_arguments=None)
     windows = march(flow, np.array([1.0, 0.0]), (0.0, 6.0), 1e-9, feature_basis(0), longest=0.75)
@@ -86,7 +86,7 @@ def test_turning_point_on_a_bump_is_resolved() -> None:
     assert abs(finer(6.0)[0] - math.sin(6.0)) > 1e-7
 
 
-def test_checks_pass_what_is_resolved_and_find_what_is_moved() -> None:
+def test_checks_find_shifted_windows_only() -> None:
     H = Hamiltonian("p**2/2 - cos(x)")
     flow, basis = flow_of(H), feature_basis(0)
     marched = march(flow, np.array([1.0, 0.5]), (0.0, 30.0), 1e-10, basis, longest=3.0)
@@ -104,7 +104,7 @@ def test_checks_pass_what_is_resolved_and_find_what_is_moved() -> None:
     assert failure.window == 4
 
 
-def test_numbers_that_are_none_exceed_every_bound() -> None:
+def test_nan_exceeds_every_bound() -> None:
     values = np.array([[0.0, 0.0], [np.nan, 0.0], [np.inf, 0.0], [1.0, 1.0]])
     excess = _excess(values, np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 1.0], [2.0, np.nan]]))
     assert excess[0] == 0
@@ -121,13 +121,13 @@ def test_numbers_that_are_none_exceed_every_bound() -> None:
         ("sqrt(x**2 + 1e-20) + p**2/2", [0.3, 1.2]),
     ],
 )
-def test_hidden_kinks_are_no_success(formula: str, z0: list[float]) -> None:
+def test_hidden_kinks_fail(formula: str, z0: list[float]) -> None:
     solution = hamsym.solve(formula, z0, (0, 10), tol=1e-5)
     assert not solution.success
     assert "t = " in solution.message
 
 
-def test_force_switched_by_the_time_names_breakpoints() -> None:
+def test_switched_force_suggests_breakpoints() -> None:
     H = Hamiltonian("p**2/2 + x*sign(sin(3*t))")
     solution = hamsym.solve(H, [1.0, 0.0], (0.5, 6), tol=1e-6)
     assert not solution.success

@@ -1,0 +1,36 @@
+"""Location of times in consecutive windows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+__all__ = ["locate"]
+
+
+def locate(edges: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the window of each time and the position s in it.
+
+    Parameters
+    ----------
+    edges : numpy.ndarray
+        Ends of the windows, ascending or descending, shape (n + 1,).
+    t : numpy.ndarray
+        Times, any shape. Times outside the windows belong to the first or last one.
+
+    Returns
+    -------
+    window, s : numpy.ndarray
+        Indices from 0 to n - 1, and positions in [0, 1] within the window, shaped as t.
+
+    Examples
+    --------
+    >>> locate(np.array([0.0, 1.0, 3.0]), np.array([0.5, 1.0, 2.5, 3.5]))
+    (array([0, 1, 1, 1]), array([0.5 , 0.  , 0.75, 1.25]))
+    """
+    direction = math.copysign(1.0, float(edges[-1] - edges[0]))
+    window = np.searchsorted(direction * edges, direction * t, side="right") - 1
+    window = np.clip(window, 0, len(edges) - 2)
+    start = edges[window]
+    return window, (t - start) / (edges[window + 1] - start)
