@@ -19,6 +19,7 @@ from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.digest import check_definition
 from hamsym.solution.solution import Solution
+from hamsym.solving import METHODS
 from hamsym.support.checked_data import (
     arrays_of,
     checked_list,
@@ -197,7 +198,10 @@ def _check(solution: Solution) -> None:
     marched = isinstance(trial, FeatureTrial)
     if marched != isinstance(record, March):
         raise ValueError("its record does not belong to its trial solution")
-    record.check(trial, solution.method)
+    method = METHODS.get(solution.method)
+    if method is None or method.marches != marched:
+        raise ValueError(f"method '{solution.method}' does not return such a trial solution")
+    record.check(trial)
     if error is not None:
         if not marched:
             raise ValueError("it is a network with the error estimate of a march")

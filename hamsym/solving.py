@@ -29,10 +29,21 @@ __all__ = ["METHODS", "checked_options", "solve"]
 
 @dataclass(frozen=True)
 class Method:
-    """A method of solution: a dataclass of its options, and what runs it."""
+    """A method of solution.
+
+    Attributes
+    ----------
+    options : type
+        Frozen dataclass of its options, with defaults.
+    run : callable
+        (problem, options) -> Solution.
+    marches : bool
+        Whether its trial solution is a march of windows instead of a network.
+    """
 
     options: type[Any]
     run: Callable[[InitialValueProblem, Any], Solution]
+    marches: bool = False
 
 
 def _train(problem: InitialValueProblem, options: DeepOptions) -> Solution:
@@ -45,7 +56,7 @@ def _train(problem: InitialValueProblem, options: DeepOptions) -> Solution:
 
 #: Methods of solution by name.
 METHODS: dict[str, Method] = {
-    "features": Method(FeatureOptions, solve_by_features),
+    "features": Method(FeatureOptions, solve_by_features, marches=True),
     "levenberg-marquardt": Method(LevenbergMarquardtOptions, _train),
     "lbfgs": Method(LBFGSOptions, _train),
     "adam": Method(AdamOptions, _train),

@@ -33,7 +33,7 @@ from hamsym.codegen.numba_cache import cached_text
 from hamsym.codegen.printers import PRINTERS
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.grammar import GREEK
-from hamsym.formula.printer import FormulaPrinter
+from hamsym.formula.printer import FormulaPrinter, rewritten_to
 from hamsym.symbolic.equations import Equations
 
 __all__ = ["BACKENDS", "Source", "generate"]
@@ -192,7 +192,7 @@ class _Page:
         self.dof, self.dim = form.dof, 2 * form.dof
         self.z, self.dz = names.state, names.derivatives
         self.q, self.p = self.z[: self.dof], self.z[self.dof :]
-        self.uses_erf = form.expr.has(sympy.erf)
+        self.uses_erf = form.expr.has(sympy.erf, *rewritten_to(sympy.erf))
         # The pieces of signatures and calls.
         self.parameters = [name for name, _ in names.parameters]
         self.time = ", t" if names.time else ""

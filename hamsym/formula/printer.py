@@ -14,7 +14,7 @@ import sympy
 
 from hamsym.errors import CodeGenerationError
 
-__all__ = ["FormulaPrinter", "Printer"]
+__all__ = ["FormulaPrinter", "Printer", "rewritten_to"]
 
 _ADD, _MUL, _POW, _ATOM = range(4)  # precedences
 _READABLE = 1_000  # fractions up to here stay fractions in code
@@ -41,6 +41,13 @@ _REWRITES: dict[type, Callable[..., sympy.Expr]] = {
     sympy.Heaviside: _half_step,
     sympy.DiracDelta: lambda *_: sympy.Integer(0),
 }
+
+
+def rewritten_to(function: type) -> tuple[type, ...]:
+    """Functions that are printed in terms of a given one."""
+    x = sympy.Symbol("x")
+    return tuple(kind for kind, rewrite in _REWRITES.items() if rewrite(x).has(function))
+
 
 _COMMON = tuple(
     "sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh exp log sign erf atan2".split()

@@ -78,7 +78,7 @@ class Record(Protocol):
     def times(self, span: tuple[float, float], count: int) -> np.ndarray:
         """About so many times over the span, in its direction, at least nine in each window."""
 
-    def check(self, trial: Any, method: str) -> None:
+    def check(self, trial: Any) -> None:
         """Raise ValueError if it is not the record of this trial solution."""
 
 
