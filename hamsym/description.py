@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import fields
 from typing import Any
 
+import numpy as np
 import sympy
 
 from hamsym.errors import FileError, HamsymError
@@ -19,8 +21,9 @@ from hamsym.support.checked_data import (
     checked_type,
     require_names,
 )
+from hamsym.support.validation import plain
 
-__all__ = ["MALFORMED", "described", "hamiltonian_from"]
+__all__ = ["MALFORMED", "described", "hamiltonian_from", "settings_text"]
 
 _LARGEST_POWER = 1_100  # of two, in a number of the formula; float64 ends at 1,024
 #: Errors that parts of the package raise for values that are not those of a solution.
@@ -63,6 +66,38 @@ def described(H: Hamiltonian) -> dict[str, Any]:
         "q": [symbol.name for symbol in H.q],
         "p": [symbol.name for symbol in H.p],
         "parameters": dict(H.parameters),
+    }
+
+
+def settings_text(
+    H: Hamiltonian,
+    z0: np.ndarray,
+    span: tuple[float, float],
+    seed: int,
+    options: Any,
+    without: Collection[str],
+) -> dict[str, str]:
+    """Return all settings that determine a solution, as text with all digits.
+
+    Parameters
+    ----------
+    H, z0, span, seed
+        Arguments of :func:`hamsym.solve`.
+    options : object
+        The dataclass of the method's options.
+    without : collection of str
+        Options that are left out.
+    """
+    values = {
+        field.name: repr(plain(getattr(options, field.name)))
+        for field in fields(options)
+        if field.name not in without
+    }
+    return values | {
+        "H": repr((H.formula, H.names, sorted(H.parameters.items()))),
+        "z0": repr(z0.tolist()),
+        "span": repr(span),
+        "seed": repr(seed),
     }
 
 

@@ -10,7 +10,6 @@ changes a bit of the result.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
+from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
 
 __all__ = ["NOT_ONLY_SEPARABLE", "Stepper", "Stepping"]
@@ -139,7 +139,7 @@ class Stepper:
         out = np.full((count, saves, self._dim), np.nan)
         interrupted = False
         work = count * self._dim * self.scheme.stages
-        cores = min(_cores(), count) if work * saves * save_every > _WORTH_THREADS else 1
+        cores = min(available_cores(), count) if work * saves * save_every > _WORTH_THREADS else 1
         with stepping_progress(saves * save_every, show) as progress:
             pool = ThreadPoolExecutor(cores) if cores > 1 else None
             try:
@@ -220,10 +220,3 @@ def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[slice | N
         for step in range(0, save_every, piece):
             last = step + piece >= save_every
             yield slice(save, save + 1) if last else None, 1, min(piece, save_every - step)
-
-
-def _cores() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not every system can say
-        return os.cpu_count() or 1

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from hamsym.description import settings_text
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.checkpoint import Checkpoint
@@ -39,7 +39,7 @@ from hamsym.problem import InitialValueProblem
 from hamsym.solution.digest import digest
 from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.solution import Solution
-from hamsym.support.validation import plain, require_positive
+from hamsym.support.validation import require_positive
 
 __all__ = ["solve_by_training"]
 
@@ -150,29 +150,15 @@ def _checkpoint(problem: InitialValueProblem, options: DeepOptions) -> Checkpoin
     require_positive("checkpoint_every", options.checkpoint_every)
     if options.regularizers:
         raise InputError("regularizers cannot be serialised; train without checkpoint")
-    ends = {"target_loss", "target_ell_max", "target_error", "accuracy", "patience", "time_limit"}
-    apart = {*ends, "regularizers", "checkpoint", "checkpoint_every", "iterations"}
-    settings = {
-        entry.name: getattr(options, entry.name)
-        for entry in fields(options)
-        if entry.name not in apart
-    }
-    if options.initial is not None:
-        settings["initial"] = digest(options.initial)
-    H = problem.H
-    settings |= {
-        "H": H.formula,
-        "names": H.names,
-        "parameters": dict(H.parameters),
-        "z0": problem.z0.tolist(),
-        "span": problem.span,
-        "method": options.method,
-        "seed": problem.seed,
-        "dtype": f"torch.{precision_name(options.dtype)}",
-        "torch": torch.__version__,
-    }
-    text = {name: repr(plain(value)) for name, value in settings.items()}
-    return Checkpoint(options.checkpoint, text, options.checkpoint_every)
+    rules = {"target_loss", "target_ell_max", "target_error", "accuracy", "patience", "time_limit"}
+    without = {*rules, "regularizers", "checkpoint", "checkpoint_every", "iterations", "initial"}
+    settings = settings_text(
+        problem.H, problem.z0, problem.span, problem.seed, options, without=without
+    )
+    settings["initial"] = "None" if options.initial is None else digest(options.initial)
+    settings["dtype"] = precision_name(options.dtype)
+    settings |= {"method": options.method, "torch": torch.__version__}
+    return Checkpoint(options.checkpoint, settings, options.checkpoint_every)
 
 
 def _objective(

@@ -1,1 +1,1 @@
-"""Many runs: sweeps over settings and seeds, comparisons with integrators."""
+"""Studies of many runs: sweeps over settings and seeds, comparisons with integrators."""

@@ -1,4 +1,4 @@
-"""The comparison table: what it measures, what it searches for, and what it only extrapolates."""
+"""The comparison table: measured errors, searched steps and extrapolated ones."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_long_search_is_extrapolated(monkeypatch: pytest.MonkeyPatch) -> None:
     full = hamsym.compare(solution, exact=problem.exact).matches["symplectic_euler"].steps
     assert full is not None
     assert full > 300
-    monkeypatch.setattr("hamsym.study.compare._RUN_LIMIT", 1e-9)
+    monkeypatch.setattr("hamsym.study.matching._RUN_LIMIT", 1e-9)
     found = hamsym.compare(solution, points=3, exact=problem.exact)
     match = found.matches["symplectic_euler"]
     assert match.reason == "> 300 steps"
@@ -140,7 +140,7 @@ def test_every_match_is_just_enough(several: Comparison) -> None:
 
 
 def test_round_off_limit_is_named() -> None:
-    """Against itself the network has no error, which no integrator can reach."""
+    """The error of the network against itself is 0, which no integrator reaches."""
     problem = nonlinear_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (0, 2), tol=1e-11)
     methods = ["yoshida8", "dop853", "symplectic_euler"]
@@ -153,7 +153,7 @@ def test_round_off_limit_is_named() -> None:
 
 
 def test_error_of_the_size_of_the_motion_is_not_round_off() -> None:
-    """It no longer falls because it cannot grow."""
+    """An error of the size of the motion is bounded, and does not fall with the steps."""
     H = hamsym.Hamiltonian("p**2/2 - cos(x) - cos(x - t)")
     solution = hamsym.solve(H, [1.0, 0.5], (0, 60), tol=1e-6)
     comparison = hamsym.compare(solution, "implicit_midpoint", points=3, max_steps=20_000)
@@ -219,7 +219,7 @@ def test_unusable_integrators_are_rejected() -> None:
         hamsym.compare(solution, [])
 
 
-def test_how_matches_are_written() -> None:
+def test_text_of_matches() -> None:
     assert str(Match(1234, 1, 1e-3, 0.1)) == "1,234"
     assert str(Match(None, 1, 1e-3, 0.1, tolerance=1e-9)) == "rtol 1e-09"
     beyond = Match(None, 0, 1e-7, 0.0, extrapolated=2.5e9, reason="> 1e8 steps")
@@ -231,11 +231,11 @@ def test_dominant_reference_error_is_reported() -> None:
     solution = hamsym.solve(H, [0.1, 0.0], (0, 30), tol=1e-11)
     comparison = hamsym.compare(solution, max_steps=10**6)
     assert comparison.reference_error > 0.01 * comparison.rows[0].error
-    assert "reference: DOP853, itself good to about" in str(comparison)
+    assert "reference: DOP853, with an error of about" in str(comparison)
 
 
 def test_only_solutions_are_compared() -> None:
-    with pytest.raises(hamsym.InputError, match="takes a Solution, not Hamiltonian"):
+    with pytest.raises(hamsym.InputError, match="expected a Solution, not Hamiltonian"):
         hamsym.compare(harmonic_oscillator().H)  # type: ignore[arg-type]
 
 
@@ -247,11 +247,11 @@ def test_table_fits_eighty_columns(comparison: Comparison) -> None:
     assert lines[-1].startswith("symplectic_euler")
 
 
-def test_table_of_many_fits_too(several: Comparison) -> None:
+def test_table_of_many_fits_eighty_columns(several: Comparison) -> None:
     assert max(map(len, str(several).splitlines())) <= 80
 
 
-def test_non_separable_systems_are_compared_too() -> None:
+def test_non_separable_systems_are_compared() -> None:
     comparison = hamsym.compare(quick(charged_particle, epochs=300))
     assert all(math.isfinite(row.error) for row in comparison.rows)
     assert comparison.matches["symplectic_euler"].steps is not None

@@ -1,4 +1,4 @@
-"""Runs side by side: the same as alone, kept, gone on with, refused where they make no sense."""
+"""Sweeps: equal to solve, reused, resumed, and refused with invalid settings."""
 
 import os
 import signal
@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import hamsym
-from hamsym.study import sweep
+from hamsym.study import processes, runs
 from hamsym.study.compare import measure
+from hamsym.study.display import Display
 from hamsym.support.locking import LOCK
 
 OSCILLATOR = hamsym.systems.nonlinear_oscillator()
@@ -53,7 +54,7 @@ def test_existing_runs_are_reused(tmp_path, monkeypatch):
     files = {path: path.stat().st_mtime_ns for path in _files(tmp_path)}
     assert len(files) == 2
     with monkeypatch.context() as patch:
-        patch.setattr(sweep, "solve", None)
+        patch.setattr(runs, "solve", None)
         again = _sweep(tmp_path)
     for one, other in zip(first.solutions["Adam"], again.solutions["Adam"], strict=True):
         assert (one(T) == other(T)).all()
@@ -64,18 +65,18 @@ def test_existing_runs_are_reused(tmp_path, monkeypatch):
 
 
 def test_interrupted_run_resumes_to_the_same_bits(tmp_path, monkeypatch):
-    told = 0
+    reports = 0
 
     def interrupt(self, item):
-        nonlocal told
-        told += 1
-        if told == 2:
+        nonlocal reports
+        reports += 1
+        if reports == 2:
             raise KeyboardInterrupt
 
     settings = {"Adam": ADAM | {"epochs": 150, "checkpoint_every": 1e-9}}
     with monkeypatch.context() as patch:
-        patch.setattr(sweep, "_REPORT_EVERY", 0.0)
-        patch.setattr(sweep._Silent, "put", interrupt)
+        patch.setattr(processes, "_REPORT_EVERY", 0.0)
+        patch.setattr(Display, "put", interrupt)
         with pytest.raises(KeyboardInterrupt):
             _sweep(tmp_path, settings, seeds=1)
     assert [path.suffix for path in _files(tmp_path)] == [".checkpoint"]
@@ -87,11 +88,11 @@ def test_interrupted_run_resumes_to_the_same_bits(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks here")
 def test_workers_ignore_interrupts():
-    """Not even while they start, when each would print a traceback."""
-    heard = signal.pthread_sigmask(signal.SIG_BLOCK, [])
-    with sweep._interrupts_held():
+    """Also while they start, when each would print a traceback."""
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    with processes._interrupts_blocked():
         process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == heard
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == mask
     process.send_signal(signal.SIGINT)
     process.communicate(b"\n", timeout=60)
     assert process.returncode == 0
@@ -157,9 +158,9 @@ def test_bad_input_is_rejected(tmp_path, change, message):
         _sweep(tmp_path, **change)
 
 
-def test_folder_that_cannot_be_made_is_rejected(tmp_path):
+def test_folder_that_cannot_be_created_is_rejected(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(hamsym.HamsymError, match="cannot be made"):
+    with pytest.raises(hamsym.HamsymError, match="cannot be created"):
         _sweep(tmp_path / "file")
 
 
@@ -181,25 +182,25 @@ def test_folder_is_locked_against_other_processes(tmp_path):
         with pytest.raises(hamsym.FileError, match=f"'{tmp_path}' is in use by another process"):
             _sweep(tmp_path, longer)
         assert len(_files(tmp_path)) == 2
-        assert _sweep(tmp_path).seeds == (0, 1)  # which is there, and is only read
+        assert _sweep(tmp_path).seeds == (0, 1)  # existing runs are read without the lock
         other.kill()
-    _sweep(tmp_path, longer)  # a process that is dead holds no lock
+    _sweep(tmp_path, longer)  # the lock of a dead process is released
     assert len(_files(tmp_path)) == 4
 
 
 @pytest.mark.parametrize("folder", [5, "a\0b"])
 def test_invalid_folder_is_rejected(folder):
-    with pytest.raises(hamsym.FileError, match="cannot be made"):
+    with pytest.raises(hamsym.FileError, match="cannot be created"):
         _sweep(folder)
 
 
 def test_death_of_a_worker_is_reported(tmp_path):
-    with pytest.raises(hamsym.HamsymError, match="ended before its run did"):
+    with pytest.raises(hamsym.HamsymError, match="ended before its run"):
         _sweep(tmp_path, {"a": _Dies()}, workers=2)
 
 
 class _Dies:
-    """Settings whose values kill the process that takes them."""
+    """Settings whose values kill the process that unpickles them."""
 
     def __call__(self, seed):
         return ADAM | {"hidden": _Deadly()}
