@@ -1,4 +1,4 @@
-"""plot: one figure a type of result."""
+"""Figures of results: one for each type."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MAX_LINES = 8
 
 @singledispatch
 def plot(result: Any, *args: Any, **options: Any) -> Figure:
-    """A figure of a result: a solution, trajectory, section, comparison or Lyapunov exponents.
+    """Draw a solution, trajectory, section, comparison or Lyapunov exponents.
 
     Parameters
     ----------
@@ -36,12 +36,12 @@ def plot(result: Any, *args: Any, **options: Any) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        To show, or to save with ``.savefig(path)``.
+        Save it with ``.savefig(path)``.
 
     Raises
     ------
     InputError
-        If there is no figure of such a result.
+        If the result is of another type.
 
     Examples
     --------
@@ -51,14 +51,14 @@ def plot(result: Any, *args: Any, **options: Any) -> Figure:
     ['Trajectory', 'Phase space']
     """
     raise InputError(
-        f"a {type(result).__name__} cannot be plotted; give a solution, a trajectory, a section, "
+        f"{type(result).__name__} cannot be plotted; give a solution, a trajectory, a section, "
         "a comparison or Lyapunov exponents"
     )
 
 
 @plot.register
 def _plot_solution(solution: Solution) -> Figure:
-    """Components, phase space, residual and energy error, and the loss, in four panels."""
+    """Draw components, phase space, residual and energy error, and the loss in four panels."""
     figure, axes = _panels(f"H = {solution.H.formula}")
     t = np.linspace(*solution.span, _SAMPLES)
     z = solution(t)
@@ -105,9 +105,9 @@ def _plot_solution(solution: Solution) -> Figure:
 
 @plot.register
 def _plot_trajectory(trajectory: Trajectory) -> Figure:
-    """Components, phase space and the change of H over time, in four panels.
+    """Draw components, phase space and the change of H over time in four panels.
 
-    Of an ensemble the first trajectories are drawn in phase space, and the first one alone over
+    Of an ensemble, the first trajectories are drawn in phase space, and only the first one over
     time.
     """
     figure, axes = _panels(f"{trajectory.method}, {trajectory.steps:,} steps")
@@ -138,11 +138,11 @@ def _plot_trajectory(trajectory: Trajectory) -> Figure:
 
 @plot.register
 def _plot_section(section: Section, x: str, y: str) -> Figure:
-    """Crossings of a surface, a colour for each trajectory."""
+    """Draw crossings of a surface, with a colour for each trajectory."""
     figure = Figure(figsize=(7, 6), layout="constrained")
     axis = figure.subplots()
     i, j = section.names.index(x), section.names.index(y)
-    for k, color in enumerate(_COLORS):  # one artist a colour, however many trajectories
+    for k, color in enumerate(_COLORS):  # one artist per colour, for any number of trajectories
         points = section.z[section.trajectory % len(_COLORS) == k]
         axis.plot(points[:, i], points[:, j], ".", color=color, markersize=1.5)
     axis.set(title=f"{section.surface}: {len(section.t):,} crossings", xlabel=x, ylabel=y)
@@ -152,7 +152,7 @@ def _plot_section(section: Section, x: str, y: str) -> Figure:
 
 @plot.register
 def _plot_lyapunov(found: LyapunovExponents) -> Figure:
-    """Finite-time exponents over time, beside the fall of a regular trajectory."""
+    """Draw finite-time exponents over time, with the decay for a regular trajectory."""
     figure = Figure(figsize=(7, 5), layout="constrained")
     axis = figure.subplots()
     t = np.abs(found.t - found.start)
@@ -173,7 +173,7 @@ def _plot_lyapunov(found: LyapunovExponents) -> Figure:
 
 @plot.register
 def _plot_comparison(comparison: Comparison) -> Figure:
-    """Size of the error and energies over time; the error in phase space; error against work."""
+    """Draw errors and energies over time, errors in phase space, and errors against work."""
     solution = comparison.solution
     figure, axes = _panels(f"H = {solution.H.formula}")
     t = np.linspace(*solution.span, _SAMPLES)
@@ -197,7 +197,7 @@ def _plot_comparison(comparison: Comparison) -> Figure:
             - system.energy(*system.arguments(right, times))
         )
         axes[0, 1].semilogy(times[1:], _positive(energy)[1:], **style)
-        if i in (0, nearest):  # others would dwarf the network's, or be dwarfed
+        if i in (0, nearest):  # others are on another scale than the network's
             axes[1, 0].plot(error[:, 0], error[:, d], **style)
     axes[0, 0].set(title=r"Error $|\delta z|$", xlabel="t")
     axes[0, 1].set(title="Energy error", xlabel="t")
@@ -219,7 +219,7 @@ def _plot_comparison(comparison: Comparison) -> Figure:
 
 
 def _shown(comparison: Comparison) -> list[tuple[Row, Trajectory, str]]:
-    """Of one integrator all its trajectories, of several the middle one of each."""
+    """Return all trajectories of one integrator, or the middle one of each of several."""
     pairs = list(zip(comparison.rows[1:], comparison.trajectories, strict=True))
     if len(comparison.matches) == 1:
         return [(*pair, _color(1 + i)) for i, pair in enumerate(pairs)]
@@ -232,7 +232,7 @@ def _amount(row: Row) -> str:
 
 
 def _panels(title: str) -> tuple[Figure, Any]:
-    # A figure of its own, not pyplot's: nothing global changes and no window system is needed.
+    # Not a figure of pyplot, which has global state and needs a window system.
     figure = Figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplots(2, 2)
     figure.suptitle(title if len(title) <= 100 else title[:97] + "...", fontsize=11)
@@ -246,5 +246,5 @@ def _color(index: int) -> str:
 
 
 def _positive(values: np.ndarray) -> np.ndarray:
-    """Values for a logarithmic axis, which zero would break."""
+    """Return values for a logarithmic axis, on which zero is not allowed."""
     return np.maximum(values, 1e-17)

@@ -1,4 +1,4 @@
-"""solve: from a Hamiltonian and an initial state to a trajectory, by one of several methods."""
+"""Solution of initial-value problems by one of several methods."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Method:
 
 def _train(problem: InitialValueProblem, options: DeepOptions) -> Solution:
     check_options(problem.H, options)
-    # torch takes seconds to import, and the method "features" does without it.
+    # torch takes seconds to import, and the method "features" does not need it.
     from hamsym.networks.method import solve_by_training
 
     return solve_by_training(problem, options)
@@ -73,7 +73,7 @@ def solve(
     progress: bool | Callable[[TrainingState], None] | None = None,
     **options: Any,
 ) -> Solution:
-    """A neural trajectory z^(t) that satisfies Hamilton's equations over a time span.
+    """Compute a neural trajectory z^(t) that satisfies Hamilton's equations over a time span.
 
     Parameters
     ----------
@@ -84,33 +84,29 @@ def solve(
     span : (float, float)
         Start and end time; the end may be the earlier one.
     method : {"features", "levenberg-marquardt", "lbfgs", "adam"}
-        Random sine features marched to a tolerance; or a deep network, all weights trained, by
-        the optimiser of this name ("adam" as in the paper).
+        Random sine features marched to a tolerance, or a deep network trained by the optimizer of
+        this name ("adam" as in the paper).
     seed : int
-        Of all that is random: same seed, same machine, same result.
+        Seed of all random numbers: same seed, same machine, same result.
     progress : bool or callable, optional
-        Draw progress on standard error; by default where that is a terminal. A callable is given
-        a :class:`~hamsym.networks.record.TrainingState` now and then instead, by the methods
-        that train.
+        Draw progress on standard error; by default if that is a terminal. Methods that train call
+        a callable with a :class:`~hamsym.networks.record.TrainingState` instead.
     **options
         For ``"features"``:
 
         tol : float, default 1e-9
-            Wanted accuracy: |z^_i(t) - z_i(t)| <= atol_i + tol s_i for every component and all t,
-            with s_i the largest |z^_i|. A component that is zero, or below 1e-8 of what the terms
-            of its own equation give it, has that as its s_i (:mod:`hamsym.numerics.scales`): less
-            could not be told from the round-off of these terms. Units of components do not matter.
+            Tolerance: |z^_i(t) - z_i(t)| <= atol_i + tol s_i for every component and all t, with
+            s_i the largest |z^_i|. For a component that is zero, or below 1e-8 of the size given
+            by the terms of its own equation, s_i is that size (:mod:`hamsym.numerics.scales`),
+            since smaller values are round-off of these terms. Units of components do not matter.
         atol : float or sequence, default 0
-            Absolute part, in the units of the components.
-
+            Absolute tolerance, in the units of the components.
         breakpoints : sequence of float, default ()
-            Times at which a window must end, such as jumps of a force.
+            Times at which a window must end, e.g. jumps of a force.
         max_window : float, optional
-            Longest window, an eighth of the span by default. Pulses and steps of H are found by
-            their places in the formula, at random places and by the change of H
-            (:mod:`hamsym.random_features.window_checks`); give a shorter one where something brief
-            escapes that.
-
+            Longest window, by default an eighth of the span. Pulses and steps of H are detected
+            from the formula, at random times and by the change of H
+            (:mod:`hamsym.random_features.window_checks`); reduce it to resolve shorter features.
         compiled : {"auto", True, False}
             Whether windows are marched by compiled code: always, never, or where compiling is
             predicted to take less time than it saves. The solution is the same.
@@ -133,12 +129,12 @@ def solve(
         points : int, default 200
             Collocation points K.
         stages : int, default 12, and 1 for ``"adam"``
-            Sequential training: so many spans, each longer by an equal part, weights carried
-            over.
+            Sequential training: number of spans, each longer by an equal part, with the weights
+            carried over.
         energy_weight : float, default 0
             Weight lambda of the mean of (H - E0)^2 in the loss (the paper's eq. regLoss).
         regularizers : sequence of Regularizer
-            Further terms of the loss; not for ``"levenberg-marquardt"``.
+            Additional terms of the loss; not for ``"levenberg-marquardt"``.
         target_loss, target_ell_max : float, optional
             Stop, with success, when the loss or the largest residual at fixed points, which are
             not trained on, is at most this.
@@ -147,25 +143,23 @@ def solve(
             (:attr:`Solution.relative_error_estimate`) is at most this.
         accuracy : float, optional
             Stop, with success, when ell_max <= sigma_min * accuracy, as in the paper, with
-            sigma_min along the trajectory; never, and the message says so, where that is 0.
+            sigma_min along the trajectory; never if that is 0, which the message reports.
         patience : int, optional
-            Stop after so many iterations without a better loss; 200 for
+            Stop after this number of iterations without a lower loss; 200 for
             ``"levenberg-marquardt"``.
         time_limit : float, optional
-            Stop after so many seconds.
+            Stop after this number of seconds.
         checkpoint : path, optional
-            A file that is written every ``checkpoint_every`` (10) seconds and at the end. Where
-            it is there already, the training goes on from it, to the same weights to the last
-            bit as if it had not been interrupted.
-
+            A file that is written every ``checkpoint_every`` (10) seconds and at the end. If it
+            exists, the training is resumed from it, to the same bits as without an interruption.
         initial : Solution, optional
-            A trained solution whose weights the training begins with: on another span, of another
-            H, or with other settings, as in the paper's sequential training. The network and its
-            ``tau`` should be the same, whose default may depend on the span.
+            A trained solution with the initial weights: on another span, of another H, or with
+            other settings, as in the paper's sequential training. The network and ``tau``, whose
+            default depends on the span, should be the same.
 
-        For ``"levenberg-marquardt"``: ``iterations`` (1,000) and ``restarts`` (10), how often at
-        most new weights are drawn when the training stalls. For ``"lbfgs"``: ``iterations``
-        (5,000). For both float64 is the only dtype.
+        For ``"levenberg-marquardt"``: ``iterations`` (1,000) and ``restarts`` (10), the largest
+        number of times that new weights are drawn when the training stalls. For ``"lbfgs"``:
+        ``iterations`` (5,000). For both float64 is the only dtype.
 
         For ``"adam"``:
 
@@ -177,16 +171,15 @@ def solve(
     Returns
     -------
     Solution
-        ``success`` tells whether the estimated error, round-off included, is as asked
-        (``"features"``; never beyond a jump of the force, nor where the estimate is not finite);
-        whether the target loss was reached or, without one, whether the
-        estimated error stays below 1 % of the motion (``"adam"``). What was found is returned
-        either way; a march that had to stop spans the time up to there.
+        ``success`` is true if the estimated error, round-off included, is within the tolerance
+        (``"features"``), or if a target was reached or, without targets, the estimated error is
+        below 1 % of the motion (methods that train). It is false if the trajectory crosses a
+        discontinuity of H or of its gradient. A march that had to stop spans the time up to there.
 
     Raises
     ------
     InputError
-        If a setting, a name, the state or the span cannot be used.
+        If an option, a name, the state or the span is invalid.
 
     Examples
     --------
@@ -204,21 +197,21 @@ def solve(
 
 
 def checked_options(H: Hamiltonian, method: str, options: Mapping[str, Any]) -> Any:
-    """The options of a method, with its defaults, as its dataclass.
+    """Return the options of a method as its dataclass.
 
     Raises
     ------
     InputError
-        If there is no such method, or it has no such option.
+        If the method or one of its options does not exist.
     """
     if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"{method!r} is not a method; choose one of {', '.join(METHODS)}")
-    known = [field.name for field in fields(METHODS[method].options)]
+    names = [field.name for field in fields(METHODS[method].options)]
     for name in options:
-        if name not in known:
+        if name not in names:
             if name in H.parameter_names:
-                raise InputError(f"'{name}' is a parameter; say H.with_parameters({name}=...)")
+                raise InputError(f"'{name}' is a parameter; use H.with_parameters({name}=...)")
             raise InputError(
-                f"'{name}' is not an option of method {method!r}; it has {', '.join(known)}"
+                f"'{name}' is not an option of method {method!r}; it has {', '.join(names)}"
             )
     return METHODS[method].options(**options)

@@ -1,4 +1,4 @@
-"""Files give back what was saved to the last bit, and say what is wrong with them."""
+"""Files of solutions: exact to the last bit, and refused with a reason if they are invalid."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ def test_exact_to_the_last_bit(method: str, tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_the_whole_catalogue(problem: Problem, tmp_path: Path) -> None:
+def test_every_catalogue_system_is_restored(problem: Problem, tmp_path: Path) -> None:
     solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-6)
     solution.save(tmp_path / "a")
     same_everywhere(solution, hamsym.load(tmp_path / "a"))
 
 
-def test_the_users_own_symbols_and_binary_fractions(tmp_path: Path) -> None:
+def test_own_symbols_and_binary_fractions_are_restored(tmp_path: Path) -> None:
     x, p, k = sympy.symbols("x p k", positive=True)
     expr = p**2 / 2 + 0.1 * x**2 + k * x**4 * sympy.Float("0.3", 30) + sympy.sqrt(x)
     H = Hamiltonian(expr, q=[x], p=[p], parameters={"k": 1 / 3})
@@ -85,7 +85,7 @@ def test_the_users_own_symbols_and_binary_fractions(tmp_path: Path) -> None:
     same_everywhere(solution, again)
 
 
-def test_a_failure_is_saved_as_one(tmp_path: Path) -> None:
+def test_failed_solution_stays_failed(tmp_path: Path) -> None:
     solution = hamsym.solve(Hamiltonian("p**2/2 - x**4/4"), [1.0, 1.0], (0, 5))
     solution.save(tmp_path / "a")
     again = hamsym.load(tmp_path / "a")
@@ -93,7 +93,7 @@ def test_a_failure_is_saved_as_one(tmp_path: Path) -> None:
     assert again.message == solution.message
 
 
-def test_files_that_cannot_be_used(tmp_path: Path) -> None:
+def test_foreign_and_damaged_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a"
     with pytest.raises(FileError, match="cannot be read"):
         hamsym.load(path)
@@ -129,7 +129,7 @@ def test_files_that_cannot_be_used(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", [5, None, "a\0b"])
-def test_paths_that_are_none(path: object) -> None:
+def test_invalid_paths_are_refused(path: object) -> None:
     solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
     with pytest.raises(FileError, match="cannot be written"):
         solution.save(path)
@@ -137,7 +137,7 @@ def test_paths_that_are_none(path: object) -> None:
         hamsym.load(path)
 
 
-def test_windows_that_do_not_fit_together(tmp_path: Path) -> None:
+def test_inconsistent_windows_are_refused(tmp_path: Path) -> None:
     solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
     trial = dataclasses.replace(solution.trial, states=solution.trial.states[:, :1])
     solution = dataclasses.replace(solution, trial=trial)
@@ -149,7 +149,7 @@ def test_windows_that_do_not_fit_together(tmp_path: Path) -> None:
     assert not (tmp_path / "b").exists()
 
 
-def test_what_was_there_stays_if_writing_fails(tmp_path: Path) -> None:
+def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
     solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
     with pytest.raises(FileError, match="cannot be written"):
         solution.save(tmp_path / "no" / "folder")
@@ -159,7 +159,7 @@ def test_what_was_there_stays_if_writing_fails(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
 
 
-def test_links_are_followed_and_permissions_stay(tmp_path: Path) -> None:
+def test_links_and_permissions_are_kept(tmp_path: Path) -> None:
     solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
     (tmp_path / "folder").mkdir()
     target = tmp_path / "folder" / "target"
@@ -176,7 +176,7 @@ def test_links_are_followed_and_permissions_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
-def test_pipes_and_devices_are_written_into(tmp_path: Path) -> None:
+def test_pipes_and_devices_are_written_to(tmp_path: Path) -> None:
     solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
     solution.save(tmp_path / "file")
     os.mkfifo(tmp_path / "pipe")
@@ -197,7 +197,7 @@ def test_pipes_and_devices_are_written_into(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not Path("/dev/stdout").exists(), reason="no such device here")
 @pytest.mark.parametrize("to", ["file", "pipe"])
-def test_standard_output_is_written_into(to: str, tmp_path: Path) -> None:
+def test_standard_output_is_written_to(to: str, tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from hamsym.support.atomic import write_atomically;"
         "print('before', flush=True); write_atomically(Path('/dev/stdout'), b'content')"
@@ -213,7 +213,7 @@ def test_standard_output_is_written_into(to: str, tmp_path: Path) -> None:
 
 
 def sealed(content: bytes) -> bytes:
-    """The same file with the checksum of what it holds now, as an attacker would make it."""
+    """Return the file with the checksum of its edited content, as an attacker would."""
     found = re.search(rb'sha256\\": \\"([0-9a-f]{64})', content)
     if found is None:
         return content
@@ -332,11 +332,11 @@ def test_many_damaged_files_are_refused(saved: dict[str, Path], tmp_path: Path) 
     _damage(saved, tmp_path / "a", range(40, 340))
 
 
-# -- edits with a checksum computed anew ----------------------------------------------------------
+# -- edits with a new checksum --------------------------------------------------------------------
 
 
 def _set(*keys: Any, to: Any) -> Callable[[dict, dict], None]:
-    """A change of one of the values, or of its removal."""
+    """Return a function that replaces or removes one of the values."""
 
     def change(tensors: dict[str, Any], values: dict[str, Any]) -> None:
         *way, last = keys
@@ -537,7 +537,7 @@ def test_edited_files_are_refused(name: str, saved: dict[str, Path], tmp_path: P
         hamsym.load(tmp_path / "a")
 
 
-def test_sizes_are_compared_before_anything_is_built(
+def test_sizes_are_compared_before_allocation(
     saved: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tensors, values = read_tensors(saved["network"], "solution")
@@ -548,7 +548,7 @@ def test_sizes_are_compared_before_anything_is_built(
         hamsym.load(tmp_path / "a")
 
 
-def test_a_header_is_looked_at_before_the_rest(tmp_path: Path) -> None:
+def test_header_is_checked_before_the_rest(tmp_path: Path) -> None:
     path = tmp_path / "a"
     for length in (0, 100, 2**32, 2**63):
         with open(path, "wb") as file:
@@ -570,8 +570,8 @@ def test_a_header_is_looked_at_before_the_rest(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_loads_is_exactly_what_is_written(saved: dict[str, Path], tmp_path: Path) -> None:
-    """Random edits under a new checksum: refused, or the file says nothing that is not used."""
+def test_edited_file_loads_only_if_rewritten_equal(saved: dict[str, Path], tmp_path: Path) -> None:
+    """Random edits under a new checksum: refused, or every value of the file is used."""
     path, loaded = tmp_path / "a", 0
     for seed in range(300):
         chance = random.Random(seed)
@@ -597,7 +597,7 @@ def test_what_loads_is_exactly_what_is_written(saved: dict[str, Path], tmp_path:
 # -- digests --------------------------------------------------------------------------------------
 
 
-def test_a_digest_is_of_the_bytes(saved: dict[str, Path], tmp_path: Path) -> None:
+def test_digest_depends_on_every_bit(saved: dict[str, Path], tmp_path: Path) -> None:
     solution = hamsym.load(saved["features"])
     original = digest(solution)
     assert digest(hamsym.load(saved["features"])) == original
@@ -610,7 +610,7 @@ def test_a_digest_is_of_the_bytes(saved: dict[str, Path], tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("name", ["states", "readouts"])
-def test_a_digest_refuses_other_types(name: str, saved: dict[str, Path]) -> None:
+def test_digest_refuses_other_types(name: str, saved: dict[str, Path]) -> None:
     solution = hamsym.load(saved["features"])
     original = getattr(solution.trial, name)
     for dtype in (np.complex64, np.complex128, np.int64, np.float32):
@@ -622,7 +622,7 @@ def test_a_digest_refuses_other_types(name: str, saved: dict[str, Path]) -> None
             changed.save("never written")
 
 
-def test_a_success_has_finite_numbers(saved: dict[str, Path], tmp_path: Path) -> None:
+def test_success_needs_finite_numbers(saved: dict[str, Path], tmp_path: Path) -> None:
     solution = hamsym.load(saved["features"])
     solution.error.largest[0] = math.nan
     with pytest.raises(FileError, match="'largest error' is not finite"):

@@ -1,4 +1,4 @@
-"""What commands print, and the files that they write."""
+"""Output of commands: text, tables and figures."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ __all__ = [
     "write_table",
 ]
 
-WIDTH = 80  # of the text
+WIDTH = 80  # columns of text
 
 
 def echo_wrapped(start: str, text: str) -> None:
-    """Print what belongs to a label, broken at blanks where 80 columns do not hold it."""
+    """Print a text after a label, wrapped at 80 columns."""
     click.echo(
         textwrap.fill(
             text,
@@ -44,7 +44,7 @@ def echo_wrapped(start: str, text: str) -> None:
 
 
 def report(solution: Any) -> None:
-    """Print whether it converged, how wrong it is, and what it took."""
+    """Print whether a solution converged, its errors and the time it took."""
     echo_wrapped("converged: " if solution.success else "", solution.message)
     sigma = solution.sigma_min
     bound = (
@@ -73,12 +73,12 @@ _FIGURE_ENDINGS = (".png", ".pdf", ".svg")
 
 
 def check_figure(path: str | None) -> None:
-    """Refuse a figure that could not be written before hours of work, not after."""
+    """Raise InputError if a figure could not be written, before hours of work."""
     if path is None:
         return
     if Path(path).suffix not in _FIGURE_ENDINGS:
         listed = ", ".join(_FIGURE_ENDINGS)
-        raise InputError(f"'{path}' is not a figure file; choose one of {listed}")
+        raise InputError(f"'{path}' is not a figure file; give a name that ends in one of {listed}")
     check_directory(path)
 
 
@@ -97,16 +97,16 @@ def save_figure(figure: Any, path: str) -> None:
 
 
 def check_table(path: str | None) -> None:
-    """Refuse a table that could not be written."""
+    """Raise InputError if a table could not be written."""
     if path is not None and Path(path).suffix not in (".csv", ".npz"):
-        raise InputError(f"'{path}' is neither .csv nor .npz; choose one of these endings")
+        raise InputError(f"'{path}' is neither .csv nor .npz; give a name with such an ending")
     check_directory(path)
 
 
 def write_table(
     path: str, columns: list[tuple[str, np.ndarray]], arrays: dict[str, np.ndarray]
 ) -> None:
-    """Columns as .csv, or arrays as .npz; of two columns with one name the second gets a mark."""
+    """Write columns as .csv or arrays as .npz; a repeated column name gets a trailing '_'."""
     import numpy as np
 
     buffer = io.BytesIO()

@@ -110,7 +110,7 @@ def compare(
 @hamiltonian_options
 @starts_options
 @integrator_options
-@click.option("--save-every", type=int, help="Steps between saved states  [1, or what fits]")
+@click.option("--save-every", type=int, help="Steps between saved states  [1, more for long runs]")
 @click.option("--compensated", is_flag=True, help="Use compensated summation.")
 @click.option("--omega", type=float, help="Coupling of tao2 and tao4.")
 @click.option("--rtol", type=float, help="For dop853 and odeint  [1e-13]")

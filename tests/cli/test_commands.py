@@ -1,4 +1,4 @@
-"""The command line, as a user types it: output, files, exit status, and one line for bad input."""
+"""The command line: output, files, exit status, and one line for invalid input."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_derive_with_options_and_long_output(capsys: Captured) -> None:
     assert "d2H/dq1 dq1 = " in out
 
 
-def test_source_prints_what_the_library_returns(capsys: Captured) -> None:
+def test_source_equals_that_of_the_library(capsys: Captured) -> None:
     H = Hamiltonian(OSCILLATOR)
     assert run(capsys, "source", OSCILLATOR)[1] == H.source("torch")
     _, out, _ = run(capsys, "source", OSCILLATOR, "--part", "loss")
@@ -108,7 +108,7 @@ def test_solve_by_least_squares_saves_and_resumes(capsys: Captured, tmp_path: Pa
     saved, checkpoint = str(tmp_path / "s.hamsym"), str(tmp_path / "run")
     settings = ["--method", "levenberg-marquardt", "--hidden", "10,10", "--points", "40"]
     settings += ["--target-error", "1e-2", "--checkpoint", checkpoint, "-o", saved]
-    for _ in range(2):  # the second run finds all its work done
+    for _ in range(2):  # the second run reads the finished checkpoint
         status, out, err = run(capsys, "solve", *SOLVE, *settings)
         assert (status, err) == (0, "")
         assert out.startswith("converged: target error 1.00e-02 reached after ")
@@ -281,7 +281,7 @@ def test_certify_and_verify(capsys: Captured, tmp_path: Path) -> None:
     status, out, _ = run(capsys, "verify", path)
     assert (status, out) == (0, "verified: every bound of the certificate is proven\n")
     proven = Certificate.from_json(certificate.read_text())
-    # A little less than what was proven.
+    # A bound slightly below the proven one.
     forged = dataclasses.replace(proven, bound=0.99 * lower, lower=0.5 * lower)
     certificate.write_text(forged.to_json())
     status, out, err = run(capsys, "verify", path)
@@ -509,7 +509,7 @@ def test_as_a_program() -> None:
     assert "dx/dt = p" in result.stdout
 
 
-def test_closed_pipe_is_no_error() -> None:
+def test_closed_pipe_is_not_an_error() -> None:
     command = f'"{sys.executable}" -m hamsym source "{OSCILLATOR}" | head -1'
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
     assert result.stderr == ""

@@ -293,7 +293,7 @@ def test_initial_weights_are_those_given():
     options = {"method": "adam", "points": 20, "hidden": (6, 6)}
     first = hamsym.solve(H, [1.0, 0.0], (0, 2), epochs=300, **options)
     options |= {"epochs": 1, "learning_rate": 1e-9}
-    # One step from there, on another span and from another start, is a small one.
+    # One step with a small learning rate, on another span and from another initial state.
     second = hamsym.solve(H, [0.5, 0.0], (0, 3), initial=first, **options)
     t = np.linspace(0, 2, 9)
     assert np.abs(second(t) - [0.5, 0.0] - (first(t) - [1.0, 0.0])).max() < 1e-6

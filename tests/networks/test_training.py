@@ -57,7 +57,7 @@ def test_best_weights_at_fixed_points_are_kept() -> None:
     assert np.argmin(training.history.fixed_loss) < len(training.history.fixed_loss) - 1
 
 
-def test_stops_at_the_target() -> None:
+def test_training_stops_at_the_target() -> None:
     trial, generator = decay_trial()
     options = Adam(points=20, learning_rate=0.01), Stopping(iterations=5000, target_loss=1e-3)
     training = train(trial, DECAY, (0, 2), *options, generator=generator)
@@ -130,7 +130,7 @@ def test_divergence_restores_the_best_weights() -> None:
     assert all(torch.isfinite(weight).all() for weight in trial.parameters())
 
 
-def test_interruption_returns_what_was_done() -> None:
+def test_interruption_returns_the_best_so_far() -> None:
     def interrupt(state: TrainingState) -> None:
         if state.iteration >= 50:
             raise KeyboardInterrupt
@@ -177,7 +177,7 @@ def test_training_is_reproducible_and_leaves_torch_state() -> None:
     assert torch.get_default_dtype() == torch.float32
 
 
-def test_cosine_schedule_comes_to_rest() -> None:
+def test_cosine_schedule_ends_at_rate_zero() -> None:
     moved = {}
     for schedule in ("constant", "cosine"):
         trial, generator = decay_trial()
@@ -269,7 +269,7 @@ def test_each_optimizer_stops_by_each_rule(optimizer, rule: dict, name: str) -> 
     assert training.best_ell_max <= rule.get("target_ell_max", math.inf)
 
 
-def test_patience() -> None:
+def test_patience_ends_training() -> None:
     trial, generator = decay_trial()
     constant = Objective(lambda t, z, dz: 0 * dz + 1)
     training = train(

@@ -1,4 +1,4 @@
-"""The trial solution: exact at the start, and its derivatives are those of its value."""
+"""The trial solution: exact initial state, derivatives consistent with values."""
 
 from __future__ import annotations
 
@@ -38,9 +38,7 @@ def test_time_derivative_is_the_derivative(activation: str, envelope: str, share
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 @pytest.mark.parametrize("shared", [True, False])
-def test_written_out_gradient_is_that_of_automatic_differentiation(
-    activation: str, shared: bool
-) -> None:
+def test_explicit_gradient_equals_automatic_differentiation(activation: str, shared: bool) -> None:
     trial = make(activation, shared=shared, tau=0.7)
     weights = list(trial.parameters())
 
@@ -57,7 +55,7 @@ def test_written_out_gradient_is_that_of_automatic_differentiation(
         torch.testing.assert_close(ours, automatic)
 
 
-def test_second_order_through_the_weights_is_refused_not_wrong() -> None:
+def test_second_order_through_the_weights_is_refused() -> None:
     trial = make()
     z, dz = trial(TIMES)
     weights = list(trial.parameters())
@@ -106,7 +104,7 @@ def test_initial_weights_are_within_their_bounds() -> None:
         (lambda: Network(2, hidden=(50.0,)), "is not a list of layer widths"),
     ],
 )
-def test_unusable_settings(build, message: str) -> None:
+def test_unusable_settings_are_rejected(build, message: str) -> None:
     with pytest.raises(InputError) as caught:
         build()
     assert message in str(caught.value)

@@ -270,7 +270,7 @@ def test_times_outside_the_span_are_rejected(solution: Solution) -> None:
         ({"method": "adam", "hidden": 50}, "hidden=50 is not a list of layer widths"),
         ({"method": "adam", "betas": 0.9}, "betas=0.9"),
         ({"method": "adam", "regularizers": 5}, "regularizers is not a list"),
-        ({"omega": 2.0}, "'omega' is a parameter; say H.with_parameters(omega=...)"),
+        ({"omega": 2.0}, "'omega' is a parameter; use H.with_parameters(omega=...)"),
         ({"method": "adam", "tau": 0}, "tau=0"),
         ({"method": "adam", "tau": -1.0}, "tau=-1.0"),
         ({"method": "adam", "energy_weight": -1.0}, "energy_weight=-1.0"),
