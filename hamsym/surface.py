@@ -1,13 +1,7 @@
-"""Surfaces in phase space, from text such as "x = 0, p_x > 0", and the zeros of what defines them.
+"""Surfaces in phase space, from text like "x = 0, p_x > 0".
 
-Input:  values of a function, and the signs of its slope, at a row of nodes.
-Output: its zeros between them. An interval is searched if the sign changes from one end to the
-        other, or if both ends have one sign and the slopes say that the function turns around on
-        the way towards zero: there the turning point is located first, and if the sign changes
-        at it, both crossings are.
-
-What remains undetectable is a pair of crossings in an interval where the function turns around
-more than once, and a third crossing between two nodes.
+Input:  a Hamiltonian and the text of an equation with inequalities.
+Output: a :class:`Surface`, whose functions vanish on it or are positive.
 """
 
 from __future__ import annotations
@@ -27,7 +21,7 @@ __all__ = ["Surface", "parse_surface"]
 
 @dataclass(frozen=True)
 class Surface:
-    """Where a function of the state and the time is zero, and others are positive.
+    """A hypersurface g(z, t) = 0 with inequality constraints c_k(z, t) > 0.
 
     Attributes
     ----------
@@ -35,9 +29,9 @@ class Surface:
     names : frozenset of str
         Components of z that occur in the equation.
     value : callable
-        (z, t) -> what is zero on the surface, shape (...).
+        (z, t) -> g, shape (...).
     conditions : tuple of callable
-        (z, t) -> what is positive, shape (...).
+        (z, t) -> c_k, shape (...).
     """
 
     text: str
@@ -46,7 +40,7 @@ class Surface:
     conditions: tuple[Callable[..., np.ndarray], ...] = field(repr=False)
 
     def holds(self, z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Which states, shape (n, dim), satisfy the conditions."""
+        """Return whether states, shape (n, dim), satisfy the constraints; shape (n,)."""
         found = np.ones(len(z), dtype=bool)
         for condition in self.conditions:
             found &= condition(z, t) > 0
@@ -54,14 +48,14 @@ class Surface:
 
 
 def parse_surface(H: Hamiltonian, text: str) -> Surface:
-    """An equation, and any number of inequalities, separated by commas.
+    """Parse an equation and any number of inequalities, separated by commas.
 
     Raises
     ------
     InputError
-        If there is not one equation, or a comparison is none of ``=``, ``<`` and ``>``.
+        If there is not exactly one equation, or a comparison other than ``=``, ``<`` and ``>``.
     ParseError, VariableError
-        If a side of it cannot be read, or has a symbol that H does not have.
+        If a side is not a formula, or has a symbol that H does not have.
 
     Examples
     --------
@@ -70,7 +64,9 @@ def parse_surface(H: Hamiltonian, text: str) -> Surface:
     array([0.5])
     """
     if not isinstance(text, str):
-        raise InputError(f"a surface is a str such as 'x = 0, p_x > 0', not {type(text).__name__}")
+        raise InputError(
+            f"a surface is a str, not {type(text).__name__}; write for example 'x = 0, p_x > 0'"
+        )
     equations, conditions = [], []
     for part in _parts(text):
         left, sign, right = _comparison(part)
@@ -81,18 +77,22 @@ def parse_surface(H: Hamiltonian, text: str) -> Surface:
             conditions.append(parse_expression(larger) - parse_expression(smaller))
     if len(equations) != 1:
         number = "no equation" if not equations else "two equations"
-        raise InputError(f"'{text}' has {number}; write one such as x = 0, and others as p_x > 0")
+        raise InputError(
+            f"'{text}' has {number}; give one equation, x = 0, and inequalities, p_x > 0"
+        )
     expr = equations[0]
     symbols = {canonical_name(symbol.name) for symbol in expr.free_symbols}
-    value = H.observable(expr)  # refuses what H does not have
+    value = H.observable(expr)  # raises for symbols that H does not have
     names = frozenset(name for name in H.names if canonical_name(name) in symbols)
     if not names and "t" not in symbols:
-        raise InputError(f"'{text}' holds everywhere or nowhere; name a component of z in it")
+        raise InputError(
+            f"'{text}' does not depend on the state; use a component of z in the equation"
+        )
     return Surface(text, names, value, tuple(H.observable(condition) for condition in conditions))
 
 
 def _parts(text: str) -> list[str]:
-    """Pieces between the commas that are not inside parentheses."""
+    """Split at the commas that are not inside parentheses."""
     depth, start, parts = 0, 0, []
     for i, character in enumerate(text):
         depth += (character == "(") - (character == ")")
@@ -106,6 +106,6 @@ def _comparison(part: str) -> tuple[str, str, str]:
     pieces = re.split("([<>=!]+)", part)
     if len(pieces) != 3 or pieces[1] not in ("=", "<", ">"):
         raise InputError(
-            f"'{part.strip()}' is no equation and no inequality; write such as x = 0, p_x > 0"
+            f"'{part.strip()}' is not an equation or inequality; write for example x = 0, p_x > 0"
         )
     return pieces[0].strip(), pieces[1], pieces[2].strip()

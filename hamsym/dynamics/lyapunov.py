@@ -1,7 +1,7 @@
-"""Tangent dynamics: how small differences grow, from the symbolic Hessian.
+"""Lyapunov exponents: the growth of small differences, from the symbolic Hessian.
 
 Input:  a Hamiltonian, an initial state, a time span.
-Output: derivatives of the flow, the multipliers of a periodic orbit, Lyapunov exponents.
+Output: finite-time Lyapunov exponents and their convergence.
 
 The tangent vectors are moved by the derivative of the integrator's own step, which for a symplectic
 method is a symplectic matrix. The equations themselves are ``H.variational_equations``.
@@ -19,17 +19,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
+from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.dynamics.monodromy import tangent_stepper
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
-from hamsym.integrators.integrate import (
-    fastest_rate,
-    fixed_step,
-    usual_method,
-)
+from hamsym.integrators.fixed_step import Stepper
+from hamsym.integrators.integrate import fastest_rate, fixed_step, usual_method
 from hamsym.problem import checked_span, checked_steps
-from hamsym.support.progress import stepping_progress
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
@@ -38,24 +35,24 @@ if TYPE_CHECKING:
 __all__ = ["LyapunovExponents", "lyapunov"]
 
 _STEPS_PER_RADIAN = 5  # of the fastest linear motion at the start
-# e-folds of the fastest linear motion between two renormalisations, at most: numbers end at 700,
-# and several vectors would become parallel to round-off before.
+# Largest number of e-folds of the fastest linear motion between two renormalisations: float64
+# overflows at 700, and several vectors become parallel to round-off before.
 _GROWTH_OF_ONE, _GROWTH_OF_SEVERAL = 200.0, 5.0
 _KEPT = 2_000  # points of the history
-_PARALLEL = 30.0  # e-folds by which one vector may outgrow another before they are one to round-off
+_PARALLEL = 30.0  # e-folds by which one vector may outgrow another until both are parallel
 _PILOT_STEPS, _PILOTS = 1_000, 8
 
 
 @dataclass(frozen=True)
 class LyapunovExponents:
-    """Finite-time Lyapunov exponents and how they came about.
+    """Finite-time Lyapunov exponents and the settings of their computation.
 
     Attributes
     ----------
     t : numpy.ndarray
         Times of the history, shape (n,).
     exponents : numpy.ndarray
-        log of the growth up to t, over t, the largest first at every time, shape (n, count).
+        Logarithm of the growth up to t, divided by t, the largest first, shape (n, count).
     start : float
         Time at the start.
     energy_error : float
@@ -65,7 +62,7 @@ class LyapunovExponents:
     seconds : float
     success : bool
         Whether the trajectory reached the end and kept H to 1 % of the energy that the motion
-        exchanges (:mod:`hamsym.integrators.energy_drift`); not whether the exponent has converged.
+        exchanges (:mod:`hamsym.integrators.energy_drift`); independent of convergence.
     message : str
     is_integrable : bool
         Whether H has one degree of freedom and no explicit time, which excludes chaos.
@@ -90,10 +87,10 @@ class LyapunovExponents:
 
     @cached_property
     def trend(self) -> float:
-        """d log(exponent) / d log(t) over the last decade of time: near 0, or near -1.
+        """Slope d log(exponent) / d log(t) over the last decade of time.
 
-        An exponent that has converged has slope 0; on a regular trajectory, where differences
-        grow in proportion to t, it is that of log(t)/t, which is a little above -1.
+        A converged exponent has slope 0; on a regular trajectory, where differences grow in
+        proportion to t, the slope is that of log(t)/t, slightly above -1.
         """
         elapsed, values = np.abs(self.t - self.start), self.exponents[:, 0]
         late = (elapsed >= 0.1 * elapsed[-1]) & (values > 0)
@@ -103,38 +100,38 @@ class LyapunovExponents:
 
     @property
     def statement(self) -> str:
-        """What these numbers say, and what no finite time can."""
+        """Interpretation of the exponents, with the limits of a finite time."""
         end = abs(self.t[-1] - self.start)
         begin = f"After a time of {end:.6g} the largest exponent is {self.maximal:.3g}"
         if self.trend < -0.5:
             verdict = (
                 "and was still falling like log(t)/t, as it does on a regular trajectory. Up to "
-                "this time nothing tells the trajectory from a regular one; chaos that is weaker "
-                f"than about {max(self.maximal, 1 / end):.1g}, or sets in later, is not excluded."
+                "this time the trajectory is indistinguishable from a regular one; chaos weaker "
+                f"than about {max(self.maximal, 1 / end):.1g}, or setting in later, is possible."
             )
         elif abs(self.trend) < 0.2 and self.maximal > 0:
             verdict = (
                 "and hardly changed over the last tenfold of time: nearby trajectories separate "
                 f"by a factor of e in about {1 / self.maximal:.3g}. "
                 + (
-                    "With one degree of freedom and no explicit time this is no chaos."
+                    "With one degree of freedom and no explicit time this is not chaos."
                     if self.is_integrable
-                    else "That is chaos over this time, if the motion is bounded and comes back; a "
-                    "trajectory may still stick to a regular region later, and the limit is not "
-                    "proved."
+                    else "This indicates chaos over this time, if the motion is bounded and "
+                    "recurs; the trajectory may still stick to a regular region later, and the "
+                    "limit is not proved."
                 )
             )
         else:
             verdict = (
-                "and was still changing, neither level nor falling like log(t)/t. That decides "
-                "nothing; take a longer time."
+                "and was still changing, neither level nor falling like log(t)/t. This is "
+                "inconclusive; use a longer span."
             )
         if not self.success:
-            verdict = f"{verdict} But the run was no success: {self.message}."
+            verdict = f"{verdict} However, the run failed: {self.message}."
         return f"{begin}, {verdict}"
 
     def plot(self) -> Figure:
-        """The exponents over time, with log(t)/t beside them."""
+        """Draw the exponents over time, with log(t)/t for comparison."""
         return hamsym.plot(self)
 
 
@@ -150,10 +147,10 @@ def lyapunov(
     seed: int = 0,
     progress: bool | None = None,
 ) -> LyapunovExponents:
-    """Maximal Lyapunov exponent, or the first few, with their convergence over time.
+    """Compute the largest Lyapunov exponents and their convergence over time.
 
-    Tangent vectors are moved by the derivative of the steps and made orthonormal again now and
-    then (Benettin, Galgani, Giorgilli & Strelcyn 1980; Shimada & Nagashima 1979).
+    Tangent vectors are moved by the derivative of the steps and made orthonormal at intervals
+    (Benettin, Galgani, Giorgilli & Strelcyn 1980; Shimada & Nagashima 1979).
 
     Parameters
     ----------
@@ -166,20 +163,20 @@ def lyapunov(
     steps : int, optional
         Number of steps.
     dt : float, optional
-        In place of ``steps``, the largest step. Without both a fifth of a radian of the fastest
-        linear motion at the beginning of the trajectory.
+        Largest step, in place of ``steps``. By default a fifth of a radian of the fastest linear
+        motion at the beginning of the trajectory.
     count : int
-        How many exponents, up to dim.
+        Number of exponents, up to dim.
     seed : int
-        For the first tangent vectors.
+        Seed of the first tangent vectors.
     progress : bool, optional
-        Show how far it is; by default on a terminal, after a second.
+        Show progress; by default on a terminal, after a second.
 
     Returns
     -------
     LyapunovExponents
-        With a ``statement`` in words. The part before it, with ``success=False``, if the
-        trajectory had to stop or Ctrl-C was pressed.
+        With an interpretation as ``statement``. After a failure or Ctrl-C, the part before it,
+        with ``success=False``.
 
     Raises
     ------
@@ -193,97 +190,113 @@ def lyapunov(
     array([ 1., -1.])
     """
     H = Hamiltonian.of(H)
-    start, end = checked_span(span)
+    span = checked_span(span)
     state = H.state_from(z0)
     method = usual_method(H) if method is None else method
     require_whole("count", count, 1, H.dim)
     require_whole("seed", seed, 0)
-    rate = _fastest_rate(H, method, state, start, end)
-    usual = steps is None and dt is None
-    if usual:
-        dt = 1 / (_STEPS_PER_RADIAN * rate) if rate > 0 else abs(end - start) / 20_000
-        dt = min(dt, abs(end - start))
-    steps = checked_steps(end - start, steps, dt)
-    size = (end - start) / steps
-    vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(H.dim, count)))[0]
-    stepper = tangent_stepper(H, method, state, start, size, vectors)
-    growth_limit = _GROWTH_OF_ONE if count == 1 else _GROWTH_OF_SEVERAL
-    each = max(rate * abs(size), 1e-3)
-    between = max(1, min(steps // _KEPT, int(growth_limit / each)))
-    rows = np.unique(np.geomspace(1, max(steps // between, 1), _KEPT).astype(int))
+    rate = _fastest_rate(H, method, state, span)
+    chosen = steps is None and dt is None
+    if chosen:
+        whole = abs(span[1] - span[0])
+        dt = min(whole, 1 / (_STEPS_PER_RADIAN * rate) if rate > 0 else whole / 20_000)
+    steps = checked_steps(span[1] - span[0], steps, dt)
+    size = (span[1] - span[0]) / steps
     began = time.perf_counter()
-    growth, times, history, path = np.zeros(count), [], [], [state]
-    message = ""
-    with stepping_progress(steps, progress) as report:
-        try:
-            for block in range(1, -(-steps // between) + 1):
-                done = min(block * between, steps)
-                path.append(stepper.step(done - (block - 1) * between)[0].copy())
-                report(done - (block - 1) * between)
-                if not np.isfinite(path[-1]).all():
-                    message = "the trajectory left the range of numbers, or a step was not solved"
-                    break
-                stepper.tangents[0], grown = _orthonormal(stepper.tangents[0])
-                if not np.isfinite(grown).all() or np.ptp(grown) > _PARALLEL:
-                    message = "nearby trajectories separate too fast for these steps; give a dt"
-                    break
-                growth = growth + grown
-                if done == steps or block in rows:
-                    times.append(start + size * done)
-                    # The order in which vectors are made orthogonal is that of their growth only
-                    # after a long time.
-                    history.append(np.sort(growth)[::-1] / abs(size * done))
-                else:
-                    path.pop()
-        except KeyboardInterrupt:
-            message = "interrupted"
-    if not history:
-        raise InputError(f"the trajectory breaks off at its start: {message or 'no step was done'}")
-    if message:
-        message = f"stopped after t = {times[-1]:.6g}: {message}"
-    states = np.array(path[: len(history) + 1])
-    watched = EnergyDrift(H, 1)
-    watched.add(states[None])
-    energy_error = math.nan if H.time is not None else float(watched.change[0])
-    share = float(watched.relative(steps)[0])
-    fastest = fastest_rate(H, states, np.array([start, *times]))
-    if H.time is None and not share <= COARSE and not message:
-        message = f"H changed by {energy_error:.1e}, {share:.0%} of its scale: take a smaller dt"
-    elif usual and not message and not fastest <= 3 * max(rate, 1 / abs(size)):
-        message = f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
+    vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(H.dim, count)))[0]
+    stepper = tangent_stepper(H, method, state, span[0], size, vectors)
+    growth_limit = _GROWTH_OF_ONE if count == 1 else _GROWTH_OF_SEVERAL
+    block = min(steps // _KEPT, int(growth_limit / max(rate * abs(size), 1e-3)))
+    run = _Benettin(stepper, state, span[0], size, steps, max(1, block))
+    if advance_in_blocks(steps, run.block, progress, run.advance):
+        run.problem = "interrupted"
+    if not run.history:
+        raise InputError(f"integration failed at the first step: {run.problem}")
+    times, states = np.array(run.times), np.array(run.path[: len(run.history) + 1])
+    drift = EnergyDrift(H, 1)
+    drift.add(states[None])
+    energy_error = math.nan if H.time is not None else float(drift.change[0])
+    problem = f"stopped after t = {times[-1]:.6g}: {run.problem}" if run.problem else ""
+    share = float(drift.relative(steps)[0])
+    if not problem and H.time is None and not share <= COARSE:
+        problem = f"H changed by {energy_error:.1e}, {share:.0%} of its scale: take a smaller dt"
+    if not problem and chosen:
+        fastest = fastest_rate(H, states, np.append(span[0], times))
+        if not fastest <= 3 * max(rate, 1 / abs(size)):
+            problem = f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
     return LyapunovExponents(
-        t=np.array(times),
-        exponents=np.array(history),
-        start=start,
+        t=times,
+        exponents=np.array(run.history),
+        start=span[0],
         energy_error=energy_error,
         method=method,
         dt=size,
         seconds=time.perf_counter() - began,
-        success=not message,
-        message=message or f"{method}: {steps:,} steps to t = {end:.6g}",
+        success=not problem,
+        message=problem or f"{method}: {steps:,} steps to t = {span[1]:.6g}",
         title=H.formula,
         is_integrable=H.dof == 1 and H.time is None,
     )
 
 
+class _Benettin:
+    """Growth of tangent vectors, made orthonormal again after every block of steps."""
+
+    def __init__(
+        self, stepper: Stepper, state: np.ndarray, start: float, size: float, steps: int, block: int
+    ) -> None:
+        self._stepper, self._start, self._size, self._steps = stepper, start, size, steps
+        self.block = block
+        rows = np.geomspace(1, max(steps // block, 1), _KEPT).astype(int)
+        self._rows = set(rows.tolist())  # numbers of the blocks after which exponents are kept
+        self._growth = np.zeros(stepper.tangents.shape[2])
+        self.times: list[float] = []
+        self.history: list[np.ndarray] = []
+        self.path = [state]  # states at the start, and at each of the times
+        self.problem = ""
+
+    def advance(self, done: int, count: int) -> bool:
+        """Take a block of steps; return False, with ``problem`` set, where that fails."""
+        state, done = self._stepper.step(count)[0].copy(), done + count
+        if not np.isfinite(state).all():
+            self.problem = "the states overflowed, or a step could not be solved"
+            return False
+        self._stepper.tangents[0], grown = _orthonormal(self._stepper.tangents[0])
+        if not np.isfinite(grown).all() or np.ptp(grown) > _PARALLEL:
+            self.problem = (
+                f"tangent vectors grew apart by more than exp({_PARALLEL:g}) between "
+                "renormalisations; reduce dt"
+            )
+            return False
+        self._growth = self._growth + grown
+        if done == self._steps or done // self.block in self._rows:
+            self.path.append(state)
+            self.times.append(self._start + self._size * done)
+            # The order in which vectors are made orthogonal is that of their growth only after a
+            # long time.
+            self.history.append(np.sort(self._growth)[::-1] / abs(self._size * done))
+        return True
+
+
 def _orthonormal(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal vectors of the same flags, and the logarithm of what each has grown by."""
+    """Return orthonormal vectors of the same flags, and the logarithm of the growth of each."""
     q, r = np.linalg.qr(vectors)
     diagonal = np.diag(r)
     return q * np.sign(diagonal), np.log(np.abs(diagonal))
 
 
 def _fastest_rate(
-    H: Hamiltonian, method: str, state: np.ndarray, start: float, end: float
+    H: Hamiltonian, method: str, state: np.ndarray, span: tuple[float, float]
 ) -> float:
-    """Spectral radius of J Hess along the beginning of the trajectory, per unit of time.
+    """Estimate the spectral radius of J Hess along the beginning of the trajectory.
 
-    Each pilot run uses steps by what the one before it found, so that a start where little happens
-    does not set the steps for the rest.
+    Each pilot run uses steps from the rate that the previous one found, so that a slow start does
+    not set the steps for the rest.
     """
+    start, end = span
     rate = fastest_rate(H, state[None], start)
     if not math.isfinite(rate):
-        raise InputError("the Hessian of H is not finite at z0; start elsewhere")
+        raise InputError("the Hessian of H is not finite at z0; choose another initial state")
     whole = abs(end - start)
     length = whole / 1_000 if rate == 0 else min(whole, _PILOT_STEPS / (_STEPS_PER_RADIAN * rate))
     for _ in range(_PILOTS):

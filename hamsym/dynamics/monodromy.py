@@ -5,23 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.coefficients import Doubled
-from hamsym.integrators.integrate import (
-    fixed_step,
-    usual_method,
-)
+from hamsym.integrators.fixed_step import Stepper
+from hamsym.integrators.integrate import fixed_step, usual_method
 from hamsym.problem import checked_span, checked_steps
 from hamsym.support.validation import require_number
-
-if TYPE_CHECKING:
-    pass
-
 
 __all__ = ["TangentMap", "monodromy", "tangent_map"]
 
@@ -52,12 +46,12 @@ class TangentMap:
 
     @property
     def closure(self) -> float:
-        """|z - z0|, the 2-norm: how far the trajectory is from closed."""
+        """|z - z0|, the 2-norm; 0 for a closed trajectory."""
         return float(np.linalg.norm(self.z - self.z0))
 
     @property
     def symplecticity_error(self) -> float:
-        """|M^T J M - J|, the largest entry."""
+        """Largest entry of |M^T J M - J|."""
         d = len(self.z) // 2
         J = np.kron([[0, 1], [-1, 0]], np.eye(d))
         return float(np.abs(self.matrix.T @ J @ self.matrix - J).max())
@@ -73,14 +67,14 @@ def tangent_map(
     dt: float | None = None,
     progress: bool | None = None,
 ) -> TangentMap:
-    """The derivative of the numerical flow: the variational equations, solved with the trajectory.
+    """Compute the derivative of the numerical flow by the variational equations.
 
     Parameters
     ----------
     H, z0, span, dt, progress
         As in :func:`hamsym.integrate`, for one trajectory.
     steps : int, optional
-        Number of steps, 20,000 unless given.
+        Number of steps; by default 20,000.
     method : str, optional
         A fixed-step method, not ``tao2`` or ``tao4``; by default ``blanes_moan6`` for a separable
         H, otherwise ``gauss6``.
@@ -111,7 +105,9 @@ def tangent_map(
     if done.interrupted:
         raise KeyboardInterrupt
     if not np.isfinite(done.states).all() or not np.isfinite(stepper.tangents).all():
-        raise InputError(f"the trajectory does not reach t = {end:.6g}; end the span before it")
+        raise InputError(
+            f"the trajectory does not reach t = {end:.6g}; give an earlier end of the span"
+        )
     return TangentMap(state, done.states[0, -1], stepper.tangents[0], method)
 
 
@@ -123,10 +119,10 @@ def monodromy(
     tol: float = 1e-10,
     start: float = 0.0,
 ) -> TangentMap:
-    """The monodromy matrix of a periodic orbit, from a trajectory of the given tolerance.
+    """Compute the monodromy matrix of a periodic orbit.
 
-    Its eigenvalues, the Floquet multipliers, come in pairs m and 1/m; off the unit circle they
-    mean instability. Two are 1 for every orbit of an H without explicit time.
+    Its eigenvalues, the Floquet multipliers, come in pairs m and 1/m; multipliers off the unit
+    circle indicate instability. If H has no explicit time, two of them are 1.
 
     Parameters
     ----------
@@ -142,7 +138,7 @@ def monodromy(
     Returns
     -------
     TangentMap
-        Whose ``closure`` says whether the orbit is closed.
+        Its ``closure`` is 0 for a closed orbit.
 
     Raises
     ------
@@ -157,26 +153,24 @@ def monodromy(
     >>> found.closure < 1e-9, bool(np.allclose(found.multipliers, 1, atol=1e-3))
     (True, True)
     """
-    from hamsym.solving import solve  # torch is slow to import
+    from hamsym.solving import solve  # slow to import
 
     require_number("period", period)
     require_number("start", start)
     span = checked_span((start, start + period))
     solution = solve(H, z0, span, tol=tol)
     if not solution.success:
-        raise InputError(f"the trajectory cannot be had to tol={tol:g}: {solution.message}")
+        raise InputError(f"the trajectory does not reach tol={tol:g}: {solution.message}")
     matrix = np.asarray(solution.sensitivity(span[1]))
     if not np.isfinite(matrix).all():
-        raise InputError(
-            "nearby trajectories separate beyond the range of numbers within the period; give a "
-            "shorter one"
-        )
+        raise InputError("the tangent map overflows within the period; give a shorter period")
     return TangentMap(solution.z0, solution(span[1]), matrix, "features")
 
 
 def tangent_stepper(
     H: Hamiltonian, method: str, state: np.ndarray, start: float, size: float, vectors: np.ndarray
-) -> Any:
+) -> Stepper:
+    """Make a stepper that moves one trajectory and tangent vectors, shape (dim, count)."""
     stepper = fixed_step(
         H,
         method,
@@ -187,6 +181,6 @@ def tangent_stepper(
     )
     if isinstance(stepper.scheme, Doubled):
         raise InputError(
-            f"{method} steps in a doubled phase space; choose another one, such as gauss4"
+            f"{method} steps in a doubled phase space; choose another method, for example gauss4"
         )
     return stepper

@@ -1,12 +1,11 @@
-"""Poincare sections: where trajectories of an ensemble cross a surface, located to round-off.
+"""Poincare sections: crossings of a surface by an ensemble of trajectories, to round-off.
 
-Input:  a Hamiltonian, initial states, a surface such as "x = 0, p_x > 0".
+Input:  a Hamiltonian, initial states, a surface, for example "x = 0, p_x > 0".
 Output: a :class:`Section` with the states of all crossings.
 
 The trajectories are stepped with a generated loop. Between two steps with different signs a
-crossing is found by taking part of a step: the point is on the curve that the method itself draws.
-A pair of crossings within one step is found from the slopes at its ends, which are those along the
-flow.
+crossing is located by taking part of a step: the point lies on the curve of the method itself. A
+pair of crossings within one step is found from the slopes at its ends, taken along the flow.
 """
 
 from __future__ import annotations
@@ -21,19 +20,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
+from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.errors import InputError, StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.energy_drift import AIM, COARSE, EnergyDrift
-from hamsym.integrators.integrate import (
-    choose_steps,
-    fixed_step,
-    usable_method,
-    usual_method,
-)
+from hamsym.integrators.integrate import choose_steps, fixed_step, usable_method, usual_method
 from hamsym.numerics.roots import suspects, zeros
 from hamsym.problem import checked_span, checked_steps
-from hamsym.support.progress import stepping_progress
 from hamsym.support.validation import require_number, require_whole
 from hamsym.surface import Surface, parse_surface
 
@@ -42,13 +36,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Section", "section"]
 
-_HELD = 2_000_000  # numbers held at once while crossings are looked for
-_ASIDE = 1e-3  # of a step: how far along the flow slopes are read
+_HELD = 2_000_000  # numbers of a block of paths
+_ASIDE = 1e-3  # of a step: distance along the flow over which slopes are measured
 
 
 @dataclass(frozen=True)
 class Section:
-    """Crossings of a surface, ordered by trajectory and then as they happened.
+    """Crossings of a surface, ordered by trajectory and then in the direction of time.
 
     Attributes
     ----------
@@ -58,9 +52,9 @@ class Section:
     t : numpy.ndarray
         Times of the crossings, shape (n,).
     z : numpy.ndarray
-        States there, shape (n, dim).
+        States at the crossings, shape (n, dim).
     trajectory : numpy.ndarray
-        Number of the trajectory that each belongs to, shape (n,).
+        Index of the trajectory of each crossing, shape (n,).
     energy_error : float
         Largest change of H at the crossings, nan if H depends on time.
     drift : float
@@ -72,7 +66,7 @@ class Section:
     seconds : float
     success : bool
     message : str
-        What happened, in words.
+        Outcome.
     """
 
     surface: str
@@ -90,7 +84,7 @@ class Section:
     drift: float = math.nan
 
     def plot(self, x: str | None = None, y: str | None = None) -> Figure:
-        """The crossings in a plane, by default that of a pair that the surface leaves free."""
+        """Draw the crossings in a plane, by default that of a pair that the surface leaves free."""
         for name in (x, y):
             if name is not None and name not in self.names:
                 raise InputError(
@@ -112,11 +106,11 @@ def section(
     crossings: int | None = None,
     progress: bool | None = None,
 ) -> Section:
-    """Crossings of a surface by one trajectory or by each of an ensemble.
+    """Locate crossings of a surface by one trajectory or by each of an ensemble.
 
-    A pair of crossings within one step is found if the surface is approached and left once there;
-    pairs where that happens more than once, and a third crossing, go unseen. A start on the surface
-    is no crossing.
+    A pair of crossings within one step is found if the trajectory approaches the surface once in
+    it; pairs with several approaches, and a third crossing, are missed. A start on the surface is
+    not a crossing.
 
     Parameters
     ----------
@@ -125,29 +119,29 @@ def section(
         As in :func:`hamsym.integrate`, shape (dim,) or (batch, dim).
     span : (float, float)
     surface : str
-        An equation, and inequalities that the crossing must satisfy, such as
+        An equation, and inequalities that the crossing must satisfy, for example
         ``"x = 0, p_x > 0"``; both sides may be any formula.
     method : str, optional
         A fixed-step method of :data:`hamsym.integrators.table.INTEGRATORS`; by default
         ``blanes_moan6`` for a separable H, otherwise ``gauss6``.
     steps : int, optional
-        Number of steps. Without ``method``, ``steps`` and ``dt`` they are chosen as in
+        Number of steps. Without ``method``, ``steps`` and ``dt`` it is chosen as in
         :func:`hamsym.integrate`, for an energy drift of 1e-9 over the whole span; with a method
-        20,000 unless given.
+        the default is 20,000.
     dt : float, optional
-        In place of ``steps``, the largest step.
+        Largest step, in place of ``steps``.
     direction : float
-        Above zero only crossings at which left side minus right side rises, below zero falls.
+        Above zero, only crossings at which left side minus right side rises; below zero, falls.
     crossings : int, optional
-        Stop as soon as every trajectory has so many, and keep no more.
+        Number of crossings per trajectory after which to stop.
     progress : bool, optional
-        Show how far it is; by default on a terminal, after a second.
+        Show progress; by default on a terminal, after a second.
 
     Returns
     -------
     Section
-        With ``success=False`` and a message if a trajectory is lost, has too few crossings, or
-        comes to where the surface has no value.
+        With ``success=False`` and a message if a trajectory ends early, has too few crossings, or
+        leaves the domain of the surface.
 
     Warns
     -----
@@ -168,7 +162,7 @@ def section(
     """
     H = Hamiltonian.of(H)
     states = np.atleast_2d(H.states_from(z0))
-    start, end = checked_span(span)
+    start, end = span = checked_span(span)
     chosen = method is None and steps is None and dt is None
     steps = checked_steps(end - start, steps, dt)
     if crossings is not None:
@@ -177,71 +171,27 @@ def section(
     where = parse_surface(H, surface)
     method = usual_method(H) if method is None else usable_method(H, method)
     began = time.perf_counter()
-    doubt = ""
+    advice = ""
     if chosen:
-        choice = choose_steps(H, method, states, (start, end), progress=progress)
+        choice = choose_steps(H, method, states, span, progress=progress)
         steps = choice.steps
         if not choice.met and not choice.attempt.interrupted:
-            doubt = f"steps were chosen for {AIM:.0e}, {choice.found:.1e} was reached"
-    count, size = len(states), (end - start) / steps
-    stepper = fixed_step(H, method, states, np.full(count, start), np.full(count, size))
-    if isinstance(stepper.scheme, Doubled):
-        raise InputError(f"{method} cannot take part of a step; choose another one, such as gauss4")
-    nothing = np.empty(0), np.empty((0, H.dim)), np.empty(0, dtype=int)
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = [nothing]
-    numbers = np.zeros(count, dtype=int)
-    piece = max(1, _HELD // (count * H.dim))
-    message, done, last = "", 0, states
-    watched, undefined = EnergyDrift(H, count), math.nan
-    with stepping_progress(steps, progress) as report:
-        try:
-            while done < steps:
-                moved = stepper.advance(min(piece, steps - done), show=False)
-                if moved.interrupted:
-                    raise KeyboardInterrupt
-                path = np.concatenate((last[:, None], moved.states), axis=1)
-                times = start + size * np.arange(done, done + path.shape[1])
-                crossed, without = _crossings(H, method, where, direction, path, times, size)
-                found.append(crossed)
-                watched.add(path)
-                undefined = without if math.isnan(undefined) else undefined
-                numbers += np.bincount(found[-1][2], minlength=count)
-                done, last = done + path.shape[1] - 1, path[:, -1]
-                report(path.shape[1] - 1)
-                if not np.isfinite(last).any() or (crossings and numbers.min() >= crossings):
-                    break
-        except KeyboardInterrupt:  # what was done before this piece counts
-            message = "interrupted"
-    t, z, trajectory = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    order = np.lexsort((np.sign(size) * t, trajectory))
-    if crossings is not None:
-        first = np.searchsorted(trajectory[order], trajectory[order])
-        order = order[np.arange(len(order)) - first < crossings]
-    t, z, trajectory = t[order], z[order], trajectory[order]
-    lost = ~np.isfinite(last).all(axis=-1)
-    drift = float(watched.relative(done).max())
-    if message:
-        message = f"stopped after t = {start + size * done:.6g}: {message}"
-    elif lost.any():
-        message = (
-            f"{lost.sum()} of {count:,} trajectories, such as number {int(np.argmax(lost))}, left "
-            "the range of numbers or came to a step that could not be solved"
-        )
-    elif not math.isnan(undefined):
-        message = f"{surface} is not a number at t = {undefined:.6g}; crossings there go unseen"
-    elif crossings is not None and numbers.min() < crossings:
-        message = (
-            f"trajectory {int(np.argmin(numbers))} has only {numbers.min()} of {crossings} "
-            f"crossings by t = {end:.6g}"
-        )
-    said = f"{len(t):,} crossings of {surface}, {method} with dt = {size:.3g}"
+            advice = f"steps were chosen for {AIM:.0e}, {choice.found:.1e} was reached"
+    size = (end - start) / steps
+    run = _Crossings(H, method, where, direction, states, start, size, crossings)
+    block = max(1, _HELD // states.size)
+    interrupted = advance_in_blocks(steps, block, progress, run.advance)
+    t, z, trajectory = run.ordered()
+    drift = float(run.drift.relative(run.done).max())
+    problem = run.problem(interrupted, end)
+    message = f"{len(t):,} crossings of {surface}, {method} with dt = {size:.3g}"
     if H.time is None:
-        said += f", H kept to {drift:.1e} of its scale" if drift else ", H kept to round-off"
+        message += f", H kept to {drift:.1e} of its scale" if drift else ", H kept to round-off"
         if not drift <= COARSE:
-            doubt = "take smaller steps"
-    if doubt and not message:
-        said = f"{said}: {doubt}"
-        warnings.warn(said, StepSizeWarning, stacklevel=2)
+            advice = "take smaller steps"
+    if advice and not problem:
+        message = f"{message}: {advice}"
+        warnings.warn(message, StepSizeWarning, stacklevel=2)
     return Section(
         surface=surface,
         names=H.names,
@@ -252,11 +202,90 @@ def section(
         method=method,
         dt=size,
         seconds=time.perf_counter() - began,
-        success=not message,
-        message=message or said,
+        success=not problem,
+        message=problem or message,
         axes=_free_pair(H, where),
         drift=drift,
     )
+
+
+class _Crossings:
+    """Crossings of a surface found so far, while the trajectories are stepped."""
+
+    def __init__(
+        self,
+        H: Hamiltonian,
+        method: str,
+        where: Surface,
+        direction: float,
+        states: np.ndarray,
+        start: float,
+        size: float,
+        limit: int | None,
+    ) -> None:
+        count = len(states)
+        self._stepper = fixed_step(H, method, states, np.full(count, start), np.full(count, size))
+        if isinstance(self._stepper.scheme, Doubled):
+            raise InputError(
+                f"{method} cannot take part of a step; choose another method, for example gauss4"
+            )
+        self._H, self._method, self._where, self._direction = H, method, where, direction
+        self._start, self._size, self._limit = start, size, limit
+        self._found = [(np.empty(0), np.empty((0, H.dim)), np.empty(0, dtype=int))]
+        self._numbers = np.zeros(count, dtype=int)  # of crossings of each trajectory
+        self._undefined = math.nan  # first time at which the surface has no value
+        self._last = states
+        self.done = 0
+        self.drift = EnergyDrift(H, count)
+
+    def advance(self, done: int, count: int) -> bool:
+        """Take a block of steps; return False after enough crossings or without trajectories."""
+        moved = self._stepper.advance(count, show=False)
+        if moved.interrupted:
+            raise KeyboardInterrupt
+        path = np.concatenate((self._last[:, None], moved.states), axis=1)
+        times = self._start + self._size * np.arange(done, done + count + 1)
+        found, undefined = _crossings(
+            self._H, self._method, self._where, self._direction, path, times, self._size
+        )
+        self._found.append(found)
+        self.drift.add(path)
+        self._undefined = undefined if math.isnan(self._undefined) else self._undefined
+        self._numbers += np.bincount(found[2], minlength=len(self._numbers))
+        self.done, self._last = done + count, path[:, -1]
+        enough = self._limit is not None and self._numbers.min() >= self._limit
+        return bool(np.isfinite(self._last).any()) and not enough
+
+    def ordered(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return times, states and trajectories, at most up to the limit for each."""
+        t, z, trajectory = (np.concatenate(parts) for parts in zip(*self._found, strict=True))
+        order = np.lexsort((np.sign(self._size) * t, trajectory))
+        if self._limit is not None:
+            first = np.searchsorted(trajectory[order], trajectory[order])
+            order = order[np.arange(len(order)) - first < self._limit]
+        return t[order], z[order], trajectory[order]
+
+    def problem(self, interrupted: bool, end: float) -> str:
+        """Describe why the crossings are incomplete; "" if they are complete."""
+        count, lost = len(self._numbers), ~np.isfinite(self._last).all(axis=-1)
+        if interrupted:
+            return f"stopped after t = {self._start + self._size * self.done:.6g}: interrupted"
+        if lost.any():
+            return (
+                f"{lost.sum()} of {count:,} trajectories overflowed or came to a step that could "
+                f"not be solved, for example number {int(np.argmax(lost))}"
+            )
+        if not math.isnan(self._undefined):
+            return (
+                f"{self._where.text} is not a number at t = {self._undefined:.6g}; crossings there "
+                "are missed"
+            )
+        if self._limit is not None and self._numbers.min() < self._limit:
+            return (
+                f"trajectory {int(np.argmin(self._numbers))} has only {self._numbers.min()} of "
+                f"{self._limit} crossings by t = {end:.6g}"
+            )
+        return ""
 
 
 def _crossings(
@@ -268,10 +297,14 @@ def _crossings(
     times: np.ndarray,
     size: float,
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], float]:
-    """Crossings on paths of shape (n, steps + 1, dim), and where the surface has no value.
+    """Locate crossings on paths of shape (n, steps + 1, dim).
 
-    Times, states and trajectories of the crossings; the first time at which the state is finite
-    and the surface is nan, or nan.
+    Returns
+    -------
+    crossings : tuple of numpy.ndarray
+        Times, states and trajectories.
+    undefined : float
+        First time at which the state is finite and the surface is NaN, or NaN.
     """
     at = np.broadcast_to(times, path.shape[:2])
     with np.errstate(all="ignore"):  # where a trajectory has escaped
@@ -301,7 +334,7 @@ def _crossings(
 def _slopes(
     H: Hamiltonian, where: Surface, path: np.ndarray, at: np.ndarray, size: float
 ) -> np.ndarray:
-    """Changes of what is zero on the surface, a little way along the flow."""
+    """Return the change of the surface function over a small distance along the flow."""
     system, aside = H.compile("numpy"), _ASIDE * size
     rates = np.asarray(system.vector_field(*system.arguments(path, at)))
     ahead = where.value(path + aside * rates, at + aside)
@@ -319,7 +352,7 @@ def _energy_error(
 
 
 def _free_pair(H: Hamiltonian, where: Surface) -> tuple[str, str]:
-    """The first coordinate, with its momentum, of which the surface fixes nothing."""
+    """Return the first coordinate and momentum that are not in the equation of the surface."""
     pairs = list(zip(H.names[: H.dof], H.names[H.dof :], strict=True))
     free = [pair for pair in pairs if not where.names & set(pair)]
     return free[0] if free else pairs[0]

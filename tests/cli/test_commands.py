@@ -387,7 +387,10 @@ BAD = [
     (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--seed", "-1"], "seed=-1"),
     (["lyapunov", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--dt", "1e-30"], "would take"),
     (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1"], "Missing option '--at'"),
-    (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--at", "x == 0"], "is no equation"),
+    (
+        ["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--at", "x == 0"],
+        "is not an equation",
+    ),
     (["section", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--at", "y = 0"], "'y' does not occ"),
     (
         ["section", OSCILLATOR, "--z0", "1", "--t-end", "1", "--at", "x = 0", "--energy", "1"],
