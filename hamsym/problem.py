@@ -1,4 +1,4 @@
-"""What every method of solution is given: a Hamiltonian, a checked start, a checked span."""
+"""The initial-value problem that every method solves."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ class InitialValueProblem:
         seed: int,
         progress: bool | Callable[[Any], None] | None,
     ) -> InitialValueProblem:
-        """A problem from what the user gave.
+        """Make a problem from checked arguments.
 
         Raises
         ------
         InputError
-            If H is no Hamiltonian, a parameter has no value, or the state, the span or the seed
-            cannot be used.
+            If H is not a Hamiltonian, a parameter has no value, or the state, the span or the seed
+            is invalid.
         """
         H = Hamiltonian.of(H)
         state = H.state_from(z0)
@@ -72,23 +72,23 @@ def _initial_energy(H: Hamiltonian, state: np.ndarray, start: float) -> float:
         energy = float(system.energy(*system.arguments(state, start)))
         rates = system.vector_field(*system.arguments(state, start))
     if not (math.isfinite(energy) and np.all(np.isfinite(rates))):
-        raise InputError("H or its gradient is not finite at z0; start elsewhere")
+        raise InputError("H or its gradient is not finite at z0; choose another initial state")
     return energy
 
 
 def checked_span(span: tuple[float, float]) -> tuple[float, float]:
-    """Start and end of a time span as floats.
+    """Return start and end of a time span as floats.
 
     Raises
     ------
     InputError
-        If the span is not two finite numbers, or its length is not one.
+        If the span is not two finite numbers with a finite distance.
     """
     try:
         start, end = (float(value) for value in span)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"span={span!r} is not a pair of times; give (t_start, t_end)") from None
-    # Below the smallest normal number nothing can be divided by a span.
+    # A division by a shorter span would overflow.
     distinct = 1e-300 < abs(end - start) < math.inf
     if not (math.isfinite(start) and math.isfinite(end)) or not distinct:
         raise InputError(
@@ -98,19 +98,19 @@ def checked_span(span: tuple[float, float]) -> tuple[float, float]:
 
 
 def checked_steps(length: float, steps: int | None, dt: float | None, default: int = 20_000) -> int:
-    """The number of equal steps in a span of this length.
+    """Return the number of equal steps in a span of this length.
 
     Raises
     ------
     InputError
-        If both or an unusable one are given, or a step longer than the span.
+        If both are given, one is invalid, or the step is longer than the span.
     """
     if dt is None:
         steps = default if steps is None else steps
         require_whole("steps", steps, 1, MAX_STEPS)
         return int(steps)
     if steps is not None:
-        raise InputError(f"steps={steps!r} and dt={dt!r} say the same thing; give one of them")
+        raise InputError(f"steps={steps!r} and dt={dt!r} exclude each other; give one of them")
     require_positive("dt", dt)
     count = abs(length) / float(dt)
     if not count <= MAX_STEPS:
@@ -119,5 +119,5 @@ def checked_steps(length: float, steps: int | None, dt: float | None, default: i
         raise InputError(
             f"dt={dt!r} is longer than the span, {abs(length):.6g}; give a shorter one"
         )
-    # A dt that divides the span but for round-off is meant to.
+    # A dt that divides the span up to round-off counts as dividing it.
     return max(1, math.ceil(count * (1 - 1e-12)))

@@ -682,7 +682,7 @@ def test_gradients_reach_the_initial_state() -> None:
     torch.testing.assert_close(z.detach(), solution(t))
     (gradient,) = torch.autograd.grad(z[1, 2], z0)
     np.testing.assert_allclose(gradient, solution.sensitivity(7.5)[2], rtol=1e-12)
-    with pytest.raises(InputError, match="z0 is not the initial state"):
+    with pytest.raises(InputError, match="z0 differs from the initial state"):
         solution(t, z0=z0 + 1)
     with pytest.raises(InputError, match="both tensors"):
         solution([1.0], z0=z0)

@@ -31,18 +31,18 @@ class Collocation:
     to_series: np.ndarray
 
     def interpolation(self, s: np.ndarray) -> np.ndarray:
-        """Values at the nodes -> values at s, shape (len(s), n)."""
+        """Return the matrix from values at the nodes to values at s, shape (len(s), n)."""
         return chebyshev.chebvander(2 * s - 1, len(self.nodes) - 1) @ self.to_series
 
 
 def chebyshev_points(count: int) -> np.ndarray:
-    """Chebyshev points of the first kind in (0, 1), in ascending order."""
+    """Return the Chebyshev points of the first kind in (0, 1), in ascending order."""
     return (1 - np.cos((2 * np.arange(count) + 1) * math.pi / (2 * count))) / 2
 
 
 @functools.cache
 def collocation(count: int) -> Collocation:
-    """Collocation at ``count`` nodes."""
+    """Make the collocation tables for ``count`` nodes."""
     nodes = chebyshev_points(count)
     to_series = np.linalg.inv(chebyshev.chebvander(2 * nodes - 1, count - 1))
     integrals = chebyshev.chebint(np.eye(count), lbnd=-1, scl=0.5)

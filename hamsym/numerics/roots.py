@@ -1,4 +1,14 @@
-"""Sign changes of sampled functions, and zeros between samples, vectorised."""
+"""Sign changes of sampled functions, and zeros between samples, vectorised.
+
+Input:  values of a function, and the signs of its slope, at a row of nodes.
+Output: its zeros between them. An interval is searched if the sign changes from one end to the
+        other, or if both ends have one sign and the slopes show a turning point towards zero in
+        between: then the turning point is located first, and if the sign changes at it, both
+        crossings are.
+
+Two kinds of zeros are missed: a pair in an interval with more than one turning point, and a third
+zero between two nodes.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +19,17 @@ from scipy.optimize import brentq, elementwise
 
 __all__ = ["first_zero", "refine", "sign_changes", "suspects", "zeros"]
 
-
-_ASIDE = 1e-3  # of an interval: how far from its ends the search for a turning point begins
-
-
-_SAME_SIGNS = -1  # the status of scipy for a bracket whose ends have one sign
+_ASIDE = (
+    1e-3  # of an interval: distance from its ends at which the search for a turning point begins
+)
+_SAME_SIGNS = -1  # status of scipy for a bracket whose ends have one sign
 
 
 def sign_changes(values: np.ndarray, direction: float = 0.0) -> tuple[np.ndarray, ...]:
-    """Indices (..., i) where values, shape (..., n), change their sign from i to i + 1.
+    """Return indices (..., i) where values, shape (..., n), change their sign from i to i + 1.
 
-    A zero belongs to the interval that ends there, so that none is counted twice. A direction above
-    zero asks for those that rise, below zero for those that fall.
+    A zero belongs to the interval that ends there, and is therefore counted once. A direction above
+    zero selects rising values, below zero falling ones.
     """
     return np.nonzero(_changes(values[..., :-1], values[..., 1:], direction))
 
@@ -33,20 +42,20 @@ def _changes(before: np.ndarray, after: np.ndarray, direction: float = 0.0) -> n
 
 
 def suspects(values: np.ndarray, slopes: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """Intervals between nodes in which there may be zeros.
+    """Find intervals between nodes that may contain zeros.
 
     Parameters
     ----------
     values, slopes : numpy.ndarray
-        Of the function at the nodes, shape (..., n); of the slopes the sign counts, in the
-        direction from node to node.
+        Values of the function at the nodes, and slopes in the direction from node to node, of
+        which only the signs are used; shape (..., n).
 
     Returns
     -------
     where : tuple of numpy.ndarray
         Indices (..., i) of intervals from i to i + 1.
     dips : numpy.ndarray
-        Which of them begin and end on one side of zero, shape (k,).
+        Whether an interval begins and ends on one side of zero, shape (k,).
     """
     before, after = np.sign(values[..., :-1]), np.sign(values[..., 1:])
     side = np.where(after == 0, before, after)
@@ -63,7 +72,7 @@ def zeros(
     dips: np.ndarray,
     direction: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Zeros in the intervals that :func:`suspects` found.
+    """Locate zeros in the intervals from :func:`suspects`.
 
     Parameters
     ----------
@@ -72,7 +81,7 @@ def zeros(
     before, after : numpy.ndarray
         Values at the ends of the intervals, shape (k,).
     dips : numpy.ndarray
-        Which of the intervals begin and end on one side of zero, shape (k,).
+        Whether an interval begins and ends on one side of zero, shape (k,).
     direction : float
         As in :func:`sign_changes`.
 
@@ -100,7 +109,7 @@ def zeros(
 def _turning_points(
     function: Callable[[np.ndarray, np.ndarray], np.ndarray], side: np.ndarray, index: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the function comes closest to zero, or furthest beyond, and its values there."""
+    """Locate the points closest to zero, or furthest beyond it, and the values there."""
     if not len(index):
         return np.empty(0), np.empty(0)
 
@@ -113,7 +122,7 @@ def _turning_points(
         middle = np.where(left <= right, share, 1 - share)
         ends = np.zeros(len(index)), middle, np.ones(len(index))
         found = elementwise.find_minimum(height, ends, args=(number,))
-        # Where the turning point is beside an end there is no bracket, and nothing to gain.
+        # A turning point next to an end has no bracket; the end is as good.
         better = found.success & (found.f_x <= np.minimum(left, right))
     return (
         np.where(better, found.x, middle),
@@ -124,10 +133,10 @@ def _turning_points(
 def refine(
     function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    """Zeros to round-off, all at once, of function(x, index) between low and high, shape (n,).
+    """Locate zeros of function(x, index) between low and high, shape (n,), to round-off.
 
-    By Chandrupatla's method, as scipy has it; nan where the sign changes at a pole, or the
-    function is not a number on the way.
+    By scipy's Chandrupatla method, for all intervals at once; NaN where the sign changes at a pole
+    or the function is NaN in between.
     """
     if not len(low):
         return np.empty(0)
@@ -135,14 +144,14 @@ def refine(
     with np.errstate(all="ignore"):
         result = elementwise.find_root(function, (low, high), args=(index,))
         ends = np.abs([function(low, index), function(high, index)])
-        # A zero at an end may have the other sign by round-off when it is computed again.
+        # Round-off may change the sign of a zero at an end when it is evaluated again.
         nearer = np.where(ends[0] < ends[1], low, high)
         found = np.where(result.status == _SAME_SIGNS, nearer, result.x)
         return np.where(np.abs(function(found, index)) <= ends.max(axis=0), found, np.nan)
 
 
 def first_zero(function: Callable[[np.ndarray], np.ndarray]) -> float | None:
-    """The smallest zero from 0 on of a function of one variable, None if no sign change is found.
+    """Find the smallest zero from 0 on of a function of one variable; None without sign change.
 
     The function is sampled at 0 and at 4,600 points between 1e-300 and 1e300, most of them between
     1e-9 and 1e9. Intervals where it is not finite are skipped, and so are sign changes at poles.

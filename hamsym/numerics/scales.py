@@ -6,18 +6,18 @@ import numpy as np
 
 __all__ = ["SMALLEST", "coupled_sizes"]
 
-#: A component below this part of its coupled size counts as having that size: at tolerances of
-#: 1e-8 less could not be told from the round-off of the terms in its own equation.
+#: Smallest size of a component, as a share of its coupled size: smaller values cannot be
+#: distinguished from the round-off of the terms in its own equation.
 SMALLEST = 1e-8
 
 
 def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:
-    """Sizes that the terms of its own equation give each component, at least its own.
+    """Compute the size that the terms of its own equation give each component, at least its own.
 
     Small changes obey delta' = A delta with A = J Hess. In the time tau = 1/rho, with rho the
     spectral radius of |A|, other components of sizes s move component i by up to
-    tau sum_j |A_ij| s_j. That is done dim times, so that it reaches components which are coupled
-    through others. Nothing in it compares components of different units.
+    tau sum_j |A_ij| s_j. This is repeated dim times, to reach components that are coupled through
+    others. Components of different units are never compared.
 
     Parameters
     ----------

@@ -8,12 +8,12 @@ __all__ = ["generators"]
 
 
 def generators(hessians: np.ndarray) -> np.ndarray:
-    """J Hess, which moves tangent vectors, from Hessians of shape (..., dim, dim)."""
+    """Return J Hess, which moves tangent vectors, from Hessians of shape (..., dim, dim)."""
     half = hessians.shape[-1] // 2
     return np.concatenate((hessians[..., half:, :], -hessians[..., :half, :]), axis=-2)
 
 
 def poisson_product(vectors: np.ndarray) -> np.ndarray:
-    """J v for v with the components along the first axis."""
+    """Return J v for v with the components along the first axis."""
     half = len(vectors) // 2
     return np.concatenate((vectors[half:], -vectors[:half]))

@@ -1,11 +1,10 @@
-"""How nearby solutions move: the tangent maps of many windows at once.
+"""Tangent maps of many windows at once.
 
 On a window of length h the matrix Phi(t) = dz(t)/dz(t_a) obeys Phi' = J Hess(z^(t)) Phi, Phi = 1 at
-the start. It is found by collocation at Chebyshev nodes, for all windows of a march in one batch:
-no window needs the others' results.
+the start. It is computed by collocation at Chebyshev nodes, for all windows of a march in one
+batch, since the windows are independent.
 
-Inside this module arrays are (component, node, column, window), so that the long axis is the
-innermost one.
+Inside this module arrays are (component, node, column, window): the long axis is the innermost one.
 """
 
 from __future__ import annotations
@@ -22,27 +21,26 @@ _ITERATIONS = 60
 
 
 class TangentMaps:
-    """Phi on each of a number of windows, at nodes and at the ends.
+    """Tangent maps Phi of windows, at nodes and at the ends.
 
     Parameters
     ----------
     jacobians : numpy.ndarray
         J Hess at the nodes of ``collocation(nodes)`` in every window, shape (windows, nodes, dim,
-        dim); ``TangentMaps.nodes`` are as many as usual.
+        dim); by default at ``TangentMaps.nodes``.
     lengths : numpy.ndarray
         Of the windows, shape (windows,); negative backwards in time.
     scale : numpy.ndarray
         Units of the components, shape (dim,). The maps are those of z / scale.
     accuracy : float
-        Of each row of each map, relative to the row's largest entry: every component converges by
-        itself.
+        Of each row of each map, relative to its largest entry: every component converges by itself.
 
     Attributes
     ----------
     inside : numpy.ndarray
         Shape (dim, nodes, dim, windows).
     ends : numpy.ndarray
-        Shape (windows, dim, dim). Not finite where J Hess is not, or where nothing was found.
+        Shape (windows, dim, dim). Not finite where J Hess is not finite or there is no solution.
     """
 
     nodes = collocation(_NODES).nodes
@@ -71,7 +69,7 @@ class TangentMaps:
         for count in range(_ITERATIONS):
             moved = _integrated(integration[:-1], _rates(entries, maps))
             moved += unit
-            if count % 4 != 3:  # to look costs as much as to iterate
+            if count % 4 != 3:  # the test costs as much as an iteration
                 maps = moved
                 continue
             change = np.abs(moved - maps).max(axis=(1, 2))
@@ -87,7 +85,7 @@ class TangentMaps:
         self.ends = np.ascontiguousarray(ends[:, 0].transpose(2, 0, 1))
 
     def inverse_applied(self, maps: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Phi^-1 v for maps (component, node, column, window) and v (component, node, window).
+        """Compute Phi^-1 v for maps (component, node, column, window), v (component, node, window).
 
         In the units of H maps are symplectic, Phi^-1 = -J Phi^T J. In units s of the components
         that becomes K^-1 Phi^T K with K = S J S, S = diag(s).
@@ -101,7 +99,7 @@ class TangentMaps:
         return weights[:, None, None] * vectors
 
     def at(self, s: np.ndarray) -> np.ndarray:
-        """Phi at the same s in [0, 1] of every window, shape (dim, len(s), dim, windows)."""
+        """Evaluate Phi at positions s in [0, 1] of all windows: (dim, len(s), dim, windows)."""
         return _integrated(self.rule.interpolation(s), self.inside)
 
 
@@ -113,14 +111,14 @@ def _rates(entries: dict[tuple[int, int], np.ndarray], maps: np.ndarray) -> np.n
 
 
 def _integrated(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """A matrix over the nodes applied to an array (component, node, column, window)."""
+    """Apply a matrix over the nodes to an array (component, node, column, window)."""
     dim, nodes, columns, windows = values.shape
     product = matrix @ values.reshape(dim, nodes, columns * windows)
     return product.reshape(dim, len(matrix), columns, windows)
 
 
 def _solved(generator: np.ndarray, integration: np.ndarray) -> np.ndarray:
-    """The collocation equations of one window as they stand, where the iteration fails."""
+    """Solve the collocation equations of one window directly, where the iteration fails."""
     nodes, dim, _ = generator.shape
     size = nodes * dim
     matrix = np.eye(size) - np.einsum("kl,lij->kilj", integration, generator).reshape(size, size)

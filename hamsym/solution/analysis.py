@@ -1,19 +1,19 @@
-"""The paper's error analysis of a solution (its section on error analysis), whole and as it stands.
+"""The paper's error analysis of a solution, complete and unchanged.
 
-What it assumes, and where that fails:
+Its assumptions and their limits:
 
 - The residual ell(t) = dz^/dt - J grad H(z^) and the Hessian along z^ give the error to first
-  order in it, eq. (ell). That is sound while the error is small.
+  order in it, eq. (ell). This is valid while the error is small.
 - Eq. (dz_bound) bounds |delta z| at a time by ell_max, sigma_min and |d(delta z)/dt| there. It
-  holds for the linearised error, but needs the rate of the error, which is not known beforehand.
-- Eq. (dz), |delta z_i| <= ell_max/sigma_min, follows only if all of the error sits in one component
-  and that component is at its maximum, where its rate is zero. Neither holds in general: a residual
-  in resonance with the motion makes the error grow with time while ell_max stays. On the harmonic
-  oscillator z^ = (1 + eps t)(cos t, -sin t) has ell_max = eps, sigma_min = 1 and an error of eps T.
-  It is a heuristic, and is called so.
-- Where the Hessian is singular, eq. (dz) says nothing. That is so on the whole trajectory with a
-  cyclic coordinate or a translation symmetry, and at single times where det Hess changes its sign,
-  as for Henon-Heiles on x^2 + y^2 = 1/4.
+  holds for the linearised error, but needs the rate of the error, which is unknown beforehand.
+- Eq. (dz), |delta z_i| <= ell_max/sigma_min, follows only if one component has all of the error and
+  is at its maximum, where its rate is zero. Neither holds in general: a residual in resonance with
+  the motion makes the error grow with time at constant ell_max. On the harmonic oscillator
+  z^ = (1 + eps t)(cos t, -sin t) has ell_max = eps, sigma_min = 1 and an error of eps T. The bound
+  is therefore called a heuristic.
+- Where the Hessian is singular, eq. (dz) gives no bound: on the whole trajectory with a cyclic
+  coordinate or a translation symmetry, and at single times where det Hess changes its sign, for
+  example for Henon-Heiles on x^2 + y^2 = 1/4.
 - sigma_min, |ell| and the 2-norm mix the units of q and p, and change under canonical rescaling.
 """
 
@@ -37,7 +37,7 @@ _SINGULAR = 1e-12  # of the largest eigenvalue; below it an eigenvalue is round-
 
 
 class Analysis:
-    """ell, sigma_min and what follows from them, for one solution.
+    """ell, sigma_min and the bounds from them, for one solution.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class Analysis:
     # -- ell -----------------------------------------------------------------------------------
 
     def ell(self, t: np.ndarray) -> np.ndarray:
-        """|ell(t)|, the 2-norm of the residual, shape as t."""
+        """Return |ell(t)|, the 2-norm of the residual, shaped as t."""
         return np.asarray(np.linalg.norm(self.solution.residual(np.asarray(t, float)), axis=-1))
 
     @property
@@ -67,7 +67,7 @@ class Analysis:
 
     @property
     def ell_max_time(self) -> float:
-        """When |ell| is largest."""
+        """Time at which |ell| is largest."""
         return self._largest_ell[1]
 
     @cached_property
@@ -88,9 +88,9 @@ class Analysis:
     # -- the Hessian ---------------------------------------------------------------------------
 
     def eigenvalues(self, t: np.ndarray) -> np.ndarray:
-        """Eigenvalues of the Hessian along the trajectory, ascending, shape (*t.shape, dim).
+        """Return eigenvalues of the Hessian along the trajectory, ascending, shape (*t.shape, dim).
 
-        The matrix is symmetric: its singular values are their magnitudes. They are nan where it
+        The matrix is symmetric: its singular values are their magnitudes. They are NaN where it
         is not finite.
         """
         matrices = self.solution.hessians(np.asarray(t, float))
@@ -104,15 +104,15 @@ class Analysis:
 
     @cached_property
     def is_always_singular(self) -> bool:
-        """Whether an eigenvalue is zero all along: a cyclic coordinate or another symmetry."""
+        """Whether an eigenvalue is zero at all times, for example with a cyclic coordinate."""
         sizes = np.abs(self._scanned)
         return bool(np.all(sizes.min(axis=1) <= _SINGULAR * sizes.max()))
 
     @cached_property
     def singular_times(self) -> np.ndarray:
-        """When det Hess changes its sign, to round-off; none if it is zero all along.
+        """Times at which det Hess changes its sign, to round-off; empty if it is always zero.
 
-        Twice between two points of the scan goes unseen.
+        Two changes between neighbouring points of the scan are missed.
         """
         if self.is_always_singular:
             return np.empty(0)
@@ -128,14 +128,14 @@ class Analysis:
     def sigma_min(self) -> float:
         """Smallest singular value of the Hessian along the trajectory.
 
-        Zero where an eigenvalue changes its sign on the way, between the points of any grid, and
-        where the Hessian is not finite, which bounds nothing.
+        Zero if an eigenvalue changes its sign, which a grid of times alone would miss, or if the
+        Hessian is not finite somewhere.
         """
         return self._smallest[0]
 
     @property
     def sigma_min_time(self) -> float:
-        """When it is smallest."""
+        """Time at which the smallest singular value is smallest."""
         return self._smallest[1]
 
     @cached_property
@@ -151,18 +151,18 @@ class Analysis:
         value, t = self._largest(lambda t: -np.abs(self.eigenvalues(t)).min(axis=-1))
         return (-value if -value > _SINGULAR * largest else 0.0), t
 
-    # -- what follows --------------------------------------------------------------------------
+    # -- bounds --------------------------------------------------------------------------------
 
     @property
     def bound(self) -> float:
-        """ell_max / sigma_min, eq. (dz), a heuristic; infinite where sigma_min is zero."""
+        """Heuristic bound ell_max / sigma_min, eq. (dz); infinite if sigma_min is zero."""
         return self.ell_max_regularized / self.sigma_min if self.sigma_min > 0 else math.inf
 
     def linearized_error(self, t: np.ndarray) -> np.ndarray:
-        """z - z^ by eq. (ell), integrated from zero, shape (n, dim); nan where it broke off."""
+        """Integrate eq. (ell) from zero to z - z^, shape (n, dim); NaN after a failure."""
         times = np.asarray(t, dtype=float)
         estimate = self.solution.error
-        if estimate is not None:  # which is the solution of this equation
+        if estimate is not None:  # the solution of this equation
             return estimate(times)
         error = self._linear(times)
         return np.where(np.isinf(error), np.nan, error)
@@ -172,11 +172,11 @@ class Analysis:
         return integrated_error(self.solution, linear=True)
 
     def inequality(self, t: np.ndarray) -> np.ndarray:
-        """The right-hand side of eq. (dz_bound) at times t, shape (n,).
+        """Evaluate the right-hand side of eq. (dz_bound) at times t, shape (n,).
 
-        With ell_max and sigma_min of the whole trajectory, and the norm of the Hessian and the
-        rate of the linearised error at t. It bounds that error's 2-norm; it is infinite where
-        sigma_min is zero.
+        It combines ell_max and sigma_min of the whole trajectory with the norm of the Hessian and
+        the rate of the linearised error at t, and bounds the 2-norm of that error. It is infinite
+        if sigma_min is zero.
         """
         times = np.asarray(t, dtype=float)
         if self.sigma_min == 0:
@@ -190,13 +190,13 @@ class Analysis:
         return (speed * norm + np.sqrt(root)) / sigma**2
 
     def _largest(self, function: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
-        """max of a function of time and where: a fine scan, then a search around its peaks.
+        """Find the maximum of a function of time and its place by a scan and a search at its peaks.
 
-        Infinite where the function is not a number.
+        The maximum is infinite if the function is NaN somewhere.
         """
         times = self.solution.scan_times
-        # Beside the joints of windows, not on them: a force that is switched there has at that one
-        # time a value that no solution follows.
+        # Beside the joints of windows, not on them: the value of a switched force at the joint
+        # itself has no effect on the motion.
         times = times + 1e-9 * np.append(np.diff(times), times[-2] - times[-1])
         values = np.nan_to_num(function(times), nan=np.inf, posinf=np.inf, neginf=-np.inf)
         best = int(np.argmax(values))

@@ -1,4 +1,4 @@
-"""SHA-256 of what defines a solution, and the check that precedes it."""
+"""SHA-256 digest of a solution, and the check that precedes it."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ __all__ = ["check_definition", "digest"]
 
 
 def digest(solution: Solution) -> str:
-    """SHA-256 of what defines a solution as a function: H, z0, the span and the trial solution.
+    """Compute SHA-256 of a solution as a function: of H, z0, the span and the trial solution.
 
-    The method, the time it took and the verdict are not part of it. Types, shapes and bytes of the
-    numbers are.
+    It includes types, shapes and bytes of the numbers, but not the method, its cost or the verdict.
 
     Raises
     ------
     InputError
-        If the solution is not one that a solver returns: a part of it has another type, shape or
-        order, is not finite, or contradicts another part.
+        If the solution is invalid: a part has another type, shape or order, is not finite, or
+        contradicts another part.
     """
     try:
         check_definition(solution)

@@ -55,11 +55,11 @@ def first_jump(
     found = list(_symbolic_jumps(solution, times)) or list(_hidden_jumps(solution, suspects))
     if not found:
         return None
-    time, what = min(found, key=lambda entry: direction * entry[0])
-    remedy = "solve up to there, and on from there"
+    time, kind = min(found, key=lambda entry: direction * entry[0])
+    remedy = "solve up to this time, and again from it"
     if solution.H.time is not None:
-        remedy += ", or give such times as breakpoints where the time switches it"
-    return f"{what} at t = {time:.6g}, beyond which the error cannot be estimated; {remedy}"
+        remedy += ", or give the times at which t switches H as breakpoints"
+    return f"{kind} at t = {time:.6g}, beyond which the error cannot be estimated; {remedy}"
 
 
 def unresolved(solution: Path) -> list[tuple[float, float]]:
@@ -89,7 +89,7 @@ def _symbolic_jumps(solution: Path, times: np.ndarray) -> Iterator[tuple[float, 
     system = H.compile("numpy")
     z = solution(times)
     with np.errstate(all="ignore"):
-        # Jumps are compared with the size of the same component's rate.
+        # A jump is compared with the largest rate of the same component.
         sizes = np.abs(system.gradient(*system.arguments(z, times))).max(axis=0)
         sizes = np.append(sizes, np.abs(system.energy(*system.arguments(z, times))).max())
         for switch in switches:
@@ -103,7 +103,7 @@ def _symbolic_jumps(solution: Path, times: np.ndarray) -> Iterator[tuple[float, 
                     *times[[before, after]],
                     xtol=1e-12 * abs(times[after] - times[before]) + 1e-300,
                 )
-                # A jump of H counts however large H is: the zero of H is arbitrary.
+                # A jump of H counts for H of any size: the zero of H is arbitrary.
                 allowed = np.append(1e-6 * sizes[:-1], 1e-14 * sizes[-1])
                 small = np.abs(switch.jumps(solution(at), at)) <= allowed
                 if not small.all():
@@ -138,7 +138,7 @@ def _switches(H: Hamiltonian) -> tuple[_Switch, ...]:
 def _hidden_jumps(
     solution: Path, suspects: Sequence[tuple[float, float]]
 ) -> Iterator[tuple[float, str]]:
-    """The first jump of the sampled rates."""
+    """Find the first jump of the sampled rates."""
     system = solution.H.compile("numpy")
 
     def rates(t: Any) -> np.ndarray:
@@ -146,7 +146,7 @@ def _hidden_jumps(
 
     with np.errstate(all="ignore"):
         for start, end in suspects:
-            # Inside: at a joint of windows the equations may be switched.
+            # Inside: at a joint of windows the equations may change.
             t = np.linspace(start, end, _SAMPLES + 2)[1:-1]
             values = rates(t)
             for component in range(values.shape[1]):
@@ -159,7 +159,7 @@ def _hidden_jumps(
 def _steepest(
     function: Callable[[float], np.ndarray], t: np.ndarray, samples: np.ndarray, component: int
 ) -> float | None:
-    """The time of the largest change of a component between samples, None if it is resolved."""
+    """Locate the largest change of a component between samples; None if it is resolved."""
     values = samples[:, component]
     spread = np.abs(values - values.mean()).max()
     changes = np.abs(np.diff(values))

@@ -1,7 +1,7 @@
-"""Events on a solution, as scipy's solve_ivp has them.
+"""Events of a solution, in the conventions of scipy's solve_ivp.
 
-The event function is looked at on a grid of times and just after each of them, which gives its
-slope; :mod:`hamsym.surface` says which zeros between the times are found with that.
+The event function is sampled on a grid of times and just after each of them, which gives its slope;
+:mod:`hamsym.numerics.roots` describes the zeros that are found from both.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from hamsym.surface import parse_surface
 
 __all__ = ["Event", "Events", "find_events"]
 
-#: A surface such as "x = 0, p_x > 0", or a function of (t, z) as solve_ivp takes it.
+#: A surface, for example "x = 0, p_x > 0", or a function of (t, z) as solve_ivp takes it.
 Event = str | Callable[[float, np.ndarray], float]
 
-_AFTER = 1e-4  # of an interval: where the slope of an event is read
+_AFTER = 1e-4  # of an interval: distance over which the slope of an event is measured
 
 
 class Events(NamedTuple):
-    """When and where each event happened.
+    """Times and states of each event.
 
     Attributes
     ----------
@@ -41,12 +41,12 @@ class Events(NamedTuple):
 
 
 def find_events(solution: Path, events: Event | Sequence[Event], times: np.ndarray) -> Events:
-    """Zeros of the events along a solution, looked for between the given times."""
-    wanted = [events] if isinstance(events, str) or callable(events) else list(events)
-    found = [_zeros(solution, event, times) for event in wanted]
+    """Find the zeros of the events along a solution, between the given times."""
+    listed = [events] if isinstance(events, str) or callable(events) else list(events)
+    found = [_zeros(solution, event, times) for event in listed]
     backward = solution.span[1] < solution.span[0]
     end = np.inf
-    for event, t in zip(wanted, found, strict=True):
+    for event, t in zip(listed, found, strict=True):
         limit = _terminal(event)
         if limit and len(t) >= limit:
             end = min(end, -t[limit - 1] if backward else t[limit - 1])
@@ -56,7 +56,7 @@ def find_events(solution: Path, events: Event | Sequence[Event], times: np.ndarr
 
 
 def _terminal(event: Event) -> int:
-    """After how many of them an event ends the search; 0 for never."""
+    """Return the number of zeros after which an event ends the search; 0 for never."""
     terminal = getattr(event, "terminal", False)
     if terminal is None or isinstance(terminal, (bool, np.bool_)):
         return int(bool(terminal))
@@ -81,10 +81,12 @@ def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
             return np.array([_number(event(time, z)) for time, z in pairs])
 
     else:
-        raise InputError(f"{event!r} is not an event; give a text such as 'x = 0' or a function")
+        raise InputError(
+            f"{event!r} is not an event; give a text, for example 'x = 0', or a function"
+        )
     direction = getattr(event, "direction", 0.0) or 0.0
     require_number("direction", direction)
-    # The last slope is read before the end of the span, beyond which there is no solution.
+    # The last slope is measured before the end of the span, beyond which there is no solution.
     aside = _AFTER * np.append(np.diff(times), times[-2] - times[-1])
     with np.errstate(all="ignore"):
         values = value(times)
@@ -93,7 +95,7 @@ def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
     (step,), dips = suspects(values, slopes)
 
     def when(share: np.ndarray, index: np.ndarray) -> np.ndarray:
-        # Exact at both ends, where a solution has its span.
+        # Exact at both ends, so that no time is outside the span.
         return (1 - share) * times[step[index]] + share * times[step[index] + 1]
 
     share, index = zeros(
@@ -108,12 +110,12 @@ def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
 
 
 def _require_numbers(event: Event, times: np.ndarray, values: np.ndarray) -> None:
-    """Refuse an event that has no value somewhere: what happens there would go unseen."""
+    """Raise InputError for an event that is NaN somewhere: zeros there would be missed."""
     if np.isnan(values).any():
         name = f"'{event}'" if isinstance(event, str) else "an event"
         first = times[np.isnan(values)][0]
         raise InputError(
-            f"{name} is not a number at t = {first:.6g}; write one that has a value all along"
+            f"{name} is not a number at t = {first:.6g}; give an event with a value at all times"
         )
 
 

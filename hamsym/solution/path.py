@@ -12,7 +12,7 @@ import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
 
-if TYPE_CHECKING:  # only functions of tensors need torch
+if TYPE_CHECKING:  # torch is imported only by functions of tensors
     from torch import Tensor
 
 __all__ = ["ErrorEstimate", "Path", "Record", "Trial"]
@@ -23,7 +23,7 @@ class Trial(Protocol):
 
     @property
     def dtype(self) -> np.dtype:
-        """Type of its numbers, float64 or float32."""
+        """Data type of its numbers, float64 or float32."""
 
     def states_at(self, t: np.ndarray) -> np.ndarray:
         """z^ at times t of shape (K,); shape (K, dim)."""
@@ -35,13 +35,13 @@ class Trial(Protocol):
         """z^ and dz^/dt at times t of shape (K,), differentiable in t; each of shape (K, dim)."""
 
     def describe(self) -> dict[str, Any]:
-        """Its form and settings, as values that JSON can hold."""
+        """Return its form and settings, as values that JSON can store."""
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All numbers that define it, by name."""
+        """Return all arrays that define it, by name."""
 
     def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
-        """Raise ValueError if it is not a trial solution from z0 over the span."""
+        """Raise ValueError unless it is a trial solution from z0 over the span."""
 
 
 class Record(Protocol):
@@ -76,10 +76,10 @@ class Record(Protocol):
         """Time from which the edges are counted."""
 
     def times(self, span: tuple[float, float], count: int) -> np.ndarray:
-        """About so many times over the span, in its direction, at least nine in each window."""
+        """Return about ``count`` times over the span, in its direction, nine or more per window."""
 
     def check(self, trial: Any) -> None:
-        """Raise ValueError if it is not the record of this trial solution."""
+        """Raise ValueError unless it is the record of this trial solution."""
 
 
 class ErrorEstimate(Protocol):
@@ -96,11 +96,11 @@ class ErrorEstimate(Protocol):
         """The estimate at a finer resolution, a function of t."""
 
     def check(self, trial: Any, *, finite: bool) -> None:
-        """Raise ValueError if it is not the error of this trial solution."""
+        """Raise ValueError unless it is the error of this trial solution."""
 
 
 class Path(Protocol):
-    """A trajectory z^(t) of a Hamiltonian over a span, with what is derived from it."""
+    """A trajectory z^(t) of a Hamiltonian over a span, with derived quantities."""
 
     @property
     def H(self) -> Hamiltonian:
@@ -112,7 +112,7 @@ class Path(Protocol):
 
     @property
     def error(self) -> ErrorEstimate | None:
-        """An estimate of the error that the method made, if it did."""
+        """Error estimate of the method; None if the method made none."""
 
     @property
     def energy_weight(self) -> float:
@@ -139,4 +139,4 @@ class Path(Protocol):
 
     @property
     def scan_times(self) -> np.ndarray:
-        """Times dense enough to see every oscillation."""
+        """Times dense enough to resolve every oscillation."""

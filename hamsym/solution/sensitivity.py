@@ -88,5 +88,5 @@ class Sensitivity:
         hessians = self._path.hessians(self._path.scan_times)
         # J Hess in units of the scales has the size of the rates at which nearby states separate.
         sizes = np.abs(generators(hessians) * self._units / self._units[:, None])
-        wanted = float(sizes.sum(axis=-1).max()) * abs(end - start) / 2
-        return np.linspace(start, end, 2 + int(min(np.nan_to_num(wanted), _MOST_WINDOWS)))
+        needed = float(sizes.sum(axis=-1).max()) * abs(end - start) / 2
+        return np.linspace(start, end, 2 + int(min(np.nan_to_num(needed), _MOST_WINDOWS)))

@@ -485,7 +485,7 @@ def test_progress_is_drawn_where_asked(capsys: pytest.CaptureFixture[str]) -> No
         ({"dt": -0.1}, "dt=-0.1"),
         ({"dt": float("nan")}, "dt=nan"),
         ({"dt": "x"}, "dt='x'"),
-        ({"dt": 0.1, "steps": 10}, "say the same thing; give one"),
+        ({"dt": 0.1, "steps": 10}, "exclude each other; give one"),
         ({"save_every": 0}, "save_every=0"),
         ({"steps": 10, "save_every": 3}, "does not divide"),
         ({"rtol": 1e-9}, "rtol has no meaning for blanes_moan6"),

@@ -1,0 +1,69 @@
+"""Times at which a solution is evaluated: floats, lists, arrays or tensors."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hamsym.errors import InputError
+
+if TYPE_CHECKING:  # torch is imported only by callers that have tensors
+    from torch import Tensor
+
+__all__ = ["evaluate_in_parts", "is_tensor", "tensor_of", "times_in_span"]
+
+_CHUNK = 4_096  # times evaluated at once, to bound the memory
+
+
+def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = False) -> np.ndarray:
+    """Return one time or a list of times as an array.
+
+    Raises
+    ------
+    InputError
+        If they are not finite numbers, or outside the span unless ``extrapolate=True``.
+    """
+    try:
+        times = np.asarray(t.detach().cpu() if is_tensor(t) else t, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("t has an entry that is not a number; give times") from None
+    if times.ndim > 1 or times.size == 0:
+        raise InputError(f"t has shape {times.shape}; give one time or a list of times")
+    if not np.all(np.isfinite(times)):
+        raise InputError("t has an entry that is not finite; give finite times")
+    low, high = min(span), max(span)
+    slack = 4e-16 * max(abs(low), abs(high))
+    outside = (times < low - slack) | (times > high + slack)
+    if not extrapolate and outside.any():
+        worst = float(np.atleast_1d(times)[np.atleast_1d(outside)][0])
+        raise InputError(
+            f"t = {worst:.6g} is outside the span from {low:.6g} to {high:.6g}; give times inside "
+            "it, or extrapolate=True"
+        )
+    return times
+
+
+def evaluate_in_parts(
+    function: Callable[[np.ndarray], tuple[np.ndarray, ...]], times: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Apply a function (K,) -> (K, dim) to one time or a list; shape (*times.shape, dim)."""
+    flat = np.atleast_1d(times)
+    parts = [function(flat[k : k + _CHUNK]) for k in range(0, len(flat), _CHUNK)]
+    values = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return tuple(value[0] if times.ndim == 0 else value for value in values)
+
+
+def is_tensor(value: Any) -> bool:
+    """Return whether a value is a tensor of torch, without importing torch."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(value, torch.Tensor)
+
+
+def tensor_of(values: np.ndarray) -> Tensor:
+    """Return an array as a tensor."""
+    import torch
+
+    return torch.from_numpy(values)
