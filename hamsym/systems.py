@@ -1,4 +1,4 @@
-"""A catalogue of Hamiltonian systems: the usual start and span, and what is known exactly.
+"""Catalogue of Hamiltonian systems: default initial state and span, exact solutions, integrals.
 
 Each function returns a :class:`Problem`; :data:`CATALOGUE` lists them all, and a new system is
 one more function with the decorator.
@@ -19,7 +19,7 @@ from sympy.polys.matrices import DomainMatrix
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.validation import require_whole
+from hamsym.support.validation import require_positive, require_whole
 
 __all__ = [
     "CATALOGUE",
@@ -41,7 +41,7 @@ __all__ = [
     "toda_chain",
 ]
 
-# Beyond so many particles there is too much to write out: 2**n terms, or n formulas of n terms.
+# Largest number of particles for formulas of 2**n terms, or for n formulas of n terms.
 _MANY = 12
 
 
@@ -55,18 +55,18 @@ class Problem:
     H : Hamiltonian
         With values for all parameters.
     z0 : tuple of float
-        The usual initial state, in the order of H.z.
+        Default initial state, in the order of H.z.
     span : (float, float)
-        The usual time span.
+        Default time span.
     source : str
-        Where the system and its start come from.
+        Reference for the system and its initial state.
     exact : callable, optional
-        t of shape (n,) -> states of shape (n, dim), where a closed form is known.
+        Exact solution, t of shape (n,) -> states of shape (n, dim); None if unknown.
     period : float, optional
-        The period of the motion, where it is known.
+        Period of the motion; None if unknown.
     conserved : tuple of str
-        Formulas of first integrals other than H, in the names of H and the time t. They hold for
-        the values that the parameters have here.
+        Formulas of first integrals other than H, in the names of H and the time t, valid for these
+        values of the parameters.
 
     Examples
     --------
@@ -96,14 +96,9 @@ def _listed(function: Callable[..., Problem]) -> Callable[..., Problem]:
     return function
 
 
-def _check_count(n: int, fewest: int) -> None:
-    require_whole("n", n, fewest)
-
-
 def _check_positive(**values: float) -> None:
     for name, value in values.items():
-        if not 0 < value < math.inf:
-            raise InputError(f"{name}={value!r} cannot be used; give a positive number")
+        require_positive(name, value)
 
 
 @_listed
@@ -160,7 +155,7 @@ def nonlinear_oscillator(x: float = 1.3, p: float = 1.0) -> Problem:
     amplitude = math.sqrt(4 * energy / (1 + math.sqrt(1 + 4 * energy)))
     rate = math.sqrt(1 + amplitude**2)
     m = amplitude**2 / (2 * rate**2)
-    # The angle whose cosine is x/A, from both functions: near a turning point p tells it better.
+    # The angle whose cosine is x/A, from both functions: near a turning point p is more accurate.
     dn = math.sqrt(1 - m + m * (x / amplitude) ** 2)
     angle = math.atan2(-p / (amplitude * rate * dn), x / amplitude)
     phase = float(scipy.special.ellipkinc(angle, m))
@@ -205,7 +200,7 @@ def morse_oscillator(depth: float = 1.0, a: float = 1.0, x: float = 1.5, p: floa
     rate = a * math.sqrt(2 * binding)
     swing = math.sqrt(depth * (p**2 / 2 + depth * (1 - decay) ** 2))
     phase = math.atan2(-p * rate / (2 * a), depth * (1 - decay) * decay - p**2 / 2)
-    # D - sqrt(D E) is D (D - E) / (D + sqrt(D E)): so the inner turning point keeps its digits.
+    # D - sqrt(D E) = D (D - E) / (D + sqrt(D E)), without cancellation at the inner turning point.
     inner, width = depth / (depth + swing), 2 * swing / binding
 
     def exact(t: np.ndarray) -> np.ndarray:
@@ -230,8 +225,8 @@ def driven_oscillator(omega: float = 1.0, drive: float = 0.8, force: float = 0.5
     """A driven oscillator, H = p^2/2 + omega^2 x^2/2 - F x cos(Omega t), from (1, 0).
 
     Exactly, x = cos(omega t) + F (cos(Omega t) - cos(omega t)) / (omega^2 - Omega^2), and
-    x = cos(omega t) + F t sin(omega t) / (2 omega) in resonance, where Omega = omega. H is not
-    conserved, unless Omega = 0, but the energy of what differs from one forced motion is.
+    x = cos(omega t) + F t sin(omega t) / (2 omega) in resonance, where Omega = omega. H is
+    conserved only for Omega = 0, the energy of the deviation from one forced motion always.
 
     Raises
     ------
@@ -363,14 +358,14 @@ def _kinetic(n: int) -> str:
 
 
 def _bonds(n: int) -> list[str]:
-    """By how much each bond of a chain with fixed ends is stretched."""
+    """Formulas of the stretch of each bond of a chain with fixed ends."""
     return [f"({b} - {a})" for a, b in itertools.pairwise(["0", *_names("q", n), "0"])]
 
 
 def _chain_motion(
     start: np.ndarray, local: float, coupling: float
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """q_i'' = -local q_i + coupling (q_i+1 - 2 q_i + q_i-1), ends fixed, from rest at the start.
+    """Solve q_i'' = -local q_i + coupling (q_i+1 - 2 q_i + q_i-1), ends fixed, from rest.
 
     The modes are sin(pi i k/(n+1)), of frequencies local + 4 coupling sin(pi k/(2n+2))^2, squared.
     """
@@ -390,7 +385,7 @@ def _chain_motion(
 
 
 def _mode_energies(n: int, local: str, coupling: str) -> tuple[str, ...]:
-    """The energies of all normal modes but the last: with them all, their sum is H."""
+    """Formulas of the energies of all normal modes but the last; the sum of all of them is H."""
     formulas = []
     for k in range(1, n):
         q, p = (
@@ -406,14 +401,14 @@ def _mode_energies(n: int, local: str, coupling: str) -> tuple[str, ...]:
 def coupled_oscillators(n: int = 3, coupling: float = 0.5) -> Problem:
     """A chain of n oscillators, q_i'' = -q_i + coupling (q_i+1 - 2 q_i + q_i-1), ends fixed.
 
-    Only the first mass is displaced. Exactly, by the normal modes.
+    Only the first mass is displaced. The exact solution is a sum of normal modes.
 
     Raises
     ------
     InputError
         If n is not a whole number from 1.
     """
-    _check_count(n, 1)
+    require_whole("n", n, 1)
     local = " + ".join(f"{q}**2/2" for q in _names("q", n))
     bonds = " + ".join(f"c*{stretch}**2/2" for stretch in _bonds(n))
     start = np.eye(n)[0]
@@ -430,11 +425,11 @@ def coupled_oscillators(n: int = 3, coupling: float = 0.5) -> Problem:
 
 @_listed
 def fermi_pasta_ulam_tsingou(n: int = 5, alpha: float = 0.25, beta: float = 0.0) -> Problem:
-    """The chain of Fermi, Pasta, Ulam & Tsingou: n masses, n+1 springs that are not quite linear.
+    """The chain of Fermi, Pasta, Ulam & Tsingou: n masses, n+1 weakly nonlinear springs.
 
     H = sum p_i^2/2 + sum (d^2/2 + alpha d^3/3 + beta d^4/4) over the stretches d = q_i+1 - q_i,
     ends fixed, from rest in the lowest normal mode, q_i = sin(pi i/(n+1)). With
-    alpha = beta = 0 that mode goes on for ever.
+    alpha = beta = 0 the motion stays in that mode.
 
     Raises
     ------
@@ -447,7 +442,7 @@ def fermi_pasta_ulam_tsingou(n: int = 5, alpha: float = 0.25, beta: float = 0.0)
     >>> problem.exact(np.array([problem.period / 2])).round(3) + 0.0
     array([[-0.866, -0.866,  0.   ,  0.   ]])
     """
-    _check_count(n, 2)
+    require_whole("n", n, 2)
     springs = " + ".join(f"{d}**2/2 + alpha*{d}**3/3 + beta*{d}**4/4" for d in _bonds(n))
     start = np.sin(math.pi * np.arange(1, n + 1) / (n + 1))
     linear = alpha == beta == 0
@@ -464,10 +459,10 @@ def fermi_pasta_ulam_tsingou(n: int = 5, alpha: float = 0.25, beta: float = 0.0)
 
 
 def _lax_traces(n: int) -> tuple[str, ...]:
-    """tr L and tr L^3 .. tr L^n of the Toda chain, up to the sixth power; tr L^2 is 2 H."""
+    """Formulas of tr L and tr L^3 .. tr L^n of the Toda chain, to the sixth power; tr L^2 = 2 H."""
     q, p = (sympy.symbols(_names(letter, n), real=True) for letter in "qp")
     forces = sympy.symbols(_names("f", n - 1))
-    # Similar to the symmetric matrix, and free of its square roots.
+    # Similar to the symmetric matrix, without its square roots.
     L = sympy.diag(*p)
     for i, force in enumerate(forces):
         L[i, i + 1], L[i + 1, i] = 1, force
@@ -493,7 +488,7 @@ def _toda_motion(q: np.ndarray, p: np.ndarray) -> Callable[[np.ndarray], np.ndar
     levels = [members.sum(1) == k for k in range(n + 1)]
 
     def minors(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The logarithms of tau_0 .. tau_n, and minus their rates."""
+        """Return the logarithms of tau_0 .. tau_n, and minus their rates."""
         logs, means = [], []
         for level in levels:
             terms = weights[level] - np.multiply.outer(t, sums[level])
@@ -514,9 +509,9 @@ def _toda_motion(q: np.ndarray, p: np.ndarray) -> Callable[[np.ndarray], np.ndar
 def toda_chain(n: int = 3) -> Problem:
     """The open Toda chain, H = sum p_i^2/2 + sum_i<n exp(q_i - q_i+1).
 
-    The first of n particles runs into the others, which rest. Exactly, by the eigenvalues and
-    eigenvectors of the matrix L with L_ii = p_i and L_i,i+1 = L_i+1,i = exp((q_i - q_i+1)/2),
-    for up to 12 particles; the traces of its powers are conserved.
+    The first of n particles hits the others, which are at rest. For up to 12 particles the exact
+    solution follows from the eigenvalues and eigenvectors of the matrix L with L_ii = p_i and
+    L_i,i+1 = L_i+1,i = exp((q_i - q_i+1)/2); the traces of its powers are conserved.
 
     Raises
     ------
@@ -528,7 +523,7 @@ def toda_chain(n: int = 3) -> Problem:
     >>> toda_chain().conserved[1]
     'p1**3 + 3*p1*exp(q1 - q2) + p2**3 + 3*p2*exp(q1 - q2) + 3*p2*exp(q2 - q3) + ...'
     """
-    _check_count(n, 2)
+    require_whole("n", n, 2)
     bonds = " + ".join(f"exp({a} - {b})" for a, b in itertools.pairwise(_names("q", n)))
     q, p = 2.0 * np.arange(n), 1.5 * np.eye(n)[0]
     return Problem(
@@ -543,7 +538,7 @@ def toda_chain(n: int = 3) -> Problem:
 
 
 def _calogero_moser_integrals(n: int, trapped: bool) -> tuple[str, ...]:
-    """Of the centre of mass; of the motion across the radius |q|; tr L^3, unless in a trap."""
+    """First integrals of the centre of mass and across the radius |q|; tr L^3 without a trap."""
     q, p = _names("q", n), _names("p", n)
     pairs = list(itertools.combinations(range(n), 2))
     squares = " + ".join(f"{b}**2" for b in p)
@@ -562,7 +557,7 @@ def _calogero_moser_integrals(n: int, trapped: bool) -> tuple[str, ...]:
 def calogero_moser(n: int = 3, g: float = 1.0, omega: float = 1.0) -> Problem:
     """Particles on a line, H = sum (p_i^2 + omega^2 q_i^2)/2 + sum_i<j g^2/(q_i - q_j)^2.
 
-    All rest but the first. Exactly, the q_i are the eigenvalues of
+    All are at rest but the first. Exactly, the q_i are the eigenvalues of
     Q cos(omega t) + L sin(omega t)/omega, of Q + L t without the trap, where Q is diagonal with
     the q_i at the start, L_jj = p_j there, and L_jk = i g/(q_j - q_k).
 
@@ -571,7 +566,7 @@ def calogero_moser(n: int = 3, g: float = 1.0, omega: float = 1.0) -> Problem:
     InputError
         If n is not a whole number from 2, g is not positive or omega is negative.
     """
-    _check_count(n, 2)
+    require_whole("n", n, 2)
     _check_positive(g=g)
     if not 0 <= omega < math.inf:
         raise InputError(f"omega={omega!r} cannot be used; give a frequency from 0")
@@ -582,7 +577,7 @@ def calogero_moser(n: int = 3, g: float = 1.0, omega: float = 1.0) -> Problem:
         t = np.asarray(t, dtype=float)[..., None, None]
         cosine, sine = np.cos(omega * t), t * np.sinc(omega * t / math.pi)  # sin(omega t)/omega
         positions, vectors = np.linalg.eigh(Q * cosine + L * sine)
-        # The particles never pass each other; an eigenvalue moves as its vector sees the matrix do.
+        # The particles never pass each other; the rate of an eigenvalue is v^* (dM/dt) v.
         rates = (vectors.conj() * ((L * cosine - omega**2 * sine * Q) @ vectors)).real.sum(axis=-2)
         return np.concatenate((positions, rates), axis=-1)
 
@@ -654,8 +649,8 @@ def double_pendulum() -> Problem:
 def spring_pendulum(stiffness: float = 4.0, length: float = 0.75, gravity: float = 1.0) -> Problem:
     """A unit mass on an elastic spring that swings in the plane, y upwards.
 
-    H = (p_x^2 + p_y^2)/2 + k (sqrt(x^2 + y^2) - l)^2/2 + g y. As usual the spring hangs down to
-    y = -1 and bounces twice while it swings once, so that each motion feeds the other.
+    H = (p_x^2 + p_y^2)/2 + k (sqrt(x^2 + y^2) - l)^2/2 + g y. By default the spring hangs down to
+    y = -1 and oscillates twice per swing: both motions are in resonance.
 
     Raises
     ------
@@ -673,7 +668,7 @@ def spring_pendulum(stiffness: float = 4.0, length: float = 0.75, gravity: float
 
 @_listed
 def three_bodies() -> Problem:
-    """Three equal masses chasing each other along a figure of eight, in the plane.
+    """Three equal masses that follow each other along a figure of eight, in the plane.
 
     H = (|p_1|^2 + |p_2|^2 + |p_3|^2)/2 - 1/r_12 - 1/r_13 - 1/r_23. Found by Moore (1993), proved
     by Chenciner & Montgomery (2000); the start is that of Simo's computation.

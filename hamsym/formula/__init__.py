@@ -1,1 +1,1 @@
-"""Text to expressions and back: the parser, its grammar and limits, the printer."""
+"""Conversion of text to expressions and back: parser, grammar, limits and printer."""

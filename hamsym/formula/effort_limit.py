@@ -1,7 +1,7 @@
-"""A limit on the effort of a computation that cannot be judged beforehand.
+"""A limit on the effort of a computation whose cost cannot be predicted.
 
-Effort is counted in function calls first of all: what is refused then is the same on a slow
-machine, on a fast one, and on one that is busy. The clock is for calls that are slow themselves.
+Effort is counted in function calls, so that the limit is the same on slow, fast and busy machines.
+The clock limits calls that are slow themselves.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 __all__ = ["CallLimitExceededError", "call_limit"]
 
-_EVERY = 256  # events between looks at the clock
+_EVERY = 256  # events between readings of the clock
 
 
 class CallLimitExceededError(BaseException):
@@ -23,11 +23,11 @@ class CallLimitExceededError(BaseException):
 
 @contextmanager
 def call_limit(calls: int, seconds: float) -> Iterator[None]:
-    """Stop the computation inside after so many calls, Python's and C's, or so much processor time.
+    """Stop the computation inside after a number of calls, Python's and C's, or processor seconds.
 
     It works in any thread and needs no signals: the interpreter calls back at every call and
-    return, so a single long operation on one giant integer is not stopped. Nor is anything under
-    a profiler, whose place at the interpreter this takes.
+    return. A single long operation on one giant integer is therefore not stopped. There is no limit
+    under a profiler, a debugger or coverage, which use the same hook of the interpreter.
     """
     if sys.getprofile() is not None:
         yield
@@ -40,12 +40,12 @@ def call_limit(calls: int, seconds: float) -> Iterator[None]:
         events += 1
         if events > 2 * calls or (events % _EVERY == 0 and time.thread_time() > end):
             exceeded = True
-            raise CallLimitExceededError  # which also ends the counting
+            raise CallLimitExceededError  # this also ends the counting
 
     sys.setprofile(count)
     try:
         yield
     finally:
         sys.setprofile(None)
-    if exceeded:  # and the error lost, as where the garbage collector was calling back
+    if exceeded:  # the error is lost if it was raised during garbage collection
         raise CallLimitExceededError

@@ -1,6 +1,6 @@
-"""From text to Python's syntax tree, or to a complaint that a person who writes formulas can use.
+"""Conversion of text to Python's syntax tree, with error messages for writers of formulas.
 
-The tree is only ever read (by :mod:`hamsym.formula.parser`); it is never compiled.
+:mod:`hamsym.formula.parser` reads the tree; it is never compiled.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ __all__ = [
     "syntax_tree",
 ]
 
-# Greek capitals and omicron that cannot be told from Latin letters are not accepted as names.
+# Greek capitals and omicron that look like Latin letters are not accepted as names.
 GREEK = "".join(sorted(set("ΓΔΘΛΞΠΣΦΨΩαβγδεζηθικλμνξπρςστυφχψω")))
-# Variants that Python itself would fold into the letter beside them.
+# Variants that Python itself folds into the letter opposite.
 _GREEK_VARIANTS = str.maketrans("ϕϑϵϱϖϰµΩ∆", "φθερπκμΩΔ")
 
 _CHARACTER_REMEDIES = {
@@ -45,12 +45,12 @@ _CHARACTER_REMEDIES = {
     "#": "leave comments out",
 }
 
-# `lambda` is a wavelength to a physicist and a keyword to Python's parser: it is parsed under a
-# name of the same length that no accepted text can contain.
+# `lambda` is a name in physics and a keyword in Python: it is parsed under a name of the same
+# length that no accepted text can contain.
 LAMBDA, LAMBDA_STAND_IN = "lambda", "łambda"
 
 
-# Problem and remedy of what Python's parser accepts and a formula does not.
+# Problem and remedy of each construct that is valid in Python and not in a formula.
 REFUSED_NODES: dict[type[ast.AST], tuple[str, str]] = {
     ast.Attribute: ("is attribute access", "use plain names such as p_x"),
     ast.Subscript: ("is a subscript", "write q1 instead of q[1]"),
@@ -69,19 +69,25 @@ REFUSED_NODES: dict[type[ast.AST], tuple[str, str]] = {
 REFUSED_OPERATORS: dict[type[ast.AST], tuple[str, str, str]] = {
     ast.BitXor: ("^", "is not a power", "write ** for powers"),
     ast.FloorDiv: ("//", "is integer division", "write / for quotients"),
-    ast.Mod: ("%", "is a remainder", "only + - * / ** are known"),
+    ast.Mod: ("%", "is a remainder", "use only + - * / **"),
     ast.MatMult: ("@", "is a matrix product", "write * for products"),
-    ast.LShift: ("<<", "is a bit shift", "only + - * / ** are known"),
-    ast.RShift: (">>", "is a bit shift", "only + - * / ** are known"),
+    ast.LShift: ("<<", "is a bit shift", "use only + - * / **"),
+    ast.RShift: (">>", "is a bit shift", "use only + - * / **"),
     ast.BitOr: ("|", "is a bit operation", "write abs(x) for |x|"),
-    ast.BitAnd: ("&", "is a bit operation", "only + - * / ** are known"),
+    ast.BitAnd: ("&", "is a bit operation", "use only + - * / **"),
     ast.Invert: ("~", "is a bit operation", "write - for minus"),
     ast.Not: ("not", "is a logical operation", "write - for minus"),
 }
 
 
 def readable(text: str) -> str:
-    """The text in the alphabet of formulas, character for character, or a refusal."""
+    """Return the text in the alphabet of formulas, character for character.
+
+    Raises
+    ------
+    ParseError
+        For the first character that is not allowed.
+    """
     text = re.sub(r"[\t\r\n]", " ", text).translate(_GREEK_VARIANTS)
     for column, character in enumerate(text, 1):
         plain = " " <= character <= "~" and character != "#"
@@ -94,17 +100,24 @@ def readable(text: str) -> str:
                 _CHARACTER_REMEDIES.get(character, "use Latin or Greek letters and + - * / **"),
             )
     if not text.strip():
-        raise ParseError("", 1, "is empty", "write a formula such as p**2/2 + x**2/2")
+        raise ParseError("", 1, "is empty", "write a formula, for example p**2/2 + x**2/2")
     return re.sub(rf"\b{LAMBDA}\b", LAMBDA_STAND_IN, text)
 
 
 def syntax_tree(text: str) -> ast.Expression:
+    """Parse a text from :func:`readable`, with columns counted in the whole text.
+
+    Raises
+    ------
+    ParseError
+        If the text is not an expression.
+    """
     start = len(text) - len(text.lstrip())
-    # Blanks before the first token would be an indentation error; a tuple display would not.
+    # Blanks before the first token would be an indentation error.
     padded = text.strip()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # such as "x is 1", refused below anyway
+            warnings.simplefilter("ignore")  # for example for "x is 1", an error below
             tree = ast.parse(padded, mode="eval")
     except SyntaxError as error:
         raise _syntax_error(text, error, start) from None
@@ -123,7 +136,7 @@ def syntax_tree(text: str) -> ast.Expression:
 
 
 def _syntax_error(text: str, error: SyntaxError, start: int) -> ParseError:
-    """Python's complaint, in the words of a person who writes formulas."""
+    """Translate an error of Python's parser into the terms of formulas."""
     shown = text.replace(LAMBDA_STAND_IN, LAMBDA)
     end = len(shown.rstrip())
     column = start + (error.offset or 0)
@@ -157,7 +170,7 @@ def _syntax_error(text: str, error: SyntaxError, start: int) -> ParseError:
         return ParseError(token, column, "is not a number", "write * between number and name")
     if before and re.search(r"[\w)]$", before) and re.match(r"[\w(]", token):
         return ParseError(token, column, "follows without an operator", "write * for products")
-    return ParseError(token, column, "does not fit there", "use numbers, names and + - * / **")
+    return ParseError(token, column, "is not valid here", "use numbers, names and + - * / **")
 
 
 def _equation_error(column: int) -> ParseError:

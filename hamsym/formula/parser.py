@@ -1,11 +1,11 @@
-"""From text to a sympy expression, for text that may come from anywhere.
+"""Parser of formulas, safe for untrusted text.
 
 Input:  a formula such as ``"p**2/2 + x**2/2 + x**4/4"``.
 Output: a sympy expression in real symbols, built node by node.
 
 Python's own parser makes a syntax tree, which is never compiled or run; a visitor with one
-method per accepted node type rebuilds it from sympy's constructors. Everything that is not
-on a whitelist is refused with a :class:`~hamsym.errors.ParseError`. Decimal numbers are
+method per accepted node type rebuilds it from sympy's constructors. Everything else raises
+:class:`~hamsym.errors.ParseError`. Decimal numbers are
 exact: ``0.1`` is 1/10.
 """
 
@@ -37,8 +37,8 @@ __all__ = ["FUNCTIONS", "canonical_name", "check_name", "parse_expression", "par
 
 MAX_LENGTH = 50_000  # characters
 MAX_NODES = 10_000  # operands and operations
-MAX_DEPTH = 60  # nesting, sums and products counting once however long they are
-MAX_CALLS = 6  # functions inside functions; sympy's assumptions take 2**depth of some
+MAX_DEPTH = 60  # nesting; a sum or product of any length counts once
+MAX_CALLS = 6  # functions inside functions; sympy needs 2**depth steps for some
 MAX_EXPONENT = 1_000  # of a numerical power
 MAX_EFFORT = 1_600_000  # function calls, most of them sympy's; under a second
 MAX_SECONDS = 2.0  # of processor time, for the few calls that take long themselves
@@ -83,12 +83,12 @@ _NAME = re.compile(rf"[A-Za-z{GREEK}][A-Za-z{GREEK}0-9_]*")
 
 
 def check_name(name: str) -> None:
-    """Refuse a symbol name that is not a plain identifier in Latin and Greek letters.
+    """Raise unless a symbol name is a plain identifier in Latin and Greek letters.
 
     Raises
     ------
     VariableError
-        If the name cannot stand in generated source.
+        If the name cannot be used in generated source.
 
     Examples
     --------
@@ -110,7 +110,7 @@ def check_name(name: str) -> None:
 
 
 def canonical_name(name: str) -> str:
-    """The name with Greek letters spelled out: ``θ`` and ``theta`` are one variable.
+    """Spell out Greek letters: ``θ`` and ``theta`` are one variable.
 
     Examples
     --------
@@ -129,7 +129,7 @@ def _spell_out(letter: str) -> str:
 
 
 def parse_expression(text: str) -> sympy.Expr:
-    """The sympy expression that a formula means.
+    """Parse a formula into a sympy expression.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def parse_expression(text: str) -> sympy.Expr:
     Returns
     -------
     sympy.Expr
-        In symbols with ``real=True``; nothing is simplified beyond what sympy does on its own.
+        In symbols with ``real=True``, with sympy's automatic simplification only.
 
     Raises
     ------
@@ -157,12 +157,12 @@ def parse_expression(text: str) -> sympy.Expr:
     hamsym.errors.ParseError: '^' at column 2 is not a power; write ** for powers
     """
     if not isinstance(text, str):
-        raise InputError(f"a formula is a str, not {type(text).__name__}")
+        raise InputError(f"a formula is a str, not {type(text).__name__}; give a str")
     return _Visitor(text).result()
 
 
 def parse_number(text: str) -> float:
-    """The value of a formula without variables, such as ``"4*pi"``.
+    """Evaluate a formula without variables, for example ``"4*pi"``.
 
     Raises
     ------
@@ -179,13 +179,13 @@ def parse_number(text: str) -> float:
     if value.free_symbols:
         name = min(symbol.name for symbol in value.free_symbols)
         raise ParseError(
-            name, visitor.column_of(name), "is a variable", "a number is wanted here, such as 4*pi"
+            name, visitor.column_of(name), "is a variable", "give a number, for example 4*pi"
         )
     return float(value)
 
 
 class _Visitor:
-    """Rebuilds a syntax tree from sympy's constructors; one ``visit_`` method per node type."""
+    """Translation of a syntax tree to sympy's constructors; one ``visit_`` method per node type."""
 
     def __init__(self, text: str) -> None:
         if len(text) > MAX_LENGTH:
@@ -235,7 +235,7 @@ class _Visitor:
         except InputError:
             raise
         except (ArithmeticError, AttributeError, TypeError, ValueError, RecursionError):
-            # sympy's own, from asking whether an expression is real, or smaller than another
+            # sympy raises these when it decides whether an expression is real or smaller
             raise self._error(
                 node, "cannot be evaluated as a real expression", "simplify or split it"
             ) from None
@@ -269,9 +269,9 @@ class _Visitor:
         except VariableError as error:
             remedy = str(error).split("; ", 1)[1]
             raise self._error(node, "is not a usable name", remedy) from None
-        known = self._symbols.setdefault(canonical_name(name), name)
-        if known != name:
-            raise self._error(node, f"is '{known}' in another spelling", "use one of the two")
+        first = self._symbols.setdefault(canonical_name(name), name)
+        if first != name:
+            raise self._error(node, f"is '{first}' in another spelling", "use one of the two")
         return sympy.Symbol(name, real=True)
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> sympy.Expr:
@@ -288,7 +288,7 @@ class _Visitor:
             return sympy.Add(*self._chain(node, (ast.Add, ast.Sub)))
         if isinstance(node.op, (ast.Mult, ast.Div)):
             return sympy.Mul(*self._chain(node, (ast.Mult, ast.Div)))
-        self.visit(node.left)  # what is wrong further to the left comes first
+        self.visit(node.left)  # an error further to the left comes first
         before = self._text_of(node.left)
         column = self._column(node.left) + len(before)
         symbol = REFUSED_OPERATORS[type(node.op)][0]
@@ -304,7 +304,7 @@ class _Visitor:
             raise self._error(
                 node.func,
                 "is not a known function",
-                f"write * for a product such as x*(1 + y); known are {_function_list()}",
+                f"write * for products, for example x*(1 + y); known functions: {_function_list()}",
             )
         if node.keywords:
             token = node.keywords[0].arg or "**"
@@ -313,7 +313,7 @@ class _Visitor:
             )
         function = FUNCTIONS[name]
         if not function.fewest <= len(node.args) <= function.most:
-            wanted = (
+            allowed = (
                 f"{function.fewest}"
                 if function.fewest == function.most
                 else f"{function.fewest} to {function.most}"
@@ -321,7 +321,7 @@ class _Visitor:
             raise self._error(
                 node.func,
                 f"has {len(node.args)} arguments",
-                f"give {name} {wanted}, separated by commas",
+                f"give {name} {allowed}, separated by commas",
             )
         self._calls += 1
         if self._calls > MAX_CALLS:
@@ -335,7 +335,7 @@ class _Visitor:
         return function.build(*arguments)
 
     def _chain(self, node: ast.BinOp, operators: tuple[type, ...]) -> list[sympy.Expr]:
-        """The terms of a sum or the factors of a product, however many, without recursion."""
+        """Return the terms of a sum or the factors of a product, without recursion."""
         links = []
         left: ast.expr = node
         while isinstance(left, ast.BinOp) and isinstance(left.op, operators):
@@ -348,7 +348,7 @@ class _Visitor:
                 operand = -operand
             elif isinstance(link.op, ast.Div):
                 if _is_zero(operand):
-                    raise self._error(link.right, "is zero", "nothing can be divided by it")
+                    raise self._error(link.right, "is zero", "use a nonzero divisor")
                 operand = 1 / operand
             operands.append(operand)
         return operands
@@ -361,8 +361,8 @@ class _Visitor:
                     node.right, "is too large an exponent", f"stay below {MAX_EXPONENT}"
                 )
             if exponent < 0 and _is_zero(base):
-                raise self._error(node.left, "is zero", "nothing can be divided by it")
-            # Numbers are taken out of products such as (2*x)**n, so they count wherever they are.
+                raise self._error(node.left, "is zero", "use a nonzero divisor")
+            # sympy takes numbers out of products, (2*x)**n = 2**n*x**n: all of them count.
             bits = max((_bits(number) for number in base.atoms(sympy.Rational)), default=0)
             if bits * abs(exponent) > MAX_BITS:
                 raise self._error(node, "is too large a number", "stay below 1e308")
@@ -377,17 +377,17 @@ class _Visitor:
         return power
 
     def _refuse_giant_log(self, exponent: sympy.Expr, node: ast.AST) -> None:
-        """exp(c*log(b)) is b**c to sympy, which would write it out."""
+        """Raise for giant exponents of logarithms: sympy expands exp(c*log(b)) to b**c."""
         if exponent.has(sympy.log) and any(
             abs(number) > MAX_EXPONENT for number in exponent.atoms(sympy.Rational)
         ):
             raise self._error(node, "is too large a power", f"stay below {MAX_EXPONENT}")
 
     def _checked(self, expr: sympy.Expr, node: ast.AST) -> sympy.Expr:
-        """Refuse what is not a finite real number or expression.
+        """Raise unless an expression is real and finite.
 
-        Checking every constant as it arises also keeps sympy from evaluating towers such as
-        ``exp(exp(exp(9)))``, which no memory would hold.
+        Checking every constant as it arises also prevents sympy from evaluating towers like
+        ``exp(exp(exp(9)))``, which exceed any memory.
         """
         if expr.is_Rational:
             return self._number(expr, node)
@@ -405,13 +405,13 @@ class _Visitor:
         return expr
 
     def _number(self, number: sympy.Rational, node: ast.AST) -> sympy.Rational:
-        # The rational itself is compared: converting a giant one to decimal would take for ever.
+        # The rational itself is compared: a giant one takes too long to convert to decimal.
         if abs(number) > 10**308 or number.q.bit_length() > MAX_BITS:
             raise self._error(node, "is too large a number", "stay below 1e308")
         return number
 
     def column_of(self, name: str) -> int:
-        """Where a name stands, counted from 1."""
+        """Return the column of a name, counted from 1."""
         match = re.search(rf"(?<!\w){re.escape(name)}(?!\w)", self._text)
         return match.start() + 1 if match else 1
 
@@ -436,7 +436,7 @@ def _bits(number: sympy.Rational) -> int:
 
 
 def _is_zero(expr: sympy.Expr) -> bool:
-    """Whether a divisor is zero, also if that shows in its digits only."""
+    """Return whether a divisor is zero, symbolically or numerically."""
     if expr.free_symbols:
         return bool(expr.is_zero)
     if expr.is_Rational:

@@ -1,8 +1,8 @@
-"""From a sympy expression to text: a formula for people, or code for one backend.
+"""Printer of sympy expressions: as formulas, or as code for one backend.
 
-One printer walks the expression; a backend is a table of function names and a few rules. Code
+One printer traverses the expression; a backend is a table of function names and a few rules. Code
 printers fold symbol-free parts into float literals, because ``sqrt(2)*x`` must neither call a
-tensor function on a Python number nor be evaluated again at every call.
+tensor function on a Python number nor evaluate the root at every call.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ def _half_step(argument: sympy.Expr, *_: sympy.Expr) -> sympy.Expr:
     return (1 + sympy.sign(argument)) / 2
 
 
-# What no backend has, in terms of what all have. The derivative of sign is zero almost everywhere.
+# Functions that no backend has, in terms of those that all have. The derivative of sign is zero
+# almost everywhere.
 _REWRITES: dict[type, Callable[..., sympy.Expr]] = {
     sympy.cot: lambda u: 1 / sympy.tan(u),
     sympy.sec: lambda u: 1 / sympy.cos(u),
@@ -61,7 +62,7 @@ def _table(form: str, **special: str) -> dict[type, str]:
 
 
 class Printer:
-    """Text of an expression; subclasses say how functions, numbers and powers are written.
+    """Text of an expression; subclasses define how functions, numbers and powers are written.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ class Printer:
         self.names = names
 
     def __call__(self, expr: sympy.Expr) -> str:
-        """The text of one expression."""
+        """Return the text of one expression."""
         return self._render(self.lower(expr))[0]
 
     def lower(self, expr: sympy.Expr) -> sympy.Expr:
@@ -86,7 +87,7 @@ class Printer:
         Raises
         ------
         CodeGenerationError
-            Naming a function that cannot be rewritten.
+            If a function cannot be rewritten; the message names it.
         """
         for _ in range(10):  # a rewritten argument can turn f(-u) into f(u) again
             present = {type(node) for node in expr.atoms(sympy.Function)} & _REWRITES.keys()
@@ -99,7 +100,7 @@ class Printer:
     # -- numbers ---------------------------------------------------------------------------
 
     def number(self, value: sympy.Expr) -> tuple[str, int]:
-        """A symbol-free expression as a short fraction or a float literal."""
+        """Print a symbol-free expression as a short fraction or a float literal."""
         if value.is_Rational and max(abs(value.p), value.q) <= _READABLE:
             text = str(value.p) if value.q == 1 else f"{value.p}/{value.q}"
             return text, _ADD if value.p < 0 else (_ATOM if value.q == 1 else _MUL)
@@ -112,7 +113,7 @@ class Printer:
             number = float("inf")
         if abs(number) == float("inf") or (number == 0 and digits != 0):
             raise CodeGenerationError(
-                "a coefficient is beyond the range of floating-point numbers; choose other units"
+                "a coefficient exceeds the range of floating-point numbers; choose other units"
             )
         return repr(number), _ADD if number < 0 else _ATOM
 
@@ -160,7 +161,7 @@ class Printer:
         tops = ([numerator] if numerator else []) + [self._wrapped(f, _MUL) for f in above]
         bottoms = ([denominator] if denominator else []) + [self._wrapped(f, _POW) for f in below]
         if denominator and any(factor.is_Add for factor in [f.as_base_exp()[0] for f in below]):
-            # 2/3/(x + y): a number in front of the sum would be multiplied out when read again.
+            # 2/3/(x + y): sympy would multiply a number in front of the sum into it when parsing.
             tops = [f"{numerator or 1}/{denominator}", *tops[bool(numerator) :]]
             bottoms = bottoms[1:]
         text = sign + ("*".join(tops) or "1")
@@ -169,7 +170,7 @@ class Printer:
         return text, _ADD if sign else _MUL
 
     def _fraction(self, constant: sympy.Expr) -> tuple[str, str]:
-        """Numerator and denominator of a positive coefficient, "" where it is one."""
+        """Return numerator and denominator of a positive coefficient, "" for 1."""
         if constant.is_Rational and max(constant.p, constant.q) <= _READABLE:
             return ("" if constant.p == 1 else str(constant.p)), (
                 "" if constant.q == 1 else str(constant.q)
@@ -192,7 +193,7 @@ class Printer:
         return self.power(base, exponent)
 
     def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
-        """``base**exponent`` for an exponent other than 1/2 and not a negative number."""
+        """Print ``base**exponent`` for an exponent other than 1/2 or a negative number."""
         if exponent.is_Rational and not exponent.is_Integer:
             return f"{self._wrapped(base, _ATOM)}**{float(exponent)!r}", _POW
         return f"{self._wrapped(base, _ATOM)}**{self._wrapped(exponent, _ATOM)}", _POW
@@ -209,11 +210,11 @@ class Printer:
         return f"{form}({', '.join(self.argument(argument) for argument in expr.args)})"
 
     def argument(self, expr: sympy.Expr) -> str:
-        """The text of an argument of a function."""
+        """Return the text of an argument of a function."""
         return self._render(expr)[0]
 
     def extremum(self, expr: sympy.Expr, form: str) -> str:
-        """Minimum or maximum of two or more arguments, from a function of two."""
+        """Print the minimum or maximum of two or more arguments by a function of two."""
         texts = [self.argument(a) for a in sorted(expr.args, key=sympy.default_sort_key)]
         while len(texts) > 1:  # in pairs, so that many arguments nest only a little
             pairs = [texts[i : i + 2] for i in range(0, len(texts), 2)]
@@ -222,7 +223,7 @@ class Printer:
 
 
 def _ordered_terms(expr: sympy.Expr) -> list[sympy.Expr]:
-    """Terms as people write them: by degree, what is not polynomial last; x - 1, not -1 + x."""
+    """Sort terms by degree, non-polynomial terms last; x - 1, not -1 + x."""
 
     def degree(term: sympy.Expr) -> float:
         total = 0
@@ -278,8 +279,8 @@ class FormulaPrinter(Printer):
         if expr.is_Symbol:
             return expr.name, _ATOM
         if expr.is_NumberSymbol:
-            known = {sympy.E: "exp(1)", sympy.pi: "pi"}
-            return known.get(expr) or repr(float(expr)), _ATOM
+            names = {sympy.E: "exp(1)", sympy.pi: "pi"}
+            return names.get(expr) or repr(float(expr)), _ATOM
         return super()._render(expr)
 
     def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
