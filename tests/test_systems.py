@@ -175,7 +175,7 @@ def test_conserved_quantities_are_independent_integrals(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["kepler", "charged_particle", "toda_chain"])
-def test_conserved_whatever_the_parameters(name: str) -> None:
+def test_conserved_for_all_parameters(name: str) -> None:
     problem = made(name)
     assert problem.conserved
     assert all(problem.H.is_conserved(formula) for formula in problem.conserved)
@@ -243,7 +243,7 @@ def test_kepler_for_every_ellipse(eccentricity: float) -> None:
     np.testing.assert_allclose(energy, -0.5, atol=1e-10)
 
 
-def test_kepler_as_usual() -> None:
+def test_kepler_default_orbit() -> None:
     problem = systems.kepler()
     np.testing.assert_allclose(problem.z0, (0.4, 0, 0, 2))
     assert problem.period == pytest.approx(2 * math.pi)

@@ -26,8 +26,8 @@ def call_limit(calls: int, seconds: float) -> Iterator[None]:
     """Stop the computation inside after a number of calls, Python's and C's, or processor seconds.
 
     It works in any thread and needs no signals: the interpreter calls back at every call and
-    return. A single long operation on one giant integer is therefore not stopped. There is no limit
-    under a profiler, a debugger or coverage, which use the same hook of the interpreter.
+    return. A single long operation on one giant integer is therefore not stopped. Under a profiler,
+    which uses the same hook of the interpreter, there is no limit.
     """
     if sys.getprofile() is not None:
         yield

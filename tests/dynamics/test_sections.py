@@ -1,4 +1,4 @@
-"""Poincare sections and events: what is located, how well, and what is refused."""
+"""Poincare sections and events: accuracy, completeness and errors."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ def orbit() -> hamsym.Solution:
     return hamsym.solve(problem.H, problem.z0, (0, 20), tol=1e-10)
 
 
-def test_events_as_scipy_has_them(orbit: hamsym.Solution) -> None:
+def test_events_agree_with_scipy(orbit: hamsym.Solution) -> None:
     def far(t: float, z: np.ndarray) -> float:
         return np.hypot(z[0], z[1]) - 1.2
 
@@ -285,7 +285,7 @@ def test_events_as_scipy_has_them(orbit: hamsym.Solution) -> None:
     assert np.abs(radius - 1.2).max() < 1e-14
 
 
-def test_a_terminal_event_ends_the_search_for_all(orbit: hamsym.Solution) -> None:
+def test_terminal_event_ends_all_searches(orbit: hamsym.Solution) -> None:
     def third(t: float, z: np.ndarray) -> float:
         return z[1]
 
@@ -369,7 +369,7 @@ def test_pairs_of_events_between_scan_times(circle: hamsym.Solution, level: floa
     np.testing.assert_allclose(back.events(texts[0]).t_events[0], -expected, atol=1e-6)
 
 
-def test_a_tangency_is_found_or_not(circle: hamsym.Solution) -> None:
+def test_tangency_is_two_events_at_most(circle: hamsym.Solution) -> None:
     """x = 1 is touched 47 times, each to round-off: no event, one, or two."""
     touched = circle.events("x = 1").t_events[0]
     turns = touched / (2 * np.pi)
@@ -412,7 +412,7 @@ def test_unusable_directions_are_rejected(circle: hamsym.Solution, direction: ob
 # -- where it could go wrong -------------------------------------------------------------------
 
 
-def test_crossings_at_the_very_steps_are_not_lost() -> None:
+def test_crossings_at_steps_are_found() -> None:
     """A stroboscopic section whose period is a whole number of steps."""
     H = Hamiltonian("p**2/2 + x**2/2 + x**4/4 - x*cos(w*t)/2", parameters={"w": 1.3})
     period = 2 * np.pi / 1.3
@@ -426,7 +426,7 @@ def test_crossings_at_the_very_steps_are_not_lost() -> None:
     np.testing.assert_array_equal(kept.t, found.t)
 
 
-def test_poles_are_no_crossings(orbit: hamsym.Solution) -> None:
+def test_poles_are_not_crossings(orbit: hamsym.Solution) -> None:
     problem = harmonic_oscillator()
     found = hamsym.section(problem.H, problem.z0, (0, 20), "tan(2*x) = 1", dt=0.01)
     assert len(found.t) == 19 - 13
@@ -435,7 +435,7 @@ def test_poles_are_no_crossings(orbit: hamsym.Solution) -> None:
     assert len(orbit.events("1/y = 0").t_events[0]) == 0
 
 
-def test_a_zero_at_the_start_is_no_event() -> None:
+def test_zero_at_start_is_not_an_event() -> None:
     problem = harmonic_oscillator()
     solution = hamsym.solve(problem.H, [0.0, 1.0], (0, 10), tol=1e-9)
     np.testing.assert_allclose(solution.events("x = 0").t_events[0], np.pi * np.arange(1, 4))
@@ -443,7 +443,7 @@ def test_a_zero_at_the_start_is_no_event() -> None:
     np.testing.assert_allclose(found.t, np.pi * np.arange(1, 4), atol=1e-9)
 
 
-def test_ctrl_c_keeps_the_crossings_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_keeps_earlier_crossings(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = harmonic_oscillator()
     full = hamsym.section(problem.H, problem.z0, (0, 100), "x = 0", dt=0.1)
     monkeypatch.setattr(sections, "_HELD", 400)
@@ -464,7 +464,7 @@ def test_ctrl_c_keeps_the_crossings_before_it(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_array_equal(found.t, full.t[: len(found.t)])
 
 
-def test_numbers_from_numpy_are_numbers() -> None:
+def test_numpy_numbers_are_accepted() -> None:
     problem = harmonic_oscillator()
     found = hamsym.section(problem.H, problem.z0, (0, 50), "x = 0", crossings=np.int64(2))
     assert len(found.t) == 2

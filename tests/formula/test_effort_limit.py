@@ -1,4 +1,4 @@
-"""The limit of effort: reached, not reached, lost on the way, and under a profiler."""
+"""The limit of effort: reached, not reached, with a lost exception, under a profiler."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def busy(calls: int) -> int:
     return sum(abs(i) for i in range(calls))
 
 
-def test_a_long_computation_is_stopped() -> None:
+def test_long_computation_is_stopped() -> None:
     with pytest.raises(CallLimitExceededError), call_limit(10_000, seconds=600):
         busy(10**8)
     assert sys.getprofile() is None
@@ -27,7 +27,7 @@ def test_slow_calls_are_stopped_by_the_clock() -> None:
     assert sys.getprofile() is None
 
 
-def test_a_short_one_is_not() -> None:
+def test_short_computation_completes() -> None:
     with call_limit(100_000, seconds=600):
         assert busy(10_000) == sum(range(10_000))
     assert sys.getprofile() is None
@@ -41,7 +41,7 @@ def test_the_limit_is_counted_in_calls() -> None:
         busy(1_000)
 
 
-def test_a_profiler_keeps_its_place() -> None:
+def test_no_limit_under_a_profiler() -> None:
     profiler = cProfile.Profile()
     profiler.enable()
     with call_limit(10, seconds=600):
@@ -52,7 +52,7 @@ def test_a_profiler_keeps_its_place() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_an_exception_that_is_lost_is_raised_at_the_end() -> None:
+def test_lost_exception_is_raised_at_the_end() -> None:
     """In a callback of the garbage collector an exception is printed, not passed on."""
 
     def callback(phase: str, _: object) -> None:

@@ -1,4 +1,4 @@
-"""Formulas are understood as a physicist means them; everything else is refused by name."""
+"""Formulas have their usual meaning; everything else raises an error with its token."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_every_function_evaluates_as_in_python(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["beta", "gamma", "S", "N", "Q", "E", "I", "lambda", "θ_1", "p_φ"])
-def test_names_of_the_users_own(name: str) -> None:
+def test_any_other_name_is_a_symbol(name: str) -> None:
     assert parse_expression(f"2*{name}") == 2 * sympy.Symbol(name, real=True)
 
 
@@ -226,7 +226,7 @@ REFUSED = [
     ("exp(x + 10**9*log(2))", "exp(x + 10**9*log(2))", "1000"),
     ("2**(10**10*log(3)/log(2))", "2**(10**10*log(3)/log(2))", "1000"),
     ("(((2*x)**1000)**1000)**1000", "((2*x)**1000)**1000", "1e308"),
-    # what sympy would think about for ever, or fail at
+    # formulas on which sympy runs too long, or fails
     ("tanh(sqrt(" * 6 + "x" + "))" * 6, "tanh", "split"),
     ("tanh(cosh((x + log(y) + log(z))**20))", "tanh(cosh((x...", "split"),
     ("max(erf((exp(1) - 2)**999), 3)", "max(erf((exp...", "split"),
@@ -272,7 +272,7 @@ def test_column_counts_characters(text: str, column: int) -> None:
     assert caught.value.column == column
 
 
-def test_not_a_text() -> None:
+def test_other_types_are_rejected() -> None:
     with pytest.raises(InputError, match="a formula is a str, not int"):
         parse_expression(3)  # type: ignore[arg-type]
 
@@ -280,11 +280,11 @@ def test_not_a_text() -> None:
 @pytest.mark.parametrize(
     ("text", "value"), [("4*pi", 4 * math.pi), ("-1e-3", -1e-3), ("2**10", 1024)]
 )
-def test_numbers(text: str, value: float) -> None:
+def test_numbers_are_evaluated(text: str, value: float) -> None:
     assert parse_number(text) == value
 
 
-def test_number_with_a_variable() -> None:
+def test_numbers_with_variables_are_rejected() -> None:
     with pytest.raises(ParseError, match="'x' at column 3 is a variable"):
         parse_number("2*x")
     with pytest.raises(ParseError, match="'x' at column 5 is a variable"):
@@ -294,12 +294,12 @@ def test_number_with_a_variable() -> None:
 @pytest.mark.parametrize(
     "name", ["x; import os", "x.y", "x-1", "", "1x", "_", "x'", "a b", "__x", "sin"]
 )
-def test_unusable_names(name: str) -> None:
+def test_unusable_names_are_rejected(name: str) -> None:
     with pytest.raises(VariableError):
         check_name(name)
 
 
-def test_spelled_out_names() -> None:
+def test_greek_names_are_spelled_out() -> None:
     assert canonical_name("θ") == "theta"
     assert canonical_name("Δx_λ") == "Deltax_lambda"
 
@@ -333,7 +333,7 @@ _FORMULAS = st.recursive(
 
 @pytest.fixture(scope="module")
 def traps() -> object:
-    """Replace what an executed text would reach for."""
+    """Replace the functions that an executed text would call."""
     patch = pytest.MonkeyPatch()
 
     def sprung(*_: object, **__: object) -> None:

@@ -1,4 +1,4 @@
-"""Every component is judged in its own units."""
+"""Sizes of components, each in its own units."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class _Extended(_Estimation):
 def test_floor_is_above_the_round_off_of_the_estimate(
     formula: str, z0: list[float], span: tuple[float, float]
 ) -> None:
-    """Round-off in the residual is what the estimate misses; the floor stands for it."""
+    """The estimate omits round-off in the residual; the floor represents it."""
     H, ratios = Hamiltonian(formula), []
     field = staticmethod(sympy.lambdify(H.z, list(H.vector_field), "numpy"))
     extended = type("Extended", (_Extended,), {"field": field})

@@ -1,4 +1,4 @@
-"""Marching to a tolerance: it is met, or the failure says when and why."""
+"""Marching to a tolerance: it is met, or the message gives time and cause of the failure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import march, newton
 from hamsym.systems import CATALOGUE, Problem
 
-# Those with an exact solution; to build all systems to see it would take seconds.
+# Systems with an exact solution, listed because building all systems takes seconds.
 EXACT = [name for name in CATALOGUE if name not in {
     "double_pendulum", "fermi_pasta_ulam_tsingou", "henon_heiles", "spring_pendulum", "three_bodies"
 }]  # fmt: skip
@@ -297,7 +297,7 @@ def test_escape_returns_solution_before_it() -> None:
 
 
 def test_round_off_scales_with_the_local_state() -> None:
-    """From a tiny start near an unstable point, a scale of the whole run would say too much."""
+    """From a tiny start near an unstable point, a scale of the whole run would be too large."""
     H = Hamiltonian("p**2/2 - x**2/2 + x**4/4")
     assert hamsym.solve(H, [1e-7, 0.0], (0, 17), tol=1e-9).success
     escaping = hamsym.solve(Hamiltonian("p**2/2 - x**4/4"), [1.0, 0.0], (0, 4), tol=1e-6)

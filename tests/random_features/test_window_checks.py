@@ -27,7 +27,7 @@ def test_kick_from_the_formula_has_its_impulse() -> None:
 
 
 def test_kick_is_missed_without_the_formula() -> None:
-    """Otherwise the test above shows nothing of the check."""
+    """Shows that the previous test depends on the check."""
     flow = dataclasses.replace(flow_of(Hamiltonian(KICK)), narrow_arguments=None)
     windows = march(flow, np.array([1.0, 0.5]), (0.0, 20.0), 1e-10, feature_basis(0), longest=2.5)
     assert windows.states[-1, 1] == pytest.approx(0.5, abs=1e-12)

@@ -1,4 +1,4 @@
-"""The paper's error analysis: what it says, and the two ways in which it fails."""
+"""The paper's error analysis, and the two ways in which its bound fails."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_resonant_residual_violates_the_bound() -> None:
     t = np.linspace(0, 4 * math.pi, 2001)
     error = np.abs(solution(t) - harmonic_oscillator().exact(t)).max()
     assert error > 12 * analysis.bound
-    # The equation of the error knows, and so does the whole inequality.
+    # The equation of the error and the whole inequality account for the resonance.
     assert np.abs(solution.error_estimate(t)).max() == pytest.approx(error, rel=1e-4)
     sizes = np.linalg.norm(analysis.linearized_error(t), axis=1)
     assert np.all(sizes <= analysis.inequality(t) * (1 + 1e-6) + 1e-12)
@@ -156,7 +156,7 @@ def test_estimate_check_survives_a_file(tmp_path: Path) -> None:
 def test_estimate_check_flags_unresolved_estimate(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With too few nodes for the residual the estimate is wrong, and the check says by how much."""
+    """With too few nodes for the residual the check equals the error of the estimate."""
     monkeypatch.setattr("hamsym.random_features.error_estimate.RESOLUTIONS", ((4, 28), (72, 40)))
     problem = nonlinear_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (0, 6), tol=1e-4)
@@ -178,7 +178,7 @@ def test_ell_max_ignores_window_boundaries(formula: str, stops: list[float]) -> 
 
 
 def test_nan_is_never_small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A Hessian or a residual that is nan from t = 3 on bounds nothing."""
+    """With a Hessian or residual that is NaN from t = 3 on there is no bound."""
     solution = hamsym.solve("p**2/2 + x**2/2", [1.0, 0.0], (0, 6))
     hessians, residual = solution.hessians, solution.residual
 

@@ -1,4 +1,4 @@
-"""solve and Solution, judged between the training points and against exact solutions."""
+"""solve and Solution, tested between the training points against exact solutions."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_error_estimate_is_the_error(epochs: int) -> None:
     assert np.abs(estimate - error).max() < 1e-4 * np.abs(error).max()
     assert solution.error_estimate(1.0).shape == (2,)
     relative = (np.abs(error).max(axis=0) / solution.scale).max()
-    # A component's size is also what the other one gives it within a radian: at most twice its own.
+    # The coupled size of a component, after a radian of motion, is at most twice its own size.
     assert relative / 3 < solution.relative_error_estimate <= relative * 1.001
     assert solution.success == (solution.relative_error_estimate <= 0.01)
 
@@ -215,7 +215,7 @@ def test_same_seed_same_solution() -> None:
     assert not np.array_equal(runs[0](0.7), runs[2](0.7))
 
 
-# -- honesty -----------------------------------------------------------------------------------
+# -- failures ----------------------------------------------------------------------------------
 
 
 def test_too_little_training_fails() -> None:
