@@ -9,7 +9,7 @@ Stage 3  The best weights are judged by the estimated error and become a Solutio
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -94,6 +94,26 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
             energy_weight=options.energy_weight,
         )
 
+    stopping = _stopping(options, solution)
+    with training_progress(options.total, problem.progress) as callbacks:
+        training = train(
+            trial,
+            _objective(H, problem.energy_0, options.energy_weight, tuple(options.regularizers)),
+            problem.span,
+            _optimizer(options),
+            stopping,
+            generator=generator,
+            stages=_stages(options),
+            callbacks=callbacks,
+            checkpoint=_checkpoint(problem, options),
+        )
+    trial.requires_grad_(False)
+    found = solution(training)
+    return found.judged(*_verdict(found, training, options))
+
+
+def _stopping(options: DeepOptions, solution: Callable[[Training], Solution]) -> Stopping:
+    """Return the rules for stopping; criteria judge the solution with the best weights so far."""
     criteria = []
     if (target := options.target_error) is not None:
         require_positive("target_error", target)
@@ -113,7 +133,7 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
                 lambda _, record: _is_accurate(solution(record), accuracy),
             )
         )
-    stopping = Stopping(
+    return Stopping(
         iterations=options.total,
         target_loss=options.target_loss,
         target_ell_max=options.target_ell_max,
@@ -121,21 +141,6 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
         time_limit=options.time_limit,
         criteria=tuple(criteria),
     )
-    with training_progress(options.total, problem.progress) as callbacks:
-        training = train(
-            trial,
-            _objective(H, problem.energy_0, options.energy_weight, tuple(options.regularizers)),
-            problem.span,
-            _optimizer(options),
-            stopping,
-            generator=generator,
-            stages=_stages(options),
-            callbacks=callbacks,
-            checkpoint=_checkpoint(problem, options),
-        )
-    trial.requires_grad_(False)
-    found = solution(training)
-    return found.judged(*_verdict(found, training, options))
 
 
 def _is_accurate(solution: Solution, accuracy: float) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import torch
 
@@ -59,7 +60,7 @@ class Criterion:
     ----------
     name : str
     value : float
-        Its threshold, by which a checkpoint tells whether the rule has changed.
+        Its threshold; a resumed training evaluates the rule again if it has changed.
     is_met : callable
         (trial solution with the best weights, record of the training so far) -> bool.
     """
@@ -110,6 +111,11 @@ class Stopping:
         if self.target_ell_max is not None and progress.best_ell_max <= self.target_ell_max:
             return Stopped.TARGET_ELL_MAX
         return None
+
+    def summary(self) -> list[Any]:
+        """Return the rules as JSON values, by which a change of them is detected."""
+        criteria = [[rule.name, rule.value] for rule in self.criteria]
+        return [self.target_loss, self.target_ell_max, self.patience, criteria]
 
     def limit_reached(self, progress: Progress, last_stage: bool) -> Stopped | None:
         """Return the limit of time or patience that is reached, if any."""

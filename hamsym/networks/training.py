@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any, Protocol
 
@@ -21,6 +20,7 @@ import torch
 from torch import Tensor
 
 from hamsym.errors import FileError
+from hamsym.networks.best_weights import BestWeights
 from hamsym.networks.checkpoint import Checkpoint
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
@@ -149,48 +149,6 @@ def train(
     return run.through(callbacks, checkpoint)
 
 
-class _BestWeights:
-    """The weights with the lowest loss so far, and the trial solution's current ones."""
-
-    def __init__(self, trial: torch.nn.Module) -> None:
-        self.parameters = list(trial.parameters())
-        self.keep()
-
-    def keep(self) -> None:
-        """Make the current weights the best ones."""
-        self.best = self.current()
-
-    def current(self) -> list[Tensor]:
-        return [parameter.detach().clone() for parameter in self.parameters]
-
-    @torch.no_grad()
-    def put(self, weights: list[Tensor]) -> None:
-        """Put weights into the trial solution."""
-        for parameter, value in zip(self.parameters, weights, strict=True):
-            parameter.copy_(value)
-
-    @contextmanager
-    def in_trial(self) -> Iterator[None]:
-        """Put the best weights into the trial solution for a while."""
-        current = self.current()
-        self.put(self.best)
-        try:
-            yield
-        finally:
-            self.put(current)
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return current and best weights by name."""
-        named = {f"weights.{k}": tensor for k, tensor in enumerate(self.current())}
-        return named | {f"best.{k}": tensor for k, tensor in enumerate(self.best)}
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Restore weights that :meth:`tensors` returned."""
-        count = range(len(self.parameters))
-        self.put([tensors[f"weights.{k}"] for k in count])
-        self.best = [tensors[f"best.{k}"] for k in count]
-
-
 class _Run:
     """A training in progress, whose complete state is saved in a checkpoint."""
 
@@ -207,7 +165,7 @@ class _Run:
         self.trial, self.objective, self.generator = trial, objective, generator
         self.optimizer, self.stopping = optimizer, stopping
         self.fixed = optimizer.fixed_points(span)
-        self.weights = _BestWeights(trial)
+        self.weights = BestWeights(trial)
         self.progress = Progress()
         self.schedule = StageSchedule(stages, span, stopping.iterations, self.progress)
         self.stopped: str | None = None
@@ -347,11 +305,6 @@ class _Run:
         self.schedule.restart()
         return None
 
-    def _rules(self) -> list[Any]:
-        rules = self.stopping
-        criteria = [[rule.name, rule.value] for rule in rules.criteria]
-        return [rules.target_loss, rules.target_ell_max, rules.patience, criteria]
-
     def _clock(self) -> None:
         self.progress.seconds = time.perf_counter() - self.began
         self.progress.cpu_seconds = time.process_time() - self.cpu_began
@@ -372,7 +325,7 @@ class _Run:
                 "progress": asdict(self.progress),
                 "optimizer": values,
                 "stopped": self.stopped,
-                "rules": self._rules(),
+                "rules": self.stopping.summary(),
             },
         )
 
@@ -394,13 +347,19 @@ class _Run:
         if not 1 <= progress.stage <= stages or progress.iteration != len(losses):
             raise ValueError("its iterations, stages and losses are inconsistent")
         own = {name: t for name, t in tensors.items() if not name.startswith("optimizer.")}
-        self._require_tensors(own)
+        expected = {
+            "losses": torch.empty(len(losses), dtype=torch.float64),
+            "checks": torch.empty(len(tensors["checks"]), 4, dtype=torch.float64),
+            "generator": self.generator.get_state(),
+            **self.weights.tensors(),
+        }
+        _require_alike(own, expected)
         self.weights.restore(own)
         self.losses = losses.tolist()
         self.checks = [(int(row[0]), *row[1:]) for row in own["checks"].tolist()]
         self.generator.set_state(own["generator"])
         self.progress = self.schedule.progress = progress
-        if values["rules"] != self._rules():
+        if values["rules"] != self.stopping.summary():
             # The best weights so far may meet rules that have changed.
             progress.judged = math.inf
             self.stopped = self._rule_met()
@@ -408,18 +367,13 @@ class _Run:
         state = {n.removeprefix(start): t for n, t in tensors.items() if n.startswith(start)}
         self.optimizer.restore(state, optimizer)
 
-    def _require_tensors(self, found: dict[str, Tensor]) -> None:
-        """Raise ValueError unless tensors have the names, shapes and types of this training."""
-        expected = {
-            "losses": torch.empty(len(found["losses"]), dtype=torch.float64),
-            "checks": torch.empty(len(found["checks"]), 4, dtype=torch.float64),
-            "generator": self.generator.get_state(),
-            **self.weights.tensors(),
-        }
-        if found.keys() != expected.keys():
-            raise ValueError("its weights are those of another network")
-        for name, like in expected.items():
-            if found[name].shape != like.shape or found[name].dtype != like.dtype:
-                raise ValueError(f"its {name} have another shape or type")
-            if name.startswith("best.") and not bool(torch.isfinite(found[name]).all()):
-                raise ValueError(f"its {name} are not finite")
+
+def _require_alike(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
+    """Raise ValueError unless tensors have the expected names, shapes and types."""
+    if found.keys() != expected.keys():
+        raise ValueError("its weights are those of another network")
+    for name, like in expected.items():
+        if found[name].shape != like.shape or found[name].dtype != like.dtype:
+            raise ValueError(f"its {name} have another shape or type")
+        if name.startswith("best.") and not bool(torch.isfinite(found[name]).all()):
+            raise ValueError(f"its {name} are not finite")

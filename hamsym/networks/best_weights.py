@@ -1,0 +1,54 @@
+"""The best weights of a training."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor
+
+__all__ = ["BestWeights"]
+
+
+class BestWeights:
+    """The weights with the lowest loss so far, and the trial solution's current ones."""
+
+    def __init__(self, trial: torch.nn.Module) -> None:
+        self.parameters = list(trial.parameters())
+        self.keep()
+
+    def keep(self) -> None:
+        """Make the current weights the best ones."""
+        self.best = self.current()
+
+    def current(self) -> list[Tensor]:
+        """Return a copy of the current weights."""
+        return [parameter.detach().clone() for parameter in self.parameters]
+
+    @torch.no_grad()
+    def put(self, weights: list[Tensor]) -> None:
+        """Put weights into the trial solution."""
+        for parameter, value in zip(self.parameters, weights, strict=True):
+            parameter.copy_(value)
+
+    @contextmanager
+    def in_trial(self) -> Iterator[None]:
+        """Put the best weights into the trial solution for a while."""
+        current = self.current()
+        self.put(self.best)
+        try:
+            yield
+        finally:
+            self.put(current)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return current and best weights by name."""
+        named = {f"weights.{k}": tensor for k, tensor in enumerate(self.current())}
+        return named | {f"best.{k}": tensor for k, tensor in enumerate(self.best)}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Restore weights that :meth:`tensors` returned."""
+        count = range(len(self.parameters))
+        self.put([tensors[f"weights.{k}"] for k in count])
+        self.best = [tensors[f"best.{k}"] for k in count]
