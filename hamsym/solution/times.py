@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # torch is imported only by callers that have tensors
 __all__ = ["evaluate_in_parts", "is_tensor", "tensor_of", "times_in_span"]
 
 _CHUNK = 4_096  # times evaluated at once, to bound the memory
+_ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 
 
 def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = False) -> np.ndarray:
@@ -26,8 +27,13 @@ def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = Fals
     InputError
         If they are not finite numbers, or outside the span unless ``extrapolate=True``.
     """
+    precision = _ROUND_OFF
+    if is_tensor(t):
+        t = t.detach().cpu().numpy()
+        if t.dtype == np.float32:  # which rounds the ends of the span
+            precision = float(np.finfo(np.float32).eps)
     try:
-        times = np.asarray(t.detach().cpu() if is_tensor(t) else t, dtype=float)
+        times = np.asarray(t, dtype=float)
     except (TypeError, ValueError):
         raise InputError("t has an entry that is not a number; give times") from None
     if times.ndim > 1 or times.size == 0:
@@ -35,7 +41,7 @@ def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = Fals
     if not np.all(np.isfinite(times)):
         raise InputError("t has an entry that is not finite; give finite times")
     low, high = min(span), max(span)
-    slack = 4e-16 * max(abs(low), abs(high))
+    slack = precision * max(abs(low), abs(high))
     outside = (times < low - slack) | (times > high + slack)
     if not extrapolate and outside.any():
         worst = float(np.atleast_1d(times)[np.atleast_1d(outside)][0])

@@ -72,6 +72,7 @@ def test_calls_with_arrays_scalars_and_tensors(solution: Solution) -> None:
     np.testing.assert_allclose(tensor.numpy(), z, rtol=1e-14)
     assert solution(torch.tensor(1.5)).shape == (2,)
     assert not tensor.requires_grad
+    assert solution(torch.tensor(solution.span, dtype=torch.float32)).shape == (2, 2)
     assert np.shape(solution.energy(t)) == (7,)
     assert np.shape(solution.energy(1.5)) == ()
     assert solution.residual(t).shape == (7, 2)
