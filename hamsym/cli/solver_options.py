@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from hamsym.cli.texts import number, numbers, saved_solution, whole_numbers
+from hamsym.errors import InputError
 
 __all__ = ["SolverCommand"]
 
@@ -60,7 +61,12 @@ class _Parsed(click.ParamType):
         self.name, self.read = name, read
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return self.read(value) if isinstance(value, str) else value
+        if not isinstance(value, str):
+            return value
+        try:
+            return self.read(value)
+        except InputError as error:
+            raise InputError(f"{param.opts[0] if param else self.name}: {error}") from None
 
 
 class _NamedChoice(click.Choice):

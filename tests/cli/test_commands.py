@@ -368,7 +368,7 @@ BAD = [
     (["solve", *SOLVE, "--method", "lbfgs", "--accuracy", "-1"], "accuracy=-1.0"),
     (["solve", *SOLVE, "--method", "lbfgs", "--dtype", "float32"], "too coarse for lbfgs"),
     (["solve", *SOLVE, "--epochs", "0"], "epochs=0"),
-    (["solve", *SOLVE, "--hidden", "50,x"], "'x' is not a whole number"),
+    (["solve", *SOLVE, "--hidden", "50,x"], "--hidden: 'x' is not a whole number"),
     (["solve", *SOLVE, "--seed", "-1"], "seed=-1"),
     (["solve", *SOLVE, "--plot", "figure.doc"], "'figure.doc' is not a figure file"),
     (["solve", *SOLVE, "--plot", "no/such/f.png"], "does not exist; create it first"),

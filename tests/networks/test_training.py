@@ -222,7 +222,7 @@ def test_unusable_settings_are_rejected(kind: type, settings: dict[str, object])
         kind(**settings)
 
 
-# -- the same trainer for every optimiser ---------------------------------------------------------
+# -- the same trainer for every optimizer ---------------------------------------------------------
 
 OPTIMIZERS = {
     "adam": lambda: Adam(points=20, learning_rate=0.01, noise=0.02),
