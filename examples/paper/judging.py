@@ -6,6 +6,7 @@ import numpy as np
 
 from hamsym.paper.experiment import ARCHITECTURES
 from hamsym.paper.tables import lower, short
+from hamsym.solving import METHODS
 
 
 def euler(comparison, factor):
@@ -65,7 +66,7 @@ def judge_bound(experiment, found):
         solution
         for solutions in found.solutions.values()
         for solution in solutions
-        if solution.method != "features"
+        if not METHODS[solution.method].marches
     ]
     ratios = [np.abs(experiment.truth(t) - z(t)).max() / z.analysis.bound for z in trained]
     broken, vacuous = sum(ratio > 1 for ratio in ratios), sum(z.sigma_min == 0 for z in trained)

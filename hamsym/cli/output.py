@@ -55,7 +55,9 @@ def report(solution: Any) -> None:
     click.echo(f"ell_max {solution.ell_max:.2e}, sigma_min {sigma:.3g}")
     click.echo(f"bound ell_max/sigma_min: {bound}")
     record = solution.record
-    if solution.method == "features":
+    from hamsym.solving import METHODS  # imports sympy
+
+    if METHODS[solution.method].marches:
         width = max(map(len, solution.H.names))
         click.echo(f"{'':<{width}}  {'scale':>10}  {'estimated error':>16}")
         for name, scale, error in zip(

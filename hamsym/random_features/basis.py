@@ -27,7 +27,7 @@ from numpy.polynomial import chebyshev
 from hamsym.numerics.collocation import chebyshev_points
 from hamsym.random_features import window_loop
 
-__all__ = ["FeatureBasis", "feature_basis"]
+__all__ = ["FeatureBasis", "basis_of_series", "columns_of", "feature_basis"]
 
 _NEURONS = 60
 NODES = 24  # collocation points of a window
@@ -46,10 +46,6 @@ class FeatureBasis:
     ----------
     seed : int
         Seed of a and b.
-    inner, shift : numpy.ndarray
-        a and b, shape (M,).
-    mixing : numpy.ndarray
-        W, shape (M, m): raw readout weights of each orthonormal column.
     nodes, between : numpy.ndarray
         Chebyshev points of the first kind in (0, 1), and points in between, almost to both ends.
     fit : numpy.ndarray
@@ -66,9 +62,6 @@ class FeatureBasis:
     """
 
     seed: int
-    inner: np.ndarray
-    shift: np.ndarray
-    mixing: np.ndarray
     nodes: np.ndarray
     between: np.ndarray
     fit: np.ndarray
@@ -121,11 +114,19 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
     _, sizes, right = np.linalg.svd(np.vstack((values, rates)), full_matrices=False)
     kept = sizes > _TRUNCATION * sizes[0]
     mixing = right[kept].T / sizes[kept]
+    return basis_of_series(seed, _series(inner, shift, mixing))
+
+
+def columns_of(series: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Evaluate f N and its derivative at s from the series of N, in the precision of s."""
+    return _columns(series, rate_series(series), s)
+
+
+def basis_of_series(seed: int, series: np.ndarray) -> FeatureBasis:
+    """Make the basis of which the columns are f N for given series of N."""
     nodes = chebyshev_points(NODES)
     # Just inside the window: at a breakpoint the equations of the next window may hold.
     between = np.clip(np.linspace(0.0, 1.0, _BETWEEN), 1e-9, 1 - 1e-9)
-
-    series = _series(inner, shift, mixing)
 
     def columns(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         # The rounding error of a table enters every window with the same sign.
@@ -137,9 +138,6 @@ def feature_basis(seed: int = 0) -> FeatureBasis:
     to_between, rates_between = columns(between)
     return FeatureBasis(
         seed=seed,
-        inner=inner,
-        shift=shift,
-        mixing=mixing,
         nodes=nodes,
         between=between,
         fit=fit,

@@ -27,7 +27,7 @@ from hamsym.numerics.collocation import Collocation, collocation
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.numerics.tangent_maps import TangentMaps
 from hamsym.numerics.windows import locate
-from hamsym.random_features.basis import FeatureBasis, feature_basis
+from hamsym.random_features.basis import FeatureBasis, basis_of_series
 from hamsym.random_features.flow import Flow, flow_of
 from hamsym.random_features.windows import March
 from hamsym.support.checked_data import require_array
@@ -95,7 +95,7 @@ class MarchError:
 
     def refined(self, path: Any) -> MarchError:
         """Estimate the error of the same march with half as many nodes again."""
-        basis = feature_basis(path.record.seed)
+        basis = basis_of_series(path.record.seed, path.trial.series)
         return estimate_error(path.record, basis, flow_of(path.H), resolution=1).error
 
     def __call__(self, t: np.ndarray) -> np.ndarray:

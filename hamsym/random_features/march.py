@@ -135,7 +135,7 @@ class _Marching:
             tail=np.vstack((self._rate, np.zeros((2, dim)))),
             found=np.empty((len(basis.nodes), dim)),
         )
-        columns = basis.mixing.shape[1]
+        columns = basis.series.shape[1]
         self._windows = _Buffer(self._start, z0, columns, min(_ROOM, max_windows))
         self._checks = WindowChecks(flow, basis, tolerance)
         self._checked, self._chunk = 0, _ROOM

@@ -18,7 +18,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.problem import InitialValueProblem
-from hamsym.random_features.basis import feature_basis
+from hamsym.random_features.basis import FeatureBasis, feature_basis
 from hamsym.random_features.error_estimate import Estimate, estimate_error
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import MAX_WINDOWS, march
@@ -28,7 +28,7 @@ from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.solution import Solution
 from hamsym.support.option_fields import option
 
-__all__ = ["FeatureOptions", "solve_by_features"]
+__all__ = ["FeatureOptions", "solve_by_features", "solve_by_march"]
 
 _SMALLEST_TOL = 1e-12  # below it float64 cannot represent the solution
 _SMALLEST_LOCAL = 1e-13  # below it residuals are round-off
@@ -57,6 +57,13 @@ class FeatureOptions:
 
 def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> Solution:
     """Solve by marching random features to a tolerance; options as in :func:`hamsym.solve`."""
+    return solve_by_march(problem, options, feature_basis(problem.seed), "features")
+
+
+def solve_by_march(
+    problem: InitialValueProblem, options: FeatureOptions, basis: FeatureBasis, method: str
+) -> Solution:
+    """Solve by marching windows of a basis to a tolerance; the solution has the method's name."""
     tol = options.tol
     H = problem.H
     if not (isinstance(tol, (int, float, np.floating)) and _SMALLEST_TOL <= tol < 1):
@@ -66,7 +73,6 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
     absolute = _checked_atol(options.atol, H.dim)
     longest = _checked_window(options.max_window, problem.span)
     stops = _checked_breakpoints(options.breakpoints, problem.span)
-    basis = feature_basis(problem.seed)
     if options.compiled not in (True, False, "auto"):
         raise InputError(
             f'compiled={options.compiled!r} cannot be used; give True, False or "auto"'
@@ -104,7 +110,7 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
         problem.z0,
         (problem.span[0], windows.reached),
         FeatureTrial.of_march(windows, basis),
-        method="features",
+        method=method,
         record=windows,
         error=best.estimate.error,
     )

@@ -21,7 +21,7 @@ from hamsym.problem import InitialValueProblem
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
-from hamsym.solving import checked_options, solve
+from hamsym.solving import METHODS, checked_options, solve
 from hamsym.support.atomic import write_atomically
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class Run:
     def _solve(self, progress: Callable[[TrainingState], None]) -> None:
         options = dict(self.options)
         checkpoint = self._beside(".checkpoint")
-        if options.get("method", "features") != "features":
+        if not METHODS[options.get("method", "features")].marches:
             options["checkpoint"] = checkpoint
         if self.initial is not None:
             options["initial"] = load(self.initial)

@@ -54,7 +54,6 @@ def chebyshev_basis(count: int = 24) -> FeatureBasis:
     series[:count] = mixing
     return replace(
         like,
-        mixing=mixing,
         fit=fit,
         integration=at_nodes @ fit,
         to_between=to_between,
