@@ -1,1 +1,1 @@
-"""Time stepping: the table of methods, their coefficients and loops, and scipy's methods."""
+"""Time stepping: the table of methods, their coefficients, and adaptive methods of scipy."""

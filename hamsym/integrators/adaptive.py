@@ -1,4 +1,4 @@
-"""scipy's adaptive methods: the references that others are judged by."""
+"""Adaptive methods of scipy, also used as references for other solutions."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ __all__ = ["Adaptive", "reference", "run_dop853", "run_odeint"]
 
 @dataclass(frozen=True)
 class Adaptive:
-    """A method that chooses its own steps.
+    """An integrator with adaptive step size.
 
     Attributes
     ----------
     run : callable
-        (H, z0, times, rtol, atol) -> (states, evaluations, message); fewer states than times, and
-        a message, if it had to stop early. Without atol it is a hundredth of rtol times the size of
-        the motion.
+        (H, z0, times, rtol, atol) -> (states, evaluations, message). After an early stop there are
+        fewer states than times, and the message gives the reason; otherwise it is empty. If atol is
+        None it is 0.01 rtol times the magnitude of the motion.
     """
 
     run: Callable[..., tuple[np.ndarray, int, str]]
@@ -36,7 +36,7 @@ class Adaptive:
 def reference(
     H: HamiltonianLike, z0: np.ndarray, span: tuple[float, float], *, tolerance: float = 1e-13
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """DOP853 with dense output as a function of time, for judging less accurate solutions.
+    """Integrate with DOP853 and return its dense output, a reference for other solutions.
 
     Returns
     -------
@@ -46,13 +46,13 @@ def reference(
     Raises
     ------
     InputError
-        If the solution does not exist over the whole span.
+        If the integration stops before the end of the span.
     """
     H = Hamiltonian.of(H)
     result = _dop853(H, H.state_from(z0), span, tolerance, None, dense_output=True)
     if not result.success or not np.all(np.isfinite(result.y)):
         raise InputError(
-            f"no solution beyond t = {result.t[-1]:.6g}: {result.message} End the span before it"
+            f"no solution beyond t = {result.t[-1]:.6g}: {result.message} Use an earlier end time"
         )
     return lambda t: result.sol(np.asarray(t)).T
 
@@ -60,9 +60,9 @@ def reference(
 def run_dop853(
     H: Hamiltonian, z0: np.ndarray, times: np.ndarray, rtol: float, atol: float | None
 ) -> tuple[np.ndarray, int, str]:
-    """scipy's DOP853 at the given times."""
+    """Integrate with scipy's DOP853 and return the states at the given times."""
     result = _dop853(H, z0, (times[0], times[-1]), rtol, atol, t_eval=times)
-    # Where the first step fails scipy has a list with nothing in it.
+    # If the first step fails, scipy returns an empty list.
     states = np.array(result.y, dtype=float).reshape(H.dim, -1).T
     return states, result.nfev, "" if result.success else result.message
 
@@ -70,10 +70,10 @@ def run_dop853(
 def run_odeint(
     H: Hamiltonian, z0: np.ndarray, times: np.ndarray, rtol: float, atol: float | None
 ) -> tuple[np.ndarray, int, str]:
-    """scipy's LSODA at the given times."""
-    absolute = _absolute(H, z0, (times[0], times[-1]), rtol) if atol is None else atol
+    """Integrate with scipy's LSODA and return the states at the given times."""
+    absolute = _absolute_tolerance(H, z0, (times[0], times[-1]), rtol) if atol is None else atol
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", scipy.integrate.ODEintWarning)  # the report says it too
+        warnings.simplefilter("ignore", scipy.integrate.ODEintWarning)  # the report contains it
         states, report = scipy.integrate.odeint(
             _rates(H),
             z0,
@@ -87,30 +87,32 @@ def run_odeint(
     evaluations = int(report["nfe"].max())
     if report["message"] == "Integration successful.":
         return states, evaluations, ""
-    # LSODA reports how far it was at each output; the first it did not reach ends the trajectory.
+    # tcur is the time LSODA reached for each output; the first output beyond it ends the path.
     ahead = np.sign(times[-1] - times[0]) * (report["tcur"] - times[1:]) >= 0
     reached = len(ahead) if ahead.all() else int(np.argmin(ahead))
     return states[: 1 + reached], evaluations, report["message"]
 
 
 def _rates(H: Hamiltonian) -> Callable[[float, np.ndarray], np.ndarray]:
-    """The vector field as scipy calls it, time first."""
+    """The vector field with scipy's signature, (t, z)."""
     system = H.compile("numpy")
     return lambda t, z: np.asarray(system.vector_field(*system.arguments(z, t)))
 
 
-def _absolute(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], rtol: float) -> np.ndarray:
-    """An absolute tolerance that matters only where a component passes zero, shape (dim,)."""
-    return 0.01 * rtol * _sizes(H, z0, span)
+def _absolute_tolerance(
+    H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], rtol: float
+) -> np.ndarray:
+    """Absolute tolerance that takes effect only near zeros of a component, shape (dim,)."""
+    return 0.01 * rtol * _magnitudes(H, z0, span)
 
 
-def _sizes(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float]) -> np.ndarray:
-    """The usual magnitudes of coordinates and momenta, shape (dim,), from a rough trajectory.
+def _magnitudes(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float]) -> np.ndarray:
+    """Typical magnitudes of coordinates and momenta on a trajectory of low accuracy, shape (dim,).
 
-    The median, so that an escape at the end does not set the scale of what came before.
+    The median over time, so that an escape at the end does not set the scale of the motion before.
     """
     halves = np.abs(z0).reshape(2, -1).max(axis=1)
-    # What is zero at the start is as large as its rate makes it on the way.
+    # A half of the state that is zero at the start grows to about its rate times the span.
     with np.errstate(all="ignore"):
         slopes = np.abs(_rates(H)(span[0], z0)).reshape(2, -1).max(axis=1)
     rates = slopes * abs(span[1] - span[0])
@@ -131,7 +133,7 @@ def _dop853(
     **output: Any,
 ) -> Any:
     if atol is None:
-        atol = _absolute(H, z0, span, rtol)
+        atol = _absolute_tolerance(H, z0, span, rtol)
     with np.errstate(all="ignore"):
         return scipy.integrate.solve_ivp(
             _rates(H), span, z0, method="DOP853", rtol=rtol, atol=atol, **output

@@ -1,14 +1,14 @@
-"""The coefficients of one-step methods, to 50 digits.
+"""Coefficients of one-step methods, to 50 digits.
 
-Three families, each with one generated loop that takes any coefficients:
+Each of the three families has one generated loop, which takes the coefficients as arguments:
 
-- :class:`Splitting`, for H = T(p, t) + V(q, t): drifts of q and kicks of p in turn;
-- :class:`RungeKutta`, for any H: implicit, its stages found by Newton's method;
+- :class:`Splitting`, for H = T(p, t) + V(q, t): alternating drifts of q and kicks of p;
+- :class:`RungeKutta`, for any H: implicit, with stages solved by Newton's method;
 - :class:`Doubled`, for any H: explicit, in a phase space of twice the dimension.
 
-Coefficients without a closed form were published to 15 digits. Here they are continued to 50 by
-Newton's method on the order conditions; where these leave some of them free, those are held at
-the published digits.
+Coefficients without a closed form were published to 15 digits. Here they are refined to 50 by
+Newton's method on the order conditions. Coefficients that the conditions leave free keep the
+published digits.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ _SMALL = Decimal("1e-50")
 
 @dataclass(frozen=True)
 class Splitting:
-    """q <- q + a_1 h dT/dp, p <- p - b_1 h dV/dq, and so on, drifts first.
+    """A splitting method: q <- q + a_1 h dT/dp, p <- p - b_1 h dV/dq, and so on, drifts first.
 
     The time in V advances with the drifts and that in T with the kicks, which is an exact
-    splitting of the autonomous system with time as a coordinate: the order is kept.
+    splitting of the autonomous system with time as a coordinate, so the order is unchanged.
 
     Attributes
     ----------
     drifts, kicks : tuple of decimal.Decimal
-        a_i and b_i, equally many; zero where a flow is left out.
+        a_i and b_i, of equal length; zero for a flow that is omitted.
     """
 
     drifts: tuple[Decimal, ...]
@@ -47,12 +47,12 @@ class Splitting:
 
     @property
     def stages(self) -> int:
-        """Evaluations of the force in a step."""
+        """Number of force evaluations per step."""
         return sum(kick != 0 for kick in self.kicks)
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether a step back in time undoes a step."""
+        """Whether a step of -h inverts a step of h."""
         pairs = zip(self.drifts, self.kicks, strict=True)
         flows = [(kind, size) for pair in pairs for kind, size in enumerate(pair) if size != 0]
         with decimal.localcontext(prec=_DIGITS):
@@ -70,7 +70,7 @@ class Splitting:
         return (np.stack((a, b, drift_times, kick_times), axis=-1),)
 
     def width(self, dim: int) -> int:
-        """Numbers that a trajectory carries from step to step."""
+        """Length of the vector that is kept for each trajectory between steps."""
         return dim
 
 
@@ -92,14 +92,14 @@ class RungeKutta:
 
     @property
     def stages(self) -> int:
-        """Stages of a step; each takes a few evaluations of the vector field."""
+        """Number of stages; each needs a few evaluations of the vector field per step."""
         return len(self.weights)
 
     is_symmetric = True
 
     @property
     def is_symplectic(self) -> bool:
-        """b_i a_ij + b_j a_ji = b_i b_j (Sanz-Serna 1988, Lasagni 1988, Suris 1988)."""
+        """Whether b_i a_ij + b_j a_ji = b_i b_j (Sanz-Serna 1988, Lasagni 1988, Suris 1988)."""
         a, b = self.matrix, self.weights
         pairs = [(i, j) for i in range(self.stages) for j in range(self.stages)]
         with decimal.localcontext(prec=_DIGITS):
@@ -109,7 +109,7 @@ class RungeKutta:
 
     @functools.cached_property
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """a, b, c, and the matrix that continues rates at one step's nodes to the next one's."""
+        """a, b, c, and the matrix that extrapolates rates from one step's nodes to the next's."""
         nodes = np.array(self.nodes, dtype=float)
         powers = np.arange(self.stages)
         continued = (1 + nodes[:, None]) ** powers @ np.linalg.inv(nodes[:, None] ** powers)
@@ -121,7 +121,7 @@ class RungeKutta:
         )
 
     def width(self, dim: int) -> int:
-        """The state, and the rates at the last step's stages."""
+        """Length of the state and of the rates at the last step's stages."""
         return dim * (1 + self.stages)
 
 
@@ -129,9 +129,9 @@ class RungeKutta:
 class Doubled:
     """Explicit steps for any H in the doubled phase space (q, p, x, y) of Tao (2016).
 
-    H(q, y) + H(x, p) + omega (|q - x|^2 + |p - y|^2)/2 is split into three flows that are known
-    exactly, A, B and C; with g for the weights, a step is A(g/2) B(g/2) C(g) B(g/2) A(g/2) for
-    each of them. The time advances with C.
+    H(q, y) + H(x, p) + omega (|q - x|^2 + |p - y|^2)/2 is split into three flows A, B and C with
+    closed forms. A step is the product of A(g/2) B(g/2) C(g) B(g/2) A(g/2) over the weights g. The
+    time advances with C.
 
     Attributes
     ----------
@@ -142,11 +142,11 @@ class Doubled:
 
     @property
     def stages(self) -> int:
-        """Evaluations of the gradient in a step; the last is also the next step's first."""
+        """Number of gradient evaluations per step; the last is reused by the next step."""
         return 3 * len(self.weights)
 
     is_symmetric = True
-    is_symplectic = False  # it is, but in the doubled phase space
+    is_symplectic = False  # symplectic in the doubled phase space only
 
     @functools.cached_property
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -154,14 +154,14 @@ class Doubled:
         return (np.array(self.weights, dtype=float),)
 
     def width(self, dim: int) -> int:
-        """(q, p) and (x, y)."""
+        """Length of (q, p, x, y)."""
         return 2 * dim
 
 
 Scheme = Splitting | RungeKutta | Doubled
 
 
-# -- the coefficients --------------------------------------------------------------------------
+# -- coefficients ------------------------------------------------------------------------------
 
 
 def _to_50_digits(make: Callable[..., Any]) -> Callable[..., Any]:
@@ -175,14 +175,14 @@ def _to_50_digits(make: Callable[..., Any]) -> Callable[..., Any]:
 
 @_to_50_digits
 def splitting(drifts: str, kicks: str) -> Splitting:
-    """A splitting method from its coefficients as text; the last kick may be left out."""
+    """Make a splitting method from coefficients as text; the last kick may be omitted."""
     a, b = _numbers(drifts), _numbers(kicks)
     return Splitting(tuple(a), (*b, *[Decimal(0)] * (len(a) - len(b))))
 
 
 @_to_50_digits
 def symmetric_splitting(drifts: str, kicks: str) -> Splitting:
-    """One with a middle drift: the first coefficients of both, those missing follow from sum 1."""
+    """Make a symmetric splitting from the first half; the middle ones follow from the sum 1."""
     a, b = _numbers(drifts), _numbers(kicks)
     b.append(Decimal("0.5") - sum(b, Decimal(0)))
     return Splitting((*a, 1 - 2 * sum(a, Decimal(0)), *a[::-1]), (*b, *b[::-1], Decimal(0)))
@@ -190,7 +190,7 @@ def symmetric_splitting(drifts: str, kicks: str) -> Splitting:
 
 @_to_50_digits
 def euler_composition(weights: Sequence[Decimal], adjoint: Sequence[Decimal]) -> Splitting:
-    """Steps of symplectic Euler, drift then kick, each followed by an adjoint one, kick, drift."""
+    """Compose symplectic Euler (drift, kick) with its adjoint (kick, drift), in alternation."""
     ends = zip([Decimal(0), *adjoint], [*weights, Decimal(0)], strict=True)
     kicks = [first + second for first, second in zip(weights, adjoint, strict=True)]
     return Splitting(tuple(left + right for left, right in ends), (*kicks, Decimal(0)))
@@ -198,21 +198,21 @@ def euler_composition(weights: Sequence[Decimal], adjoint: Sequence[Decimal]) ->
 
 @_to_50_digits
 def verlet_composition(weights: Sequence[Decimal]) -> Splitting:
-    """Steps of Stormer-Verlet (drift, kick, drift), of weight_i h each."""
+    """Compose Stormer-Verlet steps (drift, kick, drift) of lengths weight_i h."""
     halves = [weight / 2 for weight in weights]
     return euler_composition(halves, halves)
 
 
 @_to_50_digits
 def symmetric_weights(outer: str) -> list[Decimal]:
-    """Weights of a symmetric composition, from the last one inwards; the middle one follows."""
+    """Weights of a symmetric composition, from the outer ones; the middle one follows."""
     half = _numbers(outer)
     return [*half, 1 - 2 * sum(half, Decimal(0)), *half[::-1]]
 
 
 @_to_50_digits
 def triple_jump() -> list[Decimal]:
-    """Weights that raise a symmetric method from second order to fourth."""
+    """Weights of the composition that raises a symmetric method from order 2 to 4."""
     outer = 1 / (2 - Decimal(2) ** (Decimal(1) / 3))
     return [outer, 1 - 2 * outer, outer]
 
@@ -256,7 +256,7 @@ def gauss(stages: int) -> RungeKutta:
 
 
 def _numbers(text: str) -> list[Decimal]:
-    """Numbers and fractions such as -1/24, separated by blanks."""
+    """Parse decimals and fractions (-1/24), separated by blanks."""
     fractions = (word.partition("/") for word in text.split())
     return [Decimal(top) / Decimal(bottom or 1) for top, _, bottom in fractions]
 
@@ -269,14 +269,14 @@ STORMER_VERLET = splitting("1/2 1/2", "1")
 RUTH3 = splitting("7/24 3/4 -1/24", "2/3 -2/3 1")
 FOREST_RUTH = verlet_composition(triple_jump())
 MCLACHLAN4 = mclachlan4()
-# S6; held at the published digits: the first two drifts and the first kick.
+# S6; the first two drifts and the first kick keep the published digits.
 BLANES_MOAN4 = symmetric_splitting(
     """0.0792036964311957 0.353172906049774
        -0.0420650803577197044759166922696745685688995160526154967467412""",
     """0.209515106613362
        -0.143851773179817469134513970208481911492218292343651085879701""",
 )
-# S10; held at the published digits: the first drift.
+# S10; the first drift keeps the published digits.
 BLANES_MOAN6 = symmetric_splitting(
     """0.0502627644003922
        0.413514300428348280764209253255138114149686464525552807624476

@@ -1,11 +1,11 @@
-"""Steps of equal size with the generated loops, for one trajectory or an ensemble of them.
+"""Fixed-step integration with the generated loops, for one trajectory or an ensemble.
 
 Input:  a Hamiltonian, a scheme of :mod:`hamsym.integrators.coefficients`, states of shape (n, dim).
-Output: states of shape (n, saves, dim), and what became of each trajectory.
+Output: states of shape (n, saves, dim), and the number of steps of each trajectory.
 
-The work is cut into pieces of about a tenth of a second, so that progress can be shown and an
-interruption keeps what was done, and ensembles are divided between the processor's cores. Neither
-changes a bit of the result.
+The work is divided into pieces of about a tenth of a second, so that progress can be shown and an
+interruption keeps the steps done so far. Ensembles are divided between the processor's cores. The
+results are bit-identical for every division.
 """
 
 from __future__ import annotations
@@ -24,30 +24,29 @@ from hamsym.support.progress import stepping_progress
 
 __all__ = ["NOT_ONLY_SEPARABLE", "Stepper", "Stepping"]
 
-#: Splitting methods that have a loop of their own, with an implicit half, for any other H.
+#: Splitting methods that also have a loop with an implicit half, for a non-separable H.
 NOT_ONLY_SEPARABLE = ("symplectic_euler", "symplectic_euler_p")
 
-# Component updates in a piece, and from where on a second core pays.
-_PIECE, _WORTH_THREADS = 20_000_000, 200_000
-# From so many trajectories on, taking each flow together is faster than one after the other.
-_ENSEMBLE = 4
+# Component updates in a piece, and the number from which a second core is used.
+_PIECE_WORK, _MIN_THREADED_WORK = 20_000_000, 200_000
+# Trajectories from which the loop that applies each flow to a block of them is faster.
+_MIN_ENSEMBLE = 4
 
 
 @dataclass
 class Stepping:
-    """What a number of steps led to.
+    """Result of :meth:`Stepper.advance`.
 
     Attributes
     ----------
     states : numpy.ndarray
-        After every save_every steps, shape (n, saves, dim); nan after the last step that could be
-        done.
+        After every save_every steps, shape (n, saves, dim); nan after the last completed step.
     steps : numpy.ndarray
-        Steps done by each trajectory, shape (n,).
+        Completed steps of each trajectory, shape (n,).
     evaluations : int
-        Of the force, the gradient or the vector field, all trajectories together.
+        Evaluations of the force, the gradient or the vector field, summed over trajectories.
     interrupted : bool
-        Whether Ctrl-C ended it.
+        Whether Ctrl-C ended the run.
     """
 
     states: np.ndarray = field(repr=False)
@@ -57,25 +56,25 @@ class Stepping:
 
 
 class Stepper:
-    """Trajectories that advance together, step by step, and keep their place between calls.
+    """Fixed-step integrator of an ensemble; it keeps the states between calls.
 
     Parameters
     ----------
     H : Hamiltonian
-        With a value for every parameter.
+        Every parameter must have a value.
     scheme : Scheme
     name : str
-        The method's; where H is not separable a splitting scheme must be one of
+        Name of the method; for a non-separable H a splitting scheme must be one of
         :data:`NOT_ONLY_SEPARABLE`.
     states : numpy.ndarray
         Shape (n, dim).
     starts, sizes : numpy.ndarray
         First time and step size of each trajectory, shape (n,).
     compensated : bool
-        Whether round-off is carried from step to step.
+        Whether to use compensated summation.
     tangents : numpy.ndarray, optional
-        Vectors to be moved, in place, by the derivative of the steps, shape (n, width, k), where
-        width is dim (for a :class:`Doubled` scheme 2 dim).
+        Tangent vectors, propagated in place by the derivative of the steps, shape (n, width, k);
+        width is dim, or 2 dim for a :class:`Doubled` scheme.
     omega : float
         Coupling of a :class:`Doubled` scheme.
     """
@@ -108,7 +107,7 @@ class Stepper:
         self._starts, self._sizes = np.ascontiguousarray(starts), np.ascontiguousarray(sizes)
         self._first = 0
         implicit_euler = isinstance(scheme, Splitting) and not H.is_separable
-        #: Whether a step solves equations, which may have no solution.
+        #: Whether a step solves nonlinear equations, which may have no solution.
         self.is_implicit = implicit_euler or isinstance(scheme, RungeKutta)
         self._constants: list[Any] = (
             [name == "symplectic_euler"] if implicit_euler else [*scheme.arrays]
@@ -119,31 +118,33 @@ class Stepper:
 
     @property
     def states(self) -> np.ndarray:
-        """Where the trajectories are, shape (n, dim)."""
+        """Current states of the trajectories, shape (n, dim)."""
         return self._states[:, : self._dim]
 
     def turn_back(self) -> None:
-        """From here on, step towards where the trajectories came from."""
+        """Reverse the direction of time from the current states on."""
         self._starts = self._starts + self._sizes * self._first
         self._sizes = -self._sizes
         self._first = 0
 
     def step(self, count: int) -> np.ndarray:
-        """Do so many steps at once, and nothing else; the states then, shape (n, dim)."""
+        """Do ``count`` steps in one call of the loop and return the states, shape (n, dim)."""
         return self._run(None, 1, 1, count)[:, 0]
 
     def advance(self, saves: int, save_every: int = 1, *, show: bool | None = None) -> Stepping:
-        """Do saves*save_every steps and keep the states after every save_every of them."""
+        """Do saves*save_every steps and return the states after every save_every steps."""
         count = len(self._states)
         before = self._done.copy()
         out = np.full((count, saves, self._dim), np.nan)
         interrupted = False
         work = count * self._dim * self.scheme.stages
-        cores = min(available_cores(), count) if work * saves * save_every > _WORTH_THREADS else 1
+        cores = (
+            min(available_cores(), count) if work * saves * save_every > _MIN_THREADED_WORK else 1
+        )
         with stepping_progress(saves * save_every, show) as progress:
             pool = ThreadPoolExecutor(cores) if cores > 1 else None
             try:
-                for rows, part, every in _pieces(saves, save_every, max(1, _PIECE // work)):
+                for rows, part, every in _pieces(saves, save_every, max(1, _PIECE_WORK // work)):
                     moved = self._run(pool, cores, part, every)
                     if rows is not None:
                         out[:, rows] = moved
@@ -156,7 +157,7 @@ class Stepper:
                 if pool is not None:
                     pool.shutdown()
         steps, counted = (self._done - before).T
-        # Where the number depends on iterations it was counted.
+        # The loops count evaluations only where the number depends on iterations.
         evaluations = counted.sum() if counted.any() else steps.sum() * self.scheme.stages
         return Stepping(out, steps, int(evaluations), interrupted)
 
@@ -188,13 +189,13 @@ class Stepper:
         for future in futures:
             future.result()
         self._first += saves * every
-        # Where a step could not be solved there is nothing to go on from.
+        # A trajectory whose step was not solved ends there.
         self._states[self._done[:, 0] - before < saves * every] = np.nan
         return out
 
 
 def _loop(H: Hamiltonian, scheme: Scheme, count: int, tangent: bool) -> str:
-    """The name of the generated loop that does such steps."""
+    """Name of the generated loop for a scheme."""
     if isinstance(scheme, RungeKutta):
         return "implicit"
     if isinstance(scheme, Doubled):
@@ -203,13 +204,13 @@ def _loop(H: Hamiltonian, scheme: Scheme, count: int, tangent: bool) -> str:
         return "euler"
     if tangent:
         return "splitting_tangent"
-    # Loops over terms leave nothing to do side by side.
-    together = count >= _ENSEMBLE and not H.compile("numba").is_looped
+    # Kernels that loop over terms gain nothing from blocks of trajectories.
+    together = count >= _MIN_ENSEMBLE and not H.compile("numba").is_looped
     return "splitting_ensemble" if together else "splitting"
 
 
 def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[slice | None, int, int]]:
-    """(rows of the output, saves, steps each); no rows on the way to a save of several pieces."""
+    """Yield (rows of the output, saves, steps per save); rows is None before a save is complete."""
     if save_every <= piece:
         together = piece // save_every
         for save in range(0, saves, together):

@@ -1,10 +1,10 @@
-"""Trajectories by time stepping: generated loops for every method of the table, and scipy's.
+"""Integration by time stepping with every method of the table of integrators.
 
 Input:  a Hamiltonian, one or many initial states, a time span.
 Output: a :class:`Trajectory` of states at equally spaced times.
 
-An integrator is one row of :data:`hamsym.integrators.table.INTEGRATORS`; its coefficients are in
-:mod:`hamsym.integrators.coefficients`, the loop that takes them in the numba template.
+An integrator is one row of :data:`hamsym.integrators.table.INTEGRATORS`. Its coefficients are in
+:mod:`hamsym.integrators.coefficients`, its loop is in ``templates/integrator_loops.py``.
 """
 
 from __future__ import annotations
@@ -46,10 +46,12 @@ __all__ = [
 ]
 
 
-#: Steps in one call, at most; numbers beyond are no longer whole.
 _INTERRUPTED = "interrupted"
-_FEWEST = 1_000  # steps that are chosen
-_KEPT, _KEPT_NUMBERS = 16_000, 20_000_000  # states and numbers kept where steps are chosen
+_MIN_STEPS = 1_000  # smallest automatic number of steps
+_MAX_SAVED, _MAX_SAVED_COMPONENTS = (
+    16_000,
+    20_000_000,
+)  # largest saved states and components with automatic steps
 
 
 @dataclass(frozen=True)
@@ -72,20 +74,20 @@ class Trajectory:
     dt : float
         Length of a step, or of the time between outputs.
     evaluations : int
-        Of the force, the gradient or the vector field, whichever the method needs.
+        Number of evaluations of the force, the gradient or the vector field.
     seconds : float
-        Wall time of the stepping, compilation included.
+        Wall time of the integration, including compilation.
     success : bool
     interrupted : bool
-        Whether Ctrl-C ended it.
+        Whether Ctrl-C ended the run.
     message : str
-        What happened, in words. A trajectory that had to stop ends there; in an ensemble its
+        Outcome in words. A trajectory that stops early ends at its last state; in an ensemble its
         later states are nan.
     drift : float
-        Largest change of H beyond round-off, at the states that are kept, relative to the energy
+        Largest change of H in excess of round-off, at the saved states, relative to the energy
         that the motion exchanges between coordinates and momenta
-        (:mod:`hamsym.integrators.energy_drift`); the worst of an ensemble. Infinite where H is not
-        a number on the way, nan if H depends on time.
+        (:mod:`hamsym.integrators.energy_drift`); the largest of an ensemble. Infinite if H is not
+        finite along the trajectory, nan if H depends on time.
     """
 
     t: np.ndarray = field(repr=False)
@@ -103,7 +105,7 @@ class Trajectory:
     drift: float = math.nan
 
     def plot(self) -> Figure:
-        """Components, phase space and the change of H, as a figure."""
+        """Draw components, phase space and the change of H."""
         return hamsym.plot(self)
 
 
@@ -124,69 +126,68 @@ def integrate(
 ) -> Trajectory:
     """Integrate Hamilton's equations from z0 over a time span.
 
-    Without ``method``, ``steps`` and ``dt`` the steps are 1,000 times a power of two, the smallest
-    at which every trajectory keeps H to 1e-9 of the energy that it exchanges between coordinates
-    and momenta, or to round-off, and which resolve the fastest linear motion on the way (at most
-    0.2 rad in a step). Where H depends on time, halving the step must change no component by more
-    than 1e-9 of its range. A message says what was found, and a warning that it was not reached,
-    as near collisions, or where chaos magnifies round-off. Relative errors of the states are often
-    a hundred times the drift; they grow with time, and far more in close encounters.
+    Without ``method``, ``steps`` and ``dt`` the number of steps is the smallest power of two times
+    1,000 for which every trajectory conserves H to 1e-9 of the energy that it exchanges between
+    coordinates and momenta, or to round-off, and for which the steps resolve the fastest linear
+    motion (at most 0.2 rad per step). For time-dependent H, halving the step must change no
+    component by more than 1e-9 of its range. The message gives the result. A warning is issued if
+    the target is not met, which happens near collisions or where chaos amplifies round-off.
+    Relative errors of the states are often a hundred times the drift; they grow with time, and much
+    more in close encounters.
 
     Parameters
     ----------
     H : Hamiltonian, str or sympy.Expr
-        With a value for every parameter.
+        Every parameter must have a value.
     z0 : sequence, mapping or array
         Initial state in the order of H.z or by name. An array of shape (batch, dim), or a mapping
-        with arrays, is an ensemble; its trajectories share the processor's cores.
+        to arrays, is an ensemble, which is integrated on all cores.
     span : (float, float)
-        Start and end time; the end may be the earlier one.
+        Start and end time; the end may precede the start.
     method : str, optional
         A name in :data:`INTEGRATORS`; by default ``blanes_moan6`` for a separable H, otherwise
         ``gauss6``, which need the fewest evaluations for a drift of 1e-9. Splitting methods need
-        H = T(p, t) + V(q, t); there V is taken at a time that advances with the drifts of q, and T
-        at one that advances with the kicks of p. The symplectic Euler methods solve their implicit
-        half by Newton's method where H is not separable.
+        H = T(p, t) + V(q, t); the time in V advances with the drifts of q, and that in T with the
+        kicks of p. For a non-separable H the symplectic Euler methods solve their implicit half by
+        Newton's method.
     steps : int, optional
-        Number of equal steps (for an adaptive method: of equal output intervals). With a method
-        20,000 unless given.
+        Number of equal steps (for an adaptive method: of equal output intervals); 20,000 by default
+        if ``method`` is given.
     dt : float, optional
-        In place of ``steps``: the span is divided into the fewest equal steps no longer than this.
+        Largest step, instead of ``steps``: the span is divided into the fewest equal steps.
     save_every : int, optional
-        Keep every so many steps; divides the number of steps. By default every step is kept, but
-        at most 16,000 states where the steps are chosen.
+        Number of steps between saved states; it must divide the number of steps. By default every
+        step is saved, with an automatic number of steps at most 16,000 states.
     compensated : bool
-        Carry what rounding loses from one step to the next, for splitting methods over very many
-        steps. The implicit Runge-Kutta methods always do.
+        Use compensated summation in splitting methods, for very many steps. The implicit
+        Runge-Kutta methods always use it.
     omega : float, optional
         Coupling of ``tao2`` and ``tao4``, per unit of time; by default twice the spectral radius
         of J Hess at the start.
     rtol, atol : float, optional
-        Tolerances of an adaptive method. Unless given, rtol is 1e-13 and atol a hundredth of
-        rtol times the usual size of the coordinates for a coordinate, of the momenta for a
-        momentum.
+        Tolerances of an adaptive method. By default rtol is 1e-13, and atol is 0.01 rtol times the
+        typical magnitude of the coordinates or of the momenta.
     progress : bool, optional
-        Show how far it is; by default on a terminal, after a second.
+        Whether to show progress; by default on a terminal, after a second.
 
     Returns
     -------
     Trajectory
-        With ``success=False``, a message and the part before it if a step could not be solved,
-        the states left the range of numbers, or Ctrl-C was pressed.
+        If a step could not be solved, the states became non-finite or Ctrl-C was pressed,
+        ``success`` is False, the message gives the reason, and the trajectory ends there.
 
     Warns
     -----
     StepSizeWarning
-        If steps that were chosen do not reach the drift above, or if with a given method or number
-        of steps H changes by more than 1 % of the energy exchanged or is not a number on the way
-        (which is not looked at where H depends on time). The message says so too.
+        If the automatic steps do not meet the target above, or if with a given method or number of
+        steps H changes by more than 1 % of the energy exchanged or is not finite (not tested for
+        time-dependent H). The message contains the warning.
 
     Raises
     ------
     InputError
-        If a name, a number or the span cannot be used, H is not separable and the method needs
-        it, the result would not fit into memory, or more steps would have to be chosen than are
-        made unasked.
+        If an argument is invalid, the method needs a separable H and H is not separable, the
+        result does not fit into memory, or the automatic number of steps exceeds its limit.
 
     Examples
     --------
@@ -209,12 +210,15 @@ def integrate(
         require_whole("save_every", save_every)
     every = save_every or 1
     if not chosen and count % every:
-        raise InputError(f"save_every={every} does not divide steps={count}; choose a divisor")
+        raise InputError(f"save_every={every} does not divide steps={count}; give a divisor")
     scheme = INTEGRATORS[name].scheme
     if compensated and not isinstance(scheme, Splitting | RungeKutta):
-        raise InputError(f"compensated has no meaning for {name}; leave it out")
+        raise InputError(
+            f"compensated applies to splitting and implicit Runge-Kutta methods, not to {name}; "
+            "leave it out"
+        )
     if omega is not None and not isinstance(scheme, Doubled):
-        raise InputError(f"omega has no meaning for {name}; it is for tao2 and tao4")
+        raise InputError(f"omega applies to tao2 and tao4, not to {name}; leave it out")
     ensemble = np.atleast_2d(states)
     choice: Choice[_Run] | None = None
     began = time.perf_counter()
@@ -225,7 +229,9 @@ def integrate(
     else:
         for option, value in (("rtol", rtol), ("atol", atol)):
             if value is not None:
-                raise InputError(f"{option} has no meaning for {name}; give steps or dt instead")
+                raise InputError(
+                    f"{option} applies to adaptive methods, not to {name}; give steps or dt instead"
+                )
         options: dict[str, Any] = {
             "compensated": compensated,
             "omega": omega,
@@ -237,15 +243,15 @@ def integrate(
         else:
             run = _stepped(H, name, ensemble, (start, end), count, every, **options)
     seconds = time.perf_counter() - began
-    z, times, problem = _reached(run.z, run.times, run.problem)
+    z, times, problem = _cut_at_end(run.z, run.times, run.problem)
     system = H.compile("numpy")
-    with np.errstate(all="ignore"):  # the last state before an escape may be finite, its H not
+    with np.errstate(all="ignore"):  # H may overflow at the last finite state before an escape
         energy = system.energy(*system.arguments(z, times))
     kept = EnergyDrift(H, len(z))
     kept.add(z)
     drift = float(kept.relative(count).max())
     message = f"{name}: {count:,} steps to t = {end:.6g}"
-    found, warning = _verdict(H, drift, choice)
+    found, warning = _describe_accuracy(H, drift, choice)
     if found:
         message = f"{message}, {found}"
     if warning and not problem:
@@ -270,14 +276,16 @@ def integrate(
     )
 
 
-def _verdict(H: Hamiltonian, drift: float, choice: Choice[_Run] | None) -> tuple[str, str]:
-    """What is found about the steps, and what is wrong with that; "" for nothing."""
+def _describe_accuracy(
+    H: Hamiltonian, drift: float, choice: Choice[_Run] | None
+) -> tuple[str, str]:
+    """Describe the accuracy of the steps, with a warning or ""."""
     if H.time is None:
         kept = "kept to round-off" if drift == 0 else f"kept to {drift:.1e} of its scale"
-        said = f"H {kept}" if math.isfinite(drift) else "H is not a number on the way"
+        said = f"H {kept}" if math.isfinite(drift) else "H is not finite on the trajectory"
         fine = drift <= COARSE
     elif choice is not None:
-        said = f"half as many change the motion by {choice.found:.1e} of its range"
+        said = f"halving the steps changes the motion by {choice.found:.1e} of its range"
         fine = True
     else:
         return "", ""
@@ -286,14 +294,14 @@ def _verdict(H: Hamiltonian, drift: float, choice: Choice[_Run] | None) -> tuple
     if choice.met and fine:
         return said, ""
     return said, (
-        f"that misses {AIM:.0e} and no more steps were tried; end the span before a close "
-        "encounter, or give a method and steps"
+        f"the target of {AIM:.0e} is not met; use an earlier end time, before a close encounter, "
+        "or give a method and steps"
     )
 
 
 @dataclass(frozen=True)
 class _Run(Attempt):
-    """What a method did, and why it had to stop, if it had to."""
+    """Result of a method, with the reason for an early stop, or ""."""
 
     evaluations: int
     problem: str
@@ -307,14 +315,14 @@ def choose_steps(
     save_every: int | None = None,
     **options: Any,
 ) -> Choice[_Run]:
-    """The number of steps with which all trajectories keep H, by :func:`choose`."""
+    """Choose the number of steps with which all trajectories conserve H, by :func:`choose`."""
     evaluations = 0
 
     def run(steps: int) -> _Run:
         nonlocal evaluations
         saves = steps if save_every is None else steps // save_every
-        while save_every is None and saves > _FEWEST:
-            if saves <= _KEPT and saves * ensemble.size <= _KEPT_NUMBERS:
+        while save_every is None and saves > _MIN_STEPS:
+            if saves <= _MAX_SAVED and saves * ensemble.size <= _MAX_SAVED_COMPONENTS:
                 break
             saves //= 2
         found = _stepped(H, name, ensemble, span, steps, steps // saves, **options)
@@ -322,7 +330,7 @@ def choose_steps(
         return replace(found, evaluations=evaluations)
 
     each = save_every or 1
-    fewest = each * math.ceil(_FEWEST / each)
+    fewest = each * math.ceil(_MIN_STEPS / each)
     scheme = INTEGRATORS[name].scheme
     assert not isinstance(scheme, Adaptive)
     return choose(H, scheme, ensemble, span, run, fewest)
@@ -373,18 +381,18 @@ def fixed_step(
     omega: float | None = None,
     tangents: np.ndarray | None = None,
 ) -> Stepper:
-    """Trajectories that advance by equal steps; see :class:`hamsym.integrators.fixed_step.Stepper`.
+    """Make a fixed-step integrator; see :class:`hamsym.integrators.fixed_step.Stepper`.
 
     Raises
     ------
     InputError
-        If the method is unknown, chooses its own steps, or cannot be used for this H.
+        If the method is unknown, adaptive, or does not apply to this H.
     """
     name = usable_method(H, method)
     scheme = INTEGRATORS[name].scheme
     if isinstance(scheme, Adaptive):
         fixed = ", ".join(key for key, row in INTEGRATORS.items() if not row.adaptive)
-        raise InputError(f"{method} chooses its own steps; choose one of {fixed}")
+        raise InputError(f"{method} is adaptive; give a method with fixed steps: {fixed}")
     if omega is None:
         omega = _coupling(H, states, starts) if isinstance(scheme, Doubled) else 0.0
     require_number("omega", omega, 0)
@@ -402,14 +410,14 @@ def fixed_step(
 
 
 def usable_method(H: Hamiltonian, method: str) -> str:
-    """The name under which a method is in the table, if it can be used for this H.
+    """Resolve aliases of a method and check that it applies to this H.
 
     Raises
     ------
     InputError
-        If it is not there.
+        If the table has no such method.
     SeparabilityError
-        If it splits H and H is not separable.
+        If it is a splitting method and H is not separable.
     """
     name = ALIASES.get(method, method) if isinstance(method, str) else ""
     if name not in INTEGRATORS:
@@ -418,13 +426,13 @@ def usable_method(H: Hamiltonian, method: str) -> str:
     if split and not H.is_separable:
         raise SeparabilityError(
             f"{method} needs H = T(p) + V(q), and this H is not separable; choose a method for any "
-            "H, such as gauss4, implicit_midpoint or tao4"
+            "H: gauss4, implicit_midpoint or tao4"
         )
     return name
 
 
 def usual_method(H: Hamiltonian) -> str:
-    """An accurate symplectic method for this H: splitting where H is separable."""
+    """Name of the default method: a splitting if H is separable, else Gauss."""
     return "blanes_moan6" if H.is_separable else "gauss6"
 
 
@@ -449,15 +457,17 @@ def _run_adaptive(
     return _Run(times, z, False, evaluations, message)
 
 
-def _reached(z: np.ndarray, times: np.ndarray, message: str) -> tuple[np.ndarray, np.ndarray, str]:
-    """Trajectories up to the last of them that still has a state, and what to say of it."""
+def _cut_at_end(
+    z: np.ndarray, times: np.ndarray, message: str
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Cut trajectories where the longest of them ends, and complete the message."""
     if not message and np.isfinite(z).all():
         return z, times, message
     finite = np.logical_and.accumulate(np.isfinite(z).all(axis=-1), axis=1)
     z[~finite] = np.nan
     counts = finite.sum(axis=1)
     if counts.min() < len(times):
-        message = message or "the states left the range of numbers"
+        message = message or "the state is no longer finite"
     if message:
         stopped = f"stopped after t = {times[counts.min() - 1]:.6g}: {message}"
         if len(z) > 1:
@@ -500,15 +510,15 @@ def _tolerances(rtol: float | None, atol: float | None) -> tuple[float, float | 
 
 
 def _require_memory(saves: int, dim: int, batch: int) -> None:
-    # The states, a copy of them while they are put together, and the energies.
+    # The states, a copy of them while they are concatenated, and the energies.
     wanted = (saves + 1) * (2 * dim + 1) * 8 * batch
     try:
         there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # not every system can say
+    except (AttributeError, ValueError, OSError):  # not available on every system
         return
     if wanted > there // 2:
         states = f"{saves:,} states" + (f" of {batch:,} trajectories" if batch > 1 else "")
         raise InputError(
-            f"{states} would take {wanted / 2**30:.1f} GiB of {there / 2**30:.1f} GiB; "
-            "keep fewer of them with save_every"
+            f"{states} need {wanted / 2**30:.1f} GiB, more than half of the memory of "
+            f"{there / 2**30:.1f} GiB; save fewer with a larger save_every"
         )

@@ -1,24 +1,19 @@
-"""The table of integrators by name."""
+"""Table of integrators by name."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from hamsym.integrators import coefficients
 from hamsym.integrators.adaptive import Adaptive, run_dop853, run_odeint
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
-
-if TYPE_CHECKING:
-    pass
-
 
 __all__ = ["ALIASES", "INTEGRATORS", "Integrator", "listing"]
 
 
 @dataclass(frozen=True)
 class Integrator:
-    """A row of the table: how a method steps, and what the literature calls it.
+    """A row of the table: the scheme of a method, its order and its source.
 
     Attributes
     ----------
@@ -34,22 +29,22 @@ class Integrator:
 
     @property
     def adaptive(self) -> bool:
-        """Whether the method chooses its own steps, to rtol and atol."""
+        """Whether the method adapts its steps to rtol and atol."""
         return isinstance(self.scheme, Adaptive)
 
     @property
     def symplectic(self) -> bool:
-        """Whether a step is a symplectic map of phase space."""
+        """Whether each step is a symplectic map of phase space."""
         return self.scheme.is_symplectic
 
     @property
     def kind(self) -> str:
-        """splitting (for separable H), implicit, doubled (any H) or adaptive (any H)."""
+        """Family: splitting (for separable H), implicit, doubled or adaptive (for any H)."""
         return _KINDS[type(self.scheme)]
 
     @property
     def stages(self) -> int | None:
-        """Evaluations of the force or the gradient in a step; implicit methods repeat them."""
+        """Force or gradient evaluations per step; per iteration for implicit methods."""
         return None if isinstance(self.scheme, Adaptive) else self.scheme.stages
 
 
@@ -133,12 +128,12 @@ INTEGRATORS: dict[str, Integrator] = {
 }
 
 
-#: Other names of the same coefficients.
+#: Alternative names of integrators.
 ALIASES = {"yoshida4": "forest_ruth"}
 
 
 def listing() -> str:
-    """The table of integrators as text, a line of at most 80 columns for each."""
+    """Format the table of integrators as text, one line of at most 80 columns each."""
     lines = [f"{'method':<18}{'order':>6}{'stages':>8}  {'kind':<11}source"]
     for name, row in INTEGRATORS.items():
         stages = "-" if row.stages is None else str(row.stages)

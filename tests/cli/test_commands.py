@@ -206,7 +206,7 @@ def test_nan_energy_is_reported(capsys: Captured) -> None:
     status, out, err = run(capsys, "integrate", *arguments)
     assert status == 0
     assert "largest change of H: nan" in out
-    assert "H is not a number on the way: take more steps" in err
+    assert "H is not finite on the trajectory: take more steps" in err
 
 
 def test_integrate_lists_its_methods(capsys: Captured) -> None:
@@ -318,7 +318,7 @@ def test_ctrl_c_prints_partial_result(capsys: Captured, monkeypatch: pytest.Monk
             raise KeyboardInterrupt
         return original(self, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(fixed_step, "_PIECE", 1_000)
+    monkeypatch.setattr(fixed_step, "_PIECE_WORK", 1_000)
     monkeypatch.setattr(fixed_step.Stepper, "_run", interrupted)
     arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "10", "--steps", "5000"]
     status, out, _ = run(capsys, "integrate", *arguments, "--method", "symplectic_euler")
@@ -337,7 +337,7 @@ def test_failed_integration_exits_with_1(capsys: Captured) -> None:
 BAD = [
     (["derive", "p^2"], "'^' at column 2 is not a power; write ** for powers"),
     (["derive", "x + m"], "no pair such as"),
-    (["derive", "p**2", "--q", "x"], "q and p are given together"),
+    (["derive", "p**2", "--q", "x"], "q is given without p; give both or neither"),
     (["derive", OSCILLATOR, "--param", "k=1"], "'k' does not occur in H"),
     (["derive", "p**2 + k*x**2", "--param", "k"], "'k' in --param is not NAME=VALUE"),
     (["derive", "p**2 + k*x**2", "--param", "k=one"], "is a variable"),
@@ -345,7 +345,7 @@ BAD = [
     (["derive"], "Missing argument 'H'"),
     (["derive", OSCILLATOR, "--colour"], "--colour"),
     (["integral"], "No such command 'integral'"),
-    (["source", OSCILLATOR, "--part", "lagrangian"], "'lagrangian' is not a part"),
+    (["source", OSCILLATOR, "--part", "lagrangian"], "'lagrangian' is not a function"),
     (["source", OSCILLATOR, "--backend", "jax"], "jax"),
     (["source", OSCILLATOR, "-o", "no/such/folder/f.py"], "no/such/folder"),
     (["solve", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--epochs", "5"], "'epochs' is not"),

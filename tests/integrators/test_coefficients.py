@@ -1,4 +1,4 @@
-"""Order conditions in 50 digits, from the coefficients alone, for every method of the table."""
+"""Order conditions to 50 digits, from the coefficients, for every method of the table."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_order_conditions_of_gauss_methods(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", SPLITTINGS + DOUBLED + RUNGE_KUTTA)
-def test_what_follows_from_the_coefficients(method: str) -> None:
+def test_properties_follow_from_the_coefficients(method: str) -> None:
     row = INTEGRATORS[method]
     assert row.symplectic == (method not in DOUBLED)
     assert row.scheme.is_symmetric == (
@@ -104,7 +104,7 @@ def test_what_follows_from_the_coefficients(method: str) -> None:
     )
 
 
-def test_a_runge_kutta_method_that_is_not_symplectic_is_known() -> None:
+def test_non_symplectic_runge_kutta_is_recognised() -> None:
     zero, one = INTEGRATORS["symplectic_euler"].scheme.kicks[0] * 0, 1 + 0  # type: ignore[union-attr]
     euler = RungeKutta(((zero,),), (zero + one,), (zero,))
     assert not euler.is_symplectic
