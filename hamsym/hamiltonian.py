@@ -34,15 +34,15 @@ __all__ = ["Hamiltonian", "HamiltonianLike"]
 class Hamiltonian:
     """A Hamiltonian H(q, p), its equations of motion and its derivatives.
 
-    The phase-space state is z = (q_1..q_d, p_1..p_d), of dimension 2 d. A symbol ``t`` that is
-    neither a coordinate nor a momentum nor a parameter with a value is the time. All other
-    symbols are parameters.
+    The phase-space state is z = (q_1..q_d, p_1..p_d), of dimension 2 d. A symbol ``t`` is the time
+    unless it is a coordinate, a momentum or a parameter with a value. All other symbols are
+    parameters.
 
     Parameters
     ----------
     expression : str or sympy.Expr
-        The Hamiltonian. Text is parsed by :func:`hamsym.formula.parser.parse_expression`, never
-        evaluated.
+        The Hamiltonian. Text is parsed by :func:`hamsym.formula.parser.parse_expression` and never
+        evaluated as Python.
     q, p : sequence of str or sympy.Symbol, optional
         Coordinates and momenta, in the order of the state. By default the pairs are found from the
         names (:func:`hamsym.symbolic.pairing.find_pairs`), in natural order.
@@ -77,25 +77,27 @@ class Hamiltonian:
         p: Sequence[str | sympy.Symbol] | None = None,
         parameters: Mapping[Any, float] | None = None,
     ) -> None:
-        # Into __dict__, since attributes cannot be set.
+        # __setattr__ raises.
         self.__dict__.update(assign_variables(expression, q, p, parameters)._asdict())
 
     expr: sympy.Expr
     q: tuple[sympy.Symbol, ...]
     p: tuple[sympy.Symbol, ...]
     z: tuple[sympy.Symbol, ...]
-    #: Values of the parameters that have one, by name.
+    #: Values of the parameters that have a value, by name.
     parameters: Mapping[str, float]
     #: The symbol t if H depends on time explicitly, else None.
     time: sympy.Symbol | None
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(
-            f"a Hamiltonian is immutable; build another one instead of setting {name!r}"
+            f"a Hamiltonian is immutable; make a new one instead of setting {name!r}"
         )
 
     def __delattr__(self, name: str) -> NoReturn:
-        raise AttributeError(f"a Hamiltonian is immutable; {name!r} cannot be deleted")
+        raise AttributeError(
+            f"a Hamiltonian is immutable; make a new one instead of deleting {name!r}"
+        )
 
     # -- identity --------------------------------------------------------------------------
 
@@ -163,7 +165,7 @@ class Hamiltonian:
         return tuple(name for name in self.parameter_names if name not in self.parameters)
 
     def with_parameters(self, /, **values: float) -> Hamiltonian:
-        """The same Hamiltonian with other parameter values.
+        """Return the same Hamiltonian with other parameter values.
 
         Examples
         --------
@@ -181,7 +183,7 @@ class Hamiltonian:
         Raises
         ------
         InputError
-            If the argument is something else, is not a Hamiltonian, or a parameter has no value.
+            If the argument is neither, or a parameter has no value.
 
         Examples
         --------
@@ -204,7 +206,7 @@ class Hamiltonian:
         Raises
         ------
         ParameterError
-            Naming the parameters and the remedy.
+            If a parameter has no value.
         """
         self._require_values(self.unbound_parameters)
 
@@ -269,8 +271,8 @@ class Hamiltonian:
         ----------
         energy : float
         z0 : mapping
-            All components by name except one. That component becomes the smallest number >= 0
-            that gives H this value.
+            All components by name except one. The missing component is set to the smallest
+            number >= 0 for which H has this value.
         t : float
             The time, if H depends on it.
 
@@ -299,7 +301,10 @@ class Hamiltonian:
         missing = [name for name in self.names if canonical_name(name) not in given]
         if len(missing) != 1:
             listed = ", ".join(missing) or "none"
-            raise VariableError(f"z0 must lack one component for the energy; missing: {listed}")
+            raise VariableError(
+                "z0 must lack exactly one component, which the energy determines; missing: "
+                f"{listed}"
+            )
         require_number("energy", energy)
         state, where = self.state_from({**z0, missing[0]: 0.0}), self.names.index(missing[0])
         system = self.compile("numpy")
@@ -312,7 +317,9 @@ class Hamiltonian:
 
         found = first_zero(excess)
         if found is None:
-            raise VariableError(f"no {missing[0]} >= 0 gives the energy {energy:g}")
+            raise VariableError(
+                f"no {missing[0]} >= 0 gives the energy {energy:g}; give another energy or start"
+            )
         state[where] = found
         return state
 
@@ -325,33 +332,33 @@ class Hamiltonian:
         return Equations(self.expr, self.z, self.time, values)
 
     def _own(self, expr: sympy.Expr) -> sympy.Expr:
-        """An expression in real symbols, in the symbols of H.expr."""
+        """Convert an expression from real symbols to the symbols of H.expr."""
         back = self.real_equations.back
         return expr.xreplace(back) if back else expr
 
     @cached_property
     def gradient(self) -> sympy.ImmutableDenseMatrix:
-        """grad H, a column of length dim."""
+        """Gradient of H, a column of length dim."""
         return sympy.ImmutableDenseMatrix(
             [self._own(entry) for entry in self.real_equations.gradient]
         )
 
     @cached_property
     def hessian(self) -> sympy.ImmutableDenseMatrix:
-        """The matrix of second derivatives, dim x dim."""
+        """Matrix of second derivatives, dim x dim."""
         entries = {index: self._own(entry) for index, entry in self.real_equations.hessian.items()}
         return sympy.ImmutableDenseMatrix(sympy.SparseMatrix(self.dim, self.dim, entries))
 
     @cached_property
     def poisson_matrix(self) -> sympy.ImmutableDenseMatrix:
-        """J = [[0, 1], [-1, 0]], dim x dim (the paper's symplectic notation)."""
+        """Poisson matrix J = [[0, 1], [-1, 0]], dim x dim (the paper's symplectic notation)."""
         d = self.dof
         entries = {(i, d + i): 1 for i in range(d)} | {(d + i, i): -1 for i in range(d)}
         return sympy.ImmutableDenseMatrix(sympy.SparseMatrix(self.dim, self.dim, entries))
 
     @cached_property
     def vector_field(self) -> sympy.ImmutableDenseMatrix:
-        """J grad H, the right-hand side of Hamilton's equations, a column of length dim."""
+        """Right-hand side J grad H of Hamilton's equations, a column of length dim."""
         return sympy.ImmutableDenseMatrix([self._own(e) for e in self.real_equations.vector_field])
 
     @cached_property
@@ -372,7 +379,7 @@ class Hamiltonian:
 
     @property
     def is_separable(self) -> bool:
-        """Whether H = T(p) + V(q), that is all mixed second derivatives vanish identically."""
+        """Whether H = T(p) + V(q): all mixed second derivatives vanish identically."""
         return self.real_equations.is_separable
 
     @cached_property
@@ -387,12 +394,12 @@ class Hamiltonian:
 
     @property
     def kinetic(self) -> sympy.Expr | None:
-        """T(p) of a separable H = T(p) + V(q), else None."""
+        """Kinetic energy T(p) of a separable H = T(p) + V(q), else None."""
         return None if self._split is None else self._own(self._split[0])
 
     @property
     def potential(self) -> sympy.Expr | None:
-        """V(q) of a separable H = T(p) + V(q), with all terms free of p, else None."""
+        """Potential V(q) of a separable H = T(p) + V(q), all terms without p, else None."""
         return None if self._split is None else self._own(self._split[1])
 
     @cached_property
@@ -410,12 +417,12 @@ class Hamiltonian:
         )
 
     def poisson_bracket(self, f: str | sympy.Expr, g: str | sympy.Expr) -> sympy.Expr:
-        """{f, g} = sum_i df/dq_i dg/dp_i - df/dp_i dg/dq_i.
+        """Poisson bracket {f, g} = sum_i df/dq_i dg/dp_i - df/dp_i dg/dq_i.
 
         Parameters
         ----------
         f, g : str or sympy.Expr
-            Functions of the state (and of the parameters and the time).
+            Functions of the state, the parameters and the time.
 
         Examples
         --------
@@ -441,7 +448,7 @@ class Hamiltonian:
         return derivatives.vanishes(brackets.evolution(function, real.expr, real.z, time))
 
     def _function(self, f: str | sympy.Expr) -> sympy.Expr:
-        """A function of the state, the parameters and the time, in real symbols."""
+        """Convert a function of the state, the parameters and the time to real symbols."""
         return brackets.phase_function(f, (*self.names, *self.parameter_names, TIME))
 
     def observable(self, f: str | sympy.Expr) -> Callable[..., np.ndarray]:
@@ -509,9 +516,9 @@ class Hamiltonian:
     # -- generated code ----------------------------------------------------------------------
 
     def source(self, backend: str = "torch", part: str | None = None) -> str:
-        """The generated module, or one function of it, as text.
+        """Generate the module, or one of its functions, as text.
 
-        The text is what :meth:`compile` runs; written to a file it needs only its backend.
+        :meth:`compile` executes this text. As a file it depends only on its backend.
 
         Parameters
         ----------
@@ -524,7 +531,7 @@ class Hamiltonian:
         InputError
             If the backend or the part is unknown.
         CodeGenerationError
-            If H contains a function that the backend lacks.
+            If the backend lacks a function of H.
 
         Examples
         --------
@@ -536,10 +543,10 @@ class Hamiltonian:
         return source.text if part is None else source.function(part)
 
     def compile(self, backend: str = "torch") -> System:
-        """The generated functions of one backend, ready to call; cached.
+        """Make callables of the generated functions of one backend; cached.
 
-        A function is derived and generated when it is first used. With ``"numba"`` its first call
-        compiles it.
+        A function is derived and generated on first use. With ``"numba"`` it is compiled on its
+        first call.
 
         Examples
         --------
@@ -550,7 +557,7 @@ class Hamiltonian:
         return load(generate(self.real_equations, backend))
 
 
-#: Argument H of the solvers; see :meth:`Hamiltonian.of`.
+#: Type of the argument H of the solvers; see :meth:`Hamiltonian.of`.
 HamiltonianLike: TypeAlias = Hamiltonian | str | sympy.Expr
 
 

@@ -1,1 +1,1 @@
-"""Templates of the generated modules, and the loops of the integrators (data of hamsym)."""
+"""Templates of the generated modules, and loops of the integrators (package data of hamsym)."""

@@ -1,9 +1,9 @@
-"""Loops of the integrators, which generated numba modules hold behind the kernels of their H.
+"""Loops of the integrators, appended to generated numba modules after the kernels of their H.
 
-A module takes the sections that its H can use; what is above the first section is left out.
+A module contains the sections that apply to its H, without the text above the first section.
 
 ``DOF`` and ``DIM`` are the numbers of coordinates and of components. Coordinates q and momenta p
-are what ``read_q`` and ``read_p`` return. The other kernels are ``write``, ``shift``,
+have the types that ``read_q`` and ``read_p`` return. The other kernels are ``write``, ``shift``,
 ``shift_compensated``, ``velocity`` (dH/dp) and ``slope`` (dH/dq), with ``velocity_curvature``,
 ``slope_curvature``, ``shear_q`` and ``shear_p`` for tangent vectors, ``_velocity_jacobian`` and
 ``_slope_jacobian`` for implicit halves, and ``_gradient``, ``_vector_field`` and ``_hessian`` at
@@ -18,17 +18,18 @@ from numba import njit
 
 # -- integrators ---------------------------------------------------------------------------------
 #
-# Each loop advances states, shape (n, ...), by saves*save_every steps of sizes[i] that begin
-# first steps after starts[i], and writes them to out, shape (n, saves, DIM), after every
-# save_every steps. low, of the same shape as the states, is what compensated summation carries
-# from step to step. columns, shape (n, ..., k), are moved by the derivative of the steps. done,
-# shape (n, 2), counts steps, and evaluations where their number is not known beforehand.
+# Each loop advances states, shape (n, ...), by saves*save_every steps of length sizes[i]. The
+# steps begin at time starts[i] + first*sizes[i]. After every save_every steps the states are
+# written to out, shape (n, saves, DIM). low, of the same shape as the states, is the rounding
+# error that compensated summation adds to the next step. columns, shape (n, ..., k), are tangent
+# vectors, propagated by the derivative of the steps. done, shape (n, 2), counts steps, and
+# evaluations where their number depends on iterations.
 
 # -- splitting -----------------------------------------------------------------------------------
 #
 # A stage is a row (drift, kick, time of the drift, time of the kick), in units of a step: q
-# moves by drift*h*dH/dp, then p by -kick*h*dH/dq. The last kick may be zero and is left out
-# then; a test of every coefficient would slow short steps down.
+# changes by drift*h*dH/dp, then p by -kick*h*dH/dq. A last kick of zero is skipped; a test of
+# every coefficient would slow down short steps.
 
 
 @njit(error_model="numpy", nogil=True, cache=True)
@@ -76,8 +77,8 @@ def splitting_ensemble(
 ):
     """Splitting methods, 64 trajectories at a time; compensated where low is not None.
 
-    The trajectories of a block take each flow together: their arithmetic is independent, and so
-    the processor does several at once.
+    Each flow is applied to all trajectories of a block: their arithmetic is independent, so the
+    processor executes several at once.
     """
     lanes, low_lanes = np.empty((DIM, 64)).T, np.empty((DIM, 64)).T
     rows = out.reshape(-1, DIM)
@@ -170,7 +171,7 @@ def splitting_tangent(
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def _factor(matrix, pivots):
-    """LU factors with partial pivoting, in place."""
+    """Compute LU factors with partial pivoting, in place."""
     size = matrix.shape[0]
     for column in range(size):
         pivot = column
@@ -191,7 +192,7 @@ def _factor(matrix, pivots):
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def _substitute(matrix, pivots, right):
-    """Solve with the factors of a matrix, in place."""
+    """Solve a linear system with the LU factors of its matrix, in place."""
     size = matrix.shape[0]
     for row in range(size):
         pivot = pivots[row]
@@ -212,7 +213,7 @@ def _substitute(matrix, pivots, right):
 def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots):
     """Solve the implicit half of a step for q (for p unless q_first), in place.
 
-    Returns whether it was solved, and the evaluations.
+    Returns whether the iteration converged, and the number of evaluations.
     """
     at, h = (0, h) if q_first else (DOF, -h)
     unknown = z[0, at : at + DOF]
@@ -229,7 +230,7 @@ def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots):
             for entry in range(DOF):
                 derivative = mixed[row, entry] if q_first else mixed[entry, row]
                 matrix[row, entry] = (row == entry) - h * derivative
-        # Slopes may be what is left of terms that cancel; this is their size.
+        # Slopes may be small differences of large terms; this is the size of these terms.
         terms = 0.0
         for row in range(DOF):
             value = 0.0
@@ -252,7 +253,7 @@ def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots):
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def _euler_tangents(tangents, second, h, q_first, matrix, pivots):
-    """Move tangent vectors by the derivative of a step, by the implicit function theorem."""
+    """Propagate tangent vectors by the derivative of a step, by the implicit function theorem."""
     unknown, given, h = (0, DOF, h) if q_first else (DOF, 0, -h)
     right = np.empty(DOF)
     for row in range(DOF):
@@ -285,8 +286,8 @@ def euler(
 ):  # fmt: skip
     """Symplectic Euler: both slopes at (q_n+1, p_n, t_n+1), or else at (q_n, p_n+1, t_n).
 
-    H is not separable: the first half is implicit. Where it has no solution the rest of out
-    is left as it was.
+    For a non-separable H the first half is implicit. If it has no solution the rest of out is
+    unchanged.
     """
     slopes = np.empty(DOF)
     mixed = np.zeros((DOF, DOF))
@@ -327,7 +328,7 @@ def euler(
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def _stage_matrix(matrix, coefficients, second, h):
-    """1 - h a_ij J Hess_j, with second[j] for the Hessian at stage j."""
+    """Newton's matrix 1 - h a_ij J Hess_j, where second[j] is the Hessian at stage j."""
     stages = coefficients.shape[0]
     for stage in range(stages):
         for other in range(stages):
@@ -346,11 +347,11 @@ def implicit(
     states, low, columns, out, done, starts, sizes, first, saves, save_every,
     coefficients, weights, nodes, continued, parameters,
 ):  # fmt: skip
-    """Implicit Runge-Kutta methods: the stages by Newton's method with the Hessian of H.
+    """Implicit Runge-Kutta methods: stages by Newton's method with the Hessian of H.
 
-    A state is followed by the rates at the last step's stages; continued by extrapolation they
-    are the first guess. The factors of Newton's matrix are kept within a step while the
-    corrections shrink tenfold. The sum over steps is compensated.
+    Each row of states contains the state and the rates at the last step's stages, which are
+    extrapolated to the initial guess. The factors of Newton's matrix are kept within a step while
+    the corrections shrink tenfold. The sum over steps is compensated.
     """
     stages = weights.shape[0]
     increments = np.empty((stages, DIM))
@@ -399,7 +400,7 @@ def implicit(
                         _hessian(points, times, parameters, second)
                         _stage_matrix(matrix, coefficients, second, h)
                         _factor(matrix, pivots)
-                        # Slopes may be what is left of terms that cancel; these are their size.
+                        # Slopes may be small differences of large terms; these are their sizes.
                         terms[:] = 0.0
                         for stage in range(stages):
                             for row in range(DIM):
@@ -483,10 +484,10 @@ def implicit(
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def _flow(state, columns, at, h, slopes, second, times, fresh, parameters):
-    """In (q, p, x, y): the flow of H(q, y) with at = 0, that of H(x, p) with at = DIM.
+    """Apply the flow of H(q, y), at = 0, or of H(x, p), at = DIM, to a state (q, p, x, y).
 
-    The arguments of H stay, and the other two move by its slopes there, which are computed anew
-    unless they are fresh.
+    The arguments of H are constant, and the other two change by its slopes there, which are
+    recomputed unless they are fresh.
     """
     over = DIM - at
     point = np.empty((1, DIM))

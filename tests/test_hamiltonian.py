@@ -226,7 +226,7 @@ def test_invalid_expressions_are_rejected(expression: object, message: str) -> N
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"q": ["x"]}, "together"),
+        ({"q": ["x"]}, "q is given without p"),
         ({"q": ["x"], "p": []}, "do not pair"),
         ({"q": [], "p": []}, "do not pair"),
         ({"q": ["x", "x"], "p": ["p", "r"]}, "twice"),
@@ -369,7 +369,7 @@ def test_state_at_energy() -> None:
         (1.0, {"x": 0, "p_x": 0}, "missing: y, p_y"),
         (1.0, {"x": 0, "p_x": 0, "y": 0, "p_y": 0}, "missing: none"),
         (-1.0, {"x": 0, "p_x": 0, "y": 0}, "no p_y >= 0 gives the energy -1"),
-        (1.0, {"x": 0, "p_x": 0, "q": 0}, "must lack one|not a component"),
+        (1.0, {"x": 0, "p_x": 0, "q": 0}, "must lack exactly one|not a component"),
     ],
 )
 def test_unreachable_energies_are_rejected(energy: float, start: dict, message: str) -> None:

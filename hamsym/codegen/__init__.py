@@ -1,1 +1,1 @@
-"""Equations to source text and callables: names, bodies, printers, the cache of compiled code."""
+"""Code generation: equations to source text and callables, and the cache of compiled code."""

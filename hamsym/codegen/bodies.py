@@ -1,4 +1,4 @@
-"""Bodies of the generated functions: expressions as text, common subexpressions taken out."""
+"""Bodies of the generated functions: expressions as text, with common subexpressions."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from hamsym.formula.printer import Printer
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
 
-# Common subexpressions are taken out of a function with more operations than this, if that saves
+# Common subexpressions are extracted from a function with more operations than this, if that saves
 # at least a third of them; smaller functions read better without temporaries.
 _CSE_OPERATIONS = 30
 _CSE_SAVING = 0.67
-# From so many costly terms on that others are like, loops are faster to compile.
-_MANY = 24
+# Number of repeated costly terms from which loops are faster to compile.
+_MIN_LOOPED_TERMS = 24
 _IDENTIFIER = re.compile(r"[^\W\d]\w*")
 
 Index = tuple[int, int]
@@ -30,7 +30,7 @@ _Half = tuple[Sequence[sympy.Symbol], list[derivatives.Alike], sympy.Expr]
 
 @dataclass(frozen=True)
 class Body:
-    """Text of a function's computation: temporaries in order, then the results.
+    """Text of a function's computation: temporaries in order of evaluation, and results.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Body:
     results : list of str
     names : Names
     indices : list of (row, column)
-        Places of results that are entries of a matrix.
+        Positions in the matrix of the results that are matrix entries.
     """
 
     temporaries: list[tuple[str, str]]
@@ -48,22 +48,22 @@ class Body:
 
     @cached_property
     def identifiers(self) -> frozenset[str]:
-        """Every name that the text contains."""
+        """All names in the text."""
         texts = [*(text for _, text in self.temporaries), *self.results]
         return frozenset(name for text in texts for name in _IDENTIFIER.findall(text))
 
     @property
     def used(self) -> list[str]:
-        """Components of the state that occur."""
+        """Components of the state that occur in the text."""
         return [name for name in self.names.state if name in self.identifiers]
 
     @property
     def unpacked(self) -> list[str]:
-        """The components in order, with an underscore for those that do not occur."""
+        """Targets to unpack a state: component names, or "_" for those that do not occur."""
         return self.used_of(self.names.state)
 
     def used_of(self, names: Sequence[str]) -> list[str]:
-        """Given names, with an underscore for those that do not occur."""
+        """The given names, with "_" for those that do not occur."""
         return [name if name in self.identifiers else "_" for name in names]
 
     @property
@@ -73,7 +73,7 @@ class Body:
 
     @property
     def unpacked_parameters(self) -> list[str]:
-        """The parameters in order, with an underscore for those that do not occur."""
+        """Targets to unpack parameters: names, or "_" for those that do not occur."""
         return self.used_of([name for name, _ in self.names.parameters])
 
     @property
@@ -83,24 +83,24 @@ class Body:
 
     @property
     def like(self) -> str:
-        """A component of the state that is unpacked."""
+        """Name of an unpacked component, as a template for the shape of tensors."""
         return (self.used or self.names.state)[0]
 
 
 @dataclass(frozen=True)
 class Loop:
-    """The derivatives of terms that are alike, computed by a loop over a table of indices.
+    """Derivatives of terms with a common template, computed by a loop over an index table.
 
     Attributes
     ----------
     table : list of str
-        The indices of each term's variables in its half of the state, as text.
+        Indices of each term's variables in its half of the state, as text.
     weights : list of str
-        The factor of each term, as text; empty if they are in the results.
+        Factor of each term, as text; empty if the results contain a common factor.
     places, indices : list of str
-        Names of a term's variables, and of their indices.
+        Names of the template's variables and of their indices.
     body : Body
-        The derivatives by the places.
+        Derivatives of the template with respect to its variables.
     """
 
     table: list[str]
@@ -112,14 +112,14 @@ class Loop:
 
 @dataclass(frozen=True)
 class Looped:
-    """A gradient by one half of the state: loops, and what the other terms add."""
+    """Gradient with respect to one half of the state: loops, and the remaining terms."""
 
     loops: list[Loop]
     rest: Body
 
 
 class Bodies:
-    """The computation of every generated function, as text that is made when first asked for."""
+    """Bodies of all generated functions, each generated on first access."""
 
     def __init__(self, form: Equations, names: Names, backend: str) -> None:
         self._form, self._names, self._backend = form, names, backend
@@ -140,12 +140,12 @@ class Bodies:
 
     @cached_property
     def hessian(self) -> Body:
-        """The upper triangle."""
+        """Upper triangle of the Hessian."""
         return self._matrix([], {(i, j): e for (i, j), e in self._form.hessian.items() if i <= j})
 
     @property
     def hessian_rows(self) -> list[list[str]]:
-        """The whole matrix, with ``zero`` for entries that vanish."""
+        """Rows of the full Hessian, with ``zero`` for entries that vanish."""
         entries = dict(zip(self.hessian.indices, self.hessian.results, strict=True))
         entries |= {(j, i): text for (i, j), text in entries.items()}
         dim = range(len(self._form.z))
@@ -153,7 +153,7 @@ class Bodies:
 
     @cached_property
     def residual(self) -> Body:
-        """Rows of the residual with the derivative first, such as ``"dp + x + x**3"``."""
+        """Components of the residual, derivative first: ``"dp + x + x**3"``."""
         printer = self._printer(self._form.z, self._names.of)
         rows = []
         for name, rate in zip(self._names.derivatives, self._form.vector_field, strict=True):
@@ -179,31 +179,32 @@ class Bodies:
 
     @cached_property
     def is_looped(self) -> bool:
-        """Whether so many terms are alike and costly that they are not written out."""
+        """Whether repeated costly terms are computed by loops instead of being written out."""
         return any(
-            sum(len(group.rows) - 1 for group in groups) >= _MANY for _, groups, _ in self._halves
+            sum(len(group.rows) - 1 for group in groups) >= _MIN_LOOPED_TERMS
+            for _, groups, _ in self._halves
         )
 
     @property
     def velocity_loops(self) -> Looped:
-        """dH/dp, with loops for costly terms that are alike."""
+        """dH/dp, with loops over costly terms that have a common template."""
         return self._looped(*self._halves[1])
 
     @property
     def slope_loops(self) -> Looped:
-        """dH/dq, with loops for costly terms that are alike."""
+        """dH/dq, with loops over costly terms that have a common template."""
         return self._looped(*self._halves[0])
 
     @cached_property
     def _halves(self) -> list[_Half]:
         """Coordinates and momenta of a separable H, each with the terms that contain them."""
         form, d = self._form, self._form.dof
-        if not form.is_separable or len(sympy.Add.make_args(form.expr)) < _MANY:
+        if not form.is_separable or len(sympy.Add.make_args(form.expr)) < _MIN_LOOPED_TERMS:
             return []
         found: list[_Half] = []
         for half in (form.z[:d], form.z[d:]):
             terms = [e for e in sympy.Add.make_args(form.expr) if e.free_symbols & set(half)]
-            # Sums of polynomials are faster written out.
+            # Polynomials are faster written out than in a loop.
             cheap = [term for term in terms if term.is_polynomial(*half)]
             costly = [term for term in terms if term not in cheap]
             groups, rest = derivatives.alike_terms(sympy.Add(*costly), half)
@@ -236,26 +237,26 @@ class Bodies:
 
     @cached_property
     def velocity_curvature(self) -> Body:
-        """dH/dp, and its derivatives by p."""
+        """dH/dp and its derivatives with respect to p."""
         d = self._form.dof
         kinetic = {(i - d, j - d): e for (i, j), e in self._form.hessian.items() if min(i, j) >= d}
         return self._matrix(self._form.gradient[d:], kinetic)
 
     @cached_property
     def slope_curvature(self) -> Body:
-        """dH/dq, and its derivatives by q."""
+        """dH/dq and its derivatives with respect to q."""
         d = self._form.dof
         potential = {index: e for index, e in self._form.hessian.items() if max(index) < d}
         return self._matrix(self._form.gradient[:d], potential)
 
     @cached_property
     def velocity_jacobian(self) -> Body:
-        """dH/dp, and the mixed second derivatives."""
+        """dH/dp and the mixed second derivatives."""
         return self._matrix(self._form.gradient[self._form.dof :], self._mixed)
 
     @cached_property
     def slope_jacobian(self) -> Body:
-        """dH/dq, and the mixed second derivatives."""
+        """dH/dq and the mixed second derivatives."""
         return self._matrix(self._form.gradient[: self._form.dof], self._mixed)
 
     @property
@@ -307,7 +308,7 @@ def _common_subexpressions(
 
 
 def _has_operations(exprs: Sequence[sympy.Expr], count: float) -> bool:
-    """Whether expressions have so many operations; counting further would cost as much again."""
+    """Whether expressions have at least ``count`` operations; counting stops there."""
     total = 0
     for expr in exprs:
         total += int(sympy.count_ops(expr))

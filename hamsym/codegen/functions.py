@@ -1,4 +1,4 @@
-"""Expressions in the symbols of H as one generated numpy function."""
+"""Compilation of expressions in the symbols of H to one numpy function."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _INFINITE = (sympy.nan, sympy.zoo, sympy.oo, -sympy.oo)
 def compile_expressions(
     expressions: Sequence[sympy.Expr], equations: Equations
 ) -> Callable[..., np.ndarray]:
-    """A numpy function of states and times with one value for each expression.
+    """Compile expressions to a numpy function of states and times.
 
     Parameters
     ----------
     expressions : sequence of sympy.Expr
-        In the real symbols of the equations, and the time.
+        In the real symbols of the equations and the time.
     equations : Equations
-        With a value for every parameter that occurs.
+        Every parameter in the expressions must have a value.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def compile_expressions(
     """
     source = expressions_source(expressions, equations)
     filename = f"<hamsym functions {hashlib.sha256(source.encode()).hexdigest()[:12]}>"
-    # Tracebacks show the source; with mtime None the entry outlives linecache.checkcache.
+    # Tracebacks show the source; an entry with mtime None is kept by linecache.checkcache.
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
     namespace: dict[str, Any] = {}
     exec(compile(source, filename, "exec"), namespace)  # noqa: S102
@@ -56,12 +56,12 @@ def compile_expressions(
 
 
 def expressions_source(expressions: Sequence[sympy.Expr], equations: Equations) -> str:
-    """The module that :func:`compile_expressions` runs, with one function ``values``.
+    """Generate the module of :func:`compile_expressions`, with one function ``values``.
 
     Raises
     ------
     CodeGenerationError
-        If an expression contains a function that numpy lacks, or is nested too deeply.
+        If numpy lacks a function of an expression, or an expression is nested too deeply.
     """
     expressions = [sympy.sympify(expression) for expression in expressions]
     names = Names(equations)
@@ -69,7 +69,9 @@ def expressions_source(expressions: Sequence[sympy.Expr], equations: Equations) 
     try:
         temporaries, results = _texts(expressions, names)
     except RecursionError:
-        raise CodeGenerationError("the expression is nested too deeply; split it") from None
+        raise CodeGenerationError(
+            "the expression is nested too deeply; write it with fewer nested functions"
+        ) from None
     used = {symbol.name for expression in expressions for symbol in expression.free_symbols}
     keywords = [
         f"{names.of[symbol]}={value!r}"
@@ -105,7 +107,7 @@ def values(z, t=0.0{", *, " if keywords else ""}{", ".join(keywords)}):
 
 
 def _texts(expressions: Sequence[sympy.Expr], names: Names) -> tuple[list[str], list[str]]:
-    """Assignments of common subexpressions, and the results."""
+    """Print assignments of common subexpressions, and the results."""
     known = dict(names.of)
     printer = NumpyPrinter(known)
     lowered = [

@@ -1,14 +1,14 @@
-"""From the equations of a Hamiltonian to the text of a module, part by part.
+"""Generation of a module's text from the equations of a Hamiltonian, part by part.
 
-Stage 1, names.      Output: an identifier for every symbol, clear of Python's own names and of
-         those that the templates use (:class:`~hamsym.codegen.names.Names`).
+Stage 1, names.      Output: an identifier for every symbol that differs from Python's names and
+         from those in the templates (:class:`~hamsym.codegen.names.Names`).
 Stage 2, printing.   Output: expressions as text in the backend's dialect, with common
-         subexpressions taken out where that shortens the code
+         subexpressions extracted where that shortens the code
          (:class:`~hamsym.codegen.bodies.Bodies`).
 Stage 3, rendering.  One Jinja2 template per backend has a macro for each part of a module; the
-         loops of the integrators are plain Python, pasted behind the kernels.
+         loops of the integrators are plain Python, appended after the kernels.
 
-What a :class:`Source` holds is exactly what :mod:`hamsym.codegen.system` runs.
+:mod:`hamsym.codegen.system` executes exactly the text of a :class:`Source`.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ __all__ = ["BACKENDS", "Source", "generate"]
 
 BACKENDS = tuple(PRINTERS)
 _WIDTH = 96
-# So many degrees of freedom are derived faster than a file is found.
-_QUICK = 6
-# Up to here a function is written out component by component, as in a textbook.
+# Up to this number of degrees of freedom, deriving the text is faster than reading it from a file.
+_MAX_UNCACHED_DOF = 6
+# Up to this dimension functions are written component by component, as in a textbook.
 _TEXTBOOK_DIM = 6
 
 
 @dataclass(frozen=True)
 class _Part:
-    """A piece of a module: the names that it defines, and the parts that these need."""
+    """Dependencies of a part of a module, and the functions that it defines."""
 
     needs: tuple[str, ...] = ("head",)
     defines: tuple[str, ...] = ()
 
 
 _LOOPS = "integrator_loops.py"
-#: Parts in the order of the page. Those without a macro in the template are sections of the loops.
+#: Parts in the order of the module. Those without a macro are sections of the loops.
 _FUNCTION_PARTS = {
     "head": _Part(()),
     **{name: _Part(defines=(name,)) for name in ("energy", "gradient", "vector_field", "hessian")},
@@ -91,7 +91,7 @@ _NOT_SEPARABLE = frozenset(("jacobian", "symplectic Euler"))
 class Source:
     """The generated module of one Hamiltonian and backend, in parts.
 
-    A part is derived and written when it is first asked for.
+    Each part is derived and rendered on first access.
 
     Attributes
     ----------
@@ -106,23 +106,23 @@ class Source:
 
     @property
     def text(self) -> str:
-        """The whole module."""
+        """Text of the whole module."""
         unused = _NOT_SEPARABLE if self.form.is_separable else _ONLY_SEPARABLE
         parts = _FUNCTION_PARTS if self.backend != "numba" else _PARTS
         return self._joined(name for name in parts if name not in unused)
 
     def module(self, function: str) -> str:
-        """A module with one function and all that it needs."""
+        """Text of a module with one function and its dependencies."""
         needed = self.needed(function)
         return self._joined(name for name in _PARTS if name in needed)
 
     @property
     def is_looped(self) -> bool:
-        """Whether the kernels of the integrators loop over terms, with a state as arrays."""
+        """Whether the kernels of the integrators loop over terms, with q and p as arrays."""
         return "np.empty(DOF)" in self.part("access")
 
     def needed(self, function: str) -> list[str]:
-        """The part that defines a function, after those that it needs."""
+        """Names of the part that defines a function and of its dependencies, in order."""
         wanted = [name for name, part in _PARTS.items() if function in part.defines]
         found: list[str] = []
         while wanted:
@@ -132,7 +132,7 @@ class Source:
         return found
 
     def function(self, name: str) -> str:
-        """The text of one function of the module.
+        """Text of one function of the module.
 
         Raises
         ------
@@ -142,17 +142,17 @@ class Source:
         return extract(self.part(name) if name in FUNCTIONS else self.text, name)
 
     def part(self, name: str) -> str:
-        """The text of one part.
+        """Text of one part.
 
         Raises
         ------
         CodeGenerationError
-            If H contains a function that the backend lacks, or is nested too deeply.
+            If the backend lacks a function of H, or H is nested too deeply.
         """
         if name not in self._parts:
             if name in _sections():
                 text = _sections()[name]
-            elif self.form.dof <= _QUICK:
+            elif self.form.dof <= _MAX_UNCACHED_DOF:
                 text = self._rendered(name)
             else:
                 text = cached_text(f"{self._key}\n{name}", lambda: self._rendered(name))
@@ -166,11 +166,13 @@ class Source:
         try:
             return str(getattr(self._template, name)()).strip("\n")
         except RecursionError:
-            raise CodeGenerationError("the Hamiltonian is nested too deeply; split it") from None
+            raise CodeGenerationError(
+                "H is nested too deeply; write it with fewer nested functions"
+            ) from None
 
     @cached_property
     def _key(self) -> str:
-        """All that the text depends on."""
+        """Key of the text cache: everything that determines the text."""
         form = self.form
         parts = (form.expr, form.z, form.time, tuple(form.parameters.values()))
         return f"{_generator()}\n{self.backend}\n{sympy.srepr(parts)}"
@@ -183,7 +185,7 @@ class Source:
 
 
 class _Page:
-    """The names by which templates refer to a Hamiltonian."""
+    """Variables of the templates."""
 
     def __init__(self, source: Source) -> None:
         form, names = source.form, source.names
@@ -193,7 +195,7 @@ class _Page:
         self.z, self.dz = names.state, names.derivatives
         self.q, self.p = self.z[: self.dof], self.z[self.dof :]
         self.uses_erf = form.expr.has(sympy.erf, *rewritten_to(sympy.erf))
-        # The pieces of signatures and calls.
+        # Pieces of signatures and calls.
         self.parameters = [name for name, _ in names.parameters]
         self.time = ", t" if names.time else ""
         self.at_time = "t" if names.time else "0.0"
@@ -208,15 +210,16 @@ class _Page:
     def formula(self) -> str:
         formula = FormulaPrinter()(self._form.expr)
         if not re.fullmatch(rf"[A-Za-z0-9_{GREEK} +\-*/().,]*", formula):
-            # The formula stands in docstrings of the module; nothing else may get into them.
+            # The formula is part of the module's docstrings and must not end them.
             raise CodeGenerationError(
-                "the formula contains characters that cannot appear in generated code"
+                "the formula contains characters that cannot appear in generated code; use only "
+                "letters, digits and underscores in names"
             )
         return formula
 
     @cached_property
     def textbook(self) -> bool:
-        """Whether functions are written out component by component."""
+        """Whether functions are written component by component."""
         return self.dim <= _TEXTBOOK_DIM and not self.bodies.vector_field.temporaries
 
     @property
@@ -254,7 +257,7 @@ class _Page:
 
 @functools.lru_cache(maxsize=256)
 def generate(form: Equations, backend: str) -> Source:
-    """The module that evaluates a Hamiltonian with one backend; the same for equal Hamiltonians.
+    """Generate the module of a Hamiltonian for one backend; cached for equal Hamiltonians.
 
     Raises
     ------
@@ -267,7 +270,7 @@ def generate(form: Equations, backend: str) -> Source:
 
 
 def extract(source: str, part: str) -> str:
-    """One function of a generated module.
+    """Extract one function of a generated module.
 
     Raises
     ------
@@ -279,7 +282,7 @@ def extract(source: str, part: str) -> str:
     }
     if part not in functions:
         known = ", ".join(name for name in functions if not name.startswith("_"))
-        raise InputError(f"'{part}' is not a part of the source; choose one of {known}")
+        raise InputError(f"'{part}' is not a function of the module; choose one of {known}")
     node = functions[part]
     first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
     return "\n".join(source.splitlines()[first - 1 : node.end_lineno])
@@ -294,7 +297,7 @@ def _tuple(items: Sequence[str]) -> str:
 
 @functools.cache
 def _generator() -> str:
-    """A digest of everything that writes code, so that texts of other versions are not used."""
+    """Digest of the code generator, so that cached texts of other versions are not used."""
     digest = hashlib.sha256(sympy.__version__.encode())
     for package in ("codegen", "symbolic", "formula", "templates"):
         for file in sorted(importlib.resources.files(f"hamsym.{package}").iterdir(), key=str):
@@ -305,7 +308,7 @@ def _generator() -> str:
 
 @functools.cache
 def _sections() -> dict[str, str]:
-    """The plain Python of the integrators, by the headings of its sections."""
+    """Sections of the integrators' loops by heading."""
     pieces = re.split(r"^# -- (.+?) -+\n", _read(_LOOPS), flags=re.MULTILINE)[1:]
     ruler = "-" * 84
     return {
@@ -326,7 +329,7 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        autoescape=False,  # the output is Python, and every name in it has been checked
+        autoescape=False,  # the output is Python, with checked names
     )
     environment.filters["filled"] = _filled
     environment.filters["wrapped"] = _wrapped
@@ -337,13 +340,13 @@ def _environment() -> jinja2.Environment:
 
 
 def _filled(text: str, indent: int) -> str:
-    """Prose wrapped to the width of the page, for docstrings."""
+    """Wrap prose of docstrings to the line width."""
     lines = textwrap.wrap(text, _WIDTH - indent, break_long_words=False, break_on_hyphens=False)
     return ("\n" + " " * indent).join(lines)
 
 
 def _wrapped(text: str, indent: int, before: int = 0) -> str:
-    """An expression, broken between its terms and in parentheses if the line would be too long."""
+    """Break an expression between terms, in parentheses, if the line would be too long."""
     if indent + before + len(text) <= _WIDTH:
         return text
     terms = []
@@ -365,7 +368,7 @@ def _wrapped(text: str, indent: int, before: int = 0) -> str:
 
 
 def _pieces(text: str, operators: Sequence[str]) -> list[str]:
-    """An expression, cut in front of operators that are in no parentheses."""
+    """Split an expression before operators outside parentheses."""
     depth, start, pieces = 0, 0, []
     for i, character in enumerate(text):
         depth += (character in "([") - (character in ")]")
@@ -376,7 +379,7 @@ def _pieces(text: str, operators: Sequence[str]) -> list[str]:
 
 
 def _listed(items: Sequence[str], indent: int, before: int = 0) -> str:
-    """Items separated by commas: on one line if they fit, else in parentheses."""
+    """Join items with commas: on one line if they fit, else in parentheses."""
     line = ", ".join(items)
     if indent + before + len(line) <= _WIDTH:
         return line
@@ -385,7 +388,7 @@ def _listed(items: Sequence[str], indent: int, before: int = 0) -> str:
 
 
 def _tupled(text: str, indent: int) -> str:
-    """Results in parentheses."""
+    """Put results in parentheses unless they already are."""
     return (
         text
         if text.startswith("(") and text.endswith((",)", "\n" + " " * indent + ")"))
@@ -394,5 +397,5 @@ def _tupled(text: str, indent: int) -> str:
 
 
 def _unpacked(names: Sequence[str], indent: int) -> str:
-    """The left side of an assignment from a tuple."""
+    """Left side of an assignment from a tuple."""
     return f"({names[0]},)" if len(names) == 1 else _listed(names, indent, 15)

@@ -1,4 +1,4 @@
-"""Identifiers of the generated code, clear of everything else that has a name there."""
+"""Identifiers of the generated code, without collisions with other names in it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hamsym.symbolic.equations import Equations
 
 FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss")
 
-# Names that generated functions use beside those of the state and the parameters.
+# Names in generated functions other than those of the state and the parameters.
 RESERVED = frozenset(
     """
     torch np math z dz t out zero rows matrix entries positions value energy_0 energy_weight
@@ -23,13 +23,13 @@ RESERVED = frozenset(
 
 
 class Names:
-    """Identifiers: the user's names, with an underscore where they mean something in the code."""
+    """Identifiers: the user's names, with an underscore appended to reserved ones."""
 
     def __init__(self, form: Equations) -> None:
         self._taken = RESERVED | set(dir(builtins)) | set(keyword.kwlist)
         self.of: dict[sympy.Symbol, str] = {}
         if form.time is not None:
-            self.of[form.time] = "t"  # reserved for the time, which is what this symbol is
+            self.of[form.time] = "t"  # reserved for the time, which this symbol is
         self.time = form.time is not None
         self.state = [self._claim(symbol) for symbol in form.z]
         self.parameters = [
@@ -48,7 +48,7 @@ class Names:
         return name
 
     def temporaries(self, letter: str = "u") -> Iterator[sympy.Symbol]:
-        """Endless symbols u0, u1, ... that no name of the user's collides with."""
+        """Yield symbols u0, u1, ... that differ from all names of the user."""
         for number in range(10**9):
             if f"{letter}{number}" not in self._taken:
                 yield sympy.Symbol(f"{letter}{number}", real=True)

@@ -1,9 +1,9 @@
-"""The cache on disk: sources as real files, so that numba can cache, and texts slow to derive.
+"""Cache on disk: source files of compiled modules, which numba's cache needs, and derived texts.
 
-numba keeps what it has compiled beside the source, as pickles; who can write there can run code.
-Everything is therefore kept in one directory that only the user can write, and what was not used
-for long is removed from it. Nothing is compiled unless somebody asks for it
-(``compiled=True``, an integrator) or it saves time (:mod:`hamsym.random_features.march`).
+numba stores compiled code next to the source as pickles, so anybody with write access there can run
+code. The cache is therefore one directory that only the user can write. Entries that were not used
+for a long time are removed. Code is compiled only on request (``compiled=True``, an integrator) or
+where it saves time (:mod:`hamsym.random_features.march`).
 """
 
 from __future__ import annotations
@@ -27,30 +27,30 @@ __all__ = ["cache_directory", "cached_text", "load_module"]
 
 _VARIABLE = "HAMSYM_CACHE_DIR"
 _DAY = 86_400.0  # seconds
-_UNUSED = 90 * _DAY  # after which a file is removed
-_LARGEST = 512 * 2**20  # bytes that are kept, but for what was used within a day
-_SLOW = 0.05  # seconds that making a text takes, from which on it is kept
+_UNUSED = 90 * _DAY  # age since the last use at which a file is removed
+_LARGEST = 512 * 2**20  # size limit in bytes; files used within a day are kept beyond it
+_SLOW = 0.05  # seconds of derivation above which a text is cached
 
 
 @functools.cache
 def cache_directory() -> Path:
-    """The directory of compiled sources: $HAMSYM_CACHE_DIR, or hamsym in the user's cache.
+    """Directory of the cache: $HAMSYM_CACHE_DIR, or hamsym in the user's cache directory.
 
-    Where that cannot be made, or others could write it, a temporary directory of this process
-    takes its place, and what is compiled is compiled again by the next one.
+    If it cannot be created, or other users can write to it, a temporary directory of this process
+    is used instead; the next process then compiles again.
     """
     chosen = os.environ.get(_VARIABLE)
     try:
         path = Path(chosen).expanduser() if chosen else _user_cache() / "hamsym"
-        # numba would make the second one open to whomever the user's umask lets in.
+        # numba would create the second one with the permissions of the user's umask.
         for folder in (path, path / "__pycache__"):
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         private = _is_private(path) and _is_private(path / "__pycache__")
-    except (OSError, RuntimeError):  # such as a user without a home
+    except (OSError, RuntimeError):  # RuntimeError: no home directory
         private = False
     if private:
         return path.resolve()
-    temporary = tempfile.mkdtemp(prefix="hamsym-")  # made for this user alone
+    temporary = tempfile.mkdtemp(prefix="hamsym-")  # created with mode 0o700
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
     return Path(temporary)
 
@@ -64,39 +64,39 @@ def _user_cache() -> Path:
 
 
 def _is_private(path: Path) -> bool:
-    """Whether the user owns a directory that nobody else can write."""
+    """Whether the user owns a directory and no other user can write to it."""
     try:
         status = path.lstat()
     except OSError:
         return False
     if not stat.S_ISDIR(status.st_mode) or not os.access(path, os.W_OK):
         return False
-    if not hasattr(os, "getuid"):  # elsewhere the user's own folders are private by default
+    if not hasattr(os, "getuid"):  # not POSIX: the user's folders are private by default
         return True
     return status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def load_module(source: str, name: str) -> ModuleType:
-    """A module of the given source, which is also a file of the cache directory.
+    """Execute a source as a module, and store it as a file in the cache directory.
 
-    What runs is this text: neither the file nor bytecode that lies beside it.
+    The given text is executed, never the stored file or bytecode next to it.
     """
     path = source_file(source, name)
-    if not _is_there(path, source):
+    if not _is_stored(path, source):
         write_atomically(path, source.encode())
         _prune(path.parent)
     module = ModuleType(f"hamsym_{path.stem}")
     module.__file__ = str(path)
-    sys.modules[module.__name__] = module  # numba looks there for what it loads from its cache
+    sys.modules[module.__name__] = module  # numba imports functions of its cache from there
     exec(compile(source, str(path), "exec", dont_inherit=True), module.__dict__)  # noqa: S102
     return module
 
 
 def cached_text(key: str, make: Callable[[], str]) -> str:
-    """A text from the cache, or a new one, which is kept if it was slow to make.
+    """Read a text from the cache, or make it and store it if that was slow.
 
-    The file begins with a digest of the key and the text. A file whose digest differs, because it
-    was damaged or edited, is not used and is replaced.
+    The file begins with a digest of the key and the text. A file with another digest, damaged or
+    edited, is replaced.
     """
     path = cache_directory() / f"text_{hashlib.sha256(key.encode()).hexdigest()[:32]}.txt"
     try:
@@ -104,7 +104,7 @@ def cached_text(key: str, make: Callable[[], str]) -> str:
         if digest == _digest(key, text):
             os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
             return text
-    except (OSError, ValueError):  # there is none, or it is not text
+    except (OSError, ValueError):  # missing, or not text
         pass
     began = time.process_time()
     text = make()
@@ -118,13 +118,13 @@ def _digest(key: str, text: str) -> str:
     return hashlib.sha256(f"{key}\n{text}".encode()).hexdigest()
 
 
-# -- what the cache may keep -----------------------------------------------------------------------
+# -- pruning ---------------------------------------------------------------------------------------
 
 
-def _is_there(path: Path, source: str) -> bool:
-    """Whether a file has this source; that it is used now is noted as its time of access.
+def _is_stored(path: Path, source: str) -> bool:
+    """Whether a file contains this source; its access time is set to now.
 
-    The time of its last change stays, by which numba judges what it has compiled.
+    The modification time is unchanged, because numba uses it to validate its compiled code.
     """
     try:
         os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
@@ -134,10 +134,10 @@ def _is_there(path: Path, source: str) -> bool:
 
 
 def _prune(folder: Path) -> None:
-    """Once a day remove what was not used for long, and the oldest where all is too much.
+    """Once a day, remove old entries, and the oldest ones while the size limit is exceeded.
 
-    What was used within the last day stays, so that no process loses a file between looking at it
-    and loading it. Two processes that do this at the same time do each other no harm.
+    Entries used within the last day are kept, so that no process loses a file between checking and
+    loading it. Two processes can prune at the same time.
     """
     now, stamp = time.time(), folder / "pruned"
     try:
@@ -151,7 +151,7 @@ def _prune(folder: Path) -> None:
             *folder.glob("__pycache__/*"),
             *folder.glob(".hamsym-*"),
         ):
-            # A source and what was compiled of it are one entry, as old as its last use.
+            # A source and its compiled files are one entry; its age counts from the last use.
             status, entry = file.stat(), file.name.partition(".")[0] or file.name
             latest = status.st_atime if file.suffix in (".py", ".txt") else status.st_mtime
             used[entry] = max(used.get(entry, 0.0), latest)
@@ -164,7 +164,7 @@ def _prune(folder: Path) -> None:
             for file, size in files[entry]:
                 file.unlink(missing_ok=True)
                 total -= size
-    except OSError:  # such as a file that another process has removed
+    except OSError:  # for example: another process has removed a file
         return
 
 

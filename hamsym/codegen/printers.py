@@ -1,4 +1,4 @@
-"""Printers of expressions in the dialects of torch, numpy and numba."""
+"""Printers of expressions for torch, numpy and numba."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["PRINTERS", "NumbaPrinter", "NumpyPrinter", "TorchPrinter"]
 
 
 class TorchPrinter(Printer):
-    """Torch code on tensors ``z`` of shape (..., dim).
+    """Printer of torch code for tensors ``z`` of shape (..., dim).
 
-    Torch functions refuse Python numbers, and some refuse to mix them with tensors; an argument
-    that does not depend on the state is therefore spread over the batch.
+    Torch functions reject Python numbers, and some reject a mixture of numbers and tensors. An
+    argument that does not depend on the state is therefore expanded to the shape of the batch.
     """
 
     backend = "torch"
@@ -32,7 +32,7 @@ class TorchPrinter(Printer):
         return self.spread(expr)
 
     def spread(self, expr: sympy.Expr) -> str:
-        """The text of an expression that has the batch's shape, dtype and device."""
+        """Print an expression, expanded to the batch's shape, dtype and device."""
         expr = self.lower(expr)
         if expr == 0:
             return f"torch.zeros_like({self.like})"
@@ -44,7 +44,7 @@ class TorchPrinter(Printer):
 
 
 class NumpyPrinter(Printer):
-    """Numpy code on arrays, broadcasting."""
+    """Printer of numpy code for arrays that broadcast."""
 
     backend = "numpy"
     functions = _table(
@@ -58,7 +58,7 @@ class NumpyPrinter(Printer):
     sqrt = "np.sqrt"
 
     def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
-        # numpy is fast at squares and slow at every other integer power.
+        # numpy computes squares fast and every other integer power slowly.
         if base.is_Symbol and exponent in (3, 4):
             name = self.names[base]
             return (f"{name}*{name}**2", _MUL) if exponent == 3 else (f"({name}**2)**2", _POW)
@@ -66,14 +66,14 @@ class NumpyPrinter(Printer):
 
 
 class NumbaPrinter(Printer):
-    """Scalar code for numba's compiled loops."""
+    """Printer of scalar code for numba's compiled loops."""
 
     backend = "numba"
     functions = _table("math.{}", sign="np.sign", abs="abs", min="np.minimum", max="np.maximum")
     sqrt = "math.sqrt"
 
 
-#: The printer of each backend.
+#: Printer class of each backend.
 PRINTERS: dict[str, type[Printer]] = {
     "torch": TorchPrinter,
     "numpy": NumpyPrinter,

@@ -1,4 +1,4 @@
-"""The generated functions of one backend, as callables."""
+"""Generated functions of one backend as callables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["System", "load"]
 
 
 class System:
-    """Callables of a generated module, each generated when it is first used.
+    """Callables of a generated module, each generated on first use.
 
     Each takes the state ``z`` of shape (..., dim) first, then ``t`` if H depends on time, then
     the parameters as keywords whose defaults are the values bound in the Hamiltonian.
@@ -29,7 +29,7 @@ class System:
     names : tuple of str
         Components of z.
     source : str
-        The text of the whole module; what runs are parts of it.
+        Text of the whole module, parts of which are executed.
     energy : callable
         z -> H, shape (...).
     gradient : callable
@@ -44,20 +44,20 @@ class System:
         (z, dz, energy_0, energy_weight=0.0) -> scalar, the paper's eq. (Loss); without the last
         two arguments if H depends on time.
     rates : callable, optional
-        (z, t, out) of shapes (n, dim), (n,), (n, dim), for compiled callers (numba only, and only
-        where every parameter has a value).
+        (z, t, out) of shapes (n, dim), (n,), (n, dim), for compiled callers; only with numba, and
+        if every parameter has a value.
     time_dependent : bool
         Whether the functions take ``t``.
     """
 
     def __init__(self, source: Source) -> None:
         self._source = source
-        self._module = ModuleType(f"hamsym_{source.backend}")  # of torch and numpy
+        self._module = ModuleType(f"hamsym_{source.backend}")  # used by torch and numpy
         self._loaded: set[str] = set()
         self.backend = source.backend
         self.names = tuple(symbol.name for symbol in source.form.z)
         self.time_dependent = source.names.time
-        source.part("energy")  # refuses what the backend lacks
+        source.part("energy")  # raises if the backend lacks a function of H
 
     @property
     def source(self) -> str:
@@ -93,7 +93,7 @@ class System:
         return self.function("rates") if self.backend == "numba" and bound else None
 
     def function(self, name: str) -> Callable[..., Any]:
-        """A function by its name; with numba also a loop of the integrators."""
+        """Load a function by its name; with numba also a loop of the integrators."""
         if self.backend == "numba":
             module = numba_cache.load_module(self._source.module(name), "numba")
             return getattr(module, name)  # type: ignore[no-any-return]
@@ -105,20 +105,20 @@ class System:
 
     @property
     def is_looped(self) -> bool:
-        """Whether the kernels of the integrators loop over terms that are alike (numba only)."""
+        """Whether the kernels of the integrators loop over repeated terms (numba only)."""
         return self._source.is_looped
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self._source.form, self.backend)
 
     def arguments(self, z: Any, t: Any) -> tuple[Any, ...]:
-        """The positional arguments of the functions: z, and t where H depends on time."""
+        """Positional arguments of the functions: z, and t if H depends on time."""
         return (z, t) if self.time_dependent else (z,)
 
 
 @functools.lru_cache(maxsize=256)
 def load(source: Source) -> System:
-    """The functions of a module; those of the same source are made once."""
+    """Make the functions of a module; cached for the same source."""
     return System(source)
 
 
@@ -127,9 +127,9 @@ def _restored(form: Equations, backend: str) -> System:
 
 
 def _run(text: str, backend: str, part: str, module: ModuleType) -> None:
-    """Run a part of a module, without a file; tracebacks show its source all the same."""
+    """Execute a part of a module without a file, with its source registered for tracebacks."""
     digest = hashlib.sha256(text.encode()).hexdigest()[:12]
     filename = f"<hamsym {backend} {part} {digest}>"
-    # With mtime None the entry outlives linecache.checkcache.
+    # An entry with mtime None is kept by linecache.checkcache.
     linecache.cache[filename] = (len(text), None, text.splitlines(keepends=True), filename)
     exec(compile(text, filename, "exec"), module.__dict__)

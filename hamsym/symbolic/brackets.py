@@ -15,7 +15,7 @@ __all__ = ["evolution", "phase_function", "poisson_bracket", "variational_equati
 
 
 def phase_function(f: str | sympy.Expr, names: Iterable[str]) -> sympy.Expr:
-    """A function on phase space in real symbols.
+    """Convert a function on phase space to real symbols.
 
     Parameters
     ----------
@@ -40,14 +40,14 @@ def phase_function(f: str | sympy.Expr, names: Iterable[str]) -> sympy.Expr:
         name = known.get(canonical_name(symbol.name))
         if name is None:
             raise VariableError(
-                f"'{symbol.name}' does not occur in H; known are {', '.join(known.values())}"
+                f"'{symbol.name}' does not occur in H; use only {', '.join(known.values())}"
             )
         replaced[symbol] = sympy.Symbol(name, real=True)
     return expr.xreplace(replaced)
 
 
 def poisson_bracket(f: sympy.Expr, g: sympy.Expr, z: Sequence[sympy.Symbol]) -> sympy.Expr:
-    """{f, g} = sum_i df/dq_i dg/dp_i - df/dp_i dg/dq_i, for z = (q, p).
+    """Poisson bracket {f, g} = sum_i df/dq_i dg/dp_i - df/dp_i dg/dq_i, for z = (q, p).
 
     Examples
     --------
@@ -63,7 +63,7 @@ def poisson_bracket(f: sympy.Expr, g: sympy.Expr, z: Sequence[sympy.Symbol]) -> 
 def evolution(
     f: sympy.Expr, H: sympy.Expr, z: Sequence[sympy.Symbol], time: sympy.Symbol | None
 ) -> sympy.Expr:
-    """df/dt = {f, H} + (partial f)/(partial t) along trajectories of H."""
+    """Time derivative df/dt = {f, H} + (partial f)/(partial t) along trajectories of H."""
     rate = poisson_bracket(f, H, z)
     return rate if time is None else rate + f.diff(time)
 
@@ -74,7 +74,7 @@ def variational_equations(
     time: sympy.Symbol,
     taken: Iterable[str],
 ) -> list[sympy.Eq]:
-    """The linear equations d(delta)/dt = J Hess(z) delta of a small deviation delta.
+    """Linear equations d(delta)/dt = J Hess(z) delta of a small deviation delta.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def variational_equations(
         Names of the state; the deviations are named ``delta_x`` or similar.
     time : sympy.Symbol
     taken : iterable of str
-        Names that the deviations must not have.
+        Names that the deviations must avoid.
     """
     used, mark = {*names, *taken}, "delta_"
     while any(mark + name in used for name in names):

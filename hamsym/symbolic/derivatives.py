@@ -1,9 +1,9 @@
-"""Derivatives of sparse sums, at a cost in proportion to what is there.
+"""Derivatives of sparse sums, at a cost proportional to the nonzero derivatives.
 
 A Hamiltonian of many bodies is a sum of terms in two or three variables each. Each term is
 differentiated with respect to its own variables only, so that n coupled oscillators cost
-O(n), not O(n**2) for the gradient and O(n**3) for the Hessian. So is each factor of a product; what
-its derivatives have in common is found again by :func:`common_subexpressions`.
+O(n), not O(n**2) for the gradient and O(n**3) for the Hessian. The same holds for each factor of a
+product; :func:`common_subexpressions` extracts the common parts of its derivatives.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ __all__ = [
     "vanishes",
 ]
 
-# Functions that change between two limits, or have a peak, within a unit of their argument.
-_BRIEF = (
+# Functions with a transition or a peak within one unit of their argument.
+_LOCALISED = (
     sympy.exp,
     sympy.tanh,
     sympy.sech,
@@ -52,31 +52,31 @@ _BRIEF = (
     sympy.acot,
     sympy.asinh,
 )
-#: Operations and symbols in the derivatives of H that are always allowed: some ten seconds' work.
+#: Smallest limit of operations and symbols in the derivatives of H: about ten seconds of work.
 MAX_OPERATIONS = 500_000
-_MOST_GROWTH = 100  # the same for each of H itself: many bodies have fewer
-_LONG_PRODUCT = 8  # factors from which on parts of products are shared
+_MOST_GROWTH = 100  # the limit per operation and symbol of H; many bodies stay below it
+_LONG_PRODUCT = 8  # number of factors from which parts of products are shared
 
 
-_HIGH_POWER = 4  # above which a power of a base acts while that changes by far less than its size
+_HIGH_POWER = 4  # exponent above which a power varies much faster than its base
 
 
 class _Magnitude(sympy.Function):  # type: ignore[misc]
-    """abs of a real expression; sympy differentiates its own into derivatives of re and im."""
+    """abs of a real expression; the derivative of sympy.Abs contains re and im."""
 
     def fdiff(self, argindex: int = 1) -> sympy.Expr:
         return _Direction(self.args[0])
 
 
 class _Direction(sympy.Function):  # type: ignore[misc]
-    """sign of a real expression, whose derivative is zero almost everywhere."""
+    """sign of a real expression, with derivative zero."""
 
     def fdiff(self, argindex: int = 1) -> sympy.Expr:
         return sympy.Integer(0)
 
 
 class _Power(sympy.Function):  # type: ignore[misc]
-    """b**e with a symbol in e; sympy's own derivative divides by b, which may be zero."""
+    """b**e with a symbol in e; the derivative of sympy.Pow divides by b, which may be zero."""
 
     def fdiff(self, argindex: int = 1) -> sympy.Expr:
         base, exponent = self.args
@@ -106,7 +106,7 @@ def _diff(term: sympy.Expr, symbol: sympy.Symbol) -> sympy.Expr:
 def _partial_derivatives(
     term: sympy.Expr, symbols: Iterable[sympy.Symbol]
 ) -> Iterator[tuple[sympy.Symbol, sympy.Expr]]:
-    """Derivatives of a term with respect to those symbols that it contains."""
+    """Yield derivatives of a term with respect to the given symbols that it contains."""
     factors = sympy.Mul.make_args(term)
     places: dict[sympy.Symbol, list[int]] = defaultdict(list)
     for place, factor in enumerate(factors):
@@ -121,7 +121,7 @@ def _partial_derivatives(
 
 
 class Effort:
-    """Operations and symbols in derivatives, counted up to a limit in proportion to H.
+    """Counter of operations and symbols in derivatives, with a limit proportional to H.
 
     Parameters
     ----------
@@ -134,22 +134,22 @@ class Effort:
         self._left = self._most = max(MAX_OPERATIONS, _MOST_GROWTH * self._size(expr))
 
     def spend(self, derivative: sympy.Expr) -> None:
-        """Count a derivative.
+        """Add a derivative to the count.
 
         Raises
         ------
         CodeGenerationError
-            If there are too many by now.
+            If the count exceeds the limit.
         """
         self._left -= self._size(derivative)
         if self._left < 0:
             raise CodeGenerationError(
-                f"the derivatives of H have more than {self._most} operations, because many "
-                "variables meet in one term; write H as a sum of terms in fewer variables each"
+                f"the derivatives of H have more than {self._most} operations, because single "
+                "terms contain many variables; write H as a sum of terms in fewer variables each"
             )
 
     def _size(self, expr: sympy.Expr) -> int:
-        # Without recursion: the caller's expressions may be deep.
+        # Iterative, because the caller's expressions may exceed the recursion limit.
         waiting = [expr]
         while waiting:
             node = waiting[-1]
@@ -165,7 +165,7 @@ class Effort:
 def gradient(
     expr: sympy.Expr, variables: Sequence[sympy.Symbol], effort: Effort | None = None
 ) -> list[sympy.Expr]:
-    """First derivatives, in the order of the variables.
+    """Compute first derivatives, in the order of the variables.
 
     Examples
     --------
@@ -188,7 +188,7 @@ def hessian(
     variables: Sequence[sympy.Symbol],
     effort: Effort | None = None,
 ) -> dict[tuple[int, int], sympy.Expr]:
-    """Nonzero second derivatives (i, j), both triangles, from the first derivatives."""
+    """Compute nonzero second derivatives by (i, j), both triangles, from the first ones."""
     position = {variable: i for i, variable in enumerate(variables)}
     parts: dict[tuple[int, int], list[sympy.Expr]] = defaultdict(list)
     for i, slope in enumerate(first):
@@ -208,17 +208,17 @@ def hessian(
 
 @dataclass(frozen=True)
 class Alike:
-    """Terms of a sum that are one expression in different variables.
+    """Terms of a sum that are one expression, the template, in different variables.
 
     Attributes
     ----------
     template : sympy.Expr
-        In the places.
+        The common expression, in the symbols ``places``.
     places : list of sympy.Symbol
     rows : list of tuple of sympy.Symbol
-        The variables of each term, in the order of the places.
+        Variables of each term, in the order of ``places``.
     factors : list of sympy.Number
-        By which the template is multiplied in each term.
+        Factor of the template in each term.
     """
 
     template: sympy.Expr
@@ -230,7 +230,7 @@ class Alike:
 def alike_terms(
     expr: sympy.Expr, variables: Iterable[sympy.Symbol], fewest: int = 4
 ) -> tuple[list[Alike], sympy.Expr]:
-    """The terms of a sum that differ in their variables and factors alone, and the other terms.
+    """Group terms that differ only in variables and factors; return groups and the rest.
 
     Examples
     --------
@@ -260,10 +260,10 @@ def alike_terms(
 
 
 def _in_order_of_shape(expr: sympy.Expr, variables: frozenset[sympy.Symbol]) -> list[sympy.Symbol]:
-    """The variables of an expression, in an order that does not depend on their names.
+    """Variables of an expression, in an order that does not depend on their names.
 
-    The parts of a sum or a product are visited by their shapes, variables left blank; parts of one
-    shape stay in sympy's order.
+    The parts of a sum or a product are sorted by shape, the expression without variable names;
+    parts of equal shape keep sympy's order.
     """
     shapes: dict[sympy.Basic, str] = {}
 
@@ -286,18 +286,18 @@ def _in_order_of_shape(expr: sympy.Expr, variables: frozenset[sympy.Symbol]) -> 
     return list(order)
 
 
-#: Temporaries in the order in which they are computed.
+#: Temporaries in order of evaluation.
 Temporaries = list[tuple[sympy.Symbol, sympy.Expr]]
 
 
 def common_subexpressions(
     exprs: Sequence[sympy.Expr], symbols: Iterator[sympy.Symbol]
 ) -> tuple[Temporaries, list[sympy.Expr]]:
-    """What several expressions share as temporaries, and the expressions in terms of them.
+    """Extract common subexpressions as temporaries; return them and the reduced expressions.
 
-    As :func:`sympy.cse`, which finds sums and products that are shared whole; here the parts of
-    long products are shared too. The gradient of a product of n factors costs O(n)
-    multiplications, its Hessian O(1) for each entry.
+    :func:`sympy.cse` shares only whole sums and products; here parts of long products are shared
+    too. The gradient of a product of n factors costs O(n) multiplications, its Hessian O(1) for
+    each entry.
 
     Examples
     --------
@@ -314,7 +314,7 @@ def common_subexpressions(
     values = dict(replaced)
     values |= dict(zip((symbol for symbol, _ in products), reduced, strict=False))
     earlier = {s: sorted(v.free_symbols & values.keys(), key=str) for s, v in values.items()}
-    # Numbered in the order in which they are computed.
+    # Numbered in order of evaluation.
     order = {symbol: next(symbols) for symbol in TopologicalSorter(earlier).static_order()}
     return (
         [(name, values[symbol].xreplace(order)) for symbol, name in order.items()],
@@ -325,16 +325,16 @@ def common_subexpressions(
 def _shared_products(
     exprs: Sequence[sympy.Expr], symbols: Iterator[sympy.Symbol]
 ) -> tuple[Temporaries, list[sympy.Expr]]:
-    """Products of neighbouring factors as temporaries, and the expressions in terms of them.
+    """Extract products of adjacent factors as temporaries; return them and the expressions.
 
-    The factors of long products are put into a row. A product is then a few runs of the row (the
-    entries of a gradient are a prefix and a suffix, those of a Hessian have a middle as well), and
-    each run is made from one that is shorter by one factor.
+    The factors of all long products are arranged in a row. Each product then consists of a few runs
+    of the row: a prefix and a suffix for an entry of a gradient, and also a middle run for one of a
+    Hessian. Each run is computed from a run that is shorter by one factor.
     """
     found = {node for expr in exprs for node in expr.atoms(sympy.Mul)}
     long = [node for node in found if len(node.args) >= _LONG_PRODUCT]
     uses = Counter(factor for node in long for factor in node.args if not factor.is_Number)
-    # What only few products have is at the end, where it cuts no runs.
+    # Factors of few products are at the end, where they interrupt no runs.
     row = sorted(uses, key=lambda factor: (-uses[factor], str(factor)))
     place = {factor: k for k, factor in enumerate(row)}
     runs = {node: _runs(sorted(place[f] for f in node.args if f in place)) for node in long}
@@ -363,14 +363,14 @@ def _shared_products(
 
 
 def _runs(places: Sequence[int]) -> list[tuple[int, int]]:
-    """Sorted whole numbers as intervals [first, last) without gaps."""
+    """Group sorted integers into intervals [first, last) without gaps."""
     breaks = [k for k in range(1, len(places)) if places[k] != places[k - 1] + 1]
     bounds = [0, *breaks, len(places)]
     return [(places[a], places[b - 1] + 1) for a, b in pairwise(bounds)]
 
 
 def connected_blocks(pairs: Sequence[tuple[int, int]], size: int) -> list[list[int]]:
-    """Index sets that a symmetric sparsity pattern does not couple with each other.
+    """Connected components of a symmetric sparsity pattern, as sorted index lists.
 
     Examples
     --------
@@ -389,7 +389,7 @@ def connected_blocks(pairs: Sequence[tuple[int, int]], size: int) -> list[list[i
 def smallest_singular_value(
     entries: dict[tuple[int, int], sympy.Expr], size: int
 ) -> sympy.Expr | None:
-    """Smallest singular value of a symmetric matrix, if it falls into blocks of at most 2 x 2.
+    """Smallest singular value of a symmetric matrix with blocks of at most 2 x 2, else None.
 
     Examples
     --------
@@ -417,7 +417,7 @@ def smallest_singular_value(
 def split(
     expr: sympy.Expr, q: Sequence[sympy.Symbol], p: Sequence[sympy.Symbol]
 ) -> tuple[sympy.Expr, sympy.Expr]:
-    """T(p) and V(q) of a sum T + V; terms in neither belong to V."""
+    """Split a sum into T(p) and V(q); V contains the terms without p."""
     for form in (lambda e: e, sympy.expand, sympy.simplify):
         terms = sympy.Add.make_args(form(expr))
         with_p = [term for term in terms if term.free_symbols & set(p)]
@@ -434,7 +434,7 @@ def split(
 def vanishes(expr: sympy.Expr) -> bool:
     """Whether an expression is identically zero.
 
-    Values at random points refute it cheaply; only what they do not refute is simplified.
+    The expression is simplified only if it is zero at random points, which is cheap to test.
     """
     if expr.is_zero is not None:
         return bool(expr.is_zero)
@@ -451,9 +451,9 @@ def vanishes(expr: sympy.Expr) -> bool:
 def switches(
     expr: sympy.Expr, gradient: Sequence[sympy.Expr], z: Sequence[sympy.Symbol]
 ) -> list[tuple[sympy.Expr, list[sympy.Expr]]]:
-    """Where H or its gradient may jump: functions of the state, and the jumps where each is zero.
+    """Discontinuities of H and its gradient: pairs (function, jumps where the function is zero).
 
-    The jumps of the gradient, then that of H.
+    The jumps are those of the gradient, followed by that of H.
     """
     jumping = [*gradient, expr]
     steps = {
@@ -471,11 +471,12 @@ def switches(
 
 
 class Narrow(enum.IntEnum):
-    """What an argument belongs to, and so where and how fast its function acts.
+    """Kind of an argument, which determines where its function varies and on which scale.
 
-    Of exp, tanh and the like: near zeros and turning points, while it changes by 1. The base of a
-    negative or broken power, and what is a pole or the end of a domain where it is zero: there,
-    and near turning points, while it changes by its own size. Of abs, sign, Min and Max: the same.
+    FUNCTION, an argument of exp, tanh and similar functions: near its zeros and extrema, on the
+    scale of a change by 1. BASE, the base of a negative or fractional power or an argument whose
+    zero is a pole or the end of a domain: near its zeros and extrema, on the scale of its own size.
+    SWITCH, an argument of abs, sign, Min or Max: the same as BASE.
     """
 
     FUNCTION, BASE, SWITCH = range(3)
@@ -484,9 +485,9 @@ class Narrow(enum.IntEnum):
 def narrow_arguments(
     expr: sympy.Expr, variables: Sequence[sympy.Symbol]
 ) -> list[tuple[sympy.Expr, Narrow]]:
-    """Arguments of functions that may act in a small part of phase space or of time only.
+    """Arguments of functions that may vary only in a small part of phase space or of time.
 
-    Near where an argument is zero or extreme, pulses, steps and poles have their place.
+    Pulses, steps and poles are near the zeros and extrema of these arguments.
 
     Examples
     --------
@@ -495,7 +496,7 @@ def narrow_arguments(
     [('-t**2', 'FUNCTION'), ('x', 'BASE')]
     """
     known = set(variables)
-    found = {(function.args[0], Narrow.FUNCTION) for function in expr.atoms(*_BRIEF)}
+    found = {(function.args[0], Narrow.FUNCTION) for function in expr.atoms(*_LOCALISED)}
     for power in expr.atoms(sympy.Pow):
         exponent = power.exp
         if not exponent.is_number:

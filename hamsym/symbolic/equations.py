@@ -1,4 +1,4 @@
-"""Hamilton's equations in real symbols: the one place where H is differentiated."""
+"""Hamilton's equations in real symbols, derived once for all users."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ __all__ = ["Equations"]
 
 
 class Equations:
-    """H with its gradient and Hessian, in symbols that are real whatever the caller's assume.
+    """H with its gradient and Hessian, in real symbols.
 
-    Without that, sympy differentiates abs(x) into derivatives of re(x) and im(x). Code generation,
-    proofs and the search for discontinuities all take their derivatives from here.
+    For symbols that are not declared real, sympy differentiates abs(x) into derivatives of re(x)
+    and im(x). Code generation, proofs and the search for discontinuities use these derivatives.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Equations:
     dof : int
         Degrees of freedom.
     parameters : dict of name to (sympy.Symbol, float or None)
-        Parameters with their values, None where there is none.
+        Parameters with their values, None for a parameter without a value.
     back : dict of sympy.Symbol to sympy.Symbol
-        The caller's symbols, by the real ones that stand for them.
+        The caller's symbols, by the real symbols that replace them.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """Exact derivatives of formulas that contain floating-point numbers.
 
-Sympy evaluates products of floating-point numbers as it differentiates, with rounding. Here every
-such number is a symbol during differentiation. Code generation then inserts the numbers themselves,
-proofs insert the binary fractions that they are, and both use the same derivatives.
+Sympy rounds products of floating-point numbers when it differentiates. Here every such number is
+replaced by a symbol before differentiation. Code generation then inserts the numbers, proofs insert
+their exact values as fractions, and both use the same derivatives.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["ExactDerivatives", "fraction"]
 
 
 class ExactDerivatives:
-    """H, its gradient and its Hessian with a symbol for each floating-point number.
+    """H, its gradient and its Hessian, with a symbol for each floating-point number.
 
     Parameters
     ----------
@@ -69,17 +69,16 @@ class ExactDerivatives:
         return derivatives.hessian(self.gradient, self._z, self._effort)
 
     def rounded(self, expr: sympy.Expr) -> sympy.Expr:
-        """An expression with the floating-point numbers, multiplied out as sympy does."""
+        """Insert the floating-point numbers into an expression, with sympy's rounding."""
         return expr.xreplace(self._numbers) if self._numbers else expr
 
     def with_fractions(
         self, expr: sympy.Expr, parameters: Mapping[sympy.Symbol, float]
     ) -> sympy.Expr:
-        """An expression with the exact values of floating-point numbers and of exponents.
+        """Insert the exact values of floating-point numbers, and of parameters in exponents.
 
         Parameters with a value are replaced where they occur in exponents of H, because smoothness
-        may depend on them: n*(n - 1)*x**(n - 2) is smooth at x = 0 for n = 1 once its value is
-        inserted.
+        may depend on them: with n = 1 inserted, n*(n - 1)*x**(n - 2) is smooth at x = 0.
         """
         values = self._exponents(parameters) | self._fractions
         return expr.xreplace(values) if values else expr
@@ -106,7 +105,7 @@ class ExactDerivatives:
 
 
 def fraction(number: sympy.Float) -> sympy.Rational:
-    """The binary fraction that a floating-point number is."""
+    """Convert a floating-point number to the equal binary fraction."""
     sign, mantissa, exponent, _ = number._mpf_
     value = sympy.Rational(int(mantissa)) * sympy.Integer(2) ** int(exponent)
     return -value if sign else value

@@ -1,4 +1,4 @@
-"""Roles of the symbols in a Hamiltonian: coordinates, momenta, parameters and the time."""
+"""Roles of the symbols in a Hamiltonian: coordinates, momenta, parameters and time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hamsym.symbolic.pairing import find_pairs
 
 __all__ = ["TIME", "Variables", "assign_variables"]
 
-#: Name of the time.
+#: Name of the time variable.
 TIME = "t"
 
 
@@ -36,7 +36,7 @@ class Variables(NamedTuple):
     q, p, z : tuple of sympy.Symbol
         Coordinates, momenta, and the state (q, p).
     parameters : mapping of str to float
-        Values of the parameters that have one.
+        Values of the parameters that have a value.
     time : sympy.Symbol or None
         The time, if the expression depends on it.
     """
@@ -71,7 +71,8 @@ def assign_variables(
     symbols = by_name(expr.free_symbols)
     values = checked_values(parameters or {}, symbols)
     if (q is None) != (p is None):
-        raise VariableError("q and p are given together or not at all; add the other one")
+        given, missing = ("q", "p") if p is None else ("p", "q")
+        raise VariableError(f"{given} is given without {missing}; give both or neither")
     if q is None or p is None:
         pairs = find_pairs(symbols.keys() - values.keys() - {TIME})
         q, p = [pair[0] for pair in pairs], [pair[1] for pair in pairs]

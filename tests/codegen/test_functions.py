@@ -1,4 +1,4 @@
-"""Expressions in the symbols of H are compiled with numpy."""
+"""Compilation of expressions in the symbols of H to numpy functions."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def test_float32_is_kept() -> None:
 
 
 @pytest.mark.parametrize("name", ["lambda", "np", "out", "t", "values"])
-def test_names_of_python_are_no_obstacle(name: str) -> None:
+def test_python_keywords_as_names(name: str) -> None:
     q, r = sympy.Symbol(name, real=True), sympy.Symbol("momentum", real=True)
     own = Hamiltonian(r**2 / 2 + q**2, q=[q], p=[r])
     function = compile_expressions([q * r], own.real_equations)
     assert function([2.0, 3.0]) == 6.0
 
 
-def test_other_shapes_are_refused() -> None:
+def test_wrong_state_length_is_rejected() -> None:
     with pytest.raises(ValueError, match=r"shape \(3,\); its last axis must have length 2"):
         compile_expressions([x], H.real_equations)([1.0, 2.0, 3.0])

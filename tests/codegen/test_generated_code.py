@@ -1,4 +1,4 @@
-"""Every generated function of every backend against sympy and autograd."""
+"""All generated functions of all backends, compared with sympy and autograd."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def example(request: pytest.FixtureRequest) -> Problem:
 
 
 def interpreted(H: Hamiltonian, backend: str, monkeypatch: pytest.MonkeyPatch) -> System:
-    """The functions of a backend; those of numba run as the Python that they are."""
+    """Functions of a backend; those of numba run as plain Python."""
     if backend != "numba":
         return H.compile(backend)
     monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
     system = System(Source(H.real_equations, backend))
     for name in FUNCTIONS:
-        getattr(system, name)  # is loaded now
+        getattr(system, name)  # loads it
     return system
 
 
@@ -63,7 +63,7 @@ def states(H: Hamiltonian, around: np.ndarray, count: int = 5) -> np.ndarray:
     return around + 0.2 * np.random.default_rng(1).normal(size=(count, H.dim))
 
 
-# At this time the functions of a Hamiltonian with explicit time are called.
+# Time at which the functions of a time-dependent Hamiltonian are called.
 TIME = 0.4
 
 
@@ -76,7 +76,7 @@ def call(system: System, name: str, *arguments: object, **keywords: object) -> n
 
 
 def sympy_values(H: Hamiltonian, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Energy, gradient and Hessian at states (n, dim), from sympy in 30 digits."""
+    """Energy, gradient and Hessian at states (n, dim), by sympy to 30 digits."""
     own = {symbol.name: symbol for symbol in H.expr.free_symbols}
     real = {symbol: sympy.Symbol(name, real=True) for name, symbol in own.items()}
     expr = H.expr.xreplace(real)
@@ -125,7 +125,7 @@ def check_against_sympy(H: Hamiltonian, z: np.ndarray, system: System) -> None:
     np.testing.assert_allclose(call(system, "vector_field", z), gradient @ J.T, **close)
     np.testing.assert_allclose(call(system, "hessian", z), hessian, **close)
     np.testing.assert_allclose(call(system, "residual", z, dz), residual, **close)
-    if H.time is not None:  # there is no energy penalty then
+    if H.time is not None:  # the loss has no energy penalty
         np.testing.assert_allclose(call(system, "loss", z, dz), loss, **close)
         return
     np.testing.assert_allclose(call(system, "loss", z, dz, 0.7), loss, **close)
@@ -147,7 +147,7 @@ def test_compiled_functions_match_sympy(name: str) -> None:
     check_against_sympy(problem.H, z, problem.H.compile("numba"))
 
 
-def test_assumptions_of_symbols_change_nothing(example: Problem) -> None:
+def test_assumptions_of_symbols_are_ignored(example: Problem) -> None:
     H = example.H
     z = states(H, np.array(example.z0), count=2)
     sources = {variant.source("numpy") for variant in spellings(H)}
@@ -187,7 +187,7 @@ def test_shapes_and_dtypes_follow_the_state(name: str, backend: str) -> None:
             assert call(system, "loss", z, z, *penalty).shape == ()
 
 
-def test_states_of_wrong_length_are_refused(backend: str) -> None:
+def test_states_of_wrong_length_are_rejected(backend: str) -> None:
     system = Hamiltonian("p**2/2 + x**2/2").compile(backend)
     for shape in ((3,), (2, 5), ()):
         with pytest.raises((ValueError, RuntimeError, IndexError)):
@@ -279,7 +279,7 @@ def test_gradients_flow_twice_through_every_function(
     twice = slope(slope(system.loss(z, z, 0.0, 1.0)).sum())
     assert torch.isfinite(twice).all()
     n = len(FORMULAS)
-    assert (twice[0, :n] != 0).sum() >= n - 3  # but for what is constant or linear
+    assert (twice[0, :n] != 0).sum() >= n - 3  # except constant and linear formulas
 
 
 x, p = sympy.symbols("x p", real=True)
@@ -295,7 +295,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_missing_functions_are_refused_by_name(name: str, backend: str) -> None:
+def test_missing_functions_are_named_in_errors(name: str, backend: str) -> None:
     H = Hamiltonian(p**2 / 2 + REFUSED[name])
     with pytest.raises(CodeGenerationError, match=f"'{name}' cannot be generated for {backend}"):
         H.source(backend)
@@ -304,12 +304,12 @@ def test_missing_functions_are_refused_by_name(name: str, backend: str) -> None:
 @pytest.mark.parametrize(
     "expr", [sympy.asin(2) * x, sympy.Rational(-2) ** sympy.Rational(1, 3) * x]
 )
-def test_complex_coefficients_are_refused(expr: sympy.Expr, backend: str) -> None:
+def test_complex_coefficients_are_rejected(expr: sympy.Expr, backend: str) -> None:
     with pytest.raises(InputError):
         Hamiltonian(p**2 / 2 + expr).compile(backend)
 
 
-def test_coefficients_beyond_floating_point_are_refused(backend: str) -> None:
+def test_coefficients_beyond_float64_are_rejected(backend: str) -> None:
     for power in (400, -400):
         H = Hamiltonian(p**2 / 2 + sympy.Integer(10) ** power * x)
         with pytest.raises(CodeGenerationError, match="choose other units"):
@@ -377,7 +377,7 @@ def test_time_follows_the_state(backend: str) -> None:
 # -- the text ------------------------------------------------------------------------------------
 
 
-def test_loss_of_the_oscillator_reads_like_the_paper() -> None:
+def test_oscillator_loss_has_the_papers_form() -> None:
     H = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
     assert H.source("torch", part="loss") == textwrap.dedent('''\
         def loss(z, dz, energy_0, energy_weight=0.0):
@@ -398,7 +398,7 @@ def test_loss_of_the_oscillator_reads_like_the_paper() -> None:
             return value''')
 
 
-def test_source_is_what_runs(example: Problem, backend: str) -> None:
+def test_source_is_the_executed_text(example: Problem, backend: str) -> None:
     system = example.H.compile(backend)
     assert system.source == example.H.source(backend)
     for name in FUNCTIONS:
@@ -431,8 +431,11 @@ def test_tracebacks_show_the_generated_line() -> None:
     ("arguments", "message"),
     [
         (("jax",), "'jax' is not a backend; choose one of torch, numpy, numba"),
-        (("torch", "lagrangian"), "'lagrangian' is not a part of the source; choose one of energy"),
-        (("torch", "_private"), "'_private' is not a part"),
+        (
+            ("torch", "lagrangian"),
+            "'lagrangian' is not a function of the module; choose one of energy",
+        ),
+        (("torch", "_private"), "'_private' is not a function"),
     ],
 )
 def test_unknown_backend_or_part(arguments: tuple[str, ...], message: str) -> None:
@@ -455,23 +458,23 @@ def test_only_used_components_are_unpacked() -> None:
     assert "phi" not in re.sub("p_phi", "", polar.source("numpy", part="gradient"))
 
 
-def test_functions_are_derived_when_used(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_functions_are_derived_on_first_use(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
-        raise AssertionError("the Hessian is derived")
+        raise AssertionError("Hessian derived")
 
     H = Hamiltonian("p**2/2 + x**2/2 + x**8/8 - 1/1001")
     monkeypatch.setattr(derivatives, "hessian", refuse)
     z = integrate(H, [1.0, 0.2], (0, 1), "forest_ruth", steps=10).z
     assert H.compile("numpy").gradient(z).shape == z.shape
-    with pytest.raises(AssertionError, match="the Hessian is derived"):
+    with pytest.raises(AssertionError, match="Hessian derived"):
         H.compile("numpy").hessian(z)
 
 
 # -- names ---------------------------------------------------------------------------------------
 
 
-def test_names_beside_the_users_are_reserved(example: Problem, backend: str) -> None:
-    """In every function that has names of the user's."""
+def test_names_in_templates_are_reserved(example: Problem, backend: str) -> None:
+    """Tested in every function that contains names of the user."""
     H = example.H
     users = {f"{mark}{name}" for name in H.names for mark in ("", "d")} | set(H.parameter_names)
     for node in ast.parse(H.source(backend)).body:
@@ -507,7 +510,7 @@ AWKWARD = [
 
 
 @pytest.mark.parametrize(("formula", "parameters"), AWKWARD)
-def test_names_that_mean_something_in_the_code(
+def test_reserved_names_are_usable_in_formulas(
     formula: str,
     parameters: dict[str, float],
     backend: str,
@@ -533,8 +536,8 @@ def test_names_that_mean_something_in_the_code(
             np.testing.assert_allclose((first - z[0]) / 1e-3, z[0] - residual[0], atol=0.1)
 
 
-def test_large_systems_take_out_common_subexpressions() -> None:
-    """A result with temporaries is the same as without them."""
+def test_large_systems_extract_common_subexpressions() -> None:
+    """Results with temporaries equal sympy's."""
     terms = " + ".join(f"exp(-(q{i} - q{i + 1})**2)*cos(q{i} - q{i + 1})" for i in range(1, 8))
     kinetic = " + ".join(f"p{i}**2/2" for i in range(1, 9))
     H = Hamiltonian(f"{kinetic} + {terms}")
@@ -554,10 +557,10 @@ _SHAPES = {
 }
 
 
-@pytest.mark.parametrize("backend", ["torch", "numpy"])  # numba compiles as much for a minute
+@pytest.mark.parametrize("backend", ["torch", "numpy"])  # numba compilation takes a minute
 @pytest.mark.parametrize("shape", _SHAPES)
 def test_long_products_share_their_factors(shape: str, backend: str) -> None:
-    """Of n factors f(q_i + p_i): 3 n multiplications, and three for each pair of factors."""
+    """n factors f(q_i + p_i) need 3 n multiplications, and three for each pair of factors."""
     n = 11
     text, value, slope, curvature = _SHAPES[shape]
     H = Hamiltonian("2*" + "*".join(text.format(f"q{i} + p{i}") for i in range(n)))
@@ -599,13 +602,13 @@ def test_sources_do_not_depend_on_the_process() -> None:
 # -- effort --------------------------------------------------------------------------------------
 
 
-def test_short_formulas_of_endless_code_are_refused() -> None:
+def test_derivatives_beyond_the_limit_are_rejected() -> None:
     H = Hamiltonian("*".join(f"(q{i} + p{i})" for i in range(60)))
-    with pytest.raises(CodeGenerationError, match="many variables meet in one term"):
+    with pytest.raises(CodeGenerationError, match="single terms contain many variables"):
         H.source("numpy")
 
 
-def test_the_catalogue_stays_far_below_the_effort(
+def test_catalogue_is_far_below_the_limit(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(derivatives, "MAX_OPERATIONS", derivatives.MAX_OPERATIONS // 10)
@@ -631,7 +634,7 @@ def _bodies(n: int) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("formula", [_chain(64), _bodies(10)], ids=["chain", "bodies"])
-def test_many_particles_stay_far_below_the_effort(
+def test_many_particles_are_far_below_the_limit(
     formula: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(derivatives, "MAX_OPERATIONS", derivatives.MAX_OPERATIONS // 8)
@@ -644,7 +647,7 @@ def test_many_particles_stay_far_below_the_effort(
 
 
 @pytest.mark.parametrize("n", [2.0, 3.0, 4.0])
-def test_powers_with_a_parameter_have_derivatives_at_zero(n: float, backend: str) -> None:
+def test_powers_with_parameter_have_derivatives_at_zero(n: float, backend: str) -> None:
     system = Hamiltonian("p**2/2 + x**n/n", parameters={"n": n}).compile(backend)
     for x in (0.0, -0.5):
         z = np.array([[x, 1.0]])
@@ -656,7 +659,7 @@ def test_powers_with_a_parameter_have_derivatives_at_zero(n: float, backend: str
 # -- torch ---------------------------------------------------------------------------------------
 
 
-def test_torch_functions_under_vmap_and_on_another_device(example: Problem) -> None:
+def test_torch_functions_with_vmap_and_devices(example: Problem) -> None:
     system = example.H.compile("torch")
     z = torch.tensor(states(example.H, np.array(example.z0)))
     for name in ("energy", "gradient", "vector_field", "hessian"):
@@ -664,13 +667,13 @@ def test_torch_functions_under_vmap_and_on_another_device(example: Problem) -> N
         function = getattr(system, name)
         each = torch.func.vmap(lambda point, f=function, a=arguments: f(point, *a))(z)
         torch.testing.assert_close(each, function(z, *arguments))
-        # The meta device computes shapes only, and refuses tensors that were made elsewhere.
+        # The meta device computes only shapes and rejects tensors of other devices.
         assert function(z.to("meta"), *arguments).device.type == "meta"
     more = arguments or (0.0, 1.0)
     assert system.loss(z.to("meta"), z.to("meta"), *more).device.type == "meta"
 
 
-# -- alone -----------------------------------------------------------------------------------------
+# -- without hamsym --------------------------------------------------------------------------------
 
 _ALONE = """
 import sys
@@ -687,7 +690,7 @@ print(float(generated.hessian(z).sum()))
 """
 
 
-def test_written_to_a_file_it_runs_without_hamsym(backend: str, tmp_path: Path) -> None:
+def test_source_file_runs_without_hamsym(backend: str, tmp_path: Path) -> None:
     H = Hamiltonian("p**2/2 + x**4/4 + erf(x) + x*p")
     (tmp_path / "generated.py").write_text(H.source(backend), encoding="utf-8")
     make = "torch.tensor([[1.0, 2.0], [0.5, 0.1]], dtype=torch.float64)"

@@ -1,4 +1,4 @@
-"""Compiled code: the same march, kept where only the user can write."""
+"""Compiled code: equal results, and a cache that only the user can write."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_compiled_and_plain_march_agree(name: str) -> None:
     assert abs(len(fast.history.edges) - len(plain.history.edges)) <= 1
 
 
-def test_nothing_is_compiled_unasked() -> None:
+def test_short_march_does_not_compile() -> None:
     code = (
         "import sys, hamsym; hamsym.solve(hamsym.Hamiltonian('p**2 + x**2'), [1, 0], (0, 9));"
         "sys.exit('numba' in sys.modules)"
@@ -44,7 +44,7 @@ def test_nothing_is_compiled_unasked() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_compiling_when_it_pays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiles_when_it_saves_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled_loop, "cost", lambda: 0.0)
     H = Hamiltonian("p**2/2 + x**2/2 + x**6/6")
     solution = hamsym.solve(H, [1.0, 0.0], (0, 200), tol=1e-9)
@@ -52,7 +52,9 @@ def test_compiling_when_it_pays(monkeypatch: pytest.MonkeyPatch) -> None:
     assert solution.history.compiled
     monkeypatch.setattr(compiled_loop, "cost", lambda: 100.0)
     other = Hamiltonian("p**2/2 + x**2/2 + x**6/12 + x**6/12")
-    assert not hamsym.solve(other, [1.0, 0.0], (0, 1)).history.compiled  # equal, and compiled above
+    assert not hamsym.solve(
+        other, [1.0, 0.0], (0, 1)
+    ).history.compiled  # equal to H, which was compiled
 
 
 @pytest.mark.parametrize("value", ["always", None, 2])
@@ -90,7 +92,7 @@ def fresh_cache(monkeypatch: pytest.MonkeyPatch):
     numba_cache.cache_directory.cache_clear()
 
 
-def test_cache_is_the_users_own(fresh_cache, tmp_path: Path) -> None:
+def test_cache_directory_is_private(fresh_cache, tmp_path: Path) -> None:
     fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path / "a" / "cache"))
     path = numba_cache.cache_directory()
     assert path == (tmp_path / "a" / "cache").resolve()
@@ -110,12 +112,12 @@ def test_planted_bytecode_does_not_run(fresh_cache, tmp_path: Path) -> None:
     other.write_text("VALUE = 4\n")
     planted = Path(importlib.util.cache_from_source(str(path)))
     planted.parent.mkdir(exist_ok=True)
-    unchecked = py_compile.PycInvalidationMode.UNCHECKED_HASH  # as Python takes it unasked
+    unchecked = py_compile.PycInvalidationMode.UNCHECKED_HASH  # which Python loads without a check
     py_compile.compile(str(other), str(planted), invalidation_mode=unchecked)
     assert numba_cache.load_module("VALUE = 3\n", "numba").VALUE == 3
 
 
-def test_texts_are_kept_and_checked(fresh_cache, tmp_path: Path) -> None:
+def test_cached_texts_are_validated(fresh_cache, tmp_path: Path) -> None:
     fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
     fresh_cache.setattr(numba_cache, "_SLOW", -1.0)
     assert numba_cache.cached_text("key", lambda: "one") == "one"
@@ -143,7 +145,7 @@ def test_derived_text_serves_the_next_process(fresh_cache, tmp_path: Path) -> No
 
 
 def _entry(cache: Path, source: str, days: float, size: int) -> list[Path]:
-    """A source of the cache that was used so many days ago, and what was compiled of it."""
+    """Add a source and its compiled file to the cache, last used ``days`` days ago."""
     path = Path(numba_cache.load_module(source, "numba").__file__)
     data = cache / "__pycache__" / f"{path.stem}.function-1.py311.1.nbc"
     data.write_bytes(bytes(size))
@@ -153,7 +155,7 @@ def _entry(cache: Path, source: str, days: float, size: int) -> list[Path]:
     return [path, data]
 
 
-def test_the_cache_is_pruned(fresh_cache, tmp_path: Path) -> None:
+def test_old_cache_entries_are_removed(fresh_cache, tmp_path: Path) -> None:
     fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
     fresh_cache.setattr(numba_cache, "_LARGEST", 3_000)
     ages = {"new": 0.0, "recent": 1.5, "older": 30.0, "oldest": 60.0, "forgotten": 91.0}
@@ -166,17 +168,17 @@ def test_the_cache_is_pruned(fresh_cache, tmp_path: Path) -> None:
 
     assert numba_cache.load_module("NAME = 'oldest'\n", "numba").NAME == "oldest"  # used again
     numba_cache.load_module("VALUE = 1\n", "numba")
-    assert left() == {*ages}  # since it was done today
+    assert left() == {*ages}  # pruned today already
     os.utime(tmp_path / "pruned", (0, 0))
     numba_cache.load_module("VALUE = 2\n", "numba")
     assert left() == {"new", "recent", "oldest"}
     fresh_cache.setattr(numba_cache, "_LARGEST", 0)
     os.utime(tmp_path / "pruned", (0, 0))
     numba_cache.load_module("VALUE = 3\n", "numba")
-    assert left() == {"new", "oldest"}  # another process may be about to load them
+    assert left() == {"new", "oldest"}  # used within a day: another process may load them
 
 
-def test_using_the_cache_leaves_what_numba_judges_by(fresh_cache, tmp_path: Path) -> None:
+def test_reading_the_cache_keeps_modification_time(fresh_cache, tmp_path: Path) -> None:
     fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
     path, _ = _entry(tmp_path, "VALUE = 3\n", 50.0, 1)
     before = path.stat()
@@ -188,9 +190,7 @@ def test_using_the_cache_leaves_what_numba_judges_by(fresh_cache, tmp_path: Path
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no permission bits here")
 @pytest.mark.parametrize("unsafe", ["writable by others", "a link", "a file"])
-def test_a_directory_that_others_could_write_is_not_used(
-    fresh_cache, tmp_path: Path, unsafe: str
-) -> None:
+def test_writable_directory_of_others_is_not_used(fresh_cache, tmp_path: Path, unsafe: str) -> None:
     path = tmp_path / "cache"
     if unsafe == "a file":
         path.write_text("")
@@ -217,7 +217,7 @@ def test_damaged_cache_is_replaced(tmp_path: Path) -> None:
     )
     environment = {**os.environ, "HAMSYM_CACHE_DIR": str(tmp_path)}
     run = [sys.executable, "-c", code]
-    # The loop of the march, the same for every H, is brought along: it takes long to compile.
+    # The loop of the march is the same for every H and slow to compile: it is copied.
     hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1), compiled=True)
     shutil.copytree(
         numba_cache.cache_directory(), tmp_path, ignore=_all_but_the_loop, dirs_exist_ok=True
