@@ -1,4 +1,4 @@
-"""One solve of the audit, compared with its reference."""
+"""Comparison of one solve of the audit with its reference."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ from .systems import BY_NAME, System
 __all__ = ["Verdict", "complaints", "difference", "judged", "references"]
 
 _EPS = 2.0**-52
-_ROUND_OFF = 1e3 * _EPS  # times the growth of errors: what is above it is no round-off
-_SEEN = 1e-14  # relative: below it the state itself is rounded
-_FACTOR = 10  # between an estimate and the truth
-_PESSIMISM = 50  # between the round-off that a refusal gives as its reason and the truth
-_SMALL = 1e-8  # of the largest of its half: the scale of a component that is zero
+_ROUND_OFF = 1e3 * _EPS  # relative to the growth of errors: larger errors are not round-off
+_SEEN = 1e-14  # relative error below which the state itself is rounded
+_FACTOR = 10  # largest ratio of an estimate and the true error
+_PESSIMISM = 50  # largest ratio of the round-off named in a refusal and the true error
+_SMALL = 1e-8  # scale of a zero component, relative to the largest of its half
 _HELD = re.compile(r"(?:held|met only) until t = ([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)")
 _TIME = re.compile(r"\bt = [-+]?[0-9]")
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a solve said, and what is true; errors in units of what is allowed.
+    """Result of a solve and its true errors, in units of the allowed error.
 
     Attributes
     ----------
     success, message
-        As of the solution; "" and False where there is none.
+        As in the solution; False and "" if solve raised.
     raised : str
-        The class of what was raised, and its text.
+        Class and text of an exception.
     estimate, floor : float
-        Largest estimated error at the times of the reference, with round-off, and round-off alone.
+        Largest estimated error at the times of the reference, with round-off; round-off alone.
     truth, where, component
-        Largest true error at those times, and where it is.
+        Largest true error at those times, its time and its component.
     held : float
-        The largest true error until the time up to which a refusal says that tol held.
+        Largest true error until the time up to which a refusal claims that tol held.
     judgeable : bool
         Whether the true error is above round-off.
     complete : bool
-        Whether the solution reaches the end of the span, and the reference does.
+        Whether solution and reference both reach the end of the span.
     seconds : float
     """
 
@@ -69,7 +69,7 @@ class Verdict:
 
 @functools.lru_cache(maxsize=1)
 def references() -> dict[str, dict]:
-    """What ``make_references.py`` wrote."""
+    """Read the references that ``make_references.py`` wrote."""
     return json.loads(Path(__file__).with_name("references.json").read_text())
 
 
@@ -82,7 +82,7 @@ def _hamiltonian(name: str) -> hamsym.Hamiltonian:
 
 
 def difference(values: np.ndarray, decimals: list[list[str]]) -> np.ndarray:
-    """float64 values minus decimal numbers, to more digits than float64 has."""
+    """Subtract decimal numbers from float64 values, with more digits than float64."""
     high = np.array([[float(text) for text in row] for row in decimals])
     low = np.array(
         [[float(Decimal(text) - Decimal(float(text))) for text in row] for row in decimals]
@@ -91,7 +91,7 @@ def difference(values: np.ndarray, decimals: list[list[str]]) -> np.ndarray:
 
 
 def judged(system: System, tol: float) -> Verdict:
-    """Solve at a tolerance and compare."""
+    """Solve at a tolerance and compare with the reference."""
     began = time.process_time()
     try:
         with warnings.catch_warnings():
@@ -146,7 +146,7 @@ def judged(system: System, tol: float) -> Verdict:
 
 
 def _scales(system: System, row: dict) -> np.ndarray:
-    """The largest magnitude of each component; of those that are zero, that of their half."""
+    """Largest magnitude of each component; for zero components, 1e-8 of that of their half."""
     scales = np.array(row["scales"])
     halves = np.repeat(scales.reshape(2, -1).max(axis=1), len(scales) // 2)
     zero = np.array([name in system.zero for name in system.names]) | (scales == 0)
@@ -154,7 +154,7 @@ def _scales(system: System, row: dict) -> np.ndarray:
 
 
 def complaints(system: System, tol: float, verdict: Verdict) -> list[str]:
-    """What is wrong with a solve, in words."""
+    """Describe each defect of a solve in words."""
     found = []
     if verdict.raised and not verdict.raised.startswith("InputError"):
         return [f"raised {verdict.raised}"]
@@ -168,8 +168,8 @@ def complaints(system: System, tol: float, verdict: Verdict) -> list[str]:
                 f"success with {verdict.truth:.2g} of the allowed error in {verdict.component} "
                 f"at t = {verdict.where:.6g}, estimated {verdict.estimate:.2g}"
             )
-        # Too small an estimate misleads even where all is round-off; one that is too large misleads
-        # only where it is about the march.
+        # Too small an estimate is wrong even if the error is round-off; one that is too large is
+        # wrong only if it estimates the error of the march.
         low = verdict.estimate * _FACTOR >= verdict.truth or verdict.truth * tol <= _SEEN
         high = verdict.estimate <= _FACTOR * verdict.truth or not verdict.judgeable
         if not low or not (high or verdict.floor > 0.3 * verdict.estimate):

@@ -1,9 +1,9 @@
-"""Makes ``references.json``: states of the systems of the audit, in 25 digits.
+"""Make ``references.json``: states of the systems of the audit, to 25 digits.
 
 Run it from the repository: ``python -m tests.audit.make_references [name ...]``; without names it
-makes all that are missing. Every trajectory is computed twice, at two precisions and orders, and
-the larger difference is stored as ``agreement``; where there is an exact solution it is what is
-stored, and the Taylor series are checked against it.
+makes the missing references. Every trajectory is computed twice, at two precisions and orders, and
+the largest difference is stored as ``agreement``. If there is an exact solution it is stored, and
+the Taylor series are compared with it.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ __all__ = ["FILE"]
 FILE = Path(__file__).with_name("references.json")
 _TIMES, _BUSY = 20, 6
 _DIGITS = 25
-_NUDGE = 1e-18  # of the start, relative, for the growth of errors
+_NUDGE = 1e-18  # relative perturbation of the start, to measure the growth of errors
 _AGREEMENT = 1e-14
 
 mpmath.mp.dps = 50
 
 
 def times_of(system: System, equations: Equations) -> list[float]:
-    """Irregular times, some where most happens, and the end."""
+    """Irregular times, some of them at the fastest motion, and the end."""
     start, end = system.span
     end = system.until if system.until is not None else end
     generator = random.Random(zlib.crc32(system.name.encode()))
     times = {start + (end - start) * generator.random() for _ in range(_TIMES - 1)}
     rough = integrate(equations, system.z0, start, [end], order=20, bits=96, digits=15)
     edges = [*rough.starts, rough.reached]
-    # Where steps are short, something happens: an encounter, or a kick.
+    # Short steps mark fast motion: an encounter or a kick.
     busy: list[float] = []
     for k in sorted(range(1, rough.steps), key=lambda k: abs(edges[k + 1] - edges[k])):
         if all(abs(edges[k] - t) > 0.03 * abs(end - start) for t in busy):
@@ -67,7 +67,7 @@ def equations_of(system: System) -> Equations:
 
 
 def linear(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
-    """exp(A t) z0."""
+    """Solution exp(A t) z0 of a linear system."""
     names = system.names
     symbols = [sympy.Symbol(name, real=True) for name in names]
     exact = {
@@ -90,7 +90,7 @@ def linear(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
 
 
 def kepler(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
-    """Start on the x axis at an apsis, mu = 1."""
+    """Kepler orbit, mu = 1, from an apsis on the x axis."""
     x, _, _, v = (mpmath.mpf(value) for value in system.z0)
     a = 1 / (2 / x - v * v)
     e = 1 - x / a  # negative from the aphelion, where the eccentric anomaly counts from
@@ -124,7 +124,7 @@ def kepler(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
 
 
 def pendulum(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
-    """At rest at x0: sin(x/2) = k sn(K - t), k = sin(x0/2)."""
+    """Pendulum from rest at x0: sin(x/2) = k sn(K - t), k = sin(x0/2)."""
     k = mpmath.sin(mpmath.mpf(system.z0[0]) / 2)
     K = mpmath.ellipk(k * k)
     found = []
@@ -136,7 +136,7 @@ def pendulum(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
 
 
 def parabolas(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
-    """At rest at distance d from the kink of |x - 1|: quarter periods of sqrt(2 d)."""
+    """Motion in |x - 1| from rest at distance d from the kink; quarter periods sqrt(2 d)."""
     d = mpmath.mpf(system.z0[0]) - 1
     quarter = mpmath.sqrt(2 * d)
     found = []
@@ -150,7 +150,7 @@ def parabolas(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
 
 
 def gaussian_kick(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
-    """p' = -exp(-(c (t - b))**2) with x' = p, by error functions."""
+    """Solution of p' = -exp(-(c (t - b))**2), x' = p, by error functions."""
     b, c = mpmath.mpf(337) / 100, mpmath.mpf(1000)
     x0, p0 = (mpmath.mpf(value) for value in system.z0)
 
@@ -172,7 +172,7 @@ def gaussian_kick(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
 
 
 def chirp(system: System, times: list[float]) -> list[list[mpmath.mpf]]:
-    """p' = -cos(t**2), x' = p, by Fresnel integrals."""
+    """Solution of p' = -cos(t**2), x' = p, by Fresnel integrals."""
     x0, p0 = (mpmath.mpf(value) for value in system.z0)
     unit = mpmath.sqrt(mpmath.pi / 2)
     found = []

@@ -1,4 +1,4 @@
-"""The systems of the audit: formulas, starts and spans that are hard in one way each.
+"""Systems of the audit: formulas, starts and spans, each with one kind of difficulty.
 
 References are in ``references.json``, made by ``make_references.py``.
 """
@@ -35,22 +35,22 @@ class System:
     span : (float, float)
     parameters : mapping
     tols : tuple of float
-        At which it is solved.
+        Tolerances of the solves.
     fast : tuple of float
-        Those of them that the fast tests take.
+        Tolerances of the tests that are not marked slow.
     must_succeed, must_refuse : tuple of float
-        Tolerances at which success is owed, and at which it cannot be true.
+        Tolerances at which success is required, and at which it is impossible.
     word : str
-        Regular expression that the message of a refusal contains.
+        Regular expression that matches the message of a refusal.
     reference : str
         "taylor", the name of an exact solution in ``make_references.py``, or "none".
     until : float, optional
-        Where the reference ends, if not at the end of the span.
+        End of the reference, if it is before the end of the span.
     smooth, switches : str
-        For the reference: H with signs s1, s2, ... in place of what has kinks, and the expressions
-        whose signs they are, separated by semicolons.
+        For the reference: H with signs s1, s2, ... instead of non-smooth functions, and the
+        expressions that have these signs, separated by semicolons.
     focus : tuple of (str, float)
-        For the reference: expressions near whose zeros H changes within a width.
+        For the reference: expressions, and the width around their zeros within which H changes.
     zero : tuple of str
         Components that are zero or round-off on the trajectory, judged by the floor of 1e-8 of
         the largest of their half instead of by their own scale.
@@ -82,7 +82,7 @@ class System:
 
     @property
     def fingerprint(self) -> str:
-        """Of all that a reference depends on."""
+        """Digest of everything that determines the reference."""
         parts = (self.smooth or self.text, self.q, self.p, self.z0, self.span, self.until)
         more = (dict(self.parameters), self.switches, self.reference)
         return hashlib.sha256(repr((parts, more)).encode()).hexdigest()[:16]
@@ -100,7 +100,7 @@ _SUN = {"G": 6.674e-11, "M": 1.989e30, "m": 5.972e24}
 
 
 def _bodies(masses: tuple[str, ...], gravity: str = "1") -> str:
-    """H of bodies in a plane, coordinates x1, y1, x2, ..."""
+    """H of gravitating bodies in a plane, with coordinates x1, y1, x2, ..."""
     count = len(masses)
     kinetic = [f"(px{k + 1}**2+py{k + 1}**2)/(2*({masses[k]}))" for k in range(count)]
     potential = [
@@ -122,7 +122,7 @@ def _numbered(letter: str, count: int) -> str:
 
 
 def _chain(count: int, bond: str) -> str:
-    """Chain with fixed ends; ``bond`` is a function of the stretch d."""
+    """H of a chain with fixed ends; ``bond`` is a function of the stretch d."""
     sites = ["0", *(f"q{k + 1}" for k in range(count)), "0"]
     kinetic = "+".join(f"p{k + 1}**2/2" for k in range(count))
     bonds = (bond.replace("d", f"({b}-{a})") for a, b in pairwise(sites))
@@ -136,7 +136,7 @@ def _ring(count: int) -> str:
 
 
 def _network(count: int) -> str:
-    """Linear oscillators, every one with every other."""
+    """H of linear oscillators with all-to-all coupling."""
     own = "+".join(f"p{k + 1}**2/2+{k + 2}*q{k + 1}**2/2" for k in range(count))
     coupling = "+".join(
         f"(q{i + 1}-q{k + 1})**2/{4 + i + 2 * k}" for i in range(count) for k in range(i)
@@ -145,7 +145,7 @@ def _network(count: int) -> str:
 
 
 def _waves(count: int, size: float) -> tuple[float, ...]:
-    """Two modes of a chain at rest."""
+    """Start at rest with two modes of a chain."""
     q = (
         size * (math.sin(math.pi * (k + 1) / (count + 1)) + math.cos(1.7 * k) / 3)
         for k in range(count)
@@ -1238,7 +1238,7 @@ SYSTEMS: tuple[System, ...] = (
         fast=(1e-8,),
         must_succeed=(1e-4,),
     ),
-    # -- what ends, and what cannot be had -------------------------------------------------------
+    # -- singular ends and impossible accuracy ---------------------------------------------------
     System(
         name="blow_up_quartic",
         kind="end",

@@ -1,6 +1,6 @@
-"""Prints the audit as a table: ``python -m tests.audit.table [name or class ...]``.
+"""Print the audit as a table: ``python -m tests.audit.table [name or class ...]``.
 
-Errors are in units of what is allowed; below a line is what is wrong with it.
+Errors are in units of the allowed error; the defects of a solve are listed below its line.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Taylor series integrator in many digits, the judge of the audit; it shares no code with hamsym.
+"""Taylor series integrator of high precision for the references; it shares no code with hamsym.
 
-sympy differentiates the formula, python-flint evaluates power series of its gradient, each
-evaluation giving one coefficient more of the solution. The step comes from the last coefficients.
-Balls are replaced by their middles after each step: nothing is proven here. What the result is
-worth shows when it is computed once more with other orders and precisions.
+sympy differentiates the formula, and python-flint evaluates power series of its gradient. Each
+evaluation gives one more coefficient of the solution. The step length follows from the last
+coefficients. Balls are replaced by their midpoints after each step, so the result is not rigorous.
+Its accuracy is measured by a second computation with another order and precision.
 """
 
 from __future__ import annotations
@@ -34,36 +34,36 @@ _FUNCTIONS = {
 }
 
 
-_LAST = 6  # terms of a series that decide on the step
-_NOTHING = 400.0  # powers of two below the largest of its half
+_LAST = 6  # last terms of a series, which determine the step
+_NOTHING = 400.0  # log2 of the size relative to the largest of its half that is ignored
 
 
 class StoppedError(Exception):
-    """The integration came to a point beyond which it cannot go."""
+    """The integration cannot continue beyond a point."""
 
 
 def formula(text: str, names: Sequence[str]) -> sympy.Expr:
-    """The expression of a formula, decimals as exact rationals."""
+    """Parse a formula, with decimals as exact rationals."""
     symbols = {name: sympy.Symbol(name, real=True) for name in names}
     transformations = (*standard_transformations, rationalize)
     return sympy.sympify(parse_expr(text, local_dict=symbols, transformations=transformations))
 
 
 class Equations:
-    """z' = J grad H(z, t) as series: lists of arb_series in, lists of arb_series out.
+    """Right-hand side of z' = J grad H(z, t) for power series, lists of arb_series.
 
     Parameters
     ----------
     text : str
-        H, with ``s1``, ``s2``, ... for signs that switch.
+        H, with ``s1``, ``s2``, ... for the signs of the switches.
     q, p : sequences of str
     parameters : mapping
         float64 values.
     switches : sequence of str
-        Expressions whose signs s1, s2, ... are.
+        Expressions with the signs s1, s2, ...
     focus : sequence of (str, float)
-        Expressions and widths: where such an expression comes near to zero, steps become so short
-        that it changes by no more than the width, or by half of what it is.
+        Expressions and widths. In each step such an expression changes at most by the width or by
+        half its value.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Equations:
         half = len(q)
         rates = [H.diff(z[half + k]) for k in range(half)] + [-H.diff(z[k]) for k in range(half)]
         looked = [formula(one, names) for one in (*switches, *(one for one, _ in focus))]
-        # Parameters stay symbols until here: derivatives of formulas full of digits are slow.
+        # Values are inserted after differentiation, which is slow with long rationals.
         self._rates = self._compiled([rate.subs(exact) for rate in rates])
         self._looked = self._compiled([one.subs(exact) for one in looked])
         self.switches, self.widths = len(switches), [width for _, width in focus]
@@ -115,7 +115,7 @@ class Equations:
                 one.append(last / (k + 1))
 
     def looked(self, t: arb, z: list[arb], signs: list[int]) -> list[arb]:
-        """Values of the switches and of what the focus is on."""
+        """Values of the switches and of the expressions in focus."""
         ctx.cap = 1
         series = [arb_series([value], prec=1) for value in z]
         values = self._looked(arb_series([t], prec=1), *series, *signs)
@@ -123,7 +123,7 @@ class Equations:
 
 
 class _Writer:
-    """Writes expressions as Python on arb_series, with exact constants in a list ``c``."""
+    """Printer of expressions as Python for arb_series, with exact constants in a list ``c``."""
 
     def __init__(self) -> None:
         self.constants: list[Callable[[], arb]] = []
@@ -199,18 +199,18 @@ def power(base: arb_series, exponent: int) -> arb_series:
 
 @dataclass
 class Orbit:
-    """What was found.
+    """Result of :func:`integrate`.
 
     Attributes
     ----------
     states : list of list of arb
-        At the asked times, in balls whose radius says nothing.
+        At the given times; the radii of the balls are not bounds.
     scales : list of float
         Largest magnitude of each component.
     steps : int
     reached : float
     events, starts : list of float
-        Times of switches, and at which steps begin.
+        Times of switches, and start times of the steps.
     """
 
     states: list[list[arb]]
@@ -233,7 +233,7 @@ def integrate(
     most: int = 200_000,
     longest: float = math.inf,
 ) -> Orbit:
-    """States at times, which are in the order in which the trajectory passes them.
+    """Integrate and return states at times, given in the direction of integration.
 
     Parameters
     ----------
@@ -242,13 +242,13 @@ def integrate(
         Exact float64 values, or balls.
     start : float
     times : sequence of float
-        The last of them is the end.
+        The last one is the end of the integration.
     order, bits, digits
-        Of the series, of the numbers, and what a step leaves out, relative to each component.
+        Order of the series, precision in bits, and relative accuracy of a step in digits.
     most : int
-        Steps.
+        Largest number of steps.
     longest : float
-        Step.
+        Largest step.
     """
     before = ctx.prec, ctx.cap
     try:
@@ -301,7 +301,7 @@ def _integrate(
         if equations.switches:
             step, flipped = _until_switch(equations, t, coefficients, signs, step)
             final = final and flipped is None
-        # The last step may end a rounding error before the end.
+        # The last step may end before the end by a rounding error.
         while waiting and (final or float(direction * (arb(waiting[0]) - t - step)) <= 0):
             orbit.states.append([_at(one, arb(waiting[0]) - t) for one in coefficients])
             waiting.pop(0)
@@ -326,7 +326,7 @@ def _at(coefficients: list[arb], s: arb) -> arb:
 
 
 def _log(value: arb) -> float:
-    """log2 of a magnitude, -inf for zero."""
+    """Compute log2 of a magnitude, -inf for zero."""
     mantissa, exponent = value.mid().man_exp()
     mantissa = abs(int(mantissa))
     if not mantissa:
@@ -336,9 +336,9 @@ def _log(value: arb) -> float:
 
 
 def _step(coefficients: list[list[arb]], digits: float) -> float:
-    """The longest step whose last terms are below 10**-digits of the largest, for each.
+    """Longest step with the last terms below 10**-digits of the largest, for each component.
 
-    Several terms, because every other one, or more, may be zero.
+    Several terms are tested, because every second or more may be zero.
     """
     order, lost = len(coefficients[0]) - 1, digits * math.log2(10)
     shortest = math.inf
@@ -346,7 +346,7 @@ def _step(coefficients: list[list[arb]], digits: float) -> float:
     half = len(starts) // 2
     for n, one in enumerate(coefficients):
         logs = [_log(c) for c in one]
-        # What is this small follows from tails such as exp(-1e6), and never matters.
+        # Values this small are tails of functions, exp(-1e6), and are negligible.
         nearby = starts[:half] if n < half else starts[half:]
         least = max(*nearby, -_NOTHING) - _NOTHING
         last = [(k, log) for k, log in enumerate(logs) if k > order - _LAST and log > -math.inf]
@@ -367,7 +367,7 @@ def _step(coefficients: list[list[arb]], digits: float) -> float:
 def _in_focus(
     equations: Equations, t: arb, coefficients: list[list[arb]], signs: list[int], step: float
 ) -> bool:
-    """Whether what the focus is on changes by no more than allowed in a step."""
+    """Whether the expressions in focus change within their limits in a step."""
     rows = []
     for k in range(9):
         s = arb(step) * k / 8
@@ -383,7 +383,7 @@ def _in_focus(
 def _until_switch(
     equations: Equations, t: arb, coefficients: list[list[arb]], signs: list[int], step: arb
 ) -> tuple[arb, int | None]:
-    """The step, or that to the first change of sign in it, and which sign changes there."""
+    """The step, or the step to the first change of sign in it, and the index of this sign."""
 
     def values(s: arb) -> list[float]:
         z = [_at(one, s) for one in coefficients]
@@ -397,7 +397,7 @@ def _until_switch(
     for k in range(1, parts + 1):
         s = step * k / parts
         found = [n for n, value in enumerate(values(s)) if value < 0]
-        # Just behind a switch the value is round-off of either sign.
+        # Immediately after a switch the value is round-off of either sign.
         if found and k > 1:
             low, high, which = last, s, found[0]
             for _ in range(ctx.prec):
@@ -416,7 +416,7 @@ def _until_switch(
 def _first_part(
     values: Callable[[arb], list[float]], s: arb, which: int, t: arb
 ) -> tuple[arb, int | None]:
-    """A change of sign in the first part: real if the value is above zero somewhere in it."""
+    """Find a change of sign in the first part, which is real if the value is positive in it."""
     for k in range(1, 64):
         low = (s * k / 64).mid()
         if values(low)[which] > 0:

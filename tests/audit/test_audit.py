@@ -1,4 +1,4 @@
-"""The audit of solve: no success that is not true, no estimate that misleads."""
+"""Audit of solve: success and error estimates are compared with references."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_success_and_estimate_are_true(system: System, tol: float) -> None:
     assert complaints(system, tol, judged(system, tol)) == []
 
 
-def test_references_belong_to_the_rows() -> None:
+def test_references_match_the_systems() -> None:
     stored = references()
     for system in SYSTEMS:
         if system.reference != "none":
@@ -56,12 +56,12 @@ def test_references_belong_to_the_rows() -> None:
         (Verdict(raised="InputError: a. b", message="t = 1. b"), "not one sentence"),
     ],
 )
-def test_judge_sees_what_is_wrong(verdict: Verdict, word: str) -> None:
+def test_judge_reports_each_defect(verdict: Verdict, word: str) -> None:
     system = BY_NAME["kepler_0.9"]
     assert any(word in found for found in complaints(system, 1e-4, verdict))
 
 
-def test_judge_is_content_with_truth() -> None:
+def test_judge_accepts_correct_solve() -> None:
     verdict = Verdict(success=True, estimate=0.5, truth=0.4, judgeable=True)
     assert complaints(BY_NAME["kepler_0.9"], 1e-4, verdict) == []
 
@@ -79,7 +79,7 @@ def test_every_class_has_a_fast_case() -> None:
     assert {system.kind for system in SYSTEMS if system.fast} == kinds
 
 
-def test_fast_and_owed_tolerances_are_solved_at() -> None:
+def test_listed_tolerances_are_solved() -> None:
     for system in SYSTEMS:
         listed = {*system.fast, *system.must_succeed, *system.must_refuse}
         assert listed <= set(system.tols), system.name

@@ -1,4 +1,4 @@
-"""Random Hamiltonians: no success of solve that an independent integrator does not confirm."""
+"""Random Hamiltonians: an independent integrator confirms every success of solve."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ import hamsym
 from .taylor import Equations, StoppedError, formula, integrate
 
 _CASES, _CHUNK = 300, 25
-_FAST = (0, 1, 2, 4, 5, 7, 8, 9, 10, 11)  # each judged in a second or two
+_FAST = (0, 1, 2, 4, 5, 7, 8, 9, 10, 11)  # each takes a second or two
 _TIMES = 40
 _UNJUDGED = "not judged"
-_CLOSE = 0.2  # of what is allowed: nearer to it float64 is no judge
+_CLOSE = 0.2  # of the allowed error: above it float64 is not accurate enough to decide
 _DIGITS = {"order": 24, "bits": 96, "digits": 20.0, "most": 4_000}
 
 
 @dataclass(frozen=True)
 class Case:
-    """H in units of its own: H = action/time h(q/lengths, p lengths/action, t/time)."""
+    """Random H in random units: H = action/time h(q/lengths, p lengths/action, t/time)."""
 
     text: str
     plain: str
@@ -42,7 +42,7 @@ class Case:
 
 
 def case(seed: int) -> Case:
-    """Of a seed; the same for ever."""
+    """Make the case of a seed; it must not change between versions."""
     r = random.Random(f"hamsym {seed}")
     dof = r.choice((1, 1, 2, 2, 3))
     q, p = [f"q{k + 1}" for k in range(dof)], [f"p{k + 1}" for k in range(dof)]
@@ -64,7 +64,7 @@ def case(seed: int) -> Case:
                 )
             )
         )
-        # What keeps the motion bounded, mostly.
+        # A confining term, so that most motions are bounded.
         terms.append(
             r.choice(
                 (
@@ -138,7 +138,7 @@ def case(seed: int) -> Case:
         **{y: action - k for y, k in zip(p, lengths, strict=True)},
         "t": unit,
     }
-    # Longest names first, each once: q1 is in no other name.
+    # No name contains another one: q1 is not part of q2.
     marked = plain
     for name, exponent in exponents.items():
         if exponent:
@@ -169,7 +169,7 @@ def _replaced(text: str, name: str, new: str) -> str:
 
 
 def verdict(seed: int) -> tuple[bool, str]:
-    """Whether solve succeeded, and what is wrong, if anything is."""
+    """Whether solve succeeded, and a description of a defect or ""."""
     one = case(seed)
     shown = f"seed {seed}, tol {one.tol:.0e}, {one.text}, {one.z0}, {one.span}: "
     names = (*one.q, *one.p)
@@ -190,7 +190,7 @@ def verdict(seed: int) -> tuple[bool, str]:
     times = one.span[0] + (one.span[1] - one.span[0]) * np.linspace(0, 1, _TIMES) ** 0.8
     times[-1] = one.span[1]
     found = solution(times)[:, columns]
-    # float64 sees no difference this small.
+    # At smaller tolerances float64 is not accurate enough.
     if one.tol > 1e-10 and not one.focus and _ratio(found, *_rough(one, times), one) <= _CLOSE:
         return True, ""
     try:
@@ -208,7 +208,7 @@ def _ratio(found: np.ndarray, states: np.ndarray, scales: np.ndarray, one: Case)
 
 
 def _rough(one: Case, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """By DOP853, in the units in which H was written."""
+    """States and scales by DOP853, in the units of the plain formula."""
     symbols = [sympy.Symbol(name, real=True) for name in (*one.q, *one.p)]
     H, dof = formula(one.plain, [*one.q, *one.p, "t"]), len(one.q)
     gradient = [H.diff(s) for s in symbols]
@@ -235,7 +235,7 @@ def _rough(one: Case, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _exact(one: Case, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """By Taylor series of 80 bits and more."""
+    """States and scales by Taylor series in 96 bits."""
     equations = Equations(one.text, one.q, one.p, focus=one.focus)
     orbit = integrate(equations, one.z0, one.span[0], [float(t) for t in times], **_DIGITS)
     states = np.array([[float(value) for value in row] for row in orbit.states])
@@ -256,9 +256,9 @@ def test_successes_are_confirmed(seeds: Sequence[int]) -> None:
     verdicts = [verdict(seed) for seed in seeds]
     complaints = [wrong for _, wrong in verdicts if wrong]
     assert [wrong for wrong in complaints if _UNJUDGED not in wrong] == []
-    # Motions that go on faster and faster take the judge too long.
+    # The Taylor integrator gives up on motions that accelerate without bound.
     assert len(complaints) <= 1, complaints
-    # A solver that refuses everything is never wrong.
+    # A solver that always refuses would pass the test above.
     assert sum(success for success, _ in verdicts) > 0.6 * len(seeds)
 
 
