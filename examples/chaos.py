@@ -1,11 +1,11 @@
-"""Is it chaotic? Lyapunov exponents and Poincare sections of the Henon-Heiles system.
+"""Lyapunov exponents and Poincare sections of the Henon-Heiles system.
 
 Mattheakis et al., section III.B, call the orbit from their start chaotic, with a maximal Lyapunov
-exponent of 0.069. That is not reproduced: over a million units of time the finite-time exponent
-falls like log(t)/t, as it does on a regular trajectory, and the section is a closed curve. Beside
-it an orbit at energy 1/6 whose exponent settles near 0.13.
+exponent of 0.069. This is not reproduced: over a million units of time the finite-time exponent
+decreases like log(t)/t, as on a regular trajectory, and the section is a closed curve. For
+comparison, the exponent of an orbit at energy 1/6 converges to about 0.13.
 
-Run it with `python examples/chaos.py`; `--time` and `--out` change its length and folder.
+Run `python examples/chaos.py`; `--time` and `--out` set the length and the output folder.
 """
 
 import argparse

@@ -1,10 +1,11 @@
-"""The Henon-Heiles system: a network in four dimensions, its energy, and where the bound fails.
+"""Henon-Heiles system: a network in four dimensions, its energy and the limits of the bound.
 
 Mattheakis et al., section III.B: the paper's start over [0, 6 pi], 100 points. The Hessian is
-singular on the circle x^2 + y^2 = 1/4, which the orbit crosses: there the paper's bound
-ell_max/sigma_min says nothing, and the solution says so.
+singular on the circle x^2 + y^2 = 1/4, which the orbit crosses. The paper's bound
+ell_max/sigma_min is infinite there, and the solution issues a warning.
 
-Run it with `python examples/henon_heiles.py`; `--epochs` and `--out` change its length and folder.
+Run `python examples/henon_heiles.py`; `--epochs` and `--out` set the number of epochs and the
+output folder.
 """
 
 import argparse

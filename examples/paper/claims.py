@@ -1,8 +1,8 @@
 """Further claims of the paper: noise, neurons, shared weights, the limit form, chaos, and more.
 
-Those that need runs of their own. Where training is needed it is Adam as in the authors' code, for
-10,000 epochs on the oscillator and 20,000 on its long span, since what is compared is how fast it
-converges.
+These claims need separate runs. Networks are trained by Adam as in the authors' code, for 10,000
+epochs on the oscillator and 20,000 on its long span, because the claims compare the speed of
+convergence.
 """
 
 import math
@@ -39,7 +39,7 @@ DIMENSIONS = (1, 2, 4, 8)
 
 
 def main(arguments=None):
-    """Run what is needed, judge, write the table."""
+    """Run the sweeps, test the claims and write the table."""
     experiment = Experiment(
         "claims",
         "Further claims",
@@ -67,7 +67,7 @@ def main(arguments=None):
 
 
 def judge_noise(experiment, rows):
-    """Whether moving the points helps."""
+    """Test whether noise on the points decreases the error."""
     without = rows["50 neurons, no noise"]
     for which in ("code", "text"):
         row = rows[f"50 neurons, noise of the {which}"]
@@ -80,7 +80,7 @@ def judge_noise(experiment, rows):
 
 
 def judge_neurons(experiment, rows):
-    """More neurons at the same K, and 80 against 50 on the long span."""
+    """Compare numbers of neurons at the same K, and 80 with 50 on the long span."""
     ells = {
         "20 neurons": rows["20 neurons"]["ell_max"],
         "50 neurons": rows["50 neurons, noise of the code"]["ell_max"],
@@ -109,7 +109,7 @@ def judge_neurons(experiment, rows):
 
 
 def judge_sharing(experiment, rows):
-    """One network for all components against one each."""
+    """Compare one network for all components with one network each."""
     shared, apart = rows["50 neurons, noise of the code"], rows["one network per component"]
     experiment.claim(
         "IV",
@@ -120,7 +120,7 @@ def judge_sharing(experiment, rows):
 
 
 def judge_accuracy(experiment, found):
-    """Stopping at ell_max = sigma_min * accuracy."""
+    """Test the stopping rule ell_max = sigma_min * accuracy."""
     solutions = found.solutions["accuracy = 1e-4 asked for"]
     t = np.linspace(*experiment.span, 4_001)
     errors = spread(np.abs(z(t) - experiment.truth(t)).max() for z in solutions)
@@ -134,7 +134,7 @@ def judge_accuracy(experiment, found):
 
 
 def judge_outside(experiment, found):
-    """The error beyond the span."""
+    """Measure the error beyond the span."""
     start, end = experiment.span
     inside, beyond = np.linspace(start, end, 2_001), np.linspace(end, 1.1 * end, 400)[1:]
     solutions = found.solutions["accuracy = 1e-4 asked for"]
@@ -152,7 +152,7 @@ def judge_outside(experiment, found):
 
 
 def judge_limit(experiment, found):
-    """dN/dt = J grad H(N), with z0 added to N, where exp(-t) is small."""
+    """Test dN/dt = J grad H(N), with z0 added to N, where exp(-t) is small."""
     start, end = experiment.span
     t = np.linspace(start + 0.5 * (end - start), end, 2_001)
     late, whole = [], []
@@ -175,7 +175,7 @@ def judge_limit(experiment, found):
 
 
 def judge_span(experiment, rows):
-    """What a longer span costs."""
+    """Measure the cost of a longer span."""
     near, far = rows["50 neurons, noise of the code"], rows["20 pi, 50 neurons"]
     large = rows["20 pi, 80 neurons"]
     H, z0 = experiment.problem.H, experiment.problem.z0
@@ -193,7 +193,7 @@ def judge_span(experiment, rows):
 
 
 def judge_dimensions(experiment):
-    """The same network on chains of 1 to 8 oscillators, beside Yoshida's eighth order."""
+    """Compare a network on chains of 1 to 8 oscillators with Yoshida's method of order 8."""
     errors, costs, rivals = [], [], []
     for n in DIMENSIONS:
         problem = hamsym.systems.coupled_oscillators(n)
@@ -218,11 +218,11 @@ def judge_dimensions(experiment):
 
 
 def judge_chaos(experiment):
-    """The maximal Lyapunov exponent at the paper's Henon-Heiles start."""
+    """Compute the maximal Lyapunov exponent at the paper's Henon-Heiles start."""
     problem = hamsym.systems.henon_heiles()
     end = 1e4 if experiment.results["quick"] else 1e6
     found = hamsym.lyapunov(problem.H, problem.z0, (0, end))
-    if not found.success:  # interrupted: what was found is of another time
+    if not found.success:  # interrupted: the exponents end at an earlier time
         raise KeyboardInterrupt
     values = [np.interp(t, found.t, found.exponents[:, 0]) for t in (300, 1e4, end)]
     experiment.claim(
@@ -236,7 +236,7 @@ def judge_chaos(experiment):
 
 
 def judge_parallel(experiment, found):
-    """Evaluation at many times on one thread and on two; time stepping cannot be split so."""
+    """Time the evaluation at many times on one thread and on two."""
     solution = found.solutions["50 neurons, noise of the code"][0]
     count = 10_000 if experiment.results["quick"] else 1_000_000
     t = torch.linspace(*experiment.span, count, dtype=torch.float64)
@@ -260,7 +260,7 @@ def judge_parallel(experiment, found):
 
 
 def name_untested(experiment):
-    """Claims without a test, and why."""
+    """List claims without a test, with the reason."""
     for where, says, reason in (
         (
             "II.A",

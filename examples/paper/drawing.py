@@ -1,16 +1,16 @@
-"""How the experiments' figures look, and the figure that two of them share."""
+"""Style of the experiments' figures, and a figure of two experiments."""
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from hamsym.paper.experiment import ARCHITECTURES
 
-# Colours that the colour-blind can tell apart (Okabe and Ito).
+# Palette for colour-blind readers (Okabe and Ito).
 BLUE, RED, GREEN, PINK, ORANGE, SKY = "#0072b2 #d55e00 #009e73 #cc79a7 #e69f00 #56b4e9".split()
 
 
 def figure(rows, columns, width=10.0, height=4.2, **more):
-    """A figure with a grid of axes."""
+    """Make a figure with a grid of axes."""
     drawn = Figure(figsize=(width, height), layout="constrained")
     axes = drawn.subplots(rows, columns, squeeze=False, **more)
     for axis in axes.flat:
@@ -20,7 +20,7 @@ def figure(rows, columns, width=10.0, height=4.2, **more):
 
 
 def draw_losses(axis, solutions, colors=(BLUE, RED, GREEN, PINK, ORANGE, SKY)):
-    """Loss at the training points against the epoch, each smoothed over a 200th of them."""
+    """Draw losses at the training points against the epoch, averaged over 1/200 of the epochs."""
     for (label, solution), color in zip(solutions.items(), colors, strict=False):
         loss = solution.history.loss
         width = max(1, len(loss) // 200)
@@ -32,7 +32,7 @@ def draw_losses(axis, solutions, colors=(BLUE, RED, GREEN, PINK, ORANGE, SKY)):
 
 
 def draw_architectures(experiment, found):
-    """The paper's figure of the four loss curves, once for each way to train."""
+    """Draw the paper's figure of four loss curves, for each way to train."""
     drawn, axes = figure(1, 2, sharey=True)
     recipes = {"as written": "Adam as written", "authors' code": "Adam as in the authors' code"}
     for axis, (recipe, title) in zip(axes[0], recipes.items(), strict=True):

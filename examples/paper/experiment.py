@@ -1,8 +1,8 @@
-"""What an experiment is: its settings, its runs, and the files that it writes.
+"""Experiment: its settings, its runs and its output files.
 
-An experiment is one Hamiltonian, start and span, solved with many settings and several seeds by
-:func:`hamsym.sweep`. It writes `results.json`, `table.md` and figures into a folder of its own;
-`page.py` makes one page of them.
+An experiment solves one Hamiltonian, start and span with many settings and several seeds by
+:func:`hamsym.sweep`. It writes `results.json`, `table.md` and figures into its folder; `page.py`
+makes one page of all experiments.
 """
 
 import argparse
@@ -29,30 +29,30 @@ ARCHITECTURES = {
     "sigmoid, t": {"activation": "sigmoid", "envelope": "linear"},
 }
 
-# Three ways to train with Adam. As the text has it:
+# Three ways to train with Adam. First, as in the text:
 AS_WRITTEN = {"method": "adam", "schedule": "constant", "learning_rate": 8e-3, "tau": 1.0}
-# As the authors' published code has it: slower averages, and other noise, which comes with each
-# experiment. (Left out are its float32, its third point, which is always moved to t = 1, and its
-# choice of the weights with the lowest noisy loss.)
+# Second, as in the authors' published code: slower averages, and another noise, set by each
+# experiment. (Not adopted: float32, the third point, which is always moved to t = 1, and the choice
+# of the weights with the lowest noisy loss.)
 AUTHORS = AS_WRITTEN | {"betas": (0.999, 0.9999)}
-# And with the rate falling along half a cosine, which is hamsym's own.
+# Third, with hamsym's schedule: the rate decreases along half a cosine.
 COSINE = {"method": "adam", "schedule": "cosine", "learning_rate": 8e-3, "betas": (0.99, 0.999)}
 
 
 class Experiment:
-    """One problem, its runs, and what is found out about it.
+    """One problem, its runs and their results.
 
     Parameters
     ----------
     name : str
-        Of its folder.
+        Name of the folder.
     title : str
     problem : hamsym.systems.Problem
     span : (float, float)
     points : int
-        The paper's K, of which the integrators take multiples.
+        The paper's K; the integrators take multiples of it as steps.
     arguments : argparse.Namespace
-        From :func:`parse`.
+        Result of :func:`parse`.
     """
 
     def __init__(self, name, title, problem, span, points, arguments):
@@ -70,7 +70,7 @@ class Experiment:
         print(f"\n{title}", flush=True)
 
     def sweep(self, settings, *, problem=None, span=None, prove=True):
-        """Runs with these settings from every seed, each with a certificate if wanted."""
+        """Run all settings with every seed, with certificates if ``prove``."""
         problem = problem or self.problem
         limited = {name: limit(given, self.arguments.epochs) for name, given in settings.items()}
         for name, given in limited.items():
@@ -96,9 +96,9 @@ class Experiment:
     # -- tables --------------------------------------------------------------------------------
 
     def add_networks(self, found, begun=None):
-        """A row of the table for each of the settings of a sweep, over its seeds.
+        """Add a row to the table for each of the settings of a sweep, over its seeds.
 
-        ``begun`` has for some of them the solutions that they began with, whose cost is theirs.
+        ``begun`` maps names of settings to their initial solutions, whose cost is added.
         """
         rows, all_measured = [], found.rows(self.truth)
         for name, solutions in found.solutions.items():
@@ -108,7 +108,7 @@ class Experiment:
                 costs[first] += Cost.of(solution)
             proofs = found.certificates.get(name, ())
             proven = [proof.bound for proof in proofs if not isinstance(proof, str)]
-            trained = () if self.results["quick"] else solutions  # an estimate of nothing is slow
+            trained = () if self.results["quick"] else solutions  # slow for untrained networks
             estimates = [largest_estimate(solution) for solution in trained]
             rows.append(
                 {
@@ -133,7 +133,7 @@ class Experiment:
         return {row["method"]: row for row in rows}
 
     def add_integrators(self, solution):
-        """Rows of integrators with K, 10 K and 100 K steps, and what matches this solution."""
+        """Add rows of integrators with K, 10 K and 100 K steps, and the steps of equal error."""
         comparison = hamsym.compare(
             solution, (*INTEGRATORS, "dop853"), points=self.points, exact=self.problem.exact
         )
@@ -163,7 +163,7 @@ class Experiment:
         return comparison
 
     def beside(self, what, published, **rows):
-        """A line of the page's first table: the authors' own error, and the rows beside it."""
+        """Add a line to the page's first table: the authors' error and the rows to compare."""
         names = {
             "as written": rows.get("written"),
             "authors' settings": rows.get("authors"),
@@ -175,7 +175,7 @@ class Experiment:
         self.results.setdefault("summary", []).append(line)
 
     def claim(self, where, says, measured, held):
-        """A claim of the paper, what was measured, and whether it held: a bool, or words."""
+        """Add a claim of the paper, the measurement, and the verdict as a bool or text."""
         verdict = held if isinstance(held, str) else "held" if held else "did not hold"
         if self.results["quick"] and verdict != "not tested":
             verdict = "not judged: a quick look trains too little"
@@ -186,7 +186,7 @@ class Experiment:
     # -- files ---------------------------------------------------------------------------------
 
     def add_figure(self, name, figure, caption):
-        """Write a figure, and keep its caption for the page."""
+        """Write a figure and store its caption for the page."""
         self.folder.mkdir(parents=True, exist_ok=True)
         figure.savefig(self.folder / f"{name}.png", dpi=110)
         self.results["figures"].append({"file": f"{name}.png", "caption": caption})
@@ -208,27 +208,29 @@ class Experiment:
 
 
 def parse(description, arguments=None):
-    """The options that all experiments take."""
+    """Parse the options of all experiments."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="few epochs: the same rows in minutes")
-    parser.add_argument("--seed", type=int, default=0, help="the first seed")
-    parser.add_argument("--seeds", type=int, default=3, help="how many seeds")
-    parser.add_argument("--epochs", type=int, help="no more than so many epochs")
-    parser.add_argument("--certify", type=float, default=120, help="seconds for a proof; 0: none")
-    parser.add_argument("--workers", type=int, help="processes side by side; as many as cores")
+    parser.add_argument("--quick", action="store_true", help="train for few epochs, in minutes")
+    parser.add_argument("--seed", type=int, default=0, help="first seed")
+    parser.add_argument("--seeds", type=int, default=3, help="number of seeds")
+    parser.add_argument("--epochs", type=int, help="largest number of epochs")
+    parser.add_argument(
+        "--certify", type=float, default=120, help="seconds per proof; 0: no proofs"
+    )
+    parser.add_argument("--workers", type=int, help="number of processes; default: cores")
     parser.add_argument("--out", type=Path, default=Path("output/paper"))
     found = parser.parse_args(arguments)
     for name, least in (("seed", 0), ("seeds", 1), ("epochs", 1), ("workers", 1), ("certify", 0)):
         value = getattr(found, name)
         if value is not None and value < least:
-            parser.error(f"--{name} {value} cannot be used; give {least} or more")
+            parser.error(f"--{name} {value} is too small; give {least} or more")
     if found.quick and found.epochs is None:
         found.epochs = 300
     return found
 
 
 def limit(settings, epochs):
-    """The same settings with no more than so many epochs, for a quick look."""
+    """Limit the number of epochs of settings, for a quick run."""
     if epochs is None:
         return settings
     if callable(settings):
@@ -244,19 +246,19 @@ def limit(settings, epochs):
 
 
 def largest_estimate(solution):
-    """The largest estimated |z - z^| at 2,001 times, or infinity where there is no estimate."""
+    """Largest estimated |z - z^| at 2,001 times; infinite if there is no estimate."""
     t = np.linspace(*solution.span, 2_001)
     return float(np.linalg.norm(solution.error_estimate(t), axis=-1).max())
 
 
 def best_loss(solution):
-    """The loss of the weights that were kept, at points not trained on."""
+    """Loss of the final weights, at points not used in training."""
     return getattr(solution.record, "best_loss", math.nan)
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a solution took; a march runs on one thread."""
+    """Cost of a solution; a march runs on one thread."""
 
     evaluations: int
     seconds: float
@@ -264,7 +266,7 @@ class Cost:
 
     @classmethod
     def of(cls, solution):
-        """The cost of one solution."""
+        """Cost of one solution."""
         seconds = solution.record.seconds
         spent = getattr(solution.record, "cpu_seconds", seconds)
         return cls(solution.evaluations, seconds, spent)

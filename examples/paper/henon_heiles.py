@@ -73,7 +73,7 @@ def main(arguments=None):
 
 
 def draw(experiment, network, comparison):
-    """The paper's figure: the orbit on the left, the energy on the right."""
+    """Draw the paper's figure: the orbit on the left, the energy on the right."""
     drawn, axes = figure(1, 2, height=4.6)
     t = np.linspace(*experiment.span, 2_001)
     (_, coarse), (_, fine) = euler(comparison, 1), euler(comparison, 10)
@@ -99,7 +99,7 @@ def draw(experiment, network, comparison):
 
 
 def judge(experiment, row, comparison):
-    """The claim about the energy."""
+    """Test the claim about the energy."""
     fine, _ = euler(comparison, 10)
     experiment.claim(
         "III.B",

@@ -2,9 +2,9 @@
 
 Section III.B of the paper, its last part: two layers of 80 neurons, 500 points, lambda = 0.5. First
 20,000 epochs on [0, 6 pi] at a learning rate of 8e-3, then 50,000 on [0, 12 pi] at 5e-3, beginning
-with the weights of the first. Without it, all 70,000 epochs on [0, 12 pi]. The text does not give
-the noise (three spacings of the points here, as in the short experiment). Beside it sequential
-training in 24 small steps, the network's input scaled as hamsym's other methods do.
+with the weights of the first stage. Without sequential training, all 70,000 epochs on [0, 12 pi].
+The text does not give the noise (three spacings of the points here, as in the short experiment). A
+further run trains sequentially in 24 small steps, with the network's input scaled by tau.
 """
 
 import math
@@ -24,12 +24,12 @@ SECOND = NETWORK | {"epochs": 50_000, "learning_rate": 5e-3}
 
 
 def noise(span):
-    """That of the authors' code: 0.3 T spacings of the points."""
+    """Noise of the authors' code: 0.3 T spacings of the points."""
     return {"noise": 0.3 * span[1] * span[1] / 500}
 
 
 PAPERS, WITHOUT = "authors' code, sequential", "authors' code, not sequential"
-DRAWN = "cosine, 24 spans"  # the way to train with Adam that ends well most often
+DRAWN = "cosine, 24 spans"  # the most reliable way to train with Adam
 
 
 def main(arguments=None):
@@ -91,7 +91,7 @@ def main(arguments=None):
 
 
 def draw(experiment, found, network, comparison):
-    """The paper's figure: loss and energy, x and y, and their errors."""
+    """Draw the paper's figure: loss and energy, x and y, and their errors."""
     drawn, axes = figure(2, 3, width=13, height=7)
     shown = [name for name, solutions in found.solutions.items() if solutions[0].method == "adam"]
     draw_losses(axes[0, 0], {name: found.median(name, experiment.truth) for name in shown})
@@ -125,7 +125,7 @@ def draw(experiment, found, network, comparison):
 
 
 def judge(experiment, rows, comparison):
-    """The paper's claims about this experiment."""
+    """Test the paper's claims about this experiment."""
     row, without = rows[PAPERS], rows[WITHOUT]
     experiment.claim(
         "III.B",

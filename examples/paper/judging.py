@@ -1,4 +1,4 @@
-"""Claims of the paper that several experiments test."""
+"""Tests of claims of the paper, for several experiments."""
 
 import math
 
@@ -10,7 +10,7 @@ from hamsym.solving import METHODS
 
 
 def euler(comparison, factor):
-    """Row and trajectory of symplectic Euler with so many times K steps."""
+    """Row and trajectory of symplectic Euler with ``factor`` K steps."""
     pairs = [
         pair
         for pair in zip(comparison.rows[1:], comparison.trajectories, strict=True)
@@ -20,7 +20,7 @@ def euler(comparison, factor):
 
 
 def judge_architectures(experiment, rows):
-    """Whether sin with 1 - exp(-t) has the lowest loss of the four."""
+    """Test whether sin with 1 - exp(-t) has the lowest loss of the four architectures."""
     for recipe in ("as written", "authors' code"):
         of = {name: rows[f"{recipe}: {name}"] for name in ARCHITECTURES}
         listed = "; ".join(
@@ -42,9 +42,10 @@ def judge_architectures(experiment, rows):
 
 
 def judge_steps(experiment, comparison, row, where, factor):
-    """Whether symplectic Euler needs at least about so many times K points for the same error.
+    """Test whether symplectic Euler needs about ``factor`` K points or more for the same error.
 
-    Its error falls with the number of steps, so that what each seed needs follows from one run.
+    Its error is inversely proportional to the number of steps, so that one run gives the number
+    for every seed.
     """
     fine, _ = euler(comparison, 100)
     needed = [fine.error * fine.points / error / experiment.points for error in row["error"]]
@@ -60,7 +61,7 @@ def judge_steps(experiment, comparison, row, where, factor):
 
 
 def judge_bound(experiment, found):
-    """Whether |dz_i| <= ell_max / sigma_min in every run that trained a network."""
+    """Test whether |dz_i| <= ell_max / sigma_min in every run that trained a network."""
     t = np.linspace(*experiment.span, 4_001)
     trained = [
         solution
@@ -93,7 +94,7 @@ def judge_estimate(experiment, rows):
 
 
 def judge_integrators(experiment, comparison):
-    """What the paper says of other integrators, which it does not try."""
+    """Test the paper's statements on integrators that it does not run."""
     of = comparison.matches
     experiment.claim(
         "IV",

@@ -81,7 +81,7 @@ def main(arguments=None):
 
 
 def draw_errors(experiment, network, comparison):
-    """Error in phase space and over time, and the energy: network, Euler at K and 100 K."""
+    """Draw errors in phase space and over time, and the energy: network, Euler at K and 100 K."""
     drawn, axes = figure(2, 2, height=7)
     t = np.linspace(*experiment.span, 2_001)
     (_, coarse), (_, fine) = euler(comparison, 1), euler(comparison, 100)
@@ -114,7 +114,7 @@ def draw_errors(experiment, network, comparison):
 
 
 def judge(experiment, rows, comparison):
-    """The paper's claims about this experiment alone."""
+    """Test the paper's claims about this experiment only."""
     row, weighted = rows[PAPERS], rows["authors' code, lambda = 1"]
     fine, _ = euler(comparison, 100)
     experiment.claim(

@@ -1,8 +1,8 @@
 """Experiment A-long: the nonlinear oscillator over [0, 20 pi], with and without energy penalty.
 
 Section III.A of the paper, its last part: two layers of 80 neurons, 500 points, lambda = 1. The
-text gives neither the noise (three spacings of the points here, as in the short experiment) nor the
-number of epochs (50,000 here, as there).
+text gives neither the noise nor the number of epochs; both are those of the short experiment, three
+spacings of the points and 50,000 epochs.
 """
 
 import math
@@ -66,7 +66,7 @@ def main(arguments=None):
 
 
 def draw(experiment, found, network, comparison):
-    """The paper's figure: loss and energy on the left, the error in phase space on the right."""
+    """Draw the paper's figure: loss and energy on the left, errors on the right."""
     drawn, axes = figure(2, 2, height=7)
     draw_losses(
         axes[0, 0],
@@ -101,7 +101,7 @@ def draw(experiment, found, network, comparison):
 
 
 def judge(experiment, found, rows, comparison):
-    """The paper's claims about this experiment."""
+    """Test the paper's claims about this experiment."""
     with_penalty, without = rows[PAPERS], rows["authors' code, lambda = 0"]
     row, path = euler(comparison, 100)
     t = np.linspace(*experiment.span, 4_001)
@@ -132,7 +132,7 @@ def judge(experiment, found, rows, comparison):
 
 
 def increase(t, z, truth):
-    """By how much the largest error in the second half is above that in the first."""
+    """Increase of the largest error from the first half to the second."""
     size = np.linalg.norm(z - truth(t), axis=-1)
     middle = len(t) // 2
     return size[middle:].max() - size[:middle].max()

@@ -1,6 +1,6 @@
-"""One page of all that the experiments wrote: the tables, the figures, the claims.
+"""Page of all experiments: tables, figures and claims.
 
-Run it with `python examples/paper/page.py`; `--out` is the folder of the experiments.
+Run `python examples/paper/page.py`; `--out` is the folder of the experiments.
 """
 
 import argparse
@@ -11,7 +11,7 @@ from hamsym.paper import scheme
 from hamsym.paper.tables import markdown_table, seconds, short, write
 
 EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long", "claims")
-_FLOOR = 5e-13  # below it the reference is no better than what it judges
+_FLOOR = 5e-13  # error below which the reference is not more accurate than the solution
 _COLUMNS = ("as written", "authors' settings", "cosine", "Levenberg-Marquardt", "features")
 
 
@@ -26,7 +26,7 @@ def main(arguments=None):
         if file.exists()
     ]
     if not found:
-        parser.error(f"'{out}' holds no results; run an experiment first")
+        parser.error(f"'{out}' contains no results; run an experiment first")
     scheme.main(["--out", str(out)])
     write(out / "results.json", json.dumps(found, indent=1))
     write(out / "page.md", page(found))
@@ -34,18 +34,18 @@ def main(arguments=None):
 
 
 def page(found):
-    """The page as Markdown."""
+    """Format the page as Markdown."""
     parts = ["# The paper, reproduced", _INTRODUCTION]
     if any(experiment["quick"] for experiment in found):
         parts.append(
-            "**This is a quick look: a few hundred epochs. Its rows are those of the whole, its "
-            "numbers mean nothing.**"
+            "**This is a quick look: a few hundred epochs. It has all rows of the full "
+            "experiments, but its numbers are meaningless.**"
         )
     parts += [f"![]({'scheme.png'})", f"*{scheme.CAPTION}*"]
     if any("summary" in experiment for experiment in found):
-        parts += ["## In one table", summary_table(found), _SUMMARY]
+        parts += ["## Summary", summary_table(found), _SUMMARY]
     claims = [(experiment, claim) for experiment in found for claim in experiment["claims"]]
-    parts += ["## What the paper says, and what was measured", claims_table(claims)]
+    parts += ["## Claims of the paper, and measurements", claims_table(claims)]
     for experiment in found:
         quick = ", a quick look" if experiment["quick"] else ""
         parts += [f"## {experiment['title']}{quick}", markdown_table(experiment["rows"])]
@@ -59,29 +59,29 @@ def page(found):
 
 _INTRODUCTION = """\
 Mattheakis, Sondak, Dogra & Protopapas, *Hamiltonian neural networks for solving equations of
-motion*, Physical Review E 105, 065305 (2022): every experiment, figure and claim, with what the
-paper left out beside it. Errors are the largest 2-norm |z^(t) - z(t)| over the span, at 4,001 times
-that were not trained on, against the exact solution (oscillator) or DOP853 at a tolerance of 1e-13
-(Henon-Heiles); below about 3e-13 it is that reference, and rounding, which is seen. Several seeds:
-median (least to greatest). A proven bound holds at all times, for the function that the weights
-define before its evaluation is rounded. Energy errors are |H(z^) - H(z)|.
+motion*, Physical Review E 105, 065305 (2022): all experiments, figures and claims, with details
+that the paper does not give. Errors are the largest 2-norm |z^(t) - z(t)| over the span, at 4,001
+times that were not used in training, relative to the exact solution (oscillator) or to DOP853 at a
+tolerance of 1e-13 (Henon-Heiles); values below about 3e-13 are errors of this reference and
+round-off. For several seeds: median (minimum to maximum). A proven bound holds at all times, for
+the function that the weights define, evaluated without rounding. Energy errors are |H(z^) - H(z)|.
 
-"As written" is Adam with the text's settings. "Authors' code" has what the authors' published
-scripts do instead: betas (0.999, 0.9999) and another size of the noise; not their float32, their
+"As written" is Adam with the settings of the text. "Authors' code" has the settings of the authors'
+published scripts: betas (0.999, 0.9999) and another size of the noise; but not their float32, their
 third point, which is always moved to t = 1, nor their choice of weights with the lowest noisy loss.
-"Cosine" lets the learning rate fall. All train with hamsym. forest_ruth is Yoshida's fourth order
-too. Seconds of networks are those of training, on one core each while other runs take the other
-cores; those of integrators are without compiling. A claim is held, or not, only where the ranges
-over the seeds do not overlap."""
+"Cosine" decreases the learning rate. All networks are trained with hamsym. forest_ruth is identical
+to Yoshida's method of order 4. Seconds of networks are training times on one core each, with other
+runs on the other cores; those of integrators exclude compilation. A claim is held, or did not hold,
+only if the ranges over the seeds do not overlap."""
 
 _SUMMARY = """\
-Largest errors, median over the seeds, and CPU seconds. The authors' figures: their published code
-run for 50,000 (A) and 30,000 (B) epochs; for the long spans their published results (A-long) and
-saved weights (B-long: 3.7e-3 on 5,000 points; their text file says 1.6e-3 on 500)."""
+Largest errors, median over the seeds, and CPU seconds. The authors' errors are from their published
+code, run for 50,000 (A) and 30,000 (B) epochs, and for the long spans from their published results
+(A-long) and saved weights (B-long: 3.7e-3 on 5,000 points; their text file gives 1.6e-3 on 500)."""
 
 
 def summary_table(found):
-    """One line for each of the authors' own figures."""
+    """Format a table with a line for each published error of the authors."""
     heads = ("experiment", "authors' own", "reached first by", *_COLUMNS, "Euler, most steps")
     lines = [f"| {' | '.join(heads)} |", "| --- " + "| ---: " * (len(heads) - 1) + "|"]
     for experiment in found:
@@ -102,19 +102,19 @@ def summary_table(found):
 
 
 def cell(row):
-    """Median error and CPU time of one row; where it is smaller, what is proven of the error."""
+    """Format median error and CPU time of a row, or a proven bound below the error."""
     if row is None:
         return ""
     error, proven = row["error"], row.get("proven bound")
-    what = short(error[0])
+    shown = short(error[0])
     if proven and float(proven[0]) < float(error[0]) < _FLOOR:
-        what = f"{short(proven[0])} (proven)"
-    return f"{what}, {seconds(row['CPU seconds'])} s"
+        shown = f"{short(proven[0])} (proven)"
+    return f"{shown}, {seconds(row['CPU seconds'])} s"
 
 
 def claims_table(claims):
-    """All claims, with the experiment that tested each."""
-    lines = ["| where | what it says | measured | verdict |", "| --- | --- | --- | --- |"]
+    """Format all claims with their experiments."""
+    lines = ["| where | claim | measured | verdict |", "| --- | --- | --- | --- |"]
     for experiment, claim in claims:
         measured = claim["measured"].replace("|", "\\|")
         where = f"{claim['where']} ({experiment['title'].split(':')[0]})"
@@ -124,13 +124,13 @@ def claims_table(claims):
 
 
 def made_with(experiment):
-    """Seeds, date and versions, in a sentence."""
+    """Format seeds, date and versions as a sentence."""
     versions = ", ".join(f"{name} {value}" for name, value in experiment["made with"].items())
     return f"Seeds {', '.join(map(str, experiment['seeds']))}; made with {versions}."
 
 
 def matches(found):
-    """What integrators need for the network's error, in a sentence."""
+    """Format the cost of integrators for the network's error as a sentence."""
     each = "; ".join(
         f"{name} {steps}"
         + (

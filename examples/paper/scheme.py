@@ -1,6 +1,6 @@
-"""The paper's first figure: from the time, through the network, to the loss.
+"""The paper's first figure: time, network and loss.
 
-Run it with `python examples/paper/scheme.py`; `--out` changes its folder.
+Run `python examples/paper/scheme.py`; `--out` sets the output folder.
 """
 
 import argparse
@@ -16,7 +16,7 @@ CAPTION = (
 
 
 def main(arguments=None):
-    """Draw the scheme."""
+    """Draw the scheme and write it as scheme.png."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("output/paper"))
     out = parser.parse_args(arguments).out
@@ -26,12 +26,12 @@ def main(arguments=None):
 
 
 def draw():
-    """The scheme as a figure."""
+    """Make the figure of the scheme."""
     drawn, axes = figure(1, 1, width=12, height=4.2)
     axis = axes[0, 0]
     axis.set(xlim=(0, 11.7), ylim=(-2, 2), aspect="equal")
     axis.set_axis_off()
-    # Layers of neurons: one input, two hidden layers with all to all, the outputs.
+    # Layers of neurons: one input, two fully connected hidden layers, the outputs.
     layers = [(0.5, [0.0]), (1.7, _column(5)), (2.9, _column(5)), (4.1, _column(3))]
     for (x, heights), (right, others) in itertools.pairwise(layers):
         for y in heights:

@@ -1,4 +1,4 @@
-"""Numbers with their spread over the seeds, and the tables of them."""
+"""Numbers with their spread over the seeds, and tables of these."""
 
 import math
 
@@ -6,13 +6,13 @@ from hamsym.support.atomic import write_atomically
 
 
 def spread(values):
-    """Median (of an even number the lower middle), least and greatest."""
+    """Median (the lower one for an even count), minimum and maximum."""
     ordered = sorted(float(value) for value in values)
     return [ordered[(len(ordered) - 1) // 2], ordered[0], ordered[-1]]
 
 
 def lower(one, other):
-    """Whether one spread is lower than another: words if the seeds of both overlap."""
+    """Whether one spread is below another; a text if the two overlap."""
     if one[2] < other[1]:
         return True
     if one[1] > other[2]:
@@ -21,7 +21,7 @@ def lower(one, other):
 
 
 def finite(value):
-    """The same for JSON, which has no infinity."""
+    """Replace nan by None and infinity by "inf" for JSON."""
     if isinstance(value, dict):
         return {key: finite(part) for key, part in value.items()}
     if isinstance(value, (list, tuple)):
@@ -32,7 +32,7 @@ def finite(value):
 
 
 def short(value):
-    """A number in two digits; a median with its range in parentheses."""
+    """Format a number with two digits, or a median with its range in parentheses."""
     if value is None:
         return ""
     if isinstance(value, list):
@@ -46,12 +46,12 @@ def short(value):
 
 
 def seconds(value):
-    """Times, as people write them."""
+    """Format the median of CPU or wall seconds."""
     return "" if value is None else f"{value[0]:,.0f}" if value[0] >= 10 else f"{value[0]:.2g}"
 
 
 def markdown_table(rows):
-    """The table of an experiment."""
+    """Format the table of an experiment as Markdown."""
     heads = (
         "method",
         "points",
@@ -79,7 +79,7 @@ def markdown_table(rows):
 
 
 def console_table(rows):
-    """The same for a terminal of 80 columns, medians alone."""
+    """Format the table for a terminal of 80 columns, medians only."""
     heads = ("error", "energy", "proven", "CPU s")
     lines = [f"{'method':<40}" + "".join(f"{head:>10}" for head in heads)]
     for row in rows:
@@ -95,6 +95,6 @@ def console_table(rows):
 
 
 def write(path, text):
-    """Write a file in one step: whoever looks sees the old one or the new one."""
+    """Write a file atomically: readers see the old or the new content."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, text.encode())
