@@ -21,9 +21,9 @@ from numba import njit
 # Each loop advances states, shape (n, ...), by saves*save_every steps of length sizes[i]. The
 # steps begin at time starts[i] + first*sizes[i]. After every save_every steps the states are
 # written to out, shape (n, saves, DIM). low, of the same shape as the states, is the rounding
-# error that compensated summation adds to the next step. columns, shape (n, ..., k), are tangent
-# vectors, propagated by the derivative of the steps. done, shape (n, 2), counts steps, and
-# evaluations where their number depends on iterations.
+# error that compensated summation adds to the next step. columns, shape (n, ..., k), are
+# tangent vectors, propagated by the derivative of the steps. done, shape (n, 2), counts steps,
+# and evaluations where their number depends on iterations.
 
 # -- splitting -----------------------------------------------------------------------------------
 #
@@ -253,7 +253,7 @@ def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots):
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def _euler_tangents(tangents, second, h, q_first, matrix, pivots):
-    """Propagate tangent vectors by the derivative of a step, by the implicit function theorem."""
+    """Propagate tangent vectors by the derivative of a step (implicit function theorem)."""
     unknown, given, h = (0, DOF, h) if q_first else (DOF, 0, -h)
     right = np.empty(DOF)
     for row in range(DOF):
@@ -350,8 +350,8 @@ def implicit(
     """Implicit Runge-Kutta methods: stages by Newton's method with the Hessian of H.
 
     Each row of states contains the state and the rates at the last step's stages, which are
-    extrapolated to the initial guess. The factors of Newton's matrix are kept within a step while
-    the corrections shrink tenfold. The sum over steps is compensated.
+    extrapolated to the initial guess. The factors of Newton's matrix are kept within a step
+    while the corrections shrink tenfold. The sum over steps is compensated.
     """
     stages = weights.shape[0]
     increments = np.empty((stages, DIM))

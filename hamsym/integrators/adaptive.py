@@ -52,7 +52,8 @@ def reference(
     result = _dop853(H, H.state_from(z0), span, tolerance, None, dense_output=True)
     if not result.success or not np.all(np.isfinite(result.y)):
         raise InputError(
-            f"no solution beyond t = {result.t[-1]:.6g}: {result.message} Use an earlier end time"
+            f"no solution beyond t = {result.t[-1]:.6g} ({result.message.rstrip('.')}); use an "
+            "earlier end time"
         )
     return lambda t: result.sol(np.asarray(t)).T
 
