@@ -190,7 +190,7 @@ def test_reading_the_cache_keeps_modification_time(fresh_cache, tmp_path: Path) 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no permission bits here")
 @pytest.mark.parametrize("unsafe", ["writable by others", "a link", "a file"])
-def test_writable_directory_of_others_is_not_used(fresh_cache, tmp_path: Path, unsafe: str) -> None:
+def test_unsafe_cache_directory_is_not_used(fresh_cache, tmp_path: Path, unsafe: str) -> None:
     path = tmp_path / "cache"
     if unsafe == "a file":
         path.write_text("")
