@@ -11,7 +11,7 @@ import numpy as np
 import sympy
 
 from hamsym.codegen.names import Names
-from hamsym.codegen.printers import NumpyPrinter
+from hamsym.codegen.printers import NUMPY_DEFINITIONS, NumpyPrinter
 from hamsym.errors import CodeGenerationError
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
@@ -86,13 +86,14 @@ def expressions_source(expressions: Sequence[sympy.Expr], equations: Equations) 
         "return out",
     ]
     body = "\n    ".join(lines)
+    definitions = "\n".join(f"{name} = {text}" for name, text in NUMPY_DEFINITIONS.values())
     return f'''"""Functions of the state ({", ".join(names.state)}) with numpy."""
 
 import math
 
 import numpy as np
 
-_erf = np.vectorize(math.erf, otypes=[float])
+{definitions}
 
 
 def values(z, t=0.0{", *, " if keywords else ""}{", ".join(keywords)}):

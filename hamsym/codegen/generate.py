@@ -30,7 +30,7 @@ import sympy
 from hamsym.codegen.bodies import Bodies
 from hamsym.codegen.names import FUNCTIONS, Names
 from hamsym.codegen.numba_cache import cached_text
-from hamsym.codegen.printers import PRINTERS
+from hamsym.codegen.printers import NUMPY_DEFINITIONS, PRINTERS
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.grammar import GREEK
 from hamsym.formula.printer import FormulaPrinter, rewritten_to
@@ -194,7 +194,11 @@ class _Page:
         self.dof, self.dim = form.dof, 2 * form.dof
         self.z, self.dz = names.state, names.derivatives
         self.q, self.p = self.z[: self.dof], self.z[self.dof :]
-        self.uses_erf = form.expr.has(sympy.erf, *rewritten_to(sympy.erf))
+        self.definitions = [
+            definition
+            for function, definition in NUMPY_DEFINITIONS.items()
+            if form.expr.has(function, *rewritten_to(function))
+        ]
         # Pieces of signatures and calls.
         self.parameters = [name for name, _ in names.parameters]
         self.time = ", t" if names.time else ""

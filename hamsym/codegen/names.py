@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import sympy
 
+from hamsym.codegen.printers import NUMPY_DEFINITIONS
 from hamsym.symbolic.equations import Equations
 
 FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss")
@@ -16,10 +17,10 @@ FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss"
 RESERVED = frozenset(
     """
     torch np math z dz t out zero rows matrix entries positions value energy_0 energy_weight
-    energy_error point times parameters coordinates momenta slopes mixed DIM _ _erf _floating
+    energy_error point times parameters coordinates momenta slopes mixed DIM _ _floating
     row weight terms weights _evaluate _energy _gradient _vector_field _hessian
     """.split()
-) | frozenset(FUNCTIONS)
+) | frozenset((*FUNCTIONS, *(name for name, _ in NUMPY_DEFINITIONS.values())))
 
 
 class Names:

@@ -8,7 +8,7 @@ import sympy
 
 from hamsym.formula.printer import _COMMON, _MUL, _POW, Printer, _table
 
-__all__ = ["PRINTERS", "NumbaPrinter", "NumpyPrinter", "TorchPrinter"]
+__all__ = ["NUMPY_DEFINITIONS", "PRINTERS", "NumbaPrinter", "NumpyPrinter", "TorchPrinter"]
 
 
 class TorchPrinter(Printer):
@@ -72,6 +72,11 @@ class NumbaPrinter(Printer):
     functions = _table("math.{}", sign="np.sign", abs="abs", min="np.minimum", max="np.maximum")
     sqrt = "math.sqrt"
 
+
+#: Functions that numpy lacks, with the name and the definition that its modules give them.
+NUMPY_DEFINITIONS: dict[type, tuple[str, str]] = {
+    sympy.erf: ("_erf", "np.vectorize(math.erf, otypes=[float])"),
+}
 
 #: Printer class of each backend.
 PRINTERS: dict[str, type[Printer]] = {

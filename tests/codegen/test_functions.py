@@ -8,6 +8,7 @@ import sympy
 
 from hamsym import Hamiltonian
 from hamsym.codegen.functions import compile_expressions, expressions_source
+from hamsym.formula.parser import FUNCTIONS, parse_expression
 
 x, p, t, k = sympy.symbols("x p t k", real=True)
 H = Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 0.5})
@@ -23,6 +24,19 @@ def test_values_follow_the_expressions() -> None:
     ]
     np.testing.assert_allclose(function(z, times), expected, rtol=1e-15)
     np.testing.assert_allclose(function(z[0], times[0]), expected[0], rtol=1e-15)
+
+
+def test_every_function_of_formulas_compiles() -> None:
+    """At 1.7 or at 0.4, whichever is in its domain."""
+    for name, row in FUNCTIONS.items():
+        arguments = "x" if row.most == 1 else "x, p"
+        expression = parse_expression(f"{name}({arguments})")
+        function = compile_expressions([expression], H.real_equations)
+        for at in (0.4, 1.7):
+            value = sympy.N(expression.subs({x: at, p: 0.9}))
+            if value.is_real:
+                found = function(np.array([at, 0.9]))[0]
+                assert found == pytest.approx(float(value), rel=1e-14), name
 
 
 def test_shared_parts_are_computed_once() -> None:
