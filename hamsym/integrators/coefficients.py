@@ -242,6 +242,8 @@ def gauss(stages: int) -> RungeKutta:
         return RungeKutta(
             ((quarter, quarter - r), (quarter + r, quarter)), (half, half), (half - r, half + r)
         )
+    if stages != 3:
+        raise ValueError(f"a Gauss method with 1, 2 or 3 stages is known, not with {stages}")
     r = Decimal(15).sqrt()
     outer, inner = Decimal(5) / 18, Decimal(4) / 9
     return RungeKutta(

@@ -150,6 +150,7 @@ def test_python_blocks_are_python(page: Path) -> None:
 
 def test_pages_list_every_integrator_and_system() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in _PAGES)
+    assert f"{len(INTEGRATORS)} integrators" in (ROOT / "README.md").read_text(encoding="utf-8")
     for name, row in INTEGRATORS.items():
         stages = "" if row.stages is None else row.stages
         assert f"| `{name}` | {row.order} | {stages} | {row.summary} | {row.source} |" in text
