@@ -236,7 +236,7 @@ def test_bad_command_line_is_rejected(arguments, message, tmp_path, capsys, monk
 def test_page_without_results_is_rejected(tmp_path, capsys):
     with pytest.raises(SystemExit):
         page.main([f"--out={tmp_path}"])
-    assert "holds no results" in capsys.readouterr().err
+    assert "contains no results" in capsys.readouterr().err
 
 
 _HOLD = """
