@@ -54,6 +54,9 @@ class System:
         self._source = source
         self._module = ModuleType(f"hamsym_{source.backend}")  # used by torch and numpy
         self._loaded: set[str] = set()
+        # Loading a compiled function from the cache takes tens of milliseconds; a section calls
+        # the same loop many times.
+        self._compiled: dict[str, Callable[..., Any]] = {}
         self.backend = source.backend
         self.names = tuple(symbol.name for symbol in source.form.z)
         self.time_dependent = source.names.time
@@ -95,8 +98,10 @@ class System:
     def function(self, name: str) -> Callable[..., Any]:
         """Load a function by its name; with numba also a loop of the integrators."""
         if self.backend == "numba":
-            module = numba_cache.load_module(self._source.module(name), "numba")
-            return getattr(module, name)  # type: ignore[no-any-return]
+            if name not in self._compiled:
+                module = numba_cache.load_module(self._source.module(name), "numba")
+                self._compiled[name] = getattr(module, name)
+            return self._compiled[name]
         for part in self._source.needed(name):
             if part not in self._loaded:
                 _run(self._source.part(part), self.backend, part, self._module)
