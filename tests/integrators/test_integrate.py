@@ -41,14 +41,31 @@ ANY_H = [
     for name in FIXED
     if name.startswith("symplectic_euler") or not isinstance(INTEGRATORS[name].scheme, Splitting)
 ]
+# Compiling a loop for a Hamiltonian takes seconds, so the tests share these two.
+#
+# Explicit time in both halves. From (1, 0.3) the motion is bounded, from (2, 4) it escapes to
+# infinity.
+TIMED = Hamiltonian("p**2*(1 + sin(t)/2)/2 + x**2*(1 + cos(2*t)/3)/2 - x**4/20")
+# An equilibrium near (1.4, -0.1) and, beyond the barrier at x = -1.4, escape to infinity. The names
+# are also names of the kernels and loops.
+NONSEPARABLE = Hamiltonian(
+    "momenta**2*(1 + t_**2)/2 + t_**3/3 - 2*t_ + t_*momenta/3", q=["t_"], p=["momenta"]
+)
+
+
+def timed() -> Problem:
+    return Problem("timed", TIMED, (1.0, 0.3), (0.0, 3.0), "")
+
+
+PROBLEMS = {**CATALOGUE, "timed": timed}
 # Every loop on separable, time-dependent and non-separable systems (the last with a linear and with
 # a nonlinear implicit half).
 LOOPS = [
     ("henon_heiles", "symplectic_euler"),
     ("henon_heiles", "blanes_moan6"),
-    ("driven_oscillator", "ruth3"),
-    ("driven_oscillator", "gauss4"),
-    ("driven_oscillator", "tao2"),
+    ("timed", "ruth3"),
+    ("timed", "gauss4"),
+    ("timed", "tao2"),
     ("charged_particle", "symplectic_euler"),
     ("double_pendulum", "symplectic_euler"),
     ("double_pendulum", "symplectic_euler_p"),
@@ -59,7 +76,7 @@ LOOPS = [
 
 @functools.cache
 def truth(system: str):
-    problem = CATALOGUE[system]()
+    problem = PROBLEMS[system]()
     return problem.exact or reference(problem.H, np.array(problem.z0), problem.span)
 
 
@@ -98,13 +115,12 @@ def test_order_without_separability(method: str) -> None:
 
 def test_explicit_time_in_both_halves_keeps_the_order() -> None:
     """Kicks take the time of the drifts, and drifts that of the kicks."""
-    H = Hamiltonian("p**2*(1 + sin(t)/2)/2 + x**2*(1 + cos(2*t)/3)/2 + x**4/4")
-    exact = reference(H, np.array([1.0, 0.3]), (0.0, 3.0))(np.array([3.0]))[0]
+    exact = reference(TIMED, np.array([1.0, 0.3]), (0.0, 3.0))(np.array([3.0]))[0]
     for method in FIXED:
         order = INTEGRATORS[method].order
         steps = 1000 if order < 3 else 60 if order < 8 else 30
         errors = [
-            np.abs(hamsym.integrate(H, [1.0, 0.3], (0, 3), method, steps=n).z[-1] - exact).max()
+            np.abs(hamsym.integrate(TIMED, [1.0, 0.3], (0, 3), method, steps=n).z[-1] - exact).max()
             for n in (steps, 2 * steps)
         ]
         assert errors[1] < 1e-11 or np.log2(errors[0] / errors[1]) > order - 0.4, method
@@ -144,7 +160,7 @@ def step_map(problem: Problem, method: str, h: float) -> tuple[np.ndarray, np.nd
 
 @pytest.mark.parametrize(("system", "method"), LOOPS)
 def test_tangent_map_is_symplectic_and_the_derivative(system: str, method: str) -> None:
-    problem = CATALOGUE[system]()
+    problem = PROBLEMS[system]()
     z0, M = step_map(problem, method, 0.1)
     J = np.array(problem.H.poisson_matrix, dtype=float)
     copies = len(M) // len(J)  # the doubled phase space has two pairs of coordinates and momenta
@@ -173,7 +189,7 @@ def test_tangent_map_is_symplectic_and_the_derivative(system: str, method: str) 
 
 @pytest.mark.parametrize(("system", "method"), LOOPS)
 def test_symmetric_methods_return_to_the_start(system: str, method: str) -> None:
-    problem = CATALOGUE[system]()
+    problem = PROBLEMS[system]()
     start = np.array([problem.z0])
     stepper = stepper_of(problem.H, method, start, np.array([0.0]), np.array([0.05]))
     stepper.advance(1, 100)
@@ -280,21 +296,20 @@ def test_implicit_steps_satisfy_their_equations(make: object) -> None:
 @pytest.mark.parametrize("method", ["implicit_midpoint", "gauss4", "gauss6"])
 def test_gauss_methods_work_in_any_units(method: str) -> None:
     """Coordinates of 1e12 and momenta of 1e-9, which one absolute tolerance cannot resolve."""
-    unit = Hamiltonian("p**2/2 + x**2/2 + x**4/4 + x*p/5")
     a, b = 1e12, 1e-9
     H = Hamiltonian(
-        "a*b*((p/b)**2/2 + (x/a)**2/2 + (x/a)**4/4 + (x/a)*(p/b)/5)", parameters={"a": a, "b": b}
+        "a*b*((p/b)**2*(1 + (x/a)**2)/2 + (x/a)**3/3 - 2*(x/a) + (x/a)*(p/b)/3)",
+        parameters={"a": a, "b": b},
     )
-    plain = hamsym.integrate(unit, [1.0, 0.5], (0, 10), method, steps=100).z
+    plain = hamsym.integrate(NONSEPARABLE, [1.0, 0.5], (0, 10), method, steps=100).z
     scaled = hamsym.integrate(H, [a, 0.5 * b], (0, 10), method, steps=100).z
     np.testing.assert_allclose(scaled / [a, b], plain, atol=1e-12)
 
 
 def test_unsolvable_step_keeps_earlier_states() -> None:
-    # q' = q + h q'^2 has no real solution once h q exceeds 1/4.
-    H = Hamiltonian("p*q**2", q=["q"], p=["p"])
+    # Towards the escape to infinity the equations of a step have no real solution.
     for method in ("symplectic_euler", "gauss4"):
-        trajectory = hamsym.integrate(H, [1.0, 1.0], (0, 2), method, steps=20)
+        trajectory = hamsym.integrate(NONSEPARABLE, [-1.6, -0.2], (0, 2), method, steps=20)
         assert not trajectory.success
         assert "could not be solved; take more steps" in trajectory.message
         assert 1 < len(trajectory.t) < 21
@@ -303,8 +318,7 @@ def test_unsolvable_step_keeps_earlier_states() -> None:
 
 @pytest.mark.parametrize("method", ["yoshida8", "gauss6", "tao2", *ADAPTIVE])
 def test_escape_to_infinity_is_reported(method: str) -> None:
-    H = Hamiltonian("p**2/2 - x**4/4")
-    trajectory = hamsym.integrate(H, [1.0, 1.0], (0, 5), method, steps=1000)
+    trajectory = hamsym.integrate(TIMED, [2.0, 4.0], (0, 5), method, steps=1000)
     assert not trajectory.success
     assert "stopped after t = " in trajectory.message
     assert np.all(np.isfinite(trajectory.z))
@@ -313,10 +327,9 @@ def test_escape_to_infinity_is_reported(method: str) -> None:
 
 @pytest.mark.parametrize("method", [*FIXED, *ADAPTIVE])
 def test_time_runs_backward(method: str) -> None:
-    problem = CATALOGUE["driven_oscillator"]()
-    end, start = problem.span[0], problem.span[0] + 3
-    z = hamsym.integrate(problem.H, problem.exact(start), (start, end), method, steps=3_000).z
-    right = problem.exact(np.linspace(start, end, 3_001))
+    exact = truth("timed")
+    z = hamsym.integrate(TIMED, exact(np.array([3.0]))[0], (3, 0), method, steps=3_000).z
+    right = exact(np.linspace(3, 0, 3_001))
     assert np.abs(z - right).max() < 5e-3
 
 
@@ -352,7 +365,7 @@ def test_ensembles_are_many_trajectories(
     system: str, method: str, options: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Bit-identical for every division into pieces and threads."""
-    problem = CATALOGUE[system]()
+    problem = PROBLEMS[system]()
     starts = np.array(problem.z0) + 0.01 * np.random.default_rng(0).normal(size=(70, problem.H.dim))
     many = hamsym.integrate(problem.H, starts, (0, 3), method, steps=60, save_every=20, **options)
     assert many.z.shape == (70, 4, problem.H.dim)
@@ -376,9 +389,8 @@ def test_ensembles_by_name() -> None:
 
 
 def test_one_escape_does_not_hide_the_others() -> None:
-    H = Hamiltonian("p**2/2 - x**4/4")
     for method in ("yoshida8", "gauss6", "dop853"):
-        found = hamsym.integrate(H, [[0.1, 0.0], [1.0, 1.0]], (0, 5), method, steps=1000)
+        found = hamsym.integrate(TIMED, [[0.1, 0.0], [2.0, 4.0]], (0, 5), method, steps=1000)
         assert not found.success
         assert found.message.startswith("1 of 2 trajectories stopped, number 1 first, stopped af")
         assert np.isfinite(found.z[0]).all()
@@ -587,9 +599,9 @@ def test_steps_suit_the_hardest_trajectory() -> None:
 
 
 def test_accuracy_does_not_depend_on_start_time() -> None:
-    for formula in ("p**2/2 + x**2/2", "p**2/2 + x**2/2 + x*p/5"):
-        early = hamsym.integrate(formula, [1.0, 0.0], (0, 10))
-        late = hamsym.integrate(formula, [1.0, 0.0], (1e7, 1e7 + 10))
+    for H in ("p**2/2 + x**2/2", NONSEPARABLE):
+        early = hamsym.integrate(H, [1.0, 0.0], (0, 10))
+        late = hamsym.integrate(H, [1.0, 0.0], (1e7, 1e7 + 10))
         assert late.success
         assert late.steps == early.steps
         np.testing.assert_allclose(late.z, early.z, atol=1e-13)
@@ -623,7 +635,7 @@ def test_collision_raises_a_warning() -> None:
         ("p**2/2 + x**2/2", [1, 0], (0, 100), {"steps": 25}),
         ("p**2/2 + x**2/2", [1, 0], (0, 10), {"method": "dop853", "rtol": 0.1, "atol": 0.1}),
         ("p**2/2 + log(x)", [-1, 1], (0, 0.5), {}),  # a force, but no energy
-        ("p**2/2 + log(x)", [-1, 1], (0, 0.5), {"method": "gauss4", "steps": 100}),
+        ("p**2/2 + log(x)", [-1, 1], (0, 0.5), {"method": "yoshida8", "steps": 100}),
         ("p**2/2 - (1 + sin(t)/2)*cos(x)", [1.5, 0], (0, 3_000), {}),  # chaos
     ],
 )
@@ -722,23 +734,20 @@ def test_adaptive_methods_work_in_any_units(method: str, unit: float) -> None:
 
 
 @pytest.mark.parametrize("method", ["implicit_midpoint", "gauss4", "gauss6"])
-@pytest.mark.parametrize(
-    ("formula", "start"),
-    [("p**2/2 + x**3/3 - 2*x", 2**0.5), ("p**2/2 + 1/x + x**2", 0.5 ** (1 / 3))],
-)
-def test_implicit_methods_rest_at_an_equilibrium(method: str, formula: str, start: float) -> None:
+def test_implicit_methods_rest_at_an_equilibrium(method: str) -> None:
     """At the equilibrium the momenta are round-off of a cancelling force."""
-    found = hamsym.integrate(Hamiltonian(formula), [start, 0.0], (0, 1000), method, dt=0.1)
+    H = Hamiltonian("(p_x**2 + p_y**2)/2 + x**3/3 - 2*x + 1/y + y**2")
+    start = [2**0.5, 0.5 ** (1 / 3), 0.0, 0.0]
+    found = hamsym.integrate(H, start, (0, 1000), method, dt=0.1)
     assert found.success
-    assert np.abs(found.z - [start, 0.0]).max() < 1e-11
+    assert np.abs(found.z - start).max() < 1e-11
 
 
 def test_implicit_euler_rests_at_an_equilibrium() -> None:
-    H = Hamiltonian("p**2*(1 + x**2)/2 + x**3/3 - 2*x + x*p/3")
-    gradient = H.compile("numpy").gradient
+    gradient = NONSEPARABLE.compile("numpy").gradient
     root = scipy.optimize.fsolve(gradient, [1.4, -0.1], xtol=1e-15)
     for method in ("symplectic_euler", "symplectic_euler_p"):
-        found = hamsym.integrate(H, root, (0, 1000), method, dt=0.1)
+        found = hamsym.integrate(NONSEPARABLE, root, (0, 1000), method, dt=0.1)
         assert found.success
         assert np.abs(found.z - root).max() < 1e-10
 
@@ -772,15 +781,16 @@ def test_non_finite_hessian_requires_omega() -> None:
 
 def test_parameters_and_coordinates_may_have_any_name() -> None:
     """Names that the kernels and loops use."""
-    for name in ("parameters", "h", "stages"):
-        H = Hamiltonian(f"p**2/2 + {name}*x**2/2", parameters={name: 4.0})
-        z = hamsym.integrate(H, [1.0, 0.0], (0, np.pi), "forest_ruth", steps=300).z[-1]
-        np.testing.assert_allclose(z, [1.0, 0.0], atol=1e-3)
-    H = Hamiltonian("momenta**2/2 + t_**2/2 + momenta*t_/9", q=["t_"], p=["momenta"])
-    rate = np.sqrt(1 - 1 / 81)
+    H = Hamiltonian(
+        "p**2/2 + (parameters + h/2)*stages*x**2/2",
+        parameters={"parameters": 1.0, "h": 2.0, "stages": 2.0},
+    )
+    z = hamsym.integrate(H, [1.0, 0.0], (0, np.pi), "forest_ruth", steps=300).z[-1]
+    np.testing.assert_allclose(z, [1.0, 0.0], atol=1e-3)
+    exact = reference(NONSEPARABLE, np.array([1.0, 0.0]), (0.0, 6.0))(np.array([6.0]))[0]
     for method in ("symplectic_euler", "gauss4"):
-        z = hamsym.integrate(H, [1.0, 0.0], (0, 2 * np.pi / rate), method, steps=3_000).z[-1]
-        np.testing.assert_allclose(z, [1.0, 0.0], atol=2e-3)
+        z = hamsym.integrate(NONSEPARABLE, [1.0, 0.0], (0, 6), method, steps=6_000).z[-1]
+        np.testing.assert_allclose(z, exact, atol=2e-3)
 
 
 def test_loops_over_terms_match_written_out_steps() -> None:
