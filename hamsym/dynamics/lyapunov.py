@@ -20,7 +20,7 @@ import numpy as np
 
 import hamsym
 from hamsym.dynamics.blocks import advance_in_blocks
-from hamsym.dynamics.monodromy import tangent_stepper
+from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
@@ -195,6 +195,7 @@ def lyapunov(
     method = usual_method(H) if method is None else method
     require_whole("count", count, 1, H.dim)
     require_whole("seed", seed, 0)
+    reject_doubled(H, method)  # before the pilot runs, which compile
     rate = _fastest_rate(H, method, state, span)
     chosen = steps is None and dt is None
     if chosen:

@@ -13,7 +13,8 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.fixed_step import Stepper
-from hamsym.integrators.integrate import fixed_step, usual_method
+from hamsym.integrators.integrate import fixed_step, usable_method, usual_method
+from hamsym.integrators.table import INTEGRATORS
 from hamsym.problem import checked_span, checked_steps
 from hamsym.support.validation import require_number
 
@@ -171,7 +172,8 @@ def tangent_stepper(
     H: Hamiltonian, method: str, state: np.ndarray, start: float, size: float, vectors: np.ndarray
 ) -> Stepper:
     """Make a stepper that moves one trajectory and tangent vectors, shape (dim, count)."""
-    stepper = fixed_step(
+    reject_doubled(H, method)
+    return fixed_step(
         H,
         method,
         state[None],
@@ -179,8 +181,11 @@ def tangent_stepper(
         np.array([size]),
         tangents=np.ascontiguousarray(vectors)[None],
     )
-    if isinstance(stepper.scheme, Doubled):
+
+
+def reject_doubled(H: Hamiltonian, method: str) -> None:
+    """Raise InputError if a method steps in a doubled phase space."""
+    if isinstance(INTEGRATORS[usable_method(H, method)].scheme, Doubled):
         raise InputError(
             f"{method} steps in a doubled phase space; choose another method, for example gauss4"
         )
-    return stepper
