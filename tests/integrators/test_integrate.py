@@ -626,7 +626,7 @@ def test_accuracy_does_not_depend_on_start_time() -> None:
 
 
 def test_collision_raises_a_warning() -> None:
-    """Radial fall: the steps jump over the centre, and every state is finite."""
+    """Radial fall, and a fall to a pole: steps jump over the centre, every state is finite."""
     with pytest.warns(
         StepSizeWarning, match="target of 1e-09 is not met.* before a close encounter"
     ):
