@@ -63,7 +63,8 @@ def expressions_source(expressions: Sequence[sympy.Expr], equations: Equations) 
     CodeGenerationError
         If numpy lacks a function of an expression, or an expression is nested too deeply.
     """
-    expressions = [sympy.sympify(expression) for expression in expressions]
+    # Strict: text, which sympy would evaluate, is not converted.
+    expressions = [sympy.sympify(expression, strict=True) for expression in expressions]
     names = Names(equations)
     names.of.setdefault(sympy.Symbol("t", real=True), "t")
     try:

@@ -73,7 +73,8 @@ def solve_by_march(
     absolute = _checked_atol(options.atol, H.dim)
     longest = _checked_window(options.max_window, problem.span)
     stops = _checked_breakpoints(options.breakpoints, problem.span)
-    if options.compiled not in (True, False, "auto"):
+    # 1 equals True, but flow_of distinguishes them.
+    if not (isinstance(options.compiled, bool) or options.compiled == "auto"):
         raise InputError(
             f'compiled={options.compiled!r} cannot be used; give True, False or "auto"'
         )

@@ -50,6 +50,11 @@ def test_infinite_expressions_are_nan() -> None:
     assert np.isnan(function([1.0, 2.0])[1])
 
 
+def test_text_is_not_evaluated() -> None:
+    with pytest.raises(sympy.SympifyError):
+        compile_expressions(["x + 1"], H.real_equations)
+
+
 def test_float32_is_kept() -> None:
     function = compile_expressions([x * p], H.real_equations)
     assert function(np.ones((3, 2), dtype=np.float32)).dtype == np.float32

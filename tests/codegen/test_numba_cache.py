@@ -57,7 +57,7 @@ def test_compiles_when_it_saves_time(monkeypatch: pytest.MonkeyPatch) -> None:
     ).history.compiled  # equal to H, which was compiled
 
 
-@pytest.mark.parametrize("value", ["always", None, 2])
+@pytest.mark.parametrize("value", ["always", None, 2, 1])
 def test_compiled_is_true_false_or_auto(value: object) -> None:
     with pytest.raises(InputError, match="compiled="):
         hamsym.solve("p**2/2 + x**2/2", [1.0, 0.0], (0, 1), compiled=value)
