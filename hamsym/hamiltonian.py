@@ -249,12 +249,13 @@ class Hamiltonian:
         Parameters
         ----------
         z0 : sequence, mapping or array
-            As in :meth:`state_from`; or an array of shape (batch, dim), or a mapping to arrays.
+            As in :meth:`state_from`; or an array of shape (..., dim), or a mapping to arrays that
+            broadcast.
 
         Returns
         -------
         numpy.ndarray
-            Shape (dim,) or (batch, dim), float64.
+            Shape (..., dim), float64.
 
         Examples
         --------
@@ -555,6 +556,12 @@ class Hamiltonian:
         array([ 2., -2.])
         """
         return load(generate(self.real_equations, backend))
+
+    @cached_property
+    def kernels(self) -> System:
+        """The numba module of H with parameters as arguments: the same code for all values."""
+        values = dict.fromkeys(self.parameter_names)
+        return load(generate(Equations(self.expr, self.z, self.time, values), "numba"))
 
 
 #: Type of the argument H of the solvers; see :meth:`Hamiltonian.of`.

@@ -26,15 +26,15 @@ def state_array(
     return states
 
 
-def states_array(z0: Any, names: Sequence[str]) -> np.ndarray:
-    """Convert a state or several states to an array of shape (dim,) or (n, dim).
+def states_array(z0: Any, names: Sequence[str], *, finite: bool = True) -> np.ndarray:
+    """Convert a state or several states to an array of shape (..., dim).
 
-    In a mapping, numbers are broadcast to the shape of the arrays.
+    In a mapping, numbers and arrays are broadcast to one shape.
 
     Raises
     ------
     VariableError
-        If a component is missing, unknown, not finite or not a number.
+        If a component is missing, unknown, not a number, or, with ``finite``, not finite.
     """
     order = _order(names)
     try:
@@ -45,9 +45,9 @@ def states_array(z0: Any, names: Sequence[str]) -> np.ndarray:
         raise
     except (TypeError, ValueError, OverflowError, RuntimeError):  # the last from a tensor of torch
         raise VariableError(f"z0 contains a value that is not a number; give {order}") from None
-    if states.ndim not in (1, 2) or states.shape[-1] != len(names) or not states.size:
+    if states.shape[-1:] != (len(names),) or not states.size:
         raise VariableError(f"z0 has shape {states.shape}; give the {len(names)} numbers {order}")
-    if not np.all(np.isfinite(states)):
+    if finite and not np.all(np.isfinite(states)):
         name = names[int(np.argwhere(~np.isfinite(states))[0, -1])]
         raise VariableError(f"'{name}' is not finite in z0; give finite numbers")
     return states

@@ -1,0 +1,140 @@
+"""Ensembles: initial states and parameter values of many trajectories, broadcast to one shape."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import sympy
+
+from hamsym.errors import InputError, ParameterError, VariableError
+from hamsym.formula.parser import canonical_name
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.symbolic.checks import name_of
+from hamsym.symbolic.states import states_array
+
+__all__ = ["Ensemble", "ensemble_of"]
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Initial states and parameter values of many trajectories of one Hamiltonian.
+
+    Attributes
+    ----------
+    H : Hamiltonian
+        With a value for every parameter; those of the first member where they differ.
+    states : numpy.ndarray
+        Initial states, shape (count, dim).
+    parameters : numpy.ndarray
+        Values in the order of ``H.parameter_names``, shape (count, parameters).
+    shape : tuple of int
+        Shape in which the caller arranged the members, of ``count`` entries; () for one start.
+    varied : tuple of str
+        Names of the parameters that were given as arguments.
+    """
+
+    H: Hamiltonian
+    states: np.ndarray
+    parameters: np.ndarray
+    shape: tuple[int, ...]
+    varied: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    def hamiltonian(self, index: int) -> Hamiltonian:
+        """Return H with the parameter values of one member."""
+        if not self.varied:
+            return self.H
+        values = dict(zip(self.H.parameter_names, self.parameters[index].tolist(), strict=True))
+        return self.H.with_parameters(**values)
+
+
+def ensemble_of(
+    H: HamiltonianLike,
+    z0: Any,
+    parameters: Mapping[Any, Any] | None = None,
+    *,
+    finite: bool = True,
+) -> Ensemble:
+    """Broadcast initial states and parameter values to one shape.
+
+    Parameters
+    ----------
+    H : Hamiltonian, str or sympy.Expr
+    z0 : sequence, mapping or array
+        States of shape (..., dim) in the order of H.z, or a mapping to numbers and arrays.
+    parameters : mapping of name to number or array, optional
+        Values that replace those of H, broadcast with the states.
+    finite : bool
+        Require finite states.
+
+    Raises
+    ------
+    InputError
+        If H is not a Hamiltonian, a parameter is unknown or has no value, a value is not a finite
+        number, or the shapes do not broadcast.
+
+    Examples
+    --------
+    >>> H = Hamiltonian("p**2/2 + k*x**2/2")
+    >>> members = ensemble_of(H, {"x": [[1.0], [2.0]], "p": 0.0}, {"k": [1.0, 2.0, 3.0]})
+    >>> members.shape, members.states.shape, members.parameters[:, 0]
+    ((2, 3), (6, 2), array([1., 2., 3., 1., 2., 3.]))
+    """
+    if isinstance(H, str | sympy.Expr):
+        H = Hamiltonian(H)
+    given = _values(H, parameters) if isinstance(H, Hamiltonian) and parameters else {}
+    if given:
+        H = H.with_parameters(**{name: float(values.flat[0]) for name, values in given.items()})
+    H = Hamiltonian.of(H)
+    states = states_array(z0, H.names, finite=finite)
+    try:
+        shape = np.broadcast_shapes(states.shape[:-1], *(v.shape for v in given.values()))
+    except ValueError:
+        shapes = ", ".join(str(v.shape) for v in (states[..., 0], *given.values()))
+        raise VariableError(
+            f"z0 and parameters have shapes {shapes}, which do not broadcast; give arrays of one "
+            "shape, or numbers"
+        ) from None
+    columns = [
+        np.broadcast_to(given.get(name, np.float64(H.parameters[name])), shape).ravel()
+        for name in H.parameter_names
+    ]
+    count = int(np.prod(shape))
+    return Ensemble(
+        H,
+        np.array(np.broadcast_to(states, (*shape, H.dim)).reshape(count, H.dim)),
+        np.array(columns).T.copy() if columns else np.empty((count, 0)),
+        shape,
+        tuple(given),
+    )
+
+
+def _values(H: Hamiltonian, parameters: Mapping[Any, Any]) -> dict[str, np.ndarray]:
+    """Return the given values by name, as finite arrays that are not empty."""
+    if not isinstance(parameters, Mapping):
+        raise InputError(
+            f'parameters={parameters!r} is not a mapping; give for example {{"k": [1.0, 2.0]}}'
+        )
+    names = {canonical_name(name): name for name in H.parameter_names}
+    found = {}
+    for key, value in parameters.items():
+        name = names.get(canonical_name(name_of(key)))
+        if name is None:
+            listed = ", ".join(H.parameter_names) or "none"
+            raise ParameterError(f"'{name_of(key)}' is not a parameter of H; it has {listed}")
+        try:
+            values = np.array(value, dtype=float)
+        except (TypeError, ValueError, OverflowError, RuntimeError):
+            values = np.array(np.nan)
+        if not (values.size and np.isfinite(values).all()):
+            raise ParameterError(
+                f"the values of parameter '{name}' are not finite numbers; give a number or an "
+                "array of finite numbers"
+            )
+        found[name] = values
+    return found
