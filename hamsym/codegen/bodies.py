@@ -178,6 +178,16 @@ class Bodies:
         return self._body(self._form.gradient[: self._form.dof])
 
     @cached_property
+    def force(self) -> Body:
+        """-dH/dq."""
+        return self._body(self._form.vector_field[self._form.dof :])
+
+    @cached_property
+    def arguments(self) -> Body:
+        """Arguments of the functions in H that may act briefly."""
+        return self._body([argument for argument, _ in self._form.narrow_arguments])
+
+    @cached_property
     def is_looped(self) -> bool:
         """Whether repeated costly terms are computed by loops instead of being written out."""
         return any(

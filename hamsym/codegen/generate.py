@@ -55,6 +55,8 @@ class _Part:
 
 
 _LOOPS = "integrator_loops.py"
+#: Functions of the march, of states as rows, which the compiler vectorizes over points.
+ROWS = ("velocity", "force", "hessian", "energy", "argument")
 #: Parts in the order of the module. Those without a macro are sections of the loops.
 _FUNCTION_PARTS = {
     "head": _Part(()),
@@ -63,7 +65,7 @@ _FUNCTION_PARTS = {
     "loss": _Part(("head", "energy", "residual"), ("loss",)),
 }
 _STEP_PARTS = {
-    "rates": _Part(("head", "vector_field"), ("rates",)),
+    **{f"{name}_rows": _Part(defines=(f"{name}_rows",)) for name in ROWS},
     "access": _Part(),
     "velocity": _Part(("head", "access")),
     "compensation": _Part(("head", "access")),
@@ -109,6 +111,8 @@ class Source:
         """Text of the whole module."""
         unused = _NOT_SEPARABLE if self.form.is_separable else _ONLY_SEPARABLE
         parts = _FUNCTION_PARTS if self.backend != "numba" else _PARTS
+        if not self.form.narrow_arguments:
+            unused = unused | {"argument_rows"}
         return self._joined(name for name in parts if name not in unused)
 
     def module(self, function: str) -> str:
@@ -207,8 +211,6 @@ class _Page:
         self.keywords = ", *, " + ", ".join(given) if given else ""
         self.passed = self.time + "".join(f", {name}={name}" for name in self.parameters)
         self.as_tuple = _tuple(self.parameters)
-        values = [value for _, value in names.parameters]
-        self.values = None if None in values else _tuple([repr(value) for value in values])
 
     @cached_property
     def formula(self) -> str:
@@ -357,7 +359,7 @@ def _wrapped(text: str, indent: int, before: int = 0) -> str:
     for term in _pieces(text, (" + ", " - ")):
         fits = indent + 4 + len(term) <= _WIDTH
         terms += [term] if fits else _pieces(term, ("/(", "*("))
-    if len(terms) == 1:
+    if len(terms) == 1 and indent + 4 + len(text) > _WIDTH:
         return text
     lines, line = [], terms[0]
     for term in terms[1:]:

@@ -43,9 +43,6 @@ class System:
     loss : callable
         (z, dz, energy_0, energy_weight=0.0) -> scalar, the paper's eq. (Loss); without the last
         two arguments if H depends on time.
-    rates : callable, optional
-        (z, t, out) of shapes (n, dim), (n,), (n, dim), for compiled callers; only with numba, and
-        if every parameter has a value.
     time_dependent : bool
         Whether the functions take ``t``.
     """
@@ -65,6 +62,11 @@ class System:
     @property
     def source(self) -> str:
         return self._source.text
+
+    @property
+    def equations(self) -> Equations:
+        """The equations of which these are the functions."""
+        return self._source.form
 
     @cached_property
     def energy(self) -> Callable[..., Any]:
@@ -90,13 +92,8 @@ class System:
     def loss(self) -> Callable[..., Any]:
         return self.function("loss")
 
-    @cached_property
-    def rates(self) -> Callable[..., None] | None:
-        bound = all(value is not None for _, value in self._source.names.parameters)
-        return self.function("rates") if self.backend == "numba" and bound else None
-
     def function(self, name: str) -> Callable[..., Any]:
-        """Load a function by its name; with numba also a loop of the integrators."""
+        """Load a function by its name: also a function of rows, or with numba a loop."""
         if self.backend == "numba":
             if name not in self._compiled:
                 module = numba_cache.load_module(self._source.module(name), "numba")

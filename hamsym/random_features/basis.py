@@ -19,6 +19,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from typing import NamedTuple
 
 import mpmath
 import numpy as np
@@ -27,15 +28,31 @@ from numpy.polynomial import chebyshev
 from hamsym.numerics.collocation import chebyshev_points
 from hamsym.random_features import window_loop
 
-__all__ = ["FeatureBasis", "basis_of_series", "columns_of", "feature_basis"]
+__all__ = ["FeatureBasis", "Size", "basis_of_series", "columns_of", "feature_basis", "size_of"]
 
 _NEURONS = 60
-NODES = 24  # collocation points of a window
-_BETWEEN = 27  # points at which the residual is judged
 _TRUNCATION = 1e-14  # of singular values, relative
 DEGREE = 47  # of the Chebyshev series of the columns, which are entire functions
 _BITS = 200  # of the sums that its coefficients are
-_INNER_RANGE = 10.0  # inner weights a are uniform within +- this
+_TERMS = 16  # of the series by which rates are extrapolated
+_LANES = 8  # tables have a multiple of these columns
+
+
+class Size(NamedTuple):
+    """Size of a basis: collocation points, the largest number of columns, points in between.
+
+    Inner weights a are uniform within +- ``inner_range``.
+    """
+
+    nodes: int
+    columns: int
+    between: int
+    inner_range: float
+
+
+#: The small basis needs shorter windows, each at less than half the cost; its residual reaches
+#: round-off at lower accuracy.
+SIZES = {16: Size(16, 16, 16, 5.5), 24: Size(24, 19, 32, 10.0)}
 
 
 @dataclass(frozen=True, eq=False)  # one object per seed, so that its tables can be cached
@@ -75,20 +92,22 @@ class FeatureBasis:
     def tables(self) -> window_loop.Tables:
         """Tables of :func:`~hamsym.random_features.window_loop.march_windows`."""
         end = self.end.astype(float)
-        # The polynomial of degree 2 through the last rates of a window, in s - 1.
-        tail = np.linalg.pinv(np.vander(self.nodes[-window_loop.TAIL :] - 1, 3, increasing=True))
-        arrays = (
-            self.nodes,
-            self.integration,
-            self.fit,
-            self.between,
-            self.to_between,
-            self.rates_between,
-            end,
-            (self.end - end).astype(float),
-            tail,
+        extrapolation = np.linalg.pinv(chebyshev.chebvander(2 * self.nodes - 1, _TERMS - 1))
+        columns = self.series.shape[1]
+        more = -columns % _LANES  # columns of zeros
+        tables = window_loop.Tables(
+            nodes=self.nodes,
+            integration=self.integration.T,
+            fit=np.pad(self.fit.T, ((0, 0), (0, more))),
+            between=self.between,
+            to_between=np.pad(self.to_between.T, ((0, more), (0, 0))),
+            rates_between=np.pad(self.rates_between.T, ((0, more), (0, 0))),
+            end=np.pad(end, (0, more)),
+            end_low=np.pad((self.end - end).astype(float), (0, more)),
+            extrapolation=extrapolation.T,
+            order=np.array([columns - 1.0]),
         )
-        return window_loop.Tables(*(np.ascontiguousarray(array) for array in arrays))
+        return window_loop.Tables(*map(np.ascontiguousarray, tables))
 
     def columns(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate Q and dQ/ds at s of shape (n,), in the precision of s; each of shape (n, m).
@@ -103,18 +122,24 @@ class FeatureBasis:
         return rate_series(self.series)
 
 
-@functools.lru_cache(maxsize=8)
-def feature_basis(seed: int = 0) -> FeatureBasis:
-    """Make the basis of a seed, once per seed."""
+@functools.lru_cache(maxsize=16)
+def feature_basis(seed: int = 0, nodes: int = 24) -> FeatureBasis:
+    """Make the basis of a seed and of a size in :data:`SIZES`, once."""
+    size = SIZES[nodes]
     generator = np.random.default_rng(seed)
-    inner = generator.uniform(-_INNER_RANGE, _INNER_RANGE, _NEURONS)
+    inner = generator.uniform(-size.inner_range, size.inner_range, _NEURONS)
     shift = generator.uniform(-math.pi, math.pi, _NEURONS)
     dense = chebyshev_points(160)
     values, rates = _raw_columns(inner, shift, dense)
     _, sizes, right = np.linalg.svd(np.vstack((values, rates)), full_matrices=False)
-    kept = sizes > _TRUNCATION * sizes[0]
+    kept = np.flatnonzero(sizes > _TRUNCATION * sizes[0])[: size.columns]
     mixing = right[kept].T / sizes[kept]
     return basis_of_series(seed, _series(inner, shift, mixing))
+
+
+def size_of(columns: int) -> Size:
+    """Return the size of a basis with this number of columns."""
+    return next((size for size in SIZES.values() if columns <= size.columns), SIZES[24])
 
 
 def columns_of(series: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,9 +149,10 @@ def columns_of(series: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def basis_of_series(seed: int, series: np.ndarray) -> FeatureBasis:
     """Make the basis of which the columns are f N for given series of N."""
-    nodes = chebyshev_points(NODES)
+    size = size_of(series.shape[1])
+    nodes = chebyshev_points(size.nodes)
     # Just inside the window: at a breakpoint the equations of the next window may hold.
-    between = np.clip(np.linspace(0.0, 1.0, _BETWEEN), 1e-9, 1 - 1e-9)
+    between = np.clip(np.linspace(0.0, 1.0, size.between), 1e-9, 1 - 1e-9)
 
     def columns(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         # The rounding error of a table enters every window with the same sign.

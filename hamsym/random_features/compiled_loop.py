@@ -3,70 +3,158 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib.resources
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hamsym.codegen.numba_cache import cache_directory, load_module, source_file
 from hamsym.codegen.system import System
-from hamsym.random_features import window_loop
+from hamsym.random_features import error_loop, member_loop, window_loop
 
-__all__ = ["compiled_loop", "compiled_rates", "cost"]
+__all__ = ["PLAIN", "Loops", "compiled_loops", "compiled_rows", "cost"]
+
+#: Modules with functions that the loops call.
+_CALLED = ("vector_products", "row_products", "window_loop", "error_loop", "member_loop")
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+#: Of functions that only compiled code calls.
+_INNER = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+class Loops(NamedTuple):
+    """Loops over windows, plain or compiled.
+
+    Attributes
+    ----------
+    march : callable
+        :func:`~hamsym.random_features.window_loop.march_windows`.
+    carry_errors : callable
+        :func:`~hamsym.random_features.error_loop.carry_errors`.
+    members : callable, optional
+        :func:`~hamsym.random_features.member_loop.solve_members`, compiled.
+    """
+
+    march: Callable[..., int]
+    carry_errors: Callable[..., tuple[int, int]]
+    members: Callable[..., int] | None = None
+
+
+PLAIN = Loops(window_loop.march_windows, error_loop.carry_errors)
 
 
 def cost() -> float:
-    """Return the seconds that compiling a march may take: 1 from the cache, 10 without."""
-    stem = source_file(_loop_source(), "window_loop").stem
+    """Return the seconds that compiling a march may take: 1 from the cache, 20 without."""
+    stem = source_file(_source("window_loop"), "window_loop").stem
     cached = any((cache_directory() / "__pycache__").glob(f"{stem}.march_windows-*.nbc"))
-    return 1.0 if cached else 10.0
-
-
-def _loop_source() -> str:
-    folder = importlib.resources.files("hamsym.random_features")
-    return folder.joinpath("window_loop.py").read_text("utf-8")
+    return 1.0 if cached else 20.0
 
 
 @functools.cache
-def compiled_loop() -> Callable[..., int]:
-    """Compile ``march_windows``, which takes seconds the first time on a machine."""
+def _source(name: str) -> str:
+    """Text of a loop, with a digest of the modules whose functions it calls."""
+    folder = importlib.resources.files("hamsym.random_features")
+    text = folder.joinpath(f"{name}.py").read_text("utf-8")
+    called = [folder.joinpath(f"{module}.py").read_bytes() for module in _CALLED]
+    return f"{text}\n# {hashlib.sha256(b''.join(called)).hexdigest()}\n"
+
+
+@functools.cache
+def compiled_loops() -> Loops:
+    """Compile the loops, which takes seconds the first time on a machine."""
     import numba
     from numba import types
 
-    module: Any = load_module(_loop_source(), "window_loop")
-    options = {"cache": True, "error_model": "numpy"}
-    module.column_sizes = numba.njit(**options)(module.column_sizes_in_loops)
-    for name in ("typical_sizes", "iterate", "judge"):
-        setattr(module, name, numba.njit(**options)(getattr(module, name)))
+    from hamsym.random_features import row_products
+
+    march: Any = load_module(_source("window_loop"), "window_loop")
+    errors: Any = load_module(_source("error_loop"), "error_loop")
+    members: Any = load_module(_source("member_loop"), "member_loop")
+    for name in row_products.MARCH_FUNCTIONS:
+        setattr(march, name, getattr(row_products, name))
+    for name in ("evaluate", "round_off", "iterate", "judge", "first_length"):
+        setattr(march, name, numba.njit(**_INNER)(getattr(march, name)))
+    for name in (*row_products.MARCH_FUNCTIONS, "evaluate"):
+        setattr(errors, name, getattr(march, name))
+    for name in row_products.ERROR_FUNCTIONS:
+        setattr(errors, name, getattr(row_products, name))
+    errors.transport = numba.njit(**_INNER)(errors.transport)
+
     vector, matrix, cube = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
-    number, counts = types.float64, types.int64[::1]
-    arguments = {
-        window_loop.Tables: (
-            *(vector, matrix, matrix, vector, matrix, matrix),
-            *(vector, vector, matrix),
+    number, whole, counts = types.float64, types.int64, types.int64[::1]
+
+    def tuple_of(kind: Any, *parts: Any) -> Any:
+        return types.BaseTuple.from_types(parts, kind)
+
+    rows = types.FunctionType(_rows_signature())
+    windows = tuple_of(window_loop.Windows, vector, matrix, cube)
+    actions = tuple_of(error_loop.Actions, counts, counts, counts, counts, vector)
+    tables = tuple_of(
+        window_loop.Tables,
+        *(vector, matrix, matrix, vector, matrix, matrix, vector, vector, matrix, vector),
+    )
+    settings = tuple_of(
+        window_loop.Settings,
+        *(vector, number, vector, matrix, number, number, vector, types.boolean),
+    )
+    progress = tuple_of(window_loop.Progress, vector, counts, vector, matrix, matrix)
+    error_tables = tuple_of(
+        error_loop.ErrorTables,
+        *(vector, matrix, matrix, cube, cube, cube, cube, matrix, matrix, vector, vector),
+        *(matrix, matrix, vector, vector, matrix, matrix),
+    )
+    error_settings = tuple_of(
+        error_loop.ErrorSettings,
+        *(vector, vector, number, number, number, number, cube, cube, vector),
+    )
+    span = tuple_of(
+        member_loop.Span,
+        *(number, number, number, number, vector, number, number),
+        *(types.boolean, types.boolean, types.boolean, counts),
+    )
+    results = tuple_of(
+        member_loop.Members,
+        *(counts, counts, counts, vector, matrix, matrix),
+        *(vector, matrix, cube, counts, cube, matrix),
+    )
+    compiled_march = _compiled(
+        types.int64(rows, rows, tables, settings, progress, windows, types.boolean),
+        march.march_windows,
+    )
+    compiled_errors = _compiled(
+        types.UniTuple(whole, 2)(
+            *(rows, rows, rows, error_tables, actions, actions, error_settings, windows),
+            *(matrix, vector, cube, matrix, vector, counts, whole, whole),
         ),
-        window_loop.Settings: (vector, number, vector, matrix, number, number),
-        window_loop.Progress: (vector, counts, vector, matrix, matrix),
-        window_loop.Windows: (vector, matrix, cube),
-    }
-    tuples = [types.BaseTuple.from_types(parts, kind) for kind, parts in arguments.items()]
-    signature = types.int64(types.FunctionType(_rates_signature()), *tuples, types.boolean)
-    return _compiled(signature, module.march_windows)
+        errors.carry_errors,
+    )
+    for name in ("evaluate", "fill", "first_length", "products"):
+        setattr(members, name, getattr(march, name))
+    members.march_windows, members.carry_errors = compiled_march, compiled_errors
+    for name in ("joint_errors", "mark_narrow", "keeps_energy", "scaled"):
+        setattr(members, name, numba.njit(**_INNER)(getattr(members, name)))
+    compiled_members = _compiled(
+        whole(
+            *(rows, rows, rows, rows, rows, tables, error_tables, actions, actions),
+            *(matrix, cube, cube, span, matrix, matrix, whole, results),
+        ),
+        members.solve_members,
+    )
+    return Loops(compiled_march, compiled_errors, compiled_members)
 
 
-@functools.lru_cache(maxsize=64)
-def compiled_rates(system: System) -> Callable[..., None]:
-    """Compile ``rates`` of a generated numba module for :func:`compiled_loop`."""
-    assert system.rates is not None  # every parameter has a value
-    rates: Any = system.rates
-    return _compiled(_rates_signature(), rates.py_func)
+@functools.lru_cache(maxsize=256)
+def compiled_rows(system: System, name: str) -> Callable[..., None]:
+    """Compile a function of rows of a generated numba module for the compiled loops."""
+    rows: Any = system.function(f"{name}_rows")
+    return _compiled(_rows_signature(), rows.py_func)
 
 
 def _compiled(signature: Any, function: Any) -> Any:
     """Compile a function for one signature, or load it from the cache."""
     import numba
 
-    compiler = numba.njit(signature, cache=True, error_model="numpy")
+    compiler = numba.njit(signature, cache=True, **_OPTIONS)
     try:
         return compiler(function)
     except Exception:
@@ -77,11 +165,11 @@ def _compiled(signature: Any, function: Any) -> Any:
     try:
         return compiler(function)
     except Exception:  # an unusable cache directory, e.g. in $NUMBA_CACHE_DIR
-        return numba.njit(signature, error_model="numpy")(function)
+        return numba.njit(signature, **_OPTIONS)(function)
 
 
-def _rates_signature() -> Any:
+def _rows_signature() -> Any:
     from numba import types
 
-    matrix = types.float64[:, ::1]
-    return types.void(matrix, types.float64[::1], matrix)
+    matrix, vector = types.float64[:, ::1], types.float64[::1]
+    return types.void(matrix, vector, vector, matrix)

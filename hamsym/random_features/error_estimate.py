@@ -16,34 +16,47 @@ is not finite: the linear equation is not valid there.
 from __future__ import annotations
 
 import functools
-import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from hamsym.numerics.collocation import Collocation, collocation
+from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
-from hamsym.numerics.tangent_maps import TangentMaps
 from hamsym.numerics.windows import locate
+from hamsym.random_features import error_loop
 from hamsym.random_features.basis import FeatureBasis, basis_of_series
+from hamsym.random_features.compiled_loop import PLAIN
+from hamsym.random_features.error_loop import Actions, ErrorSettings, ErrorTables
 from hamsym.random_features.flow import Flow, flow_of
+from hamsym.random_features.window_loop import Windows
 from hamsym.random_features.windows import March
 from hamsym.support.checked_data import require_array
 
-__all__ = ["RESOLUTIONS", "Estimate", "MarchError", "estimate_error"]
+__all__ = [
+    "RESOLUTIONS",
+    "Estimate",
+    "MarchError",
+    "disturbances",
+    "error_tables",
+    "estimate_error",
+    "halves",
+    "kicks",
+    "resolution_for",
+]
 
-#: Nodes for the residual, two or three times those of the march, and for the tangent maps: of the
-#: estimate, and of its check.
-RESOLUTIONS = ((48, 28), (72, 40))
-_PERTURBATIONS = 4  # random vectors that represent round-off
-_EPS = float(np.finfo(float).eps)
-_RESOLVED = 1e-3  # residual, relative to the rates, that a smooth force leaves at most
-_LOST = 1.0  # error, in units of the motion, beyond which the linear equation is not valid
+#: Nodes for the tangent equation and for the residual, by the nodes of the basis: of the estimate,
+#: of that of a march to a loose tolerance, in whose long windows the residual is in resonance with
+#: J Hess, and of the check.
+RESOLUTIONS = {16: ((16, 32), (24, 32), (40, 72)), 24: ((24, 48), (24, 48), (40, 72))}
+_USUAL, _LOOSE, _FINE = range(3)
+_LOOSE_TOLERANCE = 1e-8  # local
+_RANDOM, _SETS = 8, 4  # further places of the residual, and how many choices of them
+_PERIOD = 509  # windows after which the signs of the perturbations repeat
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged
-_ACCURACY = 1e-5  # of the maps of all windows together
-_CHUNK = 2_000_000  # numbers in the tangent maps of one batch
+_ACCURACY, _FEWEST = 1e-3, 10  # of the vectors after all windows, and the least number of these
 
 
 @dataclass(frozen=True)
@@ -96,7 +109,7 @@ class MarchError:
     def refined(self, path: Any) -> MarchError:
         """Estimate the error of the same march with half as many nodes again."""
         basis = basis_of_series(path.record.seed, path.trial.series)
-        return estimate_error(path.record, basis, flow_of(path.H), resolution=1).error
+        return estimate_error(path.record, basis, flow_of(path.H), resolution=_FINE).error
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Estimated z - z^ at times t, shape (*t.shape, dim)."""
@@ -144,172 +157,203 @@ class Estimate(NamedTuple):
 
 
 def estimate_error(
-    windows: March, basis: FeatureBasis, flow: Flow, resolution: int = 0
+    windows: March,
+    basis: FeatureBasis,
+    flow: Flow,
+    tolerance: float = 0.0,
+    resolution: int | None = None,
 ) -> Estimate:
     """Estimate the error of a march from its residual and its tangent maps.
 
-    ``resolution`` is an index of :data:`RESOLUTIONS`.
+    Parameters
+    ----------
+    windows : March
+    basis : FeatureBasis
+    flow : Flow
+    tolerance : float
+        Local tolerance of the march.
+    resolution : int, optional
+        Index of :data:`RESOLUTIONS`; by default from the tolerance.
     """
-    return _Estimation(windows, basis, flow, *RESOLUTIONS[resolution]).result
+    tables = error_tables(basis, resolution_for(tolerance) if resolution is None else resolution)
+    count, _, dim = windows.readouts.shape
+    scale = _scales(windows, flow)
+    settings = error_settings(flow, tables, windows.edges, scale, scale, tolerance)
+    actions = halves(flow.entries, settings.scale)
+    series = np.full((count, tables.lift.shape[1], dim), np.inf)
+    floors, largest = np.full((count, dim), np.inf), np.zeros(dim)
+    joint = np.zeros(dim * (error_loop.PERTURBATIONS + 2))
+    marks = np.zeros(count, dtype=np.int64)
+    jumps = _jumps(windows, basis)
+    parts = Windows(windows.edges, windows.states, windows.readouts)
+    first, loops = 0, flow.loops
+    while True:
+        last = min(first + 1, count) if loops is not flow.loops else count
+        first, outcome = loops.carry_errors(
+            *flow.rows,
+            tables,
+            *actions,
+            settings,
+            parts,
+            jumps,
+            joint,
+            series,
+            floors,
+            largest,
+            marks,
+            first,
+            last,
+        )
+        if outcome == error_loop.STUCK and loops is not PLAIN:
+            # The plain loop eliminates; compiled code leaves the window to it.
+            loops = PLAIN
+            continue
+        if outcome != error_loop.DONE or first == count:
+            break
+        loops = flow.loops
+    limit = ""
+    if outcome != error_loop.DONE:
+        limit = _reason(windows, flow, first)
+        largest = np.full(dim, np.inf)
+    ends = (windows.origin + windows.edges).tolist()
+    return Estimate(
+        MarchError(windows.edges, series, floors, largest, scale, np.array(windows.origin)),
+        limit,
+        [(ends[w], ends[w + 1]) for w in np.flatnonzero(marks & error_loop.UNRESOLVED)],
+    )
 
 
-class _Estimation:
-    """Error estimate in batches of windows, carried from joint to joint."""
+def resolution_for(tolerance: float) -> int:
+    """Return the resolution of the estimate of a march to a local tolerance."""
+    return _USUAL if tolerance <= _LOOSE_TOLERANCE else _LOOSE
 
-    def __init__(
-        self, windows: March, basis: FeatureBasis, flow: Flow, nodes: int, tangent_nodes: int
-    ) -> None:
-        self._rule, self._tangent_rule = collocation(nodes), collocation(tangent_nodes)
-        self._windows, self._basis, self._flow = windows, basis, flow
-        self._lengths = np.diff(windows.edges)
-        count, _, dim = windows.readouts.shape
-        # Of each window's map: the errors of consecutive maps add up.
-        self._accuracy = _ACCURACY / max(count, 100)
-        scale = _scales(windows, flow)
-        self._scale = np.where(scale > 0, scale, 1.0)
-        # The rounding of the state at each joint is deterministic, and therefore known.
-        jumps = windows.states[:-1] + np.einsum("m,wmd->wd", basis.end, windows.readouts)
-        self._jumps = np.asarray(jumps - windows.states[1:], dtype=float) / self._scale
-        self._generator = np.random.default_rng(0)
-        self._unresolved: list[int] = []
-        # Expected length of the window that contains a random time.
-        self._usual_length = float((self._lengths**2).sum() / np.abs(self._lengths).sum())
-        series, floors = np.full((count, nodes, dim), np.inf), np.full((count, dim), np.inf)
-        # Column 0 is the error, the last one the effect of rounded numbers of H; the others are
-        # perturbations of the size of round-off.
-        joint = np.zeros((dim, 2 + _PERTURBATIONS))
-        step = max(1, _CHUNK // (nodes * dim * dim))
-        largest, limit, first = np.zeros(dim), "", 0
-        while first < count and not limit:
-            part = slice(first, min(first + step, count))
-            joint, limit, reached = self._across(part, joint, series, floors, largest)
-            first = reached
-        if limit:
-            largest = np.full(dim, np.inf)
-        ends = (windows.origin + windows.edges).tolist()
-        self.result = Estimate(
-            MarchError(windows.edges, series, floors, largest, scale, np.array(windows.origin)),
-            limit,
-            [(ends[w], ends[w + 1]) for w in self._unresolved],
+
+@functools.lru_cache(maxsize=16)
+def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
+    """Make the tables of the estimate for a basis."""
+    nodes, inside = RESOLUTIONS[len(basis.nodes)][resolution]
+    rule, fine = collocation(nodes), collocation(inside)
+    generator = np.random.default_rng(basis.seed)
+    places = [np.append(fine.nodes, generator.random(_RANDOM)) for _ in range(_SETS)]
+    columns = [basis.columns(s.astype(np.longdouble)) for s in places]
+    values, values_low = _parts(values for values, _ in columns)
+    rates, rates_low = _parts(rates for _, rates in columns)
+    # The integral from 0 of the polynomial through the values at the first places.
+    integrals = chebyshev.chebint(np.eye(inside), lbnd=-1, scl=0.5)
+
+    def integral(s: np.ndarray) -> np.ndarray:
+        weights = chebyshev.chebval(2 * s - 1, integrals).T @ fine.to_series
+        return np.pad(weights.T, ((0, _RANDOM), (0, 0)))
+
+    end = integral(np.ones(1))[:, 0]
+    tables = ErrorTables(
+        nodes=rule.nodes,
+        at_nodes=basis.columns(rule.nodes.astype(np.longdouble))[0].astype(float).T,
+        places=np.array(places),
+        values=values,
+        values_low=values_low,
+        rates=rates,
+        rates_low=rates_low,
+        drift=integral(rule.nodes),
+        drift_inside=integral(fine.nodes),
+        drift_end=end,
+        drift_none=np.zeros(len(end)),
+        integration=rule.integration[:-1].T,
+        lift=rule.interpolation(fine.nodes).T,
+        end=rule.integration[-1],
+        none=np.zeros(nodes),
+        to_series=fine.to_series.T,
+        dense=fine.interpolation(np.linspace(0, 1, 2 * inside)).T,
+    )
+    return ErrorTables(*map(np.ascontiguousarray, tables))
+
+
+def _parts(tables: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return transposed tables as high and low parts, shape (tables, columns, rows) each."""
+    exact = np.array([table.T for table in tables])
+    high = exact.astype(float)
+    return high, (exact - high).astype(float)
+
+
+def error_settings(
+    flow: Flow,
+    tables: ErrorTables,
+    edges: np.ndarray,
+    scale: np.ndarray,
+    sizes: np.ndarray,
+    tolerance: float,
+) -> ErrorSettings:
+    """Make the settings of the estimate of a march with these edges."""
+    lengths, dim = np.abs(np.diff(edges)), len(scale)
+    return ErrorSettings(
+        scale=np.where(scale > 0, scale, 1.0),
+        sizes=sizes,
+        tolerance=tolerance,
+        accuracy=_ACCURACY / max(len(lengths), _FEWEST),
+        usual_length=float((lengths**2).sum() / lengths.sum()),
+        rounded=float(flow.rounded),
+        signs=disturbances(tables.places.shape, dim),
+        kicks=kicks(dim),
+        parameters=flow.parameters,
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def disturbances(shape: tuple[int, int], dim: int) -> np.ndarray:
+    """Return the signs with which states are disturbed, shape (sets, dim, places)."""
+    sets, places = shape
+    return np.random.default_rng(0).choice((-1.0, 1.0), size=(sets, dim, places))
+
+
+@functools.lru_cache(maxsize=64)
+def kicks(dim: int) -> np.ndarray:
+    """Return the signs of the perturbations, shape (period, dim, perturbations)."""
+    shape = (_PERIOD, dim, error_loop.PERTURBATIONS)
+    return np.random.default_rng(1).choice((-1.0, 1.0), size=shape)
+
+
+def halves(entries: np.ndarray, scale: np.ndarray) -> tuple[Actions, Actions]:
+    """Return the terms of J Hess v in units of the scale: those of the momenta, and the others."""
+    half = len(scale) // 2
+    terms: dict[int, list[tuple[int, int, float]]] = {}
+    for entry, (i, j) in enumerate(entries.tolist()):
+        for row, source in {(i, j), (j, i)}:
+            target, sign = (row + half, -1.0) if row < half else (row - half, 1.0)
+            factor = sign * scale[source] / scale[target]
+            terms.setdefault(target, []).append((source, entry, factor))
+
+    def actions(offset: int) -> Actions:
+        rows = [row for row in range(offset, offset + half) if row in terms]
+        listed = [term for row in rows for term in terms[row]]
+        counts = [len(terms[row]) for row in rows]
+        starts = np.cumsum([0, *counts])[:-1] if rows else np.empty(0)
+        return Actions(
+            rows=np.array(rows, dtype=np.int64) - offset,
+            starts=starts.astype(np.int64),
+            sources=np.array([source for source, _, _ in listed], dtype=np.int64),
+            entries=np.array([entry for _, entry, _ in listed], dtype=np.int64),
+            factors=np.array([factor for _, _, factor in listed], dtype=float),
         )
 
-    def _across(
-        self,
-        part: slice,
-        joint: np.ndarray,
-        all_series: np.ndarray,
-        all_floors: np.ndarray,
-        largest: np.ndarray,
-    ) -> tuple[np.ndarray, str, int]:
-        """Estimate the error of a batch of windows.
+    return actions(half), actions(0)
 
-        Parameters
-        ----------
-        part : slice
-            Its windows.
-        joint : numpy.ndarray
-            Errors at its start, in units of the scale, shape (dim, columns).
-        all_series, all_floors, largest : numpy.ndarray
-            Of the whole march; updated.
 
-        Returns
-        -------
-        joint : numpy.ndarray
-            Errors at its end.
-        limit : str
-            Reason for ending early, or "".
-        first : int
-            First window that was not estimated.
-        """
-        lengths, count, dim = self._lengths[part], part.stop - part.start, len(self._scale)
-        z, dz, times = self._sampled(part, self._rule)
-        rates = self._flow.vector_field(z.reshape(-1, dim), times.ravel()).reshape(z.shape)
-        residual = self._residual(part, dz, rates)
-        self._note_unresolved(part, residual, rates)
-        z_coarse, _, times_coarse = self._sampled(part, self._tangent_rule)
-        jacobians = self._flow.jacobian(z_coarse.reshape(-1, dim), times_coarse.ravel())
-        jacobians = jacobians.reshape(*z_coarse.shape, dim)
-        maps = TangentMaps(jacobians, lengths, self._scale, self._accuracy)
-        fine = maps.at(self._rule.nodes)
-        forcing = maps.inverse_applied(fine, (residual / self._scale).transpose(2, 1, 0))
-        drift = -lengths * (self._rule.integration @ forcing)
+def _jumps(windows: March, basis: FeatureBasis) -> np.ndarray:
+    """Return the rounding of the state at each joint, which is deterministic; (windows, dim)."""
+    ends = windows.states[:-1] + np.einsum("m,wmd->wd", basis.end, windows.readouts)
+    return np.asarray(ends - windows.states[1:], dtype=float)
 
-        signs = self._generator.choice((-1.0, 1.0), size=(count, dim, _PERTURBATIONS))
-        kicks = np.empty((count, dim, 1 + _PERTURBATIONS))
-        kicks[:, :, :-1] = (self._round_off(part, z, dz, times, rates) / self._scale)[
-            :, :, None
-        ] * signs
-        kicks[:, :, -1] = self._constants(part) / self._scale
-        starts = np.empty((count, dim, 2 + _PERTURBATIONS))
-        done, limit = count, ""
-        for w in range(count):
-            starts[w] = joint
-            starts[w, :, 1:] += kicks[w]
-            joint = starts[w].copy()
-            joint[:, 0] += drift[:, -1, w]
-            joint = maps.ends[w] @ joint
-            joint[:, 0] += self._jumps[part.start + w]
-            if not np.abs(joint).max() <= _LOST:
-                done, limit = w, self._reason(part.start + w, jacobians[w])
-                break
 
-        kept = slice(part.start, part.start + done)
-        error = np.einsum("inaw,anw->win", fine, starts[:, :, 0].T[:, None] + drift[:, :-1])[:done]
-        series = self._rule.to_series @ (error * self._scale[:, None]).transpose(0, 2, 1)
-        perturbed = np.einsum("inaw,wac->winc", maps.inside, starts[:, :, 1:])[:done]
-        # Three standard deviations, at worst in the window, and the rounding of z^ itself.
-        deviations = np.sqrt((perturbed[..., :-1] ** 2).mean(axis=3)).max(axis=2)
-        pushed = np.abs(perturbed[..., -1]).max(axis=2)
-        floors = self._scale * (3 * deviations + pushed) + _EPS / 2 * np.abs(z[:done]).max(axis=1)
-        all_series[kept], all_floors[kept] = series, floors
-        if done:
-            # A scan this fine misses a few percent of a peak at most.
-            between = 1.05 * np.abs(_dense(series.shape[1]) @ series).max(axis=1)
-            np.maximum(largest, (between + floors).max(axis=0), out=largest)
-        return joint, limit, part.start + done
-
-    def _residual(self, part: slice, dz: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Return dz^/dt - F at the nodes of a batch of windows, shape (windows, nodes, dim)."""
-        return dz - rates
-
-    def _note_unresolved(self, part: slice, residual: np.ndarray, rates: np.ndarray) -> None:
-        left, sizes = np.abs(residual).max(axis=1), np.abs(rates).max(axis=1)
-        # The rates of components that are nothing but round-off are noise.
-        good = (left <= _RESOLVED * sizes) | (self._usual_length * left <= _RESOLVED * self._scale)
-        self._unresolved.extend(part.start + np.flatnonzero(~good.all(axis=1)))
-
-    def _round_off(
-        self, part: slice, z: np.ndarray, dz: np.ndarray, times: np.ndarray, rates: np.ndarray
-    ) -> np.ndarray:
-        """Estimate the effect of round-off on the end of each window, shape (windows, dim)."""
-        signs = self._generator.choice((-1.0, 1.0), size=z.shape)
-        disturbed = (z * (1 + _EPS / 2 * signs)).reshape(-1, z.shape[-1])
-        late = times.ravel() * (1 + _EPS / 2 * self._generator.choice((-1.0, 1.0), times.size))
-        noise = self._flow.vector_field(disturbed, late).reshape(z.shape) - rates
-        noise = np.sqrt((noise**2).mean(axis=1)) + _EPS * np.abs(dz).max(axis=1)
-        # The nodes average it.
-        return np.abs(self._lengths[part])[:, None] * noise / math.sqrt(z.shape[1])
-
-    def _constants(self, part: slice) -> np.ndarray:
-        """Estimate the effect of rounded numbers in H on each window, shape (windows, dim)."""
-        if not self._flow.rounded:
-            return np.zeros((part.stop - part.start, len(self._scale)))
-        return _EPS / 2 * np.diff(self._windows.states[part.start : part.stop + 1], axis=0)
-
-    def _reason(self, window: int, jacobians: np.ndarray) -> str:
-        t = float(self._windows.origin + self._windows.edges[window])
-        if not np.isfinite(jacobians).all():
-            return f"the Hessian of H is not finite near t = {t:.6g}"
-        return f"round-off errors grow to the size of the motion by t = {t:.6g}"
-
-    def _sampled(self, part: slice, rule: Collocation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate z^ and dz^/dt at nodes of a rule, shape (windows, nodes, dim), and the times."""
-        values, rates, lost = _columns(self._basis, len(rule.nodes))
-        readouts, lengths = self._windows.readouts[part], self._lengths[part]
-        z = self._windows.states[part][:, None] + values @ readouts
-        # A rounded table would push every window the same way.
-        dz = (rates @ readouts + lost @ readouts) / lengths[:, None, None]
-        return z, dz, self._windows.edges[part][:, None] + lengths[:, None] * rule.nodes
+def _reason(windows: March, flow: Flow, window: int) -> str:
+    """Return the reason for an estimate that ends at a window."""
+    t = float(windows.origin + windows.edges[window])
+    with np.errstate(all="ignore"):
+        jacobian = flow.jacobian(
+            windows.states[window : window + 2], windows.edges[window : window + 2]
+        )
+    if not np.isfinite(jacobian).all():
+        return f"the Hessian of H is not finite near t = {t:.6g}"
+    return f"round-off errors grow to the size of the motion by t = {t:.6g}"
 
 
 def _scales(windows: March, flow: Flow) -> np.ndarray:
@@ -322,14 +366,6 @@ def _scales(windows: March, flow: Flow) -> np.ndarray:
     mean = np.einsum("k,kij->ij", shares, coupling)
     coupled = coupled_sizes(windows.scale, mean, abs(float(windows.edges[-1] - windows.edges[0])))
     return np.asarray(np.maximum(windows.scale, SMALLEST * coupled))
-
-
-@functools.lru_cache(maxsize=8)
-def _columns(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Evaluate Q and dQ/ds at the nodes of a rule, and the rounding error of dQ/ds."""
-    values, rates = basis.columns(collocation(count).nodes.astype(np.longdouble))
-    rounded = rates.astype(float)
-    return values.astype(float), rounded, (rates - rounded).astype(float)
 
 
 @functools.cache

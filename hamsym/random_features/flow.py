@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import sympy
@@ -13,13 +13,30 @@ import sympy
 from hamsym.codegen.functions import compile_expressions
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import generators
-from hamsym.random_features import window_loop
-from hamsym.random_features.compiled_loop import compiled_loop, compiled_rates
-from hamsym.symbolic import derivatives
+from hamsym.random_features.compiled_loop import PLAIN, Loops, compiled_loops, compiled_rows
 
-__all__ = ["Flow", "flow_of", "has_rounded_numbers"]
+__all__ = ["Flow", "RowFunctions", "flow_of", "has_rounded_numbers"]
 
 NarrowArguments: TypeAlias = tuple[np.ndarray, np.ndarray]
+Rows: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
+
+
+class RowFunctions(NamedTuple):
+    """Generated functions of states as rows, (states, times, parameters, out).
+
+    States have the shape (dim, n), times (n,), parameters (k,), and out has a row for each value.
+
+    Attributes
+    ----------
+    velocity, force : callable
+        dq/dt and dp/dt, shape (dof, n).
+    hessian : callable
+        The nonzero second derivatives of H in the upper triangle, shape (entries, n).
+    """
+
+    velocity: Rows
+    force: Rows
+    hessian: Rows
 
 
 @dataclass(frozen=True)
@@ -28,12 +45,18 @@ class Flow:
 
     Attributes
     ----------
+    rows : RowFunctions
+        The equations for the loops over windows.
+    parameters : numpy.ndarray
+        Values of the parameters, shape (k,).
+    entries : numpy.ndarray
+        Row and column of each value of ``rows.hessian``, shape (entries, 2).
+    separable : bool
+        Whether H is separable.
     vector_field : callable
         (z, t) -> F, shapes (n, dim), (n,) -> (n, dim).
     jacobian : callable
         (z, t) -> dF/dz, shape (n, dim, dim).
-    rates : callable
-        (z, t, out), F written to out.
     energy : callable, optional
         (z, t) -> H, shape (n,), where H is conserved.
     narrow_arguments : callable, optional
@@ -41,21 +64,24 @@ class Flow:
         kinds (:class:`~hamsym.symbolic.derivatives.Narrow`), shape (k,).
     rounded : bool
         Whether H has numbers that float64 cannot represent.
-    loop : callable
-        :func:`~hamsym.random_features.window_loop.march_windows`, plain or compiled.
+    loops : Loops
+        The loops over windows, plain or compiled.
     compiled : bool
-        Whether ``rates`` and ``loop`` are compiled.
+        Whether ``rows`` and ``loops`` are compiled.
     compile : callable, optional
-        Returns the flow with compiled ``rates`` and ``loop``; None if ``compiled`` is not "auto".
+        Returns the flow with compiled ``rows`` and ``loops``; None if ``compiled`` is not "auto".
     """
 
+    rows: RowFunctions
+    parameters: np.ndarray
+    entries: np.ndarray
+    separable: bool
     vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray]
     jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    rates: Callable[[np.ndarray, np.ndarray, np.ndarray], None]
     energy: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     narrow_arguments: Callable[[np.ndarray, np.ndarray], NarrowArguments] | None = None
     rounded: bool = False
-    loop: Callable[..., int] = window_loop.march_windows
+    loops: Loops = PLAIN
     compiled: bool = False
     compile: Callable[[], Flow] | None = None
 
@@ -70,16 +96,17 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
     def jacobian(z: np.ndarray, t: np.ndarray) -> np.ndarray:
         return generators(system.hessian(*system.arguments(z, t)))
 
-    def rates(z: np.ndarray, t: np.ndarray, out: np.ndarray) -> None:
-        out[:] = vector_field(z, t)
-
     def energy(z: np.ndarray, t: np.ndarray) -> np.ndarray:
         return np.asarray(system.energy(*system.arguments(z, t)))
 
+    entries = [index for index in H.real_equations.hessian if index[0] <= index[1]]
     plain = Flow(
+        RowFunctions(*(system.function(f"{name}_rows") for name in RowFunctions._fields)),
+        np.array([H.parameters[name] for name in H.parameter_names], dtype=float),
+        np.array(entries, dtype=np.int64).reshape(-1, 2),
+        H.is_separable,
         vector_field,
         jacobian,
-        rates,
         energy=energy if H.time is None else None,
         narrow_arguments=_narrow_arguments(H),
         rounded=has_rounded_numbers(H.expr),
@@ -89,8 +116,8 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
 
 
 def _compiled(H: Hamiltonian, plain: Flow) -> Flow:
-    rates = compiled_rates(H.compile("numba"))
-    return replace(plain, rates=rates, loop=compiled_loop(), compiled=True, compile=None)
+    rows = RowFunctions(*(compiled_rows(H.kernels, name) for name in RowFunctions._fields))
+    return replace(plain, rows=rows, loops=compiled_loops(), compiled=True, compile=None)
 
 
 @functools.lru_cache(maxsize=64)
@@ -103,9 +130,7 @@ def _narrow_arguments(
     of negative and fractional powers.
     """
     equations = H.real_equations
-    given = {symbol: value for symbol, value in equations.parameters.values() if value is not None}
-    variables = [*equations.z, *([] if equations.time is None else [equations.time])]
-    found = derivatives.narrow_arguments(equations.expr.xreplace(given), variables)
+    found = equations.narrow_arguments
     if not found:
         return None
     arguments = compile_expressions([argument for argument, _ in found], equations)

@@ -28,7 +28,7 @@ from hamsym.random_features.window_checks import Failure, WindowChecks
 from hamsym.random_features.window_loop import Progress, Settings, Windows
 from hamsym.random_features.windows import March
 
-__all__ = ["MAX_WINDOWS", "march", "newton"]
+__all__ = ["MAX_WINDOWS", "march", "newton", "node_signs", "origin_of", "shortest_window"]
 
 _NEWTON_ITERATIONS = 12
 _SHORTEST = 1e-13  # window, relative to the times
@@ -112,7 +112,7 @@ class _Marching:
         self._began, self._cpu_began = time.perf_counter(), time.process_time()
         self._flow, self._basis = flow, basis
         self._max_windows = max_windows
-        self._origin = _origin(flow, span)
+        self._origin = origin_of(flow.energy is not None, span)
         self._start, self._end = (t - self._origin for t in span)
         self._whole = abs(self._end - self._start)
         self._direction = 1.0 if self._end > self._start else -1.0
@@ -122,19 +122,21 @@ class _Marching:
             stops=np.array(self._stops),
             tolerance=tolerance,
             floors=np.zeros(dim),
-            signs=_signs(basis, dim),
-            shortest=_SHORTEST * max(self._whole, abs(self._start), abs(self._end)),
+            signs=node_signs(basis, dim),
+            shortest=shortest_window(self._start, self._end),
             longest=longest,
+            parameters=flow.parameters,
+            separable=flow.separable,
         )
-        self._rate = np.empty((1, dim))
-        flow.rates(z0[None], np.array([self._start]), self._rate)
+        self._rate = flow.vector_field(z0[None], np.array([self._start]))[0]
         self._progress = Progress(
             clock=np.array([self._start, 0.0]),
             counts=np.array([0, 1, 0]),
             sizes=np.abs(z0),
-            tail=np.vstack((self._rate, np.zeros((2, dim)))),
-            found=np.empty((len(basis.nodes), dim)),
+            tail=np.zeros((dim, basis.tables.extrapolation.shape[1])),
+            found=np.empty((dim, len(basis.nodes))),
         )
+        self._progress.tail[:, 0] = self._rate
         columns = basis.series.shape[1]
         self._windows = _Buffer(self._start, z0, columns, min(_ROOM, max_windows))
         self._checks = WindowChecks(flow, basis, tolerance)
@@ -143,8 +145,10 @@ class _Marching:
         self._returns = 0  # to windows before it
         self._failures: list[str] = []  # that shorter windows did not mend
         self._widen_floors()
-        sizes = np.maximum(self._progress.sizes, self._settings.floors / SMALLEST)
-        self._progress.clock[1] = _first_length(sizes, self._rate[0], self._whole)
+        self._progress.clock[1] = window_loop.first_length(
+            *(flow.rows.velocity, flow.rows.force, z0, self._rate[:, None]),
+            *(self._start, self._end, flow.parameters),
+        )
 
     @property
     def _count(self) -> int:
@@ -156,8 +160,9 @@ class _Marching:
         while status != window_loop.FINISHED and not reason:
             # The loop returns when it has no room: after a chunk its windows are checked.
             room = min(self._windows.room, max(self._checked + self._chunk, self._count))
-            status = self._flow.loop(
-                self._flow.rates,
+            status = self._flow.loops.march(
+                self._flow.rows.velocity,
+                self._flow.rows.force,
                 self._basis.tables,
                 self._settings,
                 self._progress,
@@ -210,7 +215,7 @@ class _Marching:
         if rates is None:
             self._progress.clock[1] *= window_loop.SHRINK
             return False
-        self._progress.found[:] = rates
+        self._progress.found[:] = rates.T
         return True
 
     # -- between two calls of the loop -----------------------------------------------------------
@@ -300,13 +305,13 @@ class _Marching:
         self._settings = self._settings._replace(stops=np.array(self._stops))
         counts[2] = sum(direction * stop <= direction * start for stop in self._stops)
         clock[1] = abs(end - start) / 2
-        tail[1:] = 0
-        tail[0] = self._rate[0]
+        tail[:, 1:] = 0
+        tail[:, 0] = self._rate
         if window:
             last = self._windows.part(window - 1, window)
-            h = start - last.edges[0]
-            _, rates = self._basis.columns(self._basis.nodes[-window_loop.TAIL :])
-            tail[:] = self._basis.tables.tail_fit @ (rates @ last.readouts[0] / h)
+            _, rates = self._basis.columns(self._basis.nodes)
+            found = rates @ last.readouts[0] / (start - last.edges[0])
+            tail[:] = found.T @ self._basis.tables.extrapolation
 
 
 def newton(
@@ -341,10 +346,10 @@ def newton(
     times, integration = start + length * basis.nodes, length * basis.integration
     count, dim = len(times), len(z)
     enough = max(0.01 * tolerance, 4e-16)
-    Z, rates = np.tile(z, (count, 1)), np.empty((count, dim))
+    Z = np.tile(z, (count, 1))
     last = math.inf
     for step in range(1, _NEWTON_ITERATIONS + 1):
-        flow.rates(Z, times, rates)
+        rates = flow.vector_field(Z, times)
         defect = z + integration @ rates - Z
         matrix = np.eye(count * dim) - np.einsum(
             "kl,lij->kilj", integration, flow.jacobian(Z, times)
@@ -357,8 +362,7 @@ def newton(
         scale = np.maximum(np.maximum(sizes, np.abs(Z).max(axis=0)), window_loop.TINY)
         change = float((np.abs(correction) / scale).max())
         if change <= enough or (change < 1e-11 and change >= last):
-            flow.rates(Z, times, rates)
-            return rates, step + 1
+            return flow.vector_field(Z, times), step + 1
         if not change < 1e6:
             return None, step
         last = change
@@ -366,21 +370,20 @@ def newton(
 
 
 @functools.lru_cache(maxsize=64)
-def _signs(basis: FeatureBasis, dim: int) -> np.ndarray:
+def node_signs(basis: FeatureBasis, dim: int) -> np.ndarray:
+    """Return the signs with which the states of a window are disturbed, shape (dim, points)."""
     generator = np.random.default_rng(basis.seed)
-    return generator.choice((-1.0, 1.0), size=(len(basis.between), dim))
+    return generator.choice((-1.0, 1.0), size=(dim, max(len(basis.nodes), len(basis.between))))
 
 
-def _origin(flow: Flow, span: tuple[float, float]) -> float:
+def origin_of(autonomous: bool, span: tuple[float, float]) -> float:
     """Choose the time from which times are counted, since float64 resolves large times coarsely."""
     start, end = span
     # Then all differences to the start are exact (Sterbenz's lemma).
     exact = start != 0 and 0.5 <= end / start <= 2
-    return start if flow.energy is not None and exact else 0.0
+    return start if autonomous and exact else 0.0
 
 
-def _first_length(sizes: np.ndarray, rate: np.ndarray, span: float) -> float:
-    """Return a tenth of the shortest time in which a component changes by its size."""
-    speeds = np.abs(rate)
-    moving = (sizes > 0) & (speeds > 0)
-    return min(span, 0.1 * float((sizes[moving] / speeds[moving]).min(initial=math.inf)))
+def shortest_window(start: float, end: float) -> float:
+    """Return the length below which float64 does not resolve a window."""
+    return _SHORTEST * max(abs(end - start), abs(start), abs(end))

@@ -9,6 +9,7 @@ Stage 3  If both together exceed the tolerance, march again with a tighter local
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,20 +18,33 @@ from typing import Literal
 import numpy as np
 
 from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.basis import FeatureBasis, feature_basis
-from hamsym.random_features.error_estimate import Estimate, estimate_error
+from hamsym.random_features.error_estimate import Estimate, MarchError, estimate_error
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import MAX_WINDOWS, march
+from hamsym.random_features.members import MemberSolver
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.solution import Solution
 from hamsym.support.option_fields import option
 
-__all__ = ["FeatureOptions", "solve_by_features", "solve_by_march"]
+__all__ = [
+    "Accuracy",
+    "FeatureOptions",
+    "accepted_solution",
+    "basis_for",
+    "checked_accuracy",
+    "solve_by_features",
+    "solve_by_march",
+    "success_message",
+]
 
 _SMALLEST_TOL = 1e-12  # below it float64 cannot represent the solution
+_SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
+_LOCAL = 0.1  # local tolerance of the first march, relative to the tolerance
 _SMALLEST_LOCAL = 1e-13  # below it residuals are round-off
 _STEP = 1e-4  # of the local tolerance from one march to the next, at most
 _ATTEMPTS = 6
@@ -55,43 +69,147 @@ class FeatureOptions:
     )
 
 
+@dataclass(frozen=True)
+class Accuracy:
+    """Checked options of a march.
+
+    Attributes
+    ----------
+    tol, local : float
+        Tolerance, and local tolerance of the first march.
+    absolute : numpy.ndarray
+        Absolute tolerance, shape (dim,).
+    longest : float
+        Longest window.
+    stops : list of float
+        Times at which a window ends.
+    """
+
+    tol: float
+    local: float
+    absolute: np.ndarray
+    longest: float
+    stops: list[float]
+
+
+def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: int) -> Accuracy:
+    """Check the options of the method "features".
+
+    Raises
+    ------
+    InputError
+        If one cannot be used.
+    """
+    tol = options.tol
+    if not (isinstance(tol, (int, float, np.floating)) and _SMALLEST_TOL <= tol < 1):
+        raise InputError(
+            f"tol={tol!r} cannot be used; give a number from {_SMALLEST_TOL:g} to below 1"
+        )
+    # 1 equals True, but flow_of distinguishes them.
+    if not (isinstance(options.compiled, bool) or options.compiled == "auto"):
+        raise InputError(
+            f'compiled={options.compiled!r} cannot be used; give True, False or "auto"'
+        )
+    return Accuracy(
+        tol,
+        # The cost grows as a root of the accuracy: a margin is cheaper than a second march.
+        max(_LOCAL * tol, _SMALLEST_LOCAL),
+        _checked_atol(options.atol, dim),
+        _checked_window(options.max_window, span),
+        _checked_breakpoints(options.breakpoints, span),
+    )
+
+
+def basis_for(seed: int, tol: float) -> FeatureBasis:
+    """Return the basis that reaches a tolerance in the least time."""
+    return feature_basis(seed, 16 if tol >= _SMALL_BASIS else 24)
+
+
 def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> Solution:
     """Solve by marching random features to a tolerance; options as in :func:`hamsym.solve`."""
-    return solve_by_march(problem, options, feature_basis(problem.seed), "features")
+    H, span = problem.H, problem.span
+    accuracy = checked_accuracy(options, span, H.dim)
+    basis = basis_for(problem.seed, accuracy.tol)
+    if options.compiled is True and not accuracy.stops and MemberSolver.applies(H):
+        wall, cpu = time.perf_counter(), time.process_time()
+        solver = MemberSolver(
+            H, span, accuracy.tol, accuracy.local, accuracy.absolute, accuracy.longest, basis
+        )
+        parameters = np.array([[H.parameters[name] for name in H.parameter_names]], dtype=float)
+        batch = solver.solve(problem.z0[None], parameters, keep_error=True)
+        if batch.accepted[0]:
+            seconds = time.perf_counter() - wall, time.process_time() - cpu
+            return accepted_solution(
+                H,
+                problem.z0,
+                span,
+                solver.march_of(batch, *seconds),
+                basis,
+                solver.error_of(batch),
+                accuracy.tol,
+                float(batch.excess[0]),
+            )
+    return solve_by_march(problem, options, basis, "features")
+
+
+def accepted_solution(
+    H: Hamiltonian,
+    z0: np.ndarray,
+    span: tuple[float, float],
+    windows: March,
+    basis: FeatureBasis,
+    error: MarchError,
+    tol: float,
+    excess: float,
+) -> Solution:
+    """Make the solution of a march that passed every check."""
+    return Solution(
+        H,
+        z0,
+        span,
+        FeatureTrial.of_march(windows, basis),
+        method="features",
+        record=windows,
+        error=error,
+        success=True,
+        message=success_message(tol, len(windows.readouts), excess),
+    )
+
+
+def success_message(tol: float, windows: int, excess: float) -> str:
+    """Return the message of a march that met its tolerance."""
+    return f"tol {tol:.1e} met: {_state(windows, excess)}"
+
+
+def _state(windows: int, excess: float) -> str:
+    return f"{windows:,} windows, estimated error {excess:.1e} of the tolerance"
 
 
 def solve_by_march(
     problem: InitialValueProblem, options: FeatureOptions, basis: FeatureBasis, method: str
 ) -> Solution:
     """Solve by marching windows of a basis to a tolerance; the solution has the method's name."""
-    tol = options.tol
     H = problem.H
-    if not (isinstance(tol, (int, float, np.floating)) and _SMALLEST_TOL <= tol < 1):
-        raise InputError(
-            f"tol={tol!r} cannot be used; give a number from {_SMALLEST_TOL:g} to below 1"
-        )
-    absolute = _checked_atol(options.atol, H.dim)
-    longest = _checked_window(options.max_window, problem.span)
-    stops = _checked_breakpoints(options.breakpoints, problem.span)
-    # 1 equals True, but flow_of distinguishes them.
-    if not (isinstance(options.compiled, bool) or options.compiled == "auto"):
-        raise InputError(
-            f'compiled={options.compiled!r} cannot be used; give True, False or "auto"'
-        )
+    accuracy = checked_accuracy(options, problem.span, H.dim)
+    tol, local = accuracy.tol, accuracy.local
     flow = flow_of(H, options.compiled)
     best: _Attempt | None = None
-    # The cost grows as the 18th root of the accuracy: a margin is cheaper than a second march.
-    local = max(0.1 * tol, _SMALLEST_LOCAL)
     with np.errstate(all="ignore"):
         for _ in range(_ATTEMPTS):
             windows = march(
-                flow, problem.z0, problem.span, local, basis, breakpoints=stops, longest=longest
+                flow,
+                problem.z0,
+                problem.span,
+                local,
+                basis,
+                breakpoints=accuracy.stops,
+                longest=accuracy.longest,
             )
             if not len(windows.readouts):
                 break
-            estimate = estimate_error(windows, basis, flow)
+            estimate = estimate_error(windows, basis, flow, local)
             error = estimate.error
-            tried = _Attempt(windows, estimate, absolute + tol * error.scale)
+            tried = _Attempt(windows, estimate, accuracy.absolute + tol * error.scale)
             if best is None or tried.is_better_than(best):
                 best = tried
             # A tighter march does not reduce an error that is mostly round-off.
@@ -148,7 +266,7 @@ class _Attempt:
 def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
     windows, excess = attempt.windows, attempt.excess
     error, limit = attempt.estimate.error, attempt.estimate.limit
-    state = f"{len(windows.readouts):,} windows, estimated error {excess:.1e} of the tolerance"
+    state = _state(len(windows.readouts), excess)
     held = error.until(attempt.allowed)
     if windows.reason:
         until, missing = f"t = {held:.6g}", abs(windows.reached - held)
@@ -161,7 +279,7 @@ def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
     if windows.doubt:
         return False, f"{windows.doubt}: a narrow pulse, a step or a jump; {state}"
     if excess <= 1:
-        return True, f"tol {tol:.1e} met: {state}"
+        return True, success_message(tol, len(windows.readouts), excess)
     if limit:
         return False, f"tol {tol:.1e} met only until t = {held:.6g}: {limit}"
     floors = error.floors.max(axis=0)
@@ -175,7 +293,7 @@ def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
 
 def _checked_atol(atol: float | Sequence[float], dim: int) -> np.ndarray:
     try:
-        values = np.broadcast_to(np.asarray(atol, dtype=float), (dim,))
+        values = np.broadcast_to(np.asarray(atol, dtype=float), (dim,)).copy()
     except (TypeError, ValueError):
         values = np.array([math.nan])
     if not (np.all(np.isfinite(values)) and np.all(values >= 0)):
@@ -199,15 +317,15 @@ def _checked_window(max_window: float | None, span: tuple[float, float]) -> floa
 def _checked_breakpoints(breakpoints: Sequence[float], span: tuple[float, float]) -> list[float]:
     """Return the breakpoints in the direction of the span, without repetitions."""
     try:
-        times = sorted({float(time) for time in breakpoints})
+        times = sorted({float(stop) for stop in breakpoints})
     except (TypeError, ValueError):
         raise InputError(
             f"breakpoints={breakpoints!r} is not a list of times; give a list of numbers"
         ) from None
-    for time in times:
-        if not min(span) < time < max(span):
+    for stop in times:
+        if not min(span) < stop < max(span):
             raise InputError(
-                f"breakpoint {time:.6g} is not inside the span from {min(span):.6g} to "
+                f"breakpoint {stop:.6g} is not inside the span from {min(span):.6g} to "
                 f"{max(span):.6g}; leave it out"
             )
     return times if span[0] < span[1] else times[::-1]

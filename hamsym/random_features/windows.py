@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.random_features.basis import NODES
+from hamsym.random_features.basis import size_of
 from hamsym.support.checked_data import require_array, require_counts
 
 __all__ = ["March"]
@@ -62,7 +62,10 @@ class March:
     origin: float = 0.0
     doubt: str = ""
 
-    points_per_window = NODES
+    @property
+    def points_per_window(self) -> int:
+        """Collocation points of a window."""
+        return size_of(self.readouts.shape[1]).nodes
 
     @property
     def history(self) -> March:

@@ -21,7 +21,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.path import Path
 from hamsym.symbolic import derivatives
 
-__all__ = ["first_jump", "unresolved"]
+__all__ = ["first_jump", "has_switches", "unresolved"]
 
 _RESOLVED = 1e-2  # residual, relative to the largest rate of the component
 _MOST_PLACES = 20  # places of a trained network that are searched for a jump
@@ -109,6 +109,11 @@ def _symbolic_jumps(solution: Path, times: np.ndarray) -> Iterator[tuple[float, 
                 if not small.all():
                     yield at, "the force jumps" if small[-1] else "H jumps"
                     break
+
+
+def has_switches(H: Hamiltonian) -> bool:
+    """Return whether H has functions at which it or its gradient may jump."""
+    return bool(_switches(H))
 
 
 class _Switch(NamedTuple):

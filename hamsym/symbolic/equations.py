@@ -91,6 +91,13 @@ class Equations:
         return [*self.gradient[self.dof :], *(-slope for slope in self.gradient[: self.dof])]
 
     @cached_property
+    def narrow_arguments(self) -> list[tuple[sympy.Expr, derivatives.Narrow]]:
+        """Arguments of functions in H that may act briefly, with the values of the parameters."""
+        given = {symbol: value for symbol, value in self.parameters.values() if value is not None}
+        variables = [*self.z, *([] if self.time is None else [self.time])]
+        return derivatives.narrow_arguments(self.expr.xreplace(given), variables)
+
+    @cached_property
     def is_separable(self) -> bool:
         """Whether all mixed second derivatives vanish identically."""
         q, p = set(self.z[: self.dof]), set(self.z[self.dof :])

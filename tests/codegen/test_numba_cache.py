@@ -19,7 +19,7 @@ import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.codegen import numba_cache
 from hamsym.codegen.generate import Source
-from hamsym.random_features import compiled_loop, window_loop
+from hamsym.random_features import compiled_loop, error_loop, row_products, window_loop
 from hamsym.symbolic import derivatives
 from hamsym.systems import CATALOGUE
 
@@ -72,13 +72,70 @@ def test_parameters_and_time_reach_compiled_code() -> None:
     np.testing.assert_allclose(fast(t), plain(t), atol=1e-9)
 
 
-def test_sizes_of_columns_agree() -> None:
-    values = np.random.default_rng(0).normal(size=(7, 3))
-    np.testing.assert_array_equal(
-        window_loop.column_sizes(values), window_loop.column_sizes_in_loops(values)
+def test_row_functions_agree_with_numpy() -> None:
+    """The functions that compiled loops call compute what the plain ones do, NaN included."""
+    random = np.random.default_rng(0)
+    for dim, nodes in ((1, 8), (2, 16), (3, 24), (7, 40)):
+        table, rows = random.normal(size=(nodes, 24)), random.normal(size=(dim, nodes))
+        base, before = random.normal(size=(2, dim, 24))
+        found, wanted = np.empty((2, dim, 24))
+        row_products.products(table, rows, found)
+        window_loop.products(table, rows, wanted)
+        np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-13)
+        states, others = before.copy(), before.copy()
+        changes, sizes = np.empty((2, dim, 8))
+        row_products.advance(table, rows, base, 0.3, states, changes)
+        window_loop.advance(table, rows, base, 0.3, others, sizes)
+        np.testing.assert_allclose(states, others, rtol=1e-13, atol=1e-13)
+        scale = random.uniform(1, 2, size=dim)
+        assert row_products.ratio(changes, scale) == pytest.approx(window_loop.ratio(sizes, scale))
+        found, wanted = np.empty((2, dim))
+        row_products.row_sizes(rows, found)
+        window_loop.row_sizes(rows, wanted)
+        np.testing.assert_array_equal(found, wanted)
+        found[:] = wanted[:] = scale
+        row_products.widen(found, rows)
+        window_loop.widen(wanted, rows)
+        np.testing.assert_array_equal(found, wanted)
+        rows[dim - 1, nodes - 2] = np.nan
+        row_products.advance(table, rows, base, 0.3, states, changes)
+        assert np.isnan(row_products.ratio(changes, scale))
+        row_products.row_sizes(rows, found)
+        assert np.isnan(found[dim - 1])
+        row_products.widen(wanted, rows)
+        assert np.isnan(wanted[dim - 1])
+
+
+def test_error_functions_agree_with_numpy() -> None:
+    random = np.random.default_rng(1)
+    each = error_loop.PERTURBATIONS + 2
+    actions = error_loop.Actions(
+        rows=np.array([0, 2]),
+        starts=np.array([0, 2]),
+        sources=np.array([1, 4, 0, 5, 2]),
+        entries=np.array([0, 1, 2, 0, 1]),
+        factors=random.normal(size=5),
     )
-    values[3, 1] = np.nan
-    assert np.isnan(window_loop.column_sizes_in_loops(values)[1])
+    second, vectors = random.normal(size=(3, 16)), random.normal(size=(6 * each, 16))
+    found, wanted = np.empty((2, 3 * each, 16))
+    row_products.apply(actions, second, vectors, found)
+    error_loop.apply(actions, second, vectors, wanted)
+    np.testing.assert_allclose(found, wanted, atol=1e-13)
+    drift, scale = random.normal(size=(6, 16)), random.uniform(1, 2, size=6)
+    for name, shape, arguments in (
+        ("deviations", (2, 6), (vectors,)),
+        ("typical_noise", (6 * each,), (vectors, vectors[::-1].copy())),
+        ("component_sizes", (6 * each,), (vectors, 0.1)),
+        ("join_error", (6, 16), (vectors, drift, 0.3, scale)),
+    ):
+        found, wanted = np.empty((2, *shape))
+        getattr(row_products, name)(*arguments, found)
+        getattr(error_loop, name)(*arguments, wanted)
+        np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-13)
+    found, wanted = vectors.copy(), vectors.copy()
+    row_products.force_error(found, drift, 0.3, scale)
+    error_loop.force_error(wanted, drift, 0.3, scale)
+    np.testing.assert_allclose(found, wanted, rtol=1e-13)
 
 
 # -- the cache -------------------------------------------------------------------------------------

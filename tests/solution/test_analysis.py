@@ -12,6 +12,7 @@ import pytest
 import hamsym
 from hamsym import Hamiltonian, Solution
 from hamsym.errors import VacuousBoundWarning
+from hamsym.random_features.error_estimate import error_tables
 from hamsym.solution.analysis import Analysis
 from hamsym.systems import harmonic_oscillator, henon_heiles, nonlinear_oscillator
 
@@ -156,8 +157,11 @@ def test_estimate_check_survives_a_file(tmp_path: Path) -> None:
 def test_estimate_check_flags_unresolved_estimate(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With too few nodes for the residual the check equals the error of the estimate."""
-    monkeypatch.setattr("hamsym.random_features.error_estimate.RESOLUTIONS", ((4, 28), (72, 40)))
+    """With few nodes for the tangent equation the check equals the error of the estimate."""
+    module = "hamsym.random_features.error_estimate"
+    monkeypatch.setattr(f"{module}.RESOLUTIONS", {16: (None, (8, 32), (40, 72))})
+    error_tables.cache_clear()
+    monkeypatch.setattr(f"{module}.error_tables", error_tables.__wrapped__)
     problem = nonlinear_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (0, 6), tol=1e-4)
     t = np.linspace(0, 6, 301)

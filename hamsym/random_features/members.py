@@ -1,0 +1,298 @@
+"""Solution of many initial-value problems of one Hamiltonian by compiled code.
+
+Input:  a Hamiltonian, initial states and parameter values, a span, a tolerance.
+Output: :class:`Batch`, the windows of all members that pass every check.
+
+What the compiled loop (:mod:`hamsym.random_features.member_loop`) does not accept is left to
+:func:`hamsym.random_features.method.solve_by_march`, which treats one member at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.random_features import member_loop
+from hamsym.random_features.basis import FeatureBasis
+from hamsym.random_features.compiled_loop import compiled_loops, compiled_rows
+from hamsym.random_features.error_estimate import (
+    MarchError,
+    disturbances,
+    error_tables,
+    halves,
+    kicks,
+    resolution_for,
+)
+from hamsym.random_features.flow import flow_of, has_rounded_numbers
+from hamsym.random_features.march import node_signs, origin_of, shortest_window
+from hamsym.random_features.member_loop import Members, Span
+from hamsym.random_features.window_checks import WindowChecks
+from hamsym.random_features.window_loop import Windows
+from hamsym.random_features.windows import March
+from hamsym.solution.discontinuities import has_switches
+
+__all__ = ["Batch", "MemberSolver"]
+
+_ROOM = 64  # windows for each member at first
+_MOST_ROOM = 2**21  # numbers in the readouts of one call
+MAX_WINDOWS = 50_000  # of one member; more are left to the general march
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Windows of consecutive members.
+
+    Attributes
+    ----------
+    accepted : numpy.ndarray
+        Whether the member passed every check, shape (members,). The others have no windows.
+    counts, evaluations : numpy.ndarray
+        Windows, and evaluations of the vector field, shape (members,).
+    excess : numpy.ndarray
+        Largest ratio of the estimated to the allowed error, shape (members,).
+    largest, sizes : numpy.ndarray
+        Largest estimated error, and largest magnitude of each component, shape (members, dim).
+    edges, states, readouts : numpy.ndarray
+        Of all windows: those of a member follow those of the members before it. A member with n
+        windows has n + 1 edges and states; one without windows has none.
+    series, floors : numpy.ndarray
+        Of the estimated error; without rows if they were not asked for.
+    """
+
+    accepted: np.ndarray
+    counts: np.ndarray
+    evaluations: np.ndarray
+    excess: np.ndarray
+    largest: np.ndarray
+    sizes: np.ndarray
+    edges: np.ndarray
+    states: np.ndarray
+    readouts: np.ndarray
+    series: np.ndarray
+    floors: np.ndarray
+
+
+class MemberSolver:
+    """Compiled solver of members of one Hamiltonian over one span.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+        With a value for every parameter; members may have others.
+    span : (float, float)
+    tol, local : float
+        Relative tolerance, and the local one of the first march.
+    atol : numpy.ndarray
+        Absolute tolerance, shape (dim,).
+    longest : float
+        Length that no window exceeds.
+    basis : FeatureBasis
+    """
+
+    def __init__(
+        self,
+        H: Hamiltonian,
+        span: tuple[float, float],
+        tol: float,
+        local: float,
+        atol: np.ndarray,
+        longest: float,
+        basis: FeatureBasis,
+    ) -> None:
+        self.H, self.span, self.basis = H, span, basis
+        self.origin = origin_of(H.time is None, span)
+        start, end = (time - self.origin for time in span)
+        equations, kernels = H.kernels.equations, H.kernels
+        kinds = [int(kind) for _, kind in equations.narrow_arguments]
+        names = ["velocity", "force", "hessian", "velocity", "velocity"]
+        if H.time is None:
+            names[3] = "energy"
+        if kinds:
+            names[4] = "argument"
+        functions = [compiled_rows(kernels, name) for name in names]
+        self._tables = error_tables(basis, resolution_for(local))
+        units = np.ones(H.dim)
+        entries = np.array(
+            [index for index in equations.hessian if index[0] <= index[1]], dtype=np.int64
+        ).reshape(-1, 2)
+        self._constants = (
+            *functions,
+            basis.tables,
+            self._tables,
+            *halves(entries, units),
+            node_signs(basis, H.dim),
+            disturbances(self._tables.places.shape, H.dim),
+            kicks(H.dim),
+            Span(
+                start,
+                end,
+                tol,
+                local,
+                atol,
+                longest,
+                shortest_window(start, end),
+                H.is_separable,
+                H.time is None,
+                has_rounded_numbers(H.expr),
+                np.array(kinds, dtype=np.int64),
+            ),
+        )
+        self._local, self._loop = local, compiled_loops().members
+        self._room = _ROOM
+
+    @staticmethod
+    def applies(H: Hamiltonian) -> bool:
+        """Return whether H has no switches, at which the general search for jumps is needed."""
+        return not has_switches(H)
+
+    def solve(self, states: np.ndarray, parameters: np.ndarray, *, keep_error: bool) -> Batch:
+        """Solve members from states of shape (members, dim) with parameters (members, k)."""
+        first, parts = 0, []
+        room = max(_ROOM, min(self._room * len(states), _MOST_ROOM // states.shape[1]))
+        states, parameters = (np.ascontiguousarray(array) for array in (states, parameters))
+        while first < len(states):
+            rest = states[first:], parameters[first:]
+            members = self._allocated(len(rest[0]), room, keep_error)
+            assert self._loop is not None
+            done = self._loop(*self._constants, *rest, 0, members)
+            if done == 0:  # one member does not fit
+                if room > MAX_WINDOWS:
+                    members.counts[0], members.verdicts[0] = 0, member_loop.LEFT
+                    members.excess[0], members.evaluations[0] = np.inf, 0
+                    done = 1
+                else:
+                    room *= 4
+                    continue
+            parts.append(self._checked(members, done, *rest))
+            first += done
+        total = sum(int(part.counts.sum()) for part in parts)
+        self._room = max(self._room, 1 + total // len(states))
+        if len(parts) == 1:
+            return parts[0]
+        names = Batch.__dataclass_fields__
+        return Batch(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+    def _allocated(self, count: int, room: int, keep_error: bool) -> Members:
+        dim, columns = self.H.dim, self.basis.series.shape[1]
+        kept = room if keep_error else 0
+        return Members(
+            counts=np.zeros(count, dtype=np.int64),
+            verdicts=np.zeros(count, dtype=np.int64),
+            evaluations=np.zeros(count, dtype=np.int64),
+            excess=np.empty(count),
+            largest=np.empty((count, dim)),
+            sizes=np.empty((count, dim)),
+            edges=np.empty(room + count + 1),
+            states=np.empty((room + count + 1, dim)),
+            readouts=np.empty((room, columns, dim)),
+            marks=np.zeros(room, dtype=np.int64),
+            series=np.empty((kept, self._tables.lift.shape[1], dim)),
+            floors=np.empty((kept, dim)),
+        )
+
+    def _checked(
+        self, members: Members, done: int, states: np.ndarray, parameters: np.ndarray
+    ) -> Batch:
+        """Return the first ``done`` members, after the checks of windows with narrow features."""
+        counts, verdicts = members.counts[:done], members.verdicts[:done]
+        firsts = np.cumsum(counts) - counts
+        # The loop leaves one edge for every member, also for one without windows.
+        edges = firsts + np.arange(done)
+        for index in np.flatnonzero(verdicts == member_loop.NARROW):
+            first, count, edge = int(firsts[index]), int(counts[index]), int(edges[index])
+            suspects = np.flatnonzero(members.marks[first : first + count])
+            windows = Windows(
+                members.edges[edge : edge + count + 1],
+                members.states[edge : edge + count + 1],
+                members.readouts[first : first + count],
+            )
+            if not self._passes(windows, suspects, members.sizes[index], parameters[index]):
+                verdicts[index] = member_loop.LEFT
+        accepted = verdicts != member_loop.LEFT
+        kept = np.repeat(accepted, counts)
+        rows = np.repeat(accepted & (counts > 0), counts + 1)
+        total, final = int(counts.sum()), np.where(accepted, counts, 0)
+        return Batch(
+            accepted=accepted,
+            counts=final,
+            evaluations=members.evaluations[:done],
+            excess=members.excess[:done],
+            largest=members.largest[:done],
+            sizes=members.sizes[:done],
+            edges=members.edges[: total + done][rows],
+            states=members.states[: total + done][rows],
+            readouts=members.readouts[:total][kept],
+            series=members.series[:total][kept[: len(members.series)]],
+            floors=members.floors[:total][kept[: len(members.floors)]],
+        )
+
+    def _passes(
+        self, windows: Windows, suspects: np.ndarray, sizes: np.ndarray, parameters: np.ndarray
+    ) -> bool:
+        """Check windows in which H may act briefly."""
+        H = self.H
+        if len(parameters):
+            values = dict(zip(H.parameter_names, parameters.tolist(), strict=True))
+            H = H if values == dict(H.parameters) else H.with_parameters(**values)
+        checks = WindowChecks(flow_of(H), self.basis, self._local)
+        for window in suspects:
+            one = Windows(
+                windows.edges[window : window + 2],
+                windows.states[window : window + 2],
+                windows.readouts[window : window + 1],
+            )
+            with np.errstate(all="ignore"):
+                if checks.first_failure(one, sizes) is not None:
+                    return False
+        return True
+
+    def march_of(self, batch: Batch, seconds: float, cpu_seconds: float) -> March:
+        """Return the windows of a batch of one accepted member, and their cost."""
+        return march_of(
+            (batch.edges, batch.states, batch.readouts),
+            batch.sizes[0],
+            int(batch.evaluations[0]),
+            self.basis.seed,
+            self.origin,
+            (seconds, cpu_seconds),
+        )
+
+    def error_of(self, batch: Batch) -> MarchError:
+        """Return the estimated error of a batch of one accepted member that kept it."""
+        return MarchError(
+            batch.edges,
+            batch.series,
+            batch.floors,
+            batch.largest[0],
+            batch.sizes[0],
+            np.array(self.origin),
+        )
+
+
+def march_of(
+    windows: tuple[np.ndarray, np.ndarray, np.ndarray],
+    sizes: np.ndarray,
+    evaluations: int,
+    seed: int,
+    origin: float,
+    seconds: tuple[float, float],
+) -> March:
+    """Make the record of a march whose windows passed every check."""
+    edges, states, readouts = windows
+    return March(
+        edges=edges,
+        states=states,
+        readouts=readouts,
+        reached=origin + float(edges[-1]),
+        reason="",
+        evaluations=evaluations,
+        newton_windows=0,
+        compiled=True,
+        scale=sizes,
+        seconds=seconds[0],
+        cpu_seconds=seconds[1],
+        seed=seed,
+        origin=origin,
+    )
