@@ -159,7 +159,7 @@ def test_estimate_check_flags_unresolved_estimate(
 ) -> None:
     """With few nodes for the tangent equation the check equals the error of the estimate."""
     module = "hamsym.random_features.error_estimate"
-    monkeypatch.setattr(f"{module}.RESOLUTIONS", {16: (None, (8, 32), (40, 72))})
+    monkeypatch.setattr(f"{module}.RESOLUTIONS", {16: (None, (3, 32), (40, 72))})
     error_tables.cache_clear()
     monkeypatch.setattr(f"{module}.error_tables", error_tables.__wrapped__)
     problem = nonlinear_oscillator()
