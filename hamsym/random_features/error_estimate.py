@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.numerics.windows import locate
@@ -114,8 +115,7 @@ class MarchError:
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Estimated z - z^ at times t, shape (*t.shape, dim)."""
         window, s = locate(self.edges, t - self.origin)
-        degrees = np.arange(self.series.shape[1])
-        basis = np.cos(np.multiply.outer(np.arccos(np.clip(2 * s - 1, -1, 1)), degrees))
+        basis = chebyshev_values(np.clip(2 * s - 1, -1, 1), self.series.shape[1])
         with np.errstate(invalid="ignore"):
             values = np.einsum("...l,...ld->...d", basis, self.series[window])
         return np.nan_to_num(values, nan=np.inf, posinf=np.inf, neginf=np.inf)

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.symplectic import generators
 from hamsym.numerics.tangent_maps import TangentMaps
 from hamsym.numerics.windows import locate
@@ -57,8 +58,7 @@ class Sensitivity:
             here = np.isin(window, some)
             maps = self._maps(some)
             series = np.einsum("ln,inaw->wlia", maps.rule.to_series, maps.inside)
-            angles = np.arccos(np.clip(2 * s[here] - 1, -1, 1))
-            basis = np.cos(np.multiply.outer(angles, np.arange(len(maps.nodes))))
+            basis = chebyshev_values(np.clip(2 * s[here] - 1, -1, 1), len(maps.nodes))
             place = np.searchsorted(some, window[here])
             inside = np.einsum("kl,klia->kia", basis, series[place])
             values[here] = inside @ self._starts[window[here]]
