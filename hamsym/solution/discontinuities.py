@@ -15,13 +15,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.optimize
+import sympy
 
 from hamsym.codegen.functions import compile_expressions
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.path import Path
 from hamsym.symbolic import derivatives
+from hamsym.symbolic.equations import Equations
 
-__all__ = ["first_jump", "has_switches", "unresolved"]
+__all__ = ["first_jump", "has_switches", "parameter_jump", "unresolved"]
 
 _RESOLVED = 1e-2  # residual, relative to the largest rate of the component
 _MOST_PLACES = 20  # places of a trained network that are searched for a jump
@@ -62,6 +64,41 @@ def first_jump(
     return f"{kind} at t = {time:.6g}, beyond which the error cannot be estimated; {remedy}"
 
 
+def parameter_jump(solution: Path, names: Sequence[str]) -> str | None:
+    """Describe why the derivatives of a trajectory in parameters do not follow from its equations.
+
+    A derivative of the force in a parameter does not exist, as that of abs(k) at k = 0, or the
+    force jumps along the trajectory: a change of the parameter changes the time of the jump, or the
+    state at it.
+
+    Returns
+    -------
+    str or None
+        The reason and the remedy, for a message.
+    """
+    times = solution.scan_times
+    for name in names:
+        for formula, switch in _corners(solution.H, name):
+            z = solution(times)
+            zero = switch.argument(z, times)[..., 0] == 0
+            lasting = np.flatnonzero(zero[1:] & zero[:-1])
+            if len(lasting) and not (switch.jumps(z[lasting], times[lasting]) == 0).all():
+                value = solution.H.parameters[name]
+                return (
+                    f"the force has no derivative in '{name}' at {name} = {value:.6g}, where "
+                    f"{formula} = 0 inside abs, sign, min or max; give another value"
+                )
+    found = list(_symbolic_jumps(solution, times, tuple(names)))
+    if not found:
+        return None
+    direction = math.copysign(1.0, times[-1] - times[0])
+    time, kind = min(found, key=lambda entry: direction * entry[0])
+    return (
+        f"{kind} at t = {time:.6g}, beyond which derivatives in parameters are not computed; solve "
+        "up to this time"
+    )
+
+
 def unresolved(solution: Path) -> list[tuple[float, float]]:
     """Intervals in which the residual of a solution is large relative to the rates.
 
@@ -80,10 +117,12 @@ def unresolved(solution: Path) -> list[tuple[float, float]]:
     return list(zip(times[np.maximum(places - 1, 0)], times[places + 1], strict=True))
 
 
-def _symbolic_jumps(solution: Path, times: np.ndarray) -> Iterator[tuple[float, str]]:
-    """The first crossing of each switch of H, with its kind."""
+def _symbolic_jumps(
+    solution: Path, times: np.ndarray, parameters: tuple[str, ...] = ()
+) -> Iterator[tuple[float, str]]:
+    """The first crossing of each switch of H in the state or the parameters, with its kind."""
     H = solution.H
-    switches = _switches(H)
+    switches = _switches(H, parameters)
     if not switches:
         return
     system = H.compile("numpy")
@@ -132,11 +171,32 @@ class _Switch(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _switches(H: Hamiltonian) -> tuple[_Switch, ...]:
+def _switches(H: Hamiltonian, parameters: tuple[str, ...] = ()) -> tuple[_Switch, ...]:
     equations = H.real_equations
+    variables = [*equations.z, *(equations.parameters[name][0] for name in parameters)]
+    found = []
+    for argument, jumps in derivatives.switches(equations.expr, equations.gradient, variables):
+        if not argument.free_symbols & set(equations.z):
+            jumps[-1] = sympy.Integer(0)  # H jumps everywhere at once, without a force
+        found.append(_switch(argument, jumps, equations))
+    return tuple(found)
+
+
+@functools.lru_cache(maxsize=64)
+def _corners(H: Hamiltonian, parameter: str) -> tuple[tuple[sympy.Expr, _Switch], ...]:
+    """Switches in a parameter, of the gradient and of its derivative in the parameter."""
+    equations = H.real_equations
+    forces = [*equations.gradient_in(parameter), *equations.gradient]
+    symbols = [equations.parameters[parameter][0]]
     return tuple(
-        _Switch(compile_expressions([argument], equations), compile_expressions(jumps, equations))
-        for argument, jumps in derivatives.switches(equations.expr, equations.gradient, equations.z)
+        (argument, _switch(argument, jumps, equations))
+        for argument, jumps in derivatives.switches(sympy.Integer(0), forces, symbols)
+    )
+
+
+def _switch(argument: sympy.Expr, jumps: Sequence[sympy.Expr], equations: Equations) -> _Switch:
+    return _Switch(
+        compile_expressions([argument], equations), compile_expressions(jumps, equations)
     )
 
 

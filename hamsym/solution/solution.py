@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
@@ -13,18 +13,21 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 import hamsym
-from hamsym.errors import InputError, VacuousBoundWarning
+from hamsym.errors import InputError, ParameterError, VacuousBoundWarning
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.numerics.symplectic import generators
 from hamsym.solution.analysis import Analysis
+from hamsym.solution.discontinuities import parameter_jump
 from hamsym.solution.error_equation import integrated_error
 from hamsym.solution.events import Event, Events, find_events
+from hamsym.solution.parameters import ParameterForcing, parameter_names, parameter_tensors
 from hamsym.solution.path import ErrorEstimate, Record, Trial
 from hamsym.solution.sensitivity import Sensitivity
 from hamsym.solution.times import evaluate_in_parts, is_tensor, tensor_of, times_in_span
 
 if TYPE_CHECKING:  # torch and matplotlib are imported only where they are used
+    import sympy
     from matplotlib.figure import Figure
     from torch import Tensor
 
@@ -109,11 +112,25 @@ class Solution:
 
     @overload
     def __call__(
-        self, t: Tensor, *, extrapolate: bool = False, z0: Tensor | None = None
+        self,
+        t: Tensor,
+        *,
+        extrapolate: bool = False,
+        z0: Tensor | None = None,
+        parameters: Mapping[Any, Tensor] | None = None,
     ) -> Tensor: ...
     @overload
-    def __call__(self, t: Any, *, extrapolate: bool = False, z0: None = None) -> np.ndarray: ...
-    def __call__(self, t: Any, *, extrapolate: bool = False, z0: Tensor | None = None) -> Any:
+    def __call__(
+        self, t: Any, *, extrapolate: bool = False, z0: None = None, parameters: None = None
+    ) -> np.ndarray: ...
+    def __call__(
+        self,
+        t: Any,
+        *,
+        extrapolate: bool = False,
+        z0: Tensor | None = None,
+        parameters: Mapping[Any, Tensor] | None = None,
+    ) -> Any:
         """Return the state at times t.
 
         Parameters
@@ -124,24 +141,49 @@ class Solution:
         z0 : Tensor, optional
             The initial state, equal to ``solution.z0``, as a tensor through which gradients flow:
             the result is differentiable in it, by :meth:`sensitivity`. For t as a tensor only.
+        parameters : mapping of name to Tensor, optional
+            Values of some parameters, equal to those of ``solution.H``, as tensors of shape ()
+            in which the result is differentiable likewise.
 
         Raises
         ------
         InputError
             If a time is outside the span, unless ``extrapolate=True``, or z0 differs from
             ``solution.z0``.
+        ParameterError
+            If a parameter is unknown, is not a tensor of shape (), or differs from its value in
+            ``solution.H``.
+
+        Examples
+        --------
+        >>> import hamsym, torch
+        >>> H = hamsym.Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 4.0})
+        >>> solution = hamsym.solve(H, [1, 0], (0, 5))
+        >>> k = torch.tensor(4.0, dtype=torch.float64, requires_grad=True)
+        >>> solution(torch.tensor(0.25 * np.pi), parameters={"k": k})[0].backward()
+        >>> round(float(k.grad), 6), round(-np.pi / 16, 6)  # of cos(sqrt(k) t)
+        (-0.19635, -0.19635)
         """
-        if z0 is None:
+        if z0 is None and parameters is None:
             return self._state(t, extrapolate)
-        if not (is_tensor(t) and is_tensor(z0)):
-            raise InputError("gradients reach z0 only if t and z0 are both tensors; give tensors")
-        if not np.array_equal(z0.detach().cpu().numpy(), self.z0.astype(str(z0.dtype)[6:])):
+        if not (is_tensor(t) and (z0 is None or is_tensor(z0))):
             raise InputError(
-                "z0 differs from the initial state of this solution; solve again from z0"
+                f"gradients reach {'parameters' if z0 is None else 'z0'} only if t and "
+                f"{'their values' if z0 is None else 'z0'} are both tensors; give tensors"
             )
         state = self._state(t, extrapolate)
-        change = (z0 - z0.detach()).to(state.dtype)
-        return state + self.sensitivity(t).to(state.dtype) @ change
+        if z0 is not None:
+            if not np.array_equal(z0.detach().cpu().numpy(), self.z0.astype(str(z0.dtype)[6:])):
+                raise InputError(
+                    "z0 differs from the initial state of this solution; solve again from z0"
+                )
+            state = state + self.sensitivity(t).to(state) @ (z0 - z0.detach()).to(state)
+        if parameters is not None:
+            values = parameter_tensors(self.H, parameters)
+            slopes = self.sensitivity(t, list(values)).to(state)
+            for k, value in enumerate(values.values()):
+                state = state + slopes[..., k] * (value - value.detach()).to(state)
+        return state
 
     @overload
     def derivative(self, t: Tensor, *, extrapolate: bool = False) -> Tensor: ...
@@ -152,39 +194,77 @@ class Solution:
         return self.evaluate(t, extrapolate=extrapolate)[1]
 
     @overload
-    def sensitivity(self, t: Tensor) -> Tensor: ...
+    def sensitivity(
+        self, t: Tensor, parameters: Sequence[str | sympy.Symbol] | None = None
+    ) -> Tensor: ...
     @overload
-    def sensitivity(self, t: Any) -> np.ndarray: ...
-    def sensitivity(self, t: Any) -> Any:
-        """Return dz(t)/dz0 along the trajectory, shape (n, dim, dim), or (dim, dim) for a scalar t.
+    def sensitivity(
+        self, t: Any, parameters: Sequence[str | sympy.Symbol] | None = None
+    ) -> np.ndarray: ...
+    def sensitivity(self, t: Any, parameters: Sequence[str | sympy.Symbol] | None = None) -> Any:
+        """Return the derivative of the state in the initial state, or in parameters.
 
-        The solution Phi of Phi' = J Hess(z^(t)) Phi with Phi = 1 at the start: the derivative of
-        the state at t with respect to the initial state.
+        Without ``parameters`` dz(t)/dz0, shape (n, dim, dim), or (dim, dim) for a scalar t: the
+        solution Phi of Phi' = J Hess(z^(t)) Phi with Phi = 1 at the start.
+
+        With ``parameters`` dz(t)/dk for each of them, in their units, shape (n, dim, parameters)
+        or (dim, parameters): the solutions of w' = J Hess(z^(t)) w + J d(grad H)/dk with w = 0 at
+        the start. The initial state and the span do not depend on the parameters.
+
+        Parameters
+        ----------
+        t : float, sequence, array or Tensor
+        parameters : sequence of str, optional
+            Names of parameters of H.
 
         Raises
         ------
         InputError
-            If a time is outside the span.
+            If a time is outside the span, or no parameter is named.
+        ParameterError
+            If a parameter is unknown, the force has no derivative in it, or the force jumps along
+            the trajectory.
 
         Examples
         --------
         >>> import hamsym
-        >>> solution = hamsym.solve(hamsym.Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 5))
+        >>> H = hamsym.Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1.0})
+        >>> solution = hamsym.solve(H, [1, 0], (0, 5))
         >>> solution.sensitivity(np.pi / 2).round(8) + 0.0
         array([[ 0.,  1.],
                [-1.,  0.]])
+        >>> solution.sensitivity(np.pi, parameters=["k"]).round(8) + 0.0
+        array([[0.        ],
+               [1.57079633]])
         """
         times = times_in_span(t, self.span)
-        values = self._sensitivity(np.atleast_1d(times))
-        values = values.reshape(*times.shape, self.H.dim, self.H.dim)
+        names = None if parameters is None else parameter_names(self.H, parameters)
+        values = self._sensitivity_in(names)(np.atleast_1d(times))
+        values = values.reshape(*times.shape, self.H.dim, -1)
         return tensor_of(values) if is_tensor(t) else values
 
+    def _sensitivity_in(self, names: tuple[str, ...] | None) -> Sensitivity:
+        """Return the derivatives in the initial state, or in parameters."""
+        if names not in self._sensitivities:
+            forcing = None
+            if names is not None:
+                if reason := parameter_jump(self, names):
+                    raise ParameterError(reason)
+                forcing = ParameterForcing(self.H, names)
+            self._sensitivities[names] = Sensitivity(
+                self, self._units, self.record.edges, self.record.origin, forcing
+            )
+        return self._sensitivities[names]
+
     @cached_property
-    def _sensitivity(self) -> Sensitivity:
-        # Each component has a unit of its own.
+    def _sensitivities(self) -> dict[tuple[str, ...] | None, Sensitivity]:
+        return {}
+
+    @cached_property
+    def _units(self) -> np.ndarray:
+        """Size of each component, in units of its own, shape (dim,)."""
         units = np.maximum(self.scale, SMALLEST * self._coupled_scales)
-        units = np.where(units > 0, units, 1.0)
-        return Sensitivity(self, units, self.record.edges, self.record.origin)
+        return np.where(units > 0, units, 1.0)
 
     def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
         """Return ell(t) = dz^/dt - J grad H(z^), shaped as the state: eq. (partial_loss)."""

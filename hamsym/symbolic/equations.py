@@ -90,6 +90,25 @@ class Equations:
     def vector_field(self) -> list[sympy.Expr]:
         return [*self.gradient[self.dof :], *(-slope for slope in self.gradient[: self.dof])]
 
+    def gradient_in(self, parameter: str) -> list[sympy.Expr]:
+        """Derivative of the gradient with respect to a parameter, in the order of z.
+
+        Delta distributions, at steps of functions of the parameter, are left out.
+
+        Examples
+        --------
+        >>> x, p, k = sympy.symbols("x p k", real=True)
+        >>> Equations(p**2/2 + k*x**2/2, [x, p], None, {"k": 3.0}).gradient_in("k")
+        [x, 0]
+        """
+        symbol, effort = self.parameters[parameter][0], derivatives.Effort(self.expr)
+        slope = derivatives.gradient(self.exact.expr, (symbol,), effort)[0]
+        mixed = derivatives.gradient(slope, self.z, effort)
+        return [
+            self.exact.rounded(entry).replace(sympy.DiracDelta, lambda *_: sympy.Integer(0))
+            for entry in mixed
+        ]
+
     @cached_property
     def narrow_arguments(self) -> list[tuple[sympy.Expr, derivatives.Narrow]]:
         """Arguments of functions in H that may act briefly, with the values of the parameters."""

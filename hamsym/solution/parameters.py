@@ -1,0 +1,129 @@
+"""Parameters in which a trajectory is differentiated: their names, values and forcing."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hamsym.codegen.functions import compile_expressions
+from hamsym.errors import InputError, ParameterError
+from hamsym.formula.parser import canonical_name
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.solution.times import is_tensor
+from hamsym.symbolic.checks import as_list, name_of
+
+if TYPE_CHECKING:  # torch is imported only by callers that have tensors
+    from torch import Tensor
+
+__all__ = ["ParameterForcing", "parameter_names", "parameter_tensors"]
+
+
+def parameter_names(H: Hamiltonian, parameters: Any) -> tuple[str, ...]:
+    """Return the names in H of one or several parameters, given by name or as symbols.
+
+    Raises
+    ------
+    InputError
+        If none is given.
+    ParameterError
+        If one is not a parameter of H.
+    """
+    try:
+        given = [name_of(entry) for entry in as_list(parameters)]
+    except TypeError:
+        given = []
+    if not given:
+        raise InputError(
+            f"parameters={parameters!r} names no parameter; give for example "
+            f'parameters=["{(*H.parameter_names, "k")[0]}"]'
+        )
+    known = {canonical_name(name): name for name in H.parameter_names}
+    for name in given:
+        if canonical_name(name) not in known:
+            listed = ", ".join(H.parameter_names) or "none"
+            raise ParameterError(f"'{name}' is not a parameter of H; it has {listed}")
+    return tuple(known[canonical_name(name)] for name in given)
+
+
+def parameter_tensors(H: Hamiltonian, parameters: Any) -> dict[str, Tensor]:
+    """Return values of parameters, given as tensors with the values in H, by their names in H.
+
+    Raises
+    ------
+    InputError
+        If they are not a mapping, or it is empty.
+    ParameterError
+        If one is not a parameter of H, not a tensor of shape (), or has another value.
+    """
+    if not isinstance(parameters, Mapping):
+        raise InputError(
+            f"parameters={parameters!r} is not a mapping of names to tensors; give for example "
+            '{"k": k}'
+        )
+    names = parameter_names(H, parameters)
+    for name, value in zip(names, parameters.values(), strict=True):
+        if not (is_tensor(value) and value.is_floating_point() and value.ndim == 0):
+            kind = (
+                f"{tuple(value.shape)}, {value.dtype}" if is_tensor(value) else type(value).__name__
+            )
+            raise ParameterError(
+                f"the value of '{name}' is not a tensor of floats of shape (), but {kind}; give "
+                "one number as a tensor"
+            )
+        own = H.parameters[name]
+        if not bool(value.detach() == value.new_tensor(own)):
+            raise ParameterError(
+                f"parameter '{name}' is {value.item():.6g}, but {own:.6g} in this solution; solve "
+                "again with its value"
+            )
+    return dict(zip(names, parameters.values(), strict=True))
+
+
+class ParameterForcing:
+    """J d(grad H)/dk for some parameters k; its length is their number.
+
+    Examples
+    --------
+    >>> H = Hamiltonian("p**2/(2*m) + k*x**2/2", parameters={"m": 2.0, "k": 4.0})
+    >>> ParameterForcing(H, ("k", "m"))(np.array([[3.0, 4.0]]), np.array([0.0]))
+    array([[[ 0., -1.],
+            [-3.,  0.]]])
+    """
+
+    def __init__(self, H: Hamiltonian, names: Sequence[str]) -> None:
+        self._H, self._names = H, tuple(names)
+        self._function = _compiled(H, self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __call__(self, z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Evaluate at states (n, dim) and times (n,), shape (n, dim, parameters).
+
+        Raises
+        ------
+        ParameterError
+            If a derivative is not finite.
+        """
+        values = np.asarray(self._function(z, t), dtype=float)
+        values = values.reshape(len(z), len(self), self._H.dim)
+        lost = np.argwhere(~np.isfinite(values))
+        if len(lost):
+            name = self._names[lost[0, 1]]
+            raise ParameterError(
+                f"the derivative of the force in '{name}' is not finite at t = {t[lost[0, 0]]:.6g} "
+                f"with {name} = {self._H.parameters[name]:.6g}; use another value or parameter"
+            )
+        return values.swapaxes(1, 2)
+
+
+@functools.lru_cache(maxsize=64)
+def _compiled(H: Hamiltonian, names: tuple[str, ...]) -> Callable[..., np.ndarray]:
+    equations, rates = H.real_equations, []
+    for name in names:
+        slopes = equations.gradient_in(name)
+        rates += [*slopes[H.dof :], *(-slope for slope in slopes[: H.dof])]
+    return compile_expressions(rates, equations)
