@@ -211,6 +211,9 @@ class Solution:
         or (dim, parameters): the solutions of w' = J Hess(z^(t)) w + J d(grad H)/dk with w = 0 at
         the start. The initial state and the span do not depend on the parameters.
 
+        Both are NaN from the time on at which these equations have no solution, or vary too fast
+        to be solved.
+
         Parameters
         ----------
         t : float, sequence, array or Tensor
