@@ -7,7 +7,7 @@ have the types that ``read_q`` and ``read_p`` return. The other kernels are ``wr
 ``shift_compensated``, ``velocity`` (dH/dp) and ``slope`` (dH/dq), with ``velocity_curvature``,
 ``slope_curvature``, ``shear_q`` and ``shear_p`` for tangent vectors, ``_velocity_jacobian`` and
 ``_slope_jacobian`` for implicit halves, and ``_gradient``, ``_vector_field`` and ``_hessian`` at
-arrays of points. ``parameters`` is a tuple.
+arrays of points. They take the parameters as the tuple that ``read_parameters`` returns.
 """
 # ruff: noqa: F821
 
@@ -23,7 +23,8 @@ from numba import njit
 # written to out, shape (n, saves, DIM). low, of the same shape as the states, is the rounding
 # error that compensated summation adds to the next step. columns, shape (n, ..., k), are
 # tangent vectors, propagated by the derivative of the steps. done, shape (n, 2), counts steps,
-# and evaluations where their number depends on iterations.
+# and evaluations where their number depends on iterations. parameters, shape (n, k), are the
+# values of each trajectory.
 
 # -- splitting -----------------------------------------------------------------------------------
 #
@@ -41,6 +42,7 @@ def splitting(
     rows = out.reshape(-1, DIM)
     for trajectory in range(states.shape[0]):
         h, start = sizes[trajectory], starts[trajectory]
+        values = read_parameters(parameters, trajectory)
         q, p = read_q(states, trajectory), read_p(states, trajectory)
         if low is not None:
             q_low, p_low = read_q(low, trajectory), read_p(low, trajectory)
@@ -50,7 +52,7 @@ def splitting(
                 for stage in range(stages.shape[0]):
                     t = start + h * (elapsed + stages[stage, 2])
                     drift = h * stages[stage, 0]
-                    change = velocity(q, p, t, parameters)
+                    change = velocity(q, p, t, values)
                     if low is None:
                         q = shift(q, drift, change)
                     else:
@@ -59,7 +61,7 @@ def splitting(
                         break
                     t = start + h * (elapsed + stages[stage, 3])
                     kick = -h * stages[stage, 1]
-                    change = slope(q, p, t, parameters)
+                    change = slope(q, p, t, values)
                     if low is None:
                         p = shift(p, kick, change)
                     else:
@@ -81,6 +83,7 @@ def splitting_ensemble(
     processor executes several at once.
     """
     lanes, low_lanes = np.empty((DIM, 64)).T, np.empty((DIM, 64)).T
+    given = np.empty((parameters.shape[1], 64)).T
     rows = out.reshape(-1, DIM)
     for base in range(0, states.shape[0], 64):
         count = min(64, states.shape[0] - base)
@@ -89,6 +92,8 @@ def splitting_ensemble(
                 lanes[lane, component] = states[base + lane, component]
                 if low is not None:
                     low_lanes[lane, component] = low[base + lane, component]
+            for parameter in range(parameters.shape[1]):
+                given[lane, parameter] = parameters[base + lane, parameter]
         for save in range(saves):
             for step in range(save_every):
                 elapsed = first + save * save_every + step
@@ -99,7 +104,8 @@ def splitting_ensemble(
                             h = sizes[base + lane]
                             t = starts[base + lane] + h * (elapsed + stages[stage, 2])
                             q, p = read_q(lanes, lane), read_p(lanes, lane)
-                            change = velocity(q, p, t, parameters)
+                            values = read_parameters(given, lane)
+                            change = velocity(q, p, t, values)
                             if low is None:
                                 q = shift(q, h * drift, change)
                             else:
@@ -112,7 +118,8 @@ def splitting_ensemble(
                             h = sizes[base + lane]
                             t = starts[base + lane] + h * (elapsed + stages[stage, 3])
                             q, p = read_q(lanes, lane), read_p(lanes, lane)
-                            change = slope(q, p, t, parameters)
+                            values = read_parameters(given, lane)
+                            change = slope(q, p, t, values)
                             if low is None:
                                 p = shift(p, -h * kick, change)
                             else:
@@ -143,6 +150,7 @@ def splitting_tangent(
     rows = out.reshape(-1, DIM)
     for trajectory in range(states.shape[0]):
         h, start = sizes[trajectory], starts[trajectory]
+        values = read_parameters(parameters, trajectory)
         tangents = columns[trajectory]
         q, p = read_q(states, trajectory), read_p(states, trajectory)
         for save in range(saves):
@@ -151,14 +159,14 @@ def splitting_tangent(
                 for stage in range(stages.shape[0]):
                     t = start + h * (elapsed + stages[stage, 2])
                     drift = h * stages[stage, 0]
-                    change, curvature = velocity_curvature(q, p, t, parameters)
+                    change, curvature = velocity_curvature(q, p, t, values)
                     q = shift(q, drift, change)
                     shear_q(tangents, drift, curvature)
                     if stage == kicks:
                         break
                     t = start + h * (elapsed + stages[stage, 3])
                     kick = -h * stages[stage, 1]
-                    change, curvature = slope_curvature(q, p, t, parameters)
+                    change, curvature = slope_curvature(q, p, t, values)
                     p = shift(p, kick, change)
                     shear_p(tangents, kick, curvature)
             write(rows, trajectory * saves + save, q, p)
@@ -297,6 +305,7 @@ def euler(
     time = np.empty(1)
     for trajectory in range(states.shape[0]):
         h = sizes[trajectory]
+        values = read_parameters(parameters, trajectory)
         z = states[trajectory : trajectory + 1]
         tangents = columns[trajectory]
         converged = True
@@ -304,19 +313,19 @@ def euler(
             for step in range(save_every):
                 time[0] = starts[trajectory] + h * (first + save * save_every + step + q_first)
                 converged, attempts = _newton(
-                    z, time, h, q_first, parameters, slopes, mixed, matrix, pivots
+                    z, time, h, q_first, values, slopes, mixed, matrix, pivots
                 )
                 done[trajectory, 1] += attempts
                 if not converged:
                     break
                 if tangents.shape[1]:
-                    _hessian(z, time, parameters, second)
+                    _hessian(z, time, values, second)
                     _euler_tangents(tangents, second[0], h, q_first, matrix, pivots)
                 q, p = read_q(z, 0), read_p(z, 0)
                 if q_first:
-                    write_p(z, 0, shift(p, -h, slope(q, p, time[0], parameters)))
+                    write_p(z, 0, shift(p, -h, slope(q, p, time[0], values)))
                 else:
-                    write_q(z, 0, shift(q, h, velocity(q, p, time[0], parameters)))
+                    write_q(z, 0, shift(q, h, velocity(q, p, time[0], values)))
                 done[trajectory, 0] += 1
             if not converged:
                 break
@@ -365,6 +374,7 @@ def implicit(
     terms = np.empty(2)
     for trajectory in range(states.shape[0]):
         h = sizes[trajectory]
+        values = read_parameters(parameters, trajectory)
         state = states[trajectory]
         tangents = columns[trajectory]
         converged = True
@@ -394,10 +404,10 @@ def implicit(
                             points[stage, component] = (
                                 state[component] + increments[stage, component]
                             )
-                    _vector_field(points, times, parameters, slopes)
+                    _vector_field(points, times, values, slopes)
                     done[trajectory, 1] += stages
                     if stale:
-                        _hessian(points, times, parameters, second)
+                        _hessian(points, times, values, second)
                         _stage_matrix(matrix, coefficients, second, h)
                         _factor(matrix, pivots)
                         # Slopes may be small differences of large terms; these are their sizes.
@@ -447,7 +457,7 @@ def implicit(
                     break
                 if tangents.shape[1]:
                     # The derivative of the step, by the implicit function theorem.
-                    _hessian(points, times, parameters, second)
+                    _hessian(points, times, values, second)
                     _stage_matrix(matrix, coefficients, second, h)
                     _factor(matrix, pivots)
                     for column in range(tangents.shape[1]):
@@ -546,19 +556,20 @@ def doubled(
         fresh = False
         for save in range(saves):
             for step in range(save_every):
+                values = read_parameters(parameters, trajectory)
                 elapsed = 1.0 * (first + save * save_every + step)
                 for weight in weights:
                     h = sizes[trajectory] * weight
                     half = h / 2
                     time[0] = starts[trajectory] + sizes[trajectory] * elapsed
-                    _flow(state, tangents, 0, half, slopes, second, time, fresh, parameters)
-                    _flow(state, tangents, DIM, half, others, second, time, False, parameters)
+                    _flow(state, tangents, 0, half, slopes, second, time, fresh, values)
+                    _flow(state, tangents, DIM, half, others, second, time, False, values)
                     _couple(vectors, 2 * coupling * h)
                     _couple(tangents, 2 * coupling * h)
                     elapsed += weight
                     time[0] = starts[trajectory] + sizes[trajectory] * elapsed
-                    _flow(state, tangents, DIM, half, others, second, time, False, parameters)
-                    _flow(state, tangents, 0, half, slopes, second, time, False, parameters)
+                    _flow(state, tangents, DIM, half, others, second, time, False, values)
+                    _flow(state, tangents, 0, half, slopes, second, time, False, values)
                     fresh = True
                 done[trajectory, 0] += 1
             for component in range(DIM):

@@ -71,7 +71,8 @@ _STEP_PARTS = {
     "compensation": _Part(("head", "access")),
     "curvature": _Part(("head", "access")),
     "jacobian": _Part(),
-    "integrators": _Part(()),
+    "parameters": _Part(),
+    "integrators": _Part(("head", "parameters")),
     "splitting": _Part(
         ("velocity", "compensation", "integrators"), ("splitting", "splitting_ensemble")
     ),
@@ -251,6 +252,10 @@ class _Page:
     @property
     def components(self) -> list[str]:
         return [f"states[row, {i}]" for i in range(self.dim)]
+
+    @property
+    def parameter_entries(self) -> list[str]:
+        return [f"parameters[row, {i}]" for i in range(len(self.parameters))]
 
     @property
     def shifted(self) -> list[str]:

@@ -1,6 +1,7 @@
 """Fixed-step integration with the generated loops, for one trajectory or an ensemble.
 
-Input:  a Hamiltonian, a scheme of :mod:`hamsym.integrators.coefficients`, states of shape (n, dim).
+Input:  a Hamiltonian, a scheme of :mod:`hamsym.integrators.coefficients`, states of shape (n, dim)
+        and the parameter values of each.
 Output: states of shape (n, saves, dim), and the number of steps of each trajectory.
 
 The work is divided into pieces of about a tenth of a second, so that progress can be shown and an
@@ -61,7 +62,6 @@ class Stepper:
     Parameters
     ----------
     H : Hamiltonian
-        Every parameter must have a value.
     scheme : Scheme
     name : str
         Name of the method; for a non-separable H a splitting scheme must be one of
@@ -70,6 +70,8 @@ class Stepper:
         Shape (n, dim).
     starts, sizes : numpy.ndarray
         First time and step size of each trajectory, shape (n,).
+    parameters : numpy.ndarray
+        Values of each trajectory in the order of ``H.parameter_names``, shape (n, k).
     compensated : bool
         Whether to use compensated summation.
     tangents : numpy.ndarray, optional
@@ -87,6 +89,7 @@ class Stepper:
         states: np.ndarray,
         starts: np.ndarray,
         sizes: np.ndarray,
+        parameters: np.ndarray,
         *,
         compensated: bool = False,
         tangents: np.ndarray | None = None,
@@ -95,7 +98,7 @@ class Stepper:
         count, self._dim = states.shape
         self.scheme = scheme
         loop = _loop(H, scheme, count, tangents is not None)
-        self._loop = H.compile("numba").function(loop)
+        self._loop = H.kernels.function(loop)
         self._states = np.zeros((count, scheme.width(self._dim)))
         self._states[:, : self._dim] = states
         if isinstance(scheme, Doubled):
@@ -105,6 +108,7 @@ class Stepper:
         self.tangents = np.zeros((count, 1, 0)) if tangents is None else tangents
         self._done = np.zeros((count, 2), dtype=np.int64)
         self._starts, self._sizes = np.ascontiguousarray(starts), np.ascontiguousarray(sizes)
+        self._parameters = np.ascontiguousarray(parameters)
         self._first = 0
         implicit_euler = isinstance(scheme, Splitting) and not H.is_separable
         #: Whether a step solves nonlinear equations, which may have no solution.
@@ -114,7 +118,6 @@ class Stepper:
         )
         if isinstance(scheme, Doubled):
             self._constants.append(float(omega))
-        self._constants.append(tuple(H.parameters[name] for name in H.parameter_names))
 
     @property
     def states(self) -> np.ndarray:
@@ -181,6 +184,7 @@ class Stepper:
                 saves,
                 every,
                 *self._constants,
+                self._parameters[group],
             )
             if pool is None:
                 self._loop(*arguments)
@@ -205,7 +209,7 @@ def _loop(H: Hamiltonian, scheme: Scheme, count: int, tangent: bool) -> str:
     if tangent:
         return "splitting_tangent"
     # Kernels that loop over terms gain nothing from blocks of trajectories.
-    together = count >= _MIN_ENSEMBLE and not H.compile("numba").is_looped
+    together = count >= _MIN_ENSEMBLE and not H.kernels.is_looped
     return "splitting_ensemble" if together else "splitting"
 
 

@@ -380,8 +380,11 @@ def fixed_step(
     compensated: bool = False,
     omega: float | None = None,
     tangents: np.ndarray | None = None,
+    parameters: np.ndarray | None = None,
 ) -> Stepper:
     """Make a fixed-step integrator; see :class:`hamsym.integrators.fixed_step.Stepper`.
+
+    Without parameters every trajectory has the values of H.
 
     Raises
     ------
@@ -396,6 +399,9 @@ def fixed_step(
     if omega is None:
         omega = _coupling(H, states, starts) if isinstance(scheme, Doubled) else 0.0
     require_number("omega", omega, 0)
+    if parameters is None:
+        values = [H.parameters[name] for name in H.parameter_names]
+        parameters = np.tile(np.array(values, dtype=float), (len(states), 1))
     return Stepper(
         H,
         scheme,
@@ -403,6 +409,7 @@ def fixed_step(
         states,
         starts,
         sizes,
+        parameters,
         compensated=compensated,
         tangents=tangents,
         omega=omega,

@@ -447,7 +447,7 @@ def test_kernels_and_loops_are_parts() -> None:
     H = Hamiltonian("p**2 + x**2")
     assert "return (2*p,)" in H.source("numba", part="velocity")
     assert "return (2*x,)" in H.source("numba", part="slope")
-    assert "velocity(q, p, t, parameters)" in H.source("numba", part="splitting")
+    assert "velocity(q, p, t, values)" in H.source("numba", part="splitting")
 
 
 def test_only_used_components_are_unpacked() -> None:

@@ -394,6 +394,54 @@ def test_ensembles_are_many_trajectories(
         np.testing.assert_array_equal(many.z[i], one.z)
 
 
+PARAMETERS = [
+    ("p**2/(2*m) + k*(1 + sin(t)/2)*x**2/2", "blanes_moan6", False),
+    ("p**2/(2*m) + k*(1 + sin(t)/2)*x**2/2", "blanes_moan6", True),
+    ("p**2*(1 + k*x**2)/(2*m) + x**2/2", "symplectic_euler", False),
+    ("p**2*(1 + k*x**2)/(2*m) + x**2/2", "gauss4", False),
+    ("p**2*(1 + k*x**2)/(2*m) + x**2/2", "tao4", False),
+]
+
+
+@pytest.mark.parametrize(("formula", "method", "tangent"), PARAMETERS)
+@pytest.mark.parametrize("count", [3, 70])
+def test_each_trajectory_has_its_parameters(
+    formula: str, method: str, tangent: bool, count: int
+) -> None:
+    """To the last bit those of a Hamiltonian with these values."""
+    H = Hamiltonian(formula, parameters={"m": 1.0, "k": 1.0})
+    random = np.random.default_rng(3)
+    states, values = random.normal(size=(count, 2)), random.uniform(0.5, 2.0, (count, 2))
+
+    def run(H: Hamiltonian, rows: slice, parameters: np.ndarray | None) -> np.ndarray:
+        number = len(states[rows])
+        stepper = stepper_of(
+            H,
+            method,
+            states[rows],
+            np.zeros(number),
+            np.full(number, 0.1),
+            omega=2.0 if method == "tao4" else None,
+            tangents=np.tile(np.eye(2), (number, 1, 1)) if tangent else None,
+            parameters=parameters,
+        )
+        found = stepper.advance(3, 5).states
+        return np.concatenate((found, stepper.tangents), axis=1) if tangent else found
+
+    many = run(H, slice(None), values)
+    for i in (0, count - 1):
+        bound = H.with_parameters(**dict(zip(H.parameter_names, values[i].tolist(), strict=True)))
+        np.testing.assert_array_equal(many[i], run(bound, slice(i, i + 1), None)[0])
+    assert not np.allclose(many[0], run(H, slice(0, 1), None)[0])
+
+
+def test_other_values_need_no_compilation() -> None:
+    H = Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1.0})
+    other = H.with_parameters(k=2.0)
+    assert H.kernels is other.kernels
+    assert "2.0" not in other.kernels.source
+
+
 def test_ensembles_by_name() -> None:
     H = nonlinear_oscillator().H
     found = hamsym.integrate(H, {"p": 0.0, "x": np.array([0.5, 1.0, 1.5])}, (0, 1), steps=10)
