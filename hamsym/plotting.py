@@ -111,9 +111,8 @@ def _plot_trajectory(trajectory: Trajectory) -> Figure:
     time.
     """
     figure, axes = _panels(f"{trajectory.method}, {trajectory.steps:,} steps")
-    ensemble = trajectory.z.ndim == 3
-    z = trajectory.z if ensemble else trajectory.z[None]
-    energy = trajectory.energy if ensemble else trajectory.energy[None]
+    z = trajectory.z.reshape(-1, *trajectory.z.shape[-2:])
+    energy = trajectory.energy.reshape(-1, len(trajectory.t))
     names, d = trajectory.names, len(trajectory.names) // 2
     every = max(1, len(trajectory.t) // _SAMPLES)
     t = trajectory.t[::every]

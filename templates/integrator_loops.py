@@ -20,11 +20,11 @@ from numba import njit
 #
 # Each loop advances states, shape (n, ...), by saves*save_every steps of length sizes[i]. The
 # steps begin at time starts[i] + first*sizes[i]. After every save_every steps the states are
-# written to out, shape (n, saves, DIM). low, of the same shape as the states, is the rounding
-# error that compensated summation adds to the next step. columns, shape (n, ..., k), are
-# tangent vectors, propagated by the derivative of the steps. done, shape (n, 2), counts steps,
-# and evaluations where their number depends on iterations. parameters, shape (n, k), are the
-# values of each trajectory.
+# written to out, shape (n, rows, DIM), from row offset on. low, of the same shape as the states,
+# is the rounding error that compensated summation adds to the next step. columns, shape
+# (n, ..., k), are tangent vectors, propagated by the derivative of the steps. done, shape (n, 2),
+# counts steps, and evaluations where their number depends on iterations. parameters, shape
+# (n, k), are the values of each trajectory.
 
 # -- splitting -----------------------------------------------------------------------------------
 #
@@ -35,8 +35,9 @@ from numba import njit
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def splitting(
-    states, low, columns, out, done, starts, sizes, first, saves, save_every, stages, parameters
-):
+    states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
+    stages, parameters,
+):  # fmt: skip
     """Splitting methods, one trajectory after the other; compensated where low is not None."""
     kicks = stages.shape[0] - (stages[-1, 1] == 0.0)
     rows = out.reshape(-1, DIM)
@@ -66,7 +67,7 @@ def splitting(
                         p = shift(p, kick, change)
                     else:
                         p, p_low = shift_compensated(p, p_low, kick, change)
-            write(rows, trajectory * saves + save, q, p)
+            write(rows, trajectory * out.shape[1] + offset + save, q, p)
         write(states, trajectory, q, p)
         if low is not None:
             write(low, trajectory, q_low, p_low)
@@ -75,8 +76,9 @@ def splitting(
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def splitting_ensemble(
-    states, low, columns, out, done, starts, sizes, first, saves, save_every, stages, parameters
-):
+    states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
+    stages, parameters,
+):  # fmt: skip
     """Splitting methods, 64 trajectories at a time; compensated where low is not None.
 
     Each flow is applied to all trajectories of a block: their arithmetic is independent, so the
@@ -128,8 +130,9 @@ def splitting_ensemble(
                                 write_p(low_lanes, lane, p_low)
                             write_p(lanes, lane, p)
             for lane in range(count):
+                place = (base + lane) * out.shape[1] + offset + save
                 for component in range(DIM):
-                    rows[(base + lane) * saves + save, component] = lanes[lane, component]
+                    rows[place, component] = lanes[lane, component]
         for lane in range(count):
             for component in range(DIM):
                 states[base + lane, component] = lanes[lane, component]
@@ -143,8 +146,9 @@ def splitting_ensemble(
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def splitting_tangent(
-    states, low, columns, out, done, starts, sizes, first, saves, save_every, stages, parameters
-):
+    states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
+    stages, parameters,
+):  # fmt: skip
     """Splitting methods with the derivative of each flow."""
     kicks = stages.shape[0] - (stages[-1, 1] == 0.0)
     rows = out.reshape(-1, DIM)
@@ -169,7 +173,7 @@ def splitting_tangent(
                     change, curvature = slope_curvature(q, p, t, values)
                     p = shift(p, kick, change)
                     shear_p(tangents, kick, curvature)
-            write(rows, trajectory * saves + save, q, p)
+            write(rows, trajectory * out.shape[1] + offset + save, q, p)
         write(states, trajectory, q, p)
         done[trajectory, 0] += saves * save_every
 
@@ -289,7 +293,7 @@ def _euler_tangents(tangents, second, h, q_first, matrix, pivots):
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def euler(
-    states, low, columns, out, done, starts, sizes, first, saves, save_every,
+    states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     q_first, parameters,
 ):  # fmt: skip
     """Symplectic Euler: both slopes at (q_n+1, p_n, t_n+1), or else at (q_n, p_n+1, t_n).
@@ -329,7 +333,7 @@ def euler(
                 done[trajectory, 0] += 1
             if not converged:
                 break
-            out[trajectory, save] = z[0]
+            out[trajectory, offset + save] = z[0]
 
 
 # -- implicit Runge-Kutta ------------------------------------------------------------------------
@@ -353,7 +357,7 @@ def _stage_matrix(matrix, coefficients, second, h):
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def implicit(
-    states, low, columns, out, done, starts, sizes, first, saves, save_every,
+    states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     coefficients, weights, nodes, continued, parameters,
 ):  # fmt: skip
     """Implicit Runge-Kutta methods: stages by Newton's method with the Hessian of H.
@@ -486,7 +490,7 @@ def implicit(
             if not converged:
                 break
             for component in range(DIM):
-                out[trajectory, save, component] = state[component]
+                out[trajectory, offset + save, component] = state[component]
 
 
 # -- doubled phase space -------------------------------------------------------------------------
@@ -541,7 +545,7 @@ def _couple(vectors, angle):
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def doubled(
-    states, low, columns, out, done, starts, sizes, first, saves, save_every,
+    states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     weights, coupling, parameters,
 ):  # fmt: skip
     """Explicit steps for any H in the phase space of (q, p, x, y); see Tao 2016."""
@@ -573,4 +577,4 @@ def doubled(
                     fresh = True
                 done[trajectory, 0] += 1
             for component in range(DIM):
-                out[trajectory, save, component] = state[component]
+                out[trajectory, offset + save, component] = state[component]

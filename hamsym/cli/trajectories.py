@@ -128,12 +128,12 @@ def integrate(H: Hamiltonian, z0: Any, span: tuple[float, float], **options: Any
 
     trajectory = run(H, z0, span, **options)
     echo_wrapped("", trajectory.message)
-    ensemble = trajectory.z.ndim == 3
-    z, energy = (
-        (trajectory.z[0], trajectory.energy[0]) if ensemble else (trajectory.z, trajectory.energy)
-    )
+    ensemble = trajectory.z.ndim > 2
+    count = len(trajectory.ensemble)
+    z = trajectory.z.reshape(count, -1, H.dim)[0]
+    energy = trajectory.energy.reshape(count, -1)[0]
     if ensemble:
-        click.echo(f"{len(trajectory.z):,} trajectories, the first of them:")
+        click.echo(f"{count:,} trajectories, the first of them:")
     click.echo(f"{'':<12}{'start':>24}{'end':>24}")
     for name, values in [("t", trajectory.t), *zip(H.names, z.T, strict=True), ("H", energy)]:
         click.echo(f"{name:<12}{values[0]:>24.15g}{values[-1]:>24.15g}")
@@ -142,7 +142,6 @@ def integrate(H: Hamiltonian, z0: Any, span: tuple[float, float], **options: Any
     change = np.abs(trajectory.energy - trajectory.energy[..., :1])[exists].max()
     click.echo(f"largest change of H: {change:.3e}")
     click.echo(f"{trajectory.evaluations:,} evaluations, {trajectory.seconds:.3g} s")
-    count = len(trajectory.z) if ensemble else 1
     states = trajectory.z.reshape(-1, H.dim)
     columns = [("t", np.tile(trajectory.t, count)), *zip(H.names, states.T, strict=True)]
     columns.append(("H", trajectory.energy.ravel()))

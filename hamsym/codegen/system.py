@@ -10,6 +10,8 @@ from functools import cached_property
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from hamsym.codegen import numba_cache
 from hamsym.codegen.generate import Source, generate
 from hamsym.symbolic.equations import Equations
@@ -109,6 +111,16 @@ class System:
     def is_looped(self) -> bool:
         """Whether the kernels of the integrators loop over repeated terms (numba only)."""
         return self._source.is_looped
+
+    def keywords(self, parameters: np.ndarray | None) -> dict[str, np.ndarray]:
+        """Keyword arguments of the functions for values of the parameters, shape (..., k).
+
+        Each has shape (...), which must broadcast with the states; empty for None.
+        """
+        if parameters is None:
+            return {}
+        names = [name for name, _ in self._source.names.parameters]
+        return {name: parameters[..., i] for i, name in enumerate(names)}
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self._source.form, self.backend)

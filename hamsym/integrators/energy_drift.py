@@ -52,10 +52,13 @@ class EnergyDrift:
         If it depends explicitly on time the drift is nan.
     count : int
         Number of trajectories.
+    parameters : numpy.ndarray, optional
+        Values of each trajectory, shape (count, k); by default those of H.
     """
 
-    def __init__(self, H: Hamiltonian, count: int) -> None:
+    def __init__(self, H: Hamiltonian, count: int, parameters: np.ndarray | None = None) -> None:
         self._H, self._system, self._count = H, H.compile("numpy"), count
+        self._values = self._system.keywords(None if parameters is None else parameters[:, None])
         self._first = np.full(count, np.nan)
         #: max_t |H - H(start)| of each trajectory; infinite where H is nan or infinite.
         self.change = np.zeros(count)
@@ -77,8 +80,8 @@ class EnergyDrift:
 
     def _add(self, path: np.ndarray) -> None:
         dof, there = self._H.dof, np.isfinite(path).all(axis=-1)
-        energy = np.asarray(self._system.energy(path), dtype=float)
-        gradient = np.asarray(self._system.gradient(path), dtype=float)
+        energy = np.asarray(self._system.energy(path, **self._values), dtype=float)
+        gradient = np.asarray(self._system.gradient(path, **self._values), dtype=float)
         self._first = np.where(np.isnan(self._first), energy[:, 0], self._first)
         change = np.abs(energy - self._first[:, None])
         change = np.where(there, np.nan_to_num(change, nan=np.inf), 0.0)
@@ -184,6 +187,7 @@ def choose(
     span: tuple[float, float],
     run: Callable[[int], AttemptT],
     fewest: int = _MIN_STEPS,
+    parameters: np.ndarray | None = None,
 ) -> Choice[AttemptT]:
     """Double the number of steps until every trajectory conserves H to :data:`AIM`.
 
@@ -203,6 +207,8 @@ def choose(
         (steps) -> :class:`Attempt`.
     fewest : int
         Initial number of steps.
+    parameters : numpy.ndarray, optional
+        Values of each trajectory, shape (batch, k); by default those of H.
 
     Raises
     ------
@@ -211,7 +217,7 @@ def choose(
     """
     length, batch = abs(span[1] - span[0]), len(states)
     most = _MAX_UPDATES / (batch * _cost(scheme, H.dim))
-    rate = _fastest_rate(H, *_sampled(states[:, None], np.array([span[0]])))
+    rate = _fastest_rate(H, *_sampled(states[:, None], np.array([span[0]]), parameters))
     steps = fewest
     while steps < length * rate / _ANGLE:
         steps *= 2
@@ -225,8 +231,8 @@ def choose(
     while True:
         attempt = run(steps)
         tested = _tested_part(attempt.z)
-        found = _deviation(H, attempt, previous, tested, steps)
-        at = _fastest_rate(H, *_sampled(tested, attempt.times))
+        found = _deviation(H, attempt, previous, tested, steps, parameters)
+        at = _fastest_rate(H, *_sampled(tested, attempt.times, parameters))
         resolved = at * length <= _ANGLE * steps
         met = found <= AIM and resolved and _same_ends(attempt, previous)
         if attempt.interrupted or met:
@@ -253,28 +259,40 @@ def _tested_part(z: np.ndarray) -> np.ndarray:
 
 
 def _deviation(
-    H: Hamiltonian, attempt: Attempt, previous: Attempt | None, tested: np.ndarray, steps: int
+    H: Hamiltonian,
+    attempt: Attempt,
+    previous: Attempt | None,
+    tested: np.ndarray,
+    steps: int,
+    parameters: np.ndarray | None,
 ) -> float:
     if H.time is None:
-        drift = EnergyDrift(H, len(tested))
+        drift = EnergyDrift(H, len(tested), parameters)
         drift.add(tested)
         return float(drift.relative(steps).max())
     if previous is None:
         return math.inf
-    return _change(H, attempt.times, tested, previous.z, steps)
+    return _change(H, attempt.times, tested, previous.z, steps, parameters)
 
 
 def _change(
-    H: Hamiltonian, times: np.ndarray, z: np.ndarray, coarse: np.ndarray, steps: int
+    H: Hamiltonian,
+    times: np.ndarray,
+    z: np.ndarray,
+    coarse: np.ndarray,
+    steps: int,
+    parameters: np.ndarray | None,
 ) -> float:
     """Largest difference of two runs in excess of round-off, relative to each component's range."""
     stride = (z.shape[1] - 1) // (coarse.shape[1] - 1)
     there = np.isfinite(z).all(axis=-1, keepdims=True)
     system = H.compile("numpy")
     with np.errstate(all="ignore"):
-        at, t = _sampled(z, times)
-        matrices = np.abs(generators(np.asarray(system.hessian(*system.arguments(at, t)))))
-        rates = np.abs(np.asarray(system.vector_field(*system.arguments(at, t))))
+        at, t, values = _sampled(z, times, parameters)
+        given = system.keywords(values)
+        hessian = np.asarray(system.hessian(*system.arguments(at, t), **given))
+        matrices = np.abs(generators(hessian))
+        rates = np.abs(np.asarray(system.vector_field(*system.arguments(at, t), **given)))
         rounded = _finite_or_zero(np.einsum("nij,nj->ni", matrices, np.abs(at))).max(axis=0)
         size = np.where(there, np.abs(z), 0.0).max(axis=1)
         noise = _round_off(steps) * (size + abs(times[-1] - times[0]) / steps * rounded)
@@ -301,18 +319,24 @@ def _same_ends(attempt: Attempt, previous: Attempt | None) -> bool:
     return bool(between.max() <= 2 * abs(previous.times[1] - previous.times[0]))
 
 
-def _sampled(z: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A sample of the finite states, shape (n, dim), and their times."""
+def _sampled(
+    z: np.ndarray, times: np.ndarray, parameters: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """A sample of the finite states, shape (n, dim), their times and parameters."""
     there = np.argwhere(np.isfinite(z).all(axis=-1))
     number = max(64, _SAMPLES // z.shape[-1])
     some = there[np.linspace(0, len(there) - 1, min(len(there), number)).astype(int)]
-    return z[some[:, 0], some[:, 1]], times[some[:, 1]]
+    values = None if parameters is None else parameters[some[:, 0]]
+    return z[some[:, 0], some[:, 1]], times[some[:, 1]], values
 
 
-def _fastest_rate(H: Hamiltonian, states: np.ndarray, times: np.ndarray) -> float:
+def _fastest_rate(
+    H: Hamiltonian, states: np.ndarray, times: np.ndarray, parameters: np.ndarray | None
+) -> float:
     """Largest spectral radius of J Hess over the states where it is finite, per unit of time."""
     system = H.compile("numpy")
     with np.errstate(all="ignore"):
-        matrices = generators(np.asarray(system.hessian(*system.arguments(states, times))))
+        hessian = system.hessian(*system.arguments(states, times), **system.keywords(parameters))
+        matrices = generators(np.asarray(hessian))
     matrices = matrices[np.isfinite(matrices).all(axis=(1, 2))]
     return float(np.abs(np.linalg.eigvals(matrices)).max(initial=0.0))

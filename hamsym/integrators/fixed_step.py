@@ -2,7 +2,7 @@
 
 Input:  a Hamiltonian, a scheme of :mod:`hamsym.integrators.coefficients`, states of shape (n, dim)
         and the parameter values of each.
-Output: states of shape (n, saves, dim), and the number of steps of each trajectory.
+Output: states of shape (n, 1 + saves, dim), and the number of steps of each trajectory.
 
 The work is divided into pieces of about a tenth of a second, so that progress can be shown and an
 interruption keeps the steps done so far. Ensembles are divided between the processor's cores. The
@@ -40,8 +40,9 @@ class Stepping:
 
     Attributes
     ----------
-    states : numpy.ndarray
-        After every save_every steps, shape (n, saves, dim); nan after the last completed step.
+    path : numpy.ndarray
+        States before the steps and after every save_every of them, shape (n, 1 + saves, dim); nan
+        after the last completed step.
     steps : numpy.ndarray
         Completed steps of each trajectory, shape (n,).
     evaluations : int
@@ -50,10 +51,15 @@ class Stepping:
         Whether Ctrl-C ended the run.
     """
 
-    states: np.ndarray = field(repr=False)
+    path: np.ndarray = field(repr=False)
     steps: np.ndarray
     evaluations: int
     interrupted: bool = False
+
+    @property
+    def states(self) -> np.ndarray:
+        """States after every save_every steps, shape (n, saves, dim)."""
+        return self.path[:, 1:]
 
 
 class Stepper:
@@ -132,14 +138,17 @@ class Stepper:
 
     def step(self, count: int) -> np.ndarray:
         """Do ``count`` steps in one call of the loop and return the states, shape (n, dim)."""
-        return self._run(None, 1, 1, count)[:, 0]
+        out = np.empty((len(self._states), 1, self._dim))
+        self._run(None, 1, out, 0, 1, count)
+        return np.array(self.states)
 
     def advance(self, saves: int, save_every: int = 1, *, show: bool | None = None) -> Stepping:
         """Do saves*save_every steps and return the states after every save_every steps."""
         count = len(self._states)
         before = self._done.copy()
-        out = np.full((count, saves, self._dim), np.nan)
-        interrupted = False
+        path = np.empty((count, 1 + saves, self._dim))
+        path[:, 0] = self.states
+        interrupted, reached = False, 0
         work = count * self._dim * self.scheme.stages
         cores = (
             min(available_cores(), count) if work * saves * save_every > _MIN_THREADED_WORK else 1
@@ -147,10 +156,9 @@ class Stepper:
         with stepping_progress(saves * save_every, show) as progress:
             pool = ThreadPoolExecutor(cores) if cores > 1 else None
             try:
-                for rows, part, every in _pieces(saves, save_every, max(1, _PIECE_WORK // work)):
-                    moved = self._run(pool, cores, part, every)
-                    if rows is not None:
-                        out[:, rows] = moved
+                for save, part, every in _pieces(saves, save_every, max(1, _PIECE_WORK // work)):
+                    self._run(pool, cores, path, 1 + save, part, every)
+                    reached += part * every
                     progress(part * every)
                     if not np.isfinite(self._states).all(axis=1).any():
                         break
@@ -160,14 +168,23 @@ class Stepper:
                 if pool is not None:
                     pool.shutdown()
         steps, counted = (self._done - before).T
+        completed = 1 + np.minimum(steps, reached) // save_every
+        for trajectory in np.flatnonzero(completed <= saves):
+            path[trajectory, completed[trajectory] :] = np.nan
         # The loops count evaluations only where the number depends on iterations.
         evaluations = counted.sum() if counted.any() else steps.sum() * self.scheme.stages
-        return Stepping(out, steps, int(evaluations), interrupted)
+        return Stepping(path, steps, int(evaluations), interrupted)
 
     def _run(
-        self, pool: ThreadPoolExecutor | None, cores: int, saves: int, every: int
-    ) -> np.ndarray:
-        out = np.full((len(self._states), saves, self._dim), np.nan)
+        self,
+        pool: ThreadPoolExecutor | None,
+        cores: int,
+        out: np.ndarray,
+        offset: int,
+        saves: int,
+        every: int,
+    ) -> None:
+        """Do saves*every steps; states are written to out[:, offset : offset + saves]."""
         before = self._done[:, 0].copy()
         edges = np.linspace(0, len(self._states), cores + 1).astype(int)
         futures = []
@@ -177,6 +194,7 @@ class Stepper:
                 self._low[group] if self._compensated else None,
                 self.tangents[group],
                 out[group],
+                offset,
                 self._done[group],
                 self._starts[group],
                 self._sizes[group],
@@ -195,7 +213,6 @@ class Stepper:
         self._first += saves * every
         # A trajectory whose step was not solved ends there.
         self._states[self._done[:, 0] - before < saves * every] = np.nan
-        return out
 
 
 def _loop(H: Hamiltonian, scheme: Scheme, count: int, tangent: bool) -> str:
@@ -213,15 +230,13 @@ def _loop(H: Hamiltonian, scheme: Scheme, count: int, tangent: bool) -> str:
     return "splitting_ensemble" if together else "splitting"
 
 
-def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[slice | None, int, int]]:
-    """Yield (rows of the output, saves, steps per save); rows is None before a save is complete."""
+def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[int, int, int]]:
+    """Yield (row of the first save, saves, steps per save); parts of a save have its row."""
     if save_every <= piece:
         together = piece // save_every
         for save in range(0, saves, together):
-            count = min(together, saves - save)
-            yield slice(save, save + count), count, save_every
+            yield save, min(together, saves - save), save_every
         return
     for save in range(saves):
         for step in range(0, save_every, piece):
-            last = step + piece >= save_every
-            yield slice(save, save + 1) if last else None, 1, min(piece, save_every - step)
+            yield save, 1, min(piece, save_every - step)

@@ -1,6 +1,6 @@
 """Integration by time stepping with every method of the table of integrators.
 
-Input:  a Hamiltonian, one or many initial states, a time span.
+Input:  a Hamiltonian, one or many initial states and parameter values, a time span.
 Output: a :class:`Trajectory` of states at equally spaced times.
 
 An integrator is one row of :data:`hamsym.integrators.table.INTEGRATORS`. Its coefficients are in
@@ -15,11 +15,13 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import hamsym
+from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError, SeparabilityError, StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.adaptive import Adaptive, reference
@@ -52,20 +54,24 @@ _MAX_SAVED, _MAX_SAVED_COMPONENTS = (
     16_000,
     20_000_000,
 )  # largest saved states and components with automatic steps
+_MAX_TESTED = 20_001  # saved states of a trajectory at which the drift of H is computed
 
 
 @dataclass(frozen=True)
 class Trajectory:
     """States along a trajectory, or along each trajectory of an ensemble.
 
+    An ensemble has the shape to which the initial states and the parameters broadcast, (batch,) for
+    states of shape (batch, dim); () below is the shape of one trajectory.
+
     Attributes
     ----------
     t : numpy.ndarray
         Times, shape (n,).
     z : numpy.ndarray
-        States, shape (n, dim), or (batch, n, dim) for an ensemble, in the order of H.z.
+        States, shape (*shape, n, dim), in the order of H.z.
     energy : numpy.ndarray
-        H along the trajectory, shape (n,) or (batch, n).
+        H along the trajectory, shape (*shape, n); computed when it is first read.
     names : tuple of str
         Components of z.
     method : str
@@ -83,16 +89,17 @@ class Trajectory:
     message : str
         Outcome in words. A trajectory that stops early ends at its last state; in an ensemble its
         later states are nan.
+    ensemble : Ensemble
+        H, the initial states and the parameter values.
     drift : float
-        Largest change of H in excess of round-off, at the saved states, relative to the energy
-        that the motion exchanges between coordinates and momenta
+        Largest change of H in excess of round-off, at the saved states (at 20,001 of them if there
+        are more), relative to the energy that the motion exchanges between coordinates and momenta
         (:mod:`hamsym.integrators.energy_drift`); the largest of an ensemble. Infinite if H is not
         finite along the trajectory, nan if H depends on time.
     """
 
     t: np.ndarray = field(repr=False)
     z: np.ndarray = field(repr=False)
-    energy: np.ndarray = field(repr=False)
     names: tuple[str, ...]
     method: str
     steps: int
@@ -101,8 +108,20 @@ class Trajectory:
     seconds: float
     success: bool
     message: str
+    ensemble: Ensemble = field(repr=False)
     interrupted: bool = False
     drift: float = math.nan
+
+    @cached_property
+    def energy(self) -> np.ndarray:
+        """H along the trajectory, shape (*shape, n)."""
+        system = self.ensemble.H.compile("numpy")
+        values = self.ensemble.parameters if self.ensemble.varied else None
+        if values is not None:
+            values = values.reshape(*self.ensemble.shape, 1, -1)
+        with np.errstate(all="ignore"):  # H may overflow at the last finite state before an escape
+            arguments = system.arguments(self.z, self.t)
+            return np.asarray(system.energy(*arguments, **system.keywords(values)))
 
     def plot(self) -> Figure:
         """Draw components, phase space and the change of H."""
@@ -111,10 +130,11 @@ class Trajectory:
 
 def integrate(
     H: HamiltonianLike,
-    z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
+    z0: Sequence[float] | Mapping[Any, Any] | np.ndarray,
     span: tuple[float, float],
     method: str | None = None,
     *,
+    parameters: Mapping[Any, Any] | None = None,
     steps: int | None = None,
     dt: float | None = None,
     save_every: int | None = None,
@@ -138,10 +158,10 @@ def integrate(
     Parameters
     ----------
     H : Hamiltonian, str or sympy.Expr
-        Every parameter must have a value.
+        Every parameter must have a value, here or in ``parameters``.
     z0 : sequence, mapping or array
-        Initial state in the order of H.z or by name. An array of shape (batch, dim), or a mapping
-        to arrays, is an ensemble, which is integrated on all cores.
+        Initial state in the order of H.z or by name. An array of shape (..., dim), or a mapping to
+        arrays that broadcast, is an ensemble, which is integrated on all cores.
     span : (float, float)
         Start and end time; the end may precede the start.
     method : str, optional
@@ -150,6 +170,8 @@ def integrate(
         H = T(p, t) + V(q, t); the time in V advances with the drifts of q, and that in T with the
         kicks of p. For a non-separable H the symplectic Euler methods solve their implicit half by
         Newton's method.
+    parameters : mapping of name to number or array, optional
+        Values that replace those of H; arrays broadcast with the shape of the initial states.
     steps : int, optional
         Number of equal steps (for an adaptive method: of equal output intervals); 20,000 by default
         if ``method`` is given.
@@ -199,10 +221,13 @@ def integrate(
     'blanes_moan6: 1,000 steps to t = 6.28319, H kept to round-off'
     >>> integrate(H, {"x": np.linspace(0, 1, 5), "p": 0.0}, (0, 1), "gauss4", dt=0.1).z.shape
     (5, 11, 2)
+    >>> H = Hamiltonian("p**2/2 + k*x**2/2")
+    >>> integrate(H, [1.0, 0.0], (0, 1), "gauss4", dt=0.1, parameters={"k": [1.0, 4.0]}).z.shape
+    (2, 11, 2)
     """
-    H = Hamiltonian.of(H)
+    members = ensemble_of(H, z0, parameters)
+    H = members.H
     name = usual_method(H) if method is None else usable_method(H, method)
-    states = H.states_from(z0)
     start, end = checked_span(span)
     chosen = method is None and steps is None and dt is None
     count = checked_steps(end - start, steps, dt)
@@ -219,13 +244,12 @@ def integrate(
         )
     if omega is not None and not isinstance(scheme, Doubled):
         raise InputError(f"omega applies to tao2 and tao4, not to {name}; leave it out")
-    ensemble = np.atleast_2d(states)
     choice: Choice[_Run] | None = None
     began = time.perf_counter()
     if isinstance(scheme, Adaptive):
-        _require_memory(count // every, H.dim, len(ensemble))
+        _require_memory(count // every, H.dim, len(members))
         times = np.linspace(start, end, count // every + 1)
-        run = _run_adaptive(H, scheme, ensemble, times, _tolerances(rtol, atol))
+        run = _run_adaptive(members, scheme, times, _tolerances(rtol, atol))
     else:
         for option, value in (("rtol", rtol), ("atol", atol)):
             if value is not None:
@@ -238,18 +262,13 @@ def integrate(
             "progress": progress,
         }
         if chosen:
-            choice = choose_steps(H, name, ensemble, (start, end), save_every, **options)
+            choice = _choice(members, name, (start, end), save_every, **options)
             run, count = choice.attempt, choice.steps
         else:
-            run = _stepped(H, name, ensemble, (start, end), count, every, **options)
+            run = _stepped(members, name, (start, end), count, every, **options)
     seconds = time.perf_counter() - began
     z, times, problem = _cut_at_end(run.z, run.times, run.problem)
-    system = H.compile("numpy")
-    with np.errstate(all="ignore"):  # H may overflow at the last finite state before an escape
-        energy = system.energy(*system.arguments(z, times))
-    kept = EnergyDrift(H, len(z))
-    kept.add(z)
-    drift = float(kept.relative(count).max())
+    drift = _drift(members, z, count)
     message = f"{name}: {count:,} steps to t = {end:.6g}"
     found, warning = _describe_accuracy(H, drift, choice)
     if found:
@@ -257,12 +276,9 @@ def integrate(
     if warning and not problem:
         message = f"{message}: {warning}"
         warnings.warn(message, StepSizeWarning, stacklevel=2)
-    if states.ndim == 1:
-        z, energy = z[0], energy[0]
     return Trajectory(
         t=times,
-        z=z,
-        energy=energy,
+        z=z.reshape(*members.shape, *z.shape[1:]),
         names=H.names,
         method=name,
         steps=count,
@@ -271,9 +287,24 @@ def integrate(
         seconds=seconds,
         success=not problem,
         message=problem or message,
+        ensemble=members,
         interrupted=run.interrupted,
         drift=drift,
     )
+
+
+def _drift(members: Ensemble, z: np.ndarray, steps: int) -> float:
+    """Compute the largest drift of H at the saved states, or at a sample of them."""
+    if z.shape[1] > _MAX_TESTED:
+        z = z[:, np.linspace(0, z.shape[1] - 1, _MAX_TESTED).astype(int)]
+    kept = EnergyDrift(members.H, len(members), _varied(members))
+    kept.add(z)
+    return float(kept.relative(steps).max())
+
+
+def _varied(members: Ensemble) -> np.ndarray | None:
+    """Parameters of the members, or None where all have those of H."""
+    return members.parameters if members.varied else None
 
 
 def _describe_accuracy(
@@ -308,24 +339,38 @@ class _Run(Attempt):
 
 
 def choose_steps(
-    H: Hamiltonian,
+    H: Hamiltonian, name: str, states: np.ndarray, span: tuple[float, float], **options: Any
+) -> Choice[_Run]:
+    """Choose the number of steps with which all trajectories conserve H, by :func:`choose`.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+    name : str
+    states : numpy.ndarray
+        Shape (n, dim).
+    span : (float, float)
+    """
+    return _choice(ensemble_of(H, states), name, span, **options)
+
+
+def _choice(
+    members: Ensemble,
     name: str,
-    ensemble: np.ndarray,
     span: tuple[float, float],
     save_every: int | None = None,
     **options: Any,
 ) -> Choice[_Run]:
-    """Choose the number of steps with which all trajectories conserve H, by :func:`choose`."""
     evaluations = 0
 
     def run(steps: int) -> _Run:
         nonlocal evaluations
         saves = steps if save_every is None else steps // save_every
         while save_every is None and saves > _MIN_STEPS:
-            if saves <= _MAX_SAVED and saves * ensemble.size <= _MAX_SAVED_COMPONENTS:
+            if saves <= _MAX_SAVED and saves * members.states.size <= _MAX_SAVED_COMPONENTS:
                 break
             saves //= 2
-        found = _stepped(H, name, ensemble, span, steps, steps // saves, **options)
+        found = _stepped(members, name, span, steps, steps // saves, **options)
         evaluations += found.evaluations
         return replace(found, evaluations=evaluations)
 
@@ -333,13 +378,12 @@ def choose_steps(
     fewest = each * math.ceil(_MIN_STEPS / each)
     scheme = INTEGRATORS[name].scheme
     assert not isinstance(scheme, Adaptive)
-    return choose(H, scheme, ensemble, span, run, fewest)
+    return choose(members.H, scheme, members.states, span, run, fewest, _varied(members))
 
 
 def _stepped(
-    H: Hamiltonian,
+    members: Ensemble,
     name: str,
-    ensemble: np.ndarray,
     span: tuple[float, float],
     steps: int,
     save_every: int,
@@ -348,16 +392,17 @@ def _stepped(
     omega: float | None = None,
     progress: bool | None = None,
 ) -> _Run:
-    saves, (start, end) = steps // save_every, span
-    _require_memory(saves, H.dim, len(ensemble))
+    saves, (start, end), count = steps // save_every, span, len(members)
+    _require_memory(saves, members.H.dim, count)
     stepper = fixed_step(
-        H,
+        members.H,
         name,
-        ensemble,
-        np.full(len(ensemble), start),
-        np.full(len(ensemble), (end - start) / steps),
+        members.states,
+        np.full(count, start),
+        np.full(count, (end - start) / steps),
         compensated=compensated,
         omega=omega,
+        parameters=members.parameters,
     )
     done = stepper.advance(saves, save_every, show=progress)
     problem = ""
@@ -365,9 +410,8 @@ def _stepped(
         problem = _INTERRUPTED
     elif stepper.is_implicit and done.steps.min() < steps:
         problem = "the implicit step could not be solved; take more steps"
-    z = np.concatenate((ensemble[:, None], done.states), axis=1)
     times = np.linspace(start, end, saves + 1)
-    return _Run(times, z, done.interrupted, done.evaluations, problem)
+    return _Run(times, done.path, done.interrupted, done.evaluations, problem)
 
 
 def fixed_step(
@@ -397,7 +441,7 @@ def fixed_step(
         fixed = ", ".join(key for key, row in INTEGRATORS.items() if not row.adaptive)
         raise InputError(f"{method} is adaptive; give a method with fixed steps: {fixed}")
     if omega is None:
-        omega = _coupling(H, states, starts) if isinstance(scheme, Doubled) else 0.0
+        omega = _coupling(H, states, starts, parameters) if isinstance(scheme, Doubled) else 0.0
     require_number("omega", omega, 0)
     if parameters is None:
         values = [H.parameters[name] for name in H.parameter_names]
@@ -444,18 +488,17 @@ def usual_method(H: Hamiltonian) -> str:
 
 
 def _run_adaptive(
-    H: Hamiltonian,
+    members: Ensemble,
     scheme: Adaptive,
-    ensemble: np.ndarray,
     times: np.ndarray,
     tolerances: tuple[float, float | None],
 ) -> _Run:
-    z = np.full((len(ensemble), len(times), H.dim), np.nan)
-    z[:, 0] = ensemble
+    z = np.full((len(members), len(times), members.H.dim), np.nan)
+    z[:, 0] = members.states
     evaluations, message = 0, ""
-    for i, state in enumerate(ensemble):
+    for i, state in enumerate(members.states):
         try:
-            states, count, problem = scheme.run(H, state, times, *tolerances)
+            states, count, problem = scheme.run(members.hamiltonian(i), state, times, *tolerances)
         except KeyboardInterrupt:
             return _Run(times, z, True, evaluations, _INTERRUPTED)
         z[i, : len(states)] = states
@@ -468,7 +511,8 @@ def _cut_at_end(
     z: np.ndarray, times: np.ndarray, message: str
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Cut trajectories where the longest of them ends, and complete the message."""
-    if not message and np.isfinite(z).all():
+    # A component that is not finite stays so in every method.
+    if not message and np.isfinite(z[:, -1]).all():
         return z, times, message
     finite = np.logical_and.accumulate(np.isfinite(z).all(axis=-1), axis=1)
     z[~finite] = np.nan
@@ -488,21 +532,29 @@ def _cut_at_end(
     return z[:, :end], times[:end], message
 
 
-def fastest_rate(H: Hamiltonian, states: np.ndarray, times: np.ndarray | float) -> float:
+def fastest_rate(
+    H: Hamiltonian,
+    states: np.ndarray,
+    times: np.ndarray | float,
+    parameters: np.ndarray | None = None,
+) -> float:
     """Largest spectral radius of J Hess at states of shape (n, dim), per unit of time.
 
-    Infinite where the Hessian is not finite.
+    Infinite where the Hessian is not finite. Without parameters, shape (n, k), those of H are used.
     """
     system = H.compile("numpy")
     with np.errstate(all="ignore"):
-        matrices = generators(system.hessian(*system.arguments(states, times)))
+        arguments = system.arguments(states, times)
+        matrices = generators(system.hessian(*arguments, **system.keywords(parameters)))
     if not np.isfinite(matrices).all():
         return math.inf
     return float(np.abs(np.linalg.eigvals(matrices)).max())
 
 
-def _coupling(H: Hamiltonian, states: np.ndarray, starts: np.ndarray) -> float:
-    rate = fastest_rate(H, states, starts)
+def _coupling(
+    H: Hamiltonian, states: np.ndarray, starts: np.ndarray, parameters: np.ndarray | None
+) -> float:
+    rate = fastest_rate(H, states, starts, parameters)
     if not math.isfinite(rate):
         raise InputError("the Hessian of H is not finite at z0; give omega")
     return 2 * rate if rate > 0 else 1.0
@@ -517,8 +569,8 @@ def _tolerances(rtol: float | None, atol: float | None) -> tuple[float, float | 
 
 
 def _require_memory(saves: int, dim: int, batch: int) -> None:
-    # The states, a copy of them while they are concatenated, and the energies.
-    wanted = (saves + 1) * (2 * dim + 1) * 8 * batch
+    # The states and, on request, their energies.
+    wanted = (saves + 1) * (dim + 1) * 8 * batch
     try:
         there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):  # not available on every system

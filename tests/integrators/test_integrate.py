@@ -579,7 +579,7 @@ def test_progress_is_drawn_on_request(capsys: pytest.CaptureFixture[str]) -> Non
         ({"steps": 10**13}, "GiB; save fewer with a larger save_every"),
         ({"z0": np.zeros((10**6, 2)), "steps": 10**6}, "of 1,000,000 trajectories need"),
         ({"z0": np.zeros((2, 3))}, "z0 has shape"),
-        ({"z0": np.zeros((2, 2, 2))}, "z0 has shape"),
+        ({"z0": np.zeros((2, 2, 3))}, "z0 has shape"),
         ({"z0": {"x": [1.0, 2.0], "p": [1.0, 2.0, 3.0]}}, "z0 has arrays of shapes"),
     ],
 )
