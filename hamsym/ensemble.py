@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 import sympy
 
-from hamsym.errors import InputError, ParameterError, VariableError
-from hamsym.formula.parser import canonical_name
+from hamsym.errors import VariableError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.symbolic.checks import name_of
-from hamsym.symbolic.states import states_array
+from hamsym.symbolic.states import parameter_arrays, states_array
 
 __all__ = ["Ensemble", "ensemble_of"]
 
@@ -87,7 +85,9 @@ def ensemble_of(
     """
     if isinstance(H, str | sympy.Expr):
         H = Hamiltonian(H)
-    given = _values(H, parameters) if isinstance(H, Hamiltonian) and parameters else {}
+    given = {}
+    if isinstance(H, Hamiltonian) and parameters:
+        given = parameter_arrays(parameters, H.parameter_names)
     if given:
         H = H.with_parameters(**{name: float(values.flat[0]) for name, values in given.items()})
     H = Hamiltonian.of(H)
@@ -112,29 +112,3 @@ def ensemble_of(
         shape,
         tuple(given),
     )
-
-
-def _values(H: Hamiltonian, parameters: Mapping[Any, Any]) -> dict[str, np.ndarray]:
-    """Return the given values by name, as finite arrays that are not empty."""
-    if not isinstance(parameters, Mapping):
-        raise InputError(
-            f'parameters={parameters!r} is not a mapping; give for example {{"k": [1.0, 2.0]}}'
-        )
-    names = {canonical_name(name): name for name in H.parameter_names}
-    found = {}
-    for key, value in parameters.items():
-        name = names.get(canonical_name(name_of(key)))
-        if name is None:
-            listed = ", ".join(H.parameter_names) or "none"
-            raise ParameterError(f"'{name_of(key)}' is not a parameter of H; it has {listed}")
-        try:
-            values = np.array(value, dtype=float)
-        except (TypeError, ValueError, OverflowError, RuntimeError):
-            values = np.array(np.nan)
-        if not (values.size and np.isfinite(values).all()):
-            raise ParameterError(
-                f"the values of parameter '{name}' are not finite numbers; give a number or an "
-                "array of finite numbers"
-            )
-        found[name] = values
-    return found

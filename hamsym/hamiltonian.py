@@ -20,12 +20,12 @@ from hamsym.codegen.system import System, load
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name
 from hamsym.formula.printer import FormulaPrinter
-from hamsym.support.validation import require_number
+from hamsym.support.validation import require, require_number
 from hamsym.symbolic import brackets, derivatives
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
 from hamsym.symbolic.pairing import natural_order
-from hamsym.symbolic.states import state_array, states_array
+from hamsym.symbolic.states import parameter_arrays, state_array, states_array
 from hamsym.symbolic.variables import TIME, assign_variables
 
 __all__ = ["Hamiltonian", "HamiltonianLike"]
@@ -265,64 +265,107 @@ class Hamiltonian:
         """
         return states_array(z0, self.names)
 
-    def state_at_energy(self, energy: float, z0: Mapping[Any, float], t: float = 0.0) -> np.ndarray:
-        """Complete a state to a given energy.
+    def state_at_energy(
+        self,
+        energy: Any,
+        z0: Mapping[Any, Any],
+        t: Any = 0.0,
+        parameters: Mapping[Any, Any] | None = None,
+        *,
+        missing: str = "raise",
+    ) -> np.ndarray:
+        """Complete a state, or each of an array of states, to a given energy.
 
         Parameters
         ----------
-        energy : float
+        energy : float or array
         z0 : mapping
-            All components by name except one. The missing component is set to the smallest
-            number >= 0 for which H has this value.
-        t : float
+            All components by name except one, as numbers or arrays. The missing component is set to
+            the smallest number >= 0 for which H has this energy.
+        t : float or array
             The time, if H depends on it.
+        parameters : mapping of name to number or array, optional
+            Values that replace those of H.
+        missing : {"raise", "nan"}
+            Raise an error if no number gives the energy, or return a state of nan.
 
         Returns
         -------
         numpy.ndarray
-            Shape (dim,).
+            Shape (..., dim), where all arguments are broadcast to (...).
 
         Raises
         ------
         VariableError
-            If not exactly one component is missing, or no number gives this energy.
+            If not exactly one component is missing, no number gives an energy, or the shapes do not
+            broadcast.
         InputError
-            If the energy is not a finite number.
+            If an energy is not a finite number.
 
         Examples
         --------
         >>> H = Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3")
         >>> H.state_at_energy(1 / 6, {"x": 0, "y": -0.15, "p_y": 0}).round(6)
         array([ 0.      , -0.15    ,  0.555503,  0.      ])
+        >>> H.state_at_energy(1 / 8, {"x": 0, "y": [0, 0.9], "p_y": 0}, missing="nan")
+        array([[0. , 0. , 0.5, 0. ],
+               [nan, nan, nan, nan]])
         """
-        from hamsym.numerics.roots import first_zero  # imports scipy.optimize, which is slow
+        from hamsym.numerics.roots import first_zeros  # imports scipy.optimize, which is slow
 
-        self.require_parameters()
-        given = {canonical_name(name_of(name)) for name in z0}
-        missing = [name for name in self.names if canonical_name(name) not in given]
-        if len(missing) != 1:
-            listed = ", ".join(missing) or "none"
+        require(missing in ("raise", "nan"), "missing", missing, '"raise" or "nan"')
+        given = parameter_arrays(parameters, self.parameter_names) if parameters else {}
+        self._require_values([name for name in self.unbound_parameters if name not in given])
+        system = self.compile("numpy")
+        components = {canonical_name(name_of(name)) for name in z0}
+        lacking = [name for name in self.names if canonical_name(name) not in components]
+        if len(lacking) != 1:
+            listed = ", ".join(lacking) or "none"
             raise VariableError(
                 "z0 must lack exactly one component, which the energy determines; missing: "
                 f"{listed}"
             )
-        require_number("energy", energy)
-        state, where = self.state_from({**z0, missing[0]: 0.0}), self.names.index(missing[0])
-        system = self.compile("numpy")
-
-        def excess(value: np.ndarray) -> np.ndarray:
-            states = np.repeat(state[None], len(value), axis=0)
-            states[:, where] = value
-            with np.errstate(all="ignore"):
-                return np.asarray(system.energy(*system.arguments(states, t))) - energy
-
-        found = first_zero(excess)
-        if found is None:
+        energies, times = _finite("energy", energy), _finite("t", t)
+        states, where = self.states_from({**z0, lacking[0]: 0.0}), self.names.index(lacking[0])
+        numbers = (energies, times, *given.values())
+        try:
+            shape = np.broadcast_shapes(states.shape[:-1], *(array.shape for array in numbers))
+        except ValueError:
+            shapes = ", ".join(str(array.shape) for array in (states[..., 0], *numbers))
             raise VariableError(
-                f"no {missing[0]} >= 0 gives the energy {energy:g}; give another energy or start"
-            )
-        state[where] = found
-        return state
+                f"z0, energy, t and parameters have shapes {shapes}, which do not broadcast; give "
+                "arrays of one shape, or numbers"
+            ) from None
+        energies, times, *values = (np.broadcast_to(array, shape).ravel() for array in numbers)
+        found = np.array(np.broadcast_to(states, (*shape, self.dim)).reshape(-1, self.dim))
+        columns: dict[str, Any] = {**self.parameters, **dict(zip(given, values, strict=True))}
+        every = [np.broadcast_to(columns[name], len(found)) for name in self.parameter_names]
+        rows = np.array(every).T if given else None
+
+        def excess(value: np.ndarray, index: np.ndarray) -> np.ndarray:
+            z = np.empty((self.dim, *np.broadcast_shapes(value.shape, index.shape)))
+            z[:] = found.T[:, index]
+            z[where] = value
+            of = system.keywords(None if rows is None else rows[index])
+            with np.errstate(all="ignore"):
+                at = system.arguments(np.moveaxis(z, 0, -1), times[index])
+                return np.asarray(system.energy(*at, **of)) - energies[index]
+
+        found[:, where] = first_zeros(excess, len(found))
+        none = np.isnan(found[:, where])
+        if missing == "raise" and none.any():
+            first = int(np.argmax(none))
+            which = f"the energy {energies[first]:g}; give another energy or start"
+            if shape:
+                index = ", ".join(map(str, np.unravel_index(first, shape)))
+                which = (
+                    f"the energy of {none.sum():,} of {none.size:,} states, the first of them "
+                    f"[{index}] with energy {energies[first]:g}; give other energies or starts, or "
+                    'missing="nan"'
+                )
+            raise VariableError(f"no {lacking[0]} >= 0 gives {which}")
+        found[none] = np.nan
+        return found.reshape(*shape, self.dim)
 
     # -- equations of motion -----------------------------------------------------------------
 
@@ -566,6 +609,19 @@ class Hamiltonian:
 
 #: Type of the argument H of the solvers; see :meth:`Hamiltonian.of`.
 HamiltonianLike: TypeAlias = Hamiltonian | str | sympy.Expr
+
+
+def _finite(name: str, value: Any) -> np.ndarray:
+    """Convert a finite number, or an array of finite numbers, to an array."""
+    if np.ndim(value) == 0:
+        require_number(name, value)
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        array = np.array([])
+    if not (array.size and np.isfinite(array).all()):
+        raise InputError(f"{name} contains a value that is not a finite number; give numbers")
+    return array
 
 
 def _rebuild(

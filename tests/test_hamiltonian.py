@@ -392,6 +392,69 @@ def test_state_at_energy_skips_poles() -> None:
         oscillator.state_at_energy(float("nan"), {"x": 0})
 
 
+def test_states_of_a_grid_have_its_energies() -> None:
+    """Arrays of energies, components, times and parameters against the closed form."""
+    H = Hamiltonian("p**2/(2*m) + k*x**2/2 + x*t", parameters={"m": 2.0, "k": 1.0})
+    energy, x = np.array([[2.0], [3.0]]), np.array([0.0, 0.5, 1.0])
+    k, t = np.array([1.0, 2.0, 3.0]), np.array([[0.5], [1.0]])
+    states = H.state_at_energy(energy, {"x": x}, t, {"k": k})
+    expected = np.sqrt(4.0 * (energy - k * x**2 / 2 - x * t))
+    np.testing.assert_allclose(states[..., 1], expected, rtol=4e-15)
+    np.testing.assert_array_equal(states[..., 0], np.broadcast_to(x, (2, 3)))
+    unbound = Hamiltonian("p**2/2 + lambda*x**2/2")
+    found = unbound.state_at_energy(1.0, {"p": 0}, parameters={"lambda": [2.0, 8.0]})
+    np.testing.assert_allclose(found, [[1.0, 0.0], [0.5, 0.0]], rtol=4e-16)
+
+
+@pytest.mark.parametrize(
+    ("formula", "energy", "free"),
+    [
+        ("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3", 0.1, "p_x"),
+        ("p**2/2 - cos(x)", 0.3, "p"),
+        ("p**2/2 + 1/(x - 1)", 0.5, "x"),
+    ],
+)
+def test_array_of_states_is_loop_of_states(formula: str, energy: float, free: str) -> None:
+    H, generator = Hamiltonian(formula), np.random.default_rng(0)
+    grid = {name: generator.uniform(-1, 1, 30) for name in H.names if name != free}
+    together = H.state_at_energy(energy, grid, missing="nan")
+    for i, state in enumerate(together):
+        one = {name: values[i] for name, values in grid.items()}
+        np.testing.assert_array_equal(state, H.state_at_energy(energy, one, missing="nan"))
+    there = ~np.isnan(together[:, 0])
+    assert there.any()
+    np.testing.assert_allclose(H.compile("numpy").energy(together[there]), energy, rtol=1e-13)
+
+
+def test_unreachable_members_are_counted_or_nan() -> None:
+    H = Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2")
+    start = {"x": 0, "y": [[0.1, 2.0], [0.5, 3.0]], "p_y": 0}
+    with pytest.raises(VariableError, match=re.escape(
+        "no p_x >= 0 gives the energy of 2 of 4 states, the first of them [0, 1] with energy 0.5; "
+    )):  # fmt: skip
+        H.state_at_energy(0.5, start)
+    found = H.state_at_energy(0.5, start, missing="nan")
+    assert np.isnan(found[:, 1]).all()
+    np.testing.assert_array_equal(found[1, 0], H.state_at_energy(0.5, {"x": 0, "y": 0.5, "p_y": 0}))
+    assert np.isnan(H.state_at_energy(-1.0, {"x": 0, "y": 0, "p_y": 0}, missing="nan")).all()
+
+
+@pytest.mark.parametrize(
+    ("energy", "options", "message"),
+    [
+        ([0.1, np.inf], {}, "energy contains a value that is not a finite number"),
+        ([0.1, 0.2, 0.3], {}, r"have shapes \(2,\), \(3,\), \(\), which do not broadcast"),
+        (0.1, {"missing": "none"}, "missing='none' cannot be used"),
+        (0.1, {"parameters": {"q": 1.0}}, "'q' is not a parameter of H; it has none"),
+    ],
+)
+def test_unusable_arrays_of_energies_are_rejected(
+    energy: object, options: dict, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        Hamiltonian("p**2/2 + x**2/2").state_at_energy(energy, {"x": [0.1, 0.2]}, **options)
+
+
 def test_discontinuous_steps_are_rejected() -> None:
     x, p, t = sympy.symbols("x p t", real=True)
     for step in (sympy.Heaviside(x - 1), sympy.DiracDelta(x), sympy.DiracDelta(t)):

@@ -15,13 +15,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq, elementwise
+from scipy.optimize import elementwise
 
-__all__ = ["first_zero", "refine", "sign_changes", "suspects", "zeros"]
+__all__ = ["first_zeros", "refine", "sign_changes", "suspects", "zeros"]
 
 _ASIDE = (
     1e-3  # of an interval: distance from its ends at which the search for a turning point begins
 )
+_BLOCK, _ROWS = 100, 500  # points and functions of one evaluation in a search for first zeros
 _SAME_SIGNS = -1  # status of scipy for a bracket whose ends have one sign
 
 
@@ -150,33 +151,59 @@ def refine(
         return np.where(np.abs(function(found, index)) <= ends.max(axis=0), found, np.nan)
 
 
-def first_zero(function: Callable[[np.ndarray], np.ndarray]) -> float | None:
-    """Find the smallest zero from 0 on of a function of one variable; None without sign change.
+def first_zeros(function: Callable[[np.ndarray, np.ndarray], np.ndarray], count: int) -> np.ndarray:
+    """Find the smallest zero from 0 on of each of several functions of one variable.
 
-    The function is sampled at 0 and at 4,600 points between 1e-300 and 1e300, most of them between
+    Each function is sampled at 0 and at 4,600 points between 1e-300 and 1e300, most of them between
     1e-9 and 1e9. Intervals where it is not finite are skipped, and so are sign changes at poles.
 
     Parameters
     ----------
     function : callable
-        Vectorised, shape (n,) -> (n,).
+        (x, index) -> values of the functions of these indices, for arrays that broadcast.
+    count : int
+        Number of functions.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (count,); NaN for a function without a sign change.
 
     Examples
     --------
-    >>> first_zero(lambda x: x / 4 - 3)
-    12.0
+    >>> first_zeros(lambda x, index: x / 4 - np.array([3.0, -1.0])[index], 2)
+    array([12., nan])
     """
     scales = (1e-300, 1e-9, 300), (1e-9, 1e9, 4_001), (1e9, 1e300, 300)
-    ranges = [np.geomspace(low, high, count) for low, high, count in scales]
+    ranges = [np.geomspace(low, high, points) for low, high, points in scales]
     scan = np.concatenate(([0.0], ranges[0], ranges[1][1:], ranges[2][1:]))
-    values = function(scan)
-    values[~np.isfinite(values)] = np.nan
-    sign = np.sign(values)
-    for k in np.flatnonzero(sign[:-1] * sign[1:] <= 0):  # False for NaN
-        low, high = scan[k], scan[k + 1]
-        if values[k] != 0:
-            low = brentq(lambda value: function(np.array([value]))[0], low, high, xtol=1e-300)
-        # At a pole the sign changes too, but the values grow.
-        if abs(function(np.array([low]))[0]) <= max(abs(values[k]), abs(values[k + 1])):
-            return float(low)
-    return None
+    found = np.full(count, np.nan)
+    for first in range(0, len(scan) - 1, _BLOCK):
+        points = scan[first : first + _BLOCK + 1]
+        left = np.flatnonzero(np.isnan(found))
+        if not len(left):
+            break
+        for index in np.split(left, range(_ROWS, len(left), _ROWS)):
+            found[index] = _first_in_block(function, points, index)
+    return found
+
+
+def _first_in_block(
+    function: Callable[[np.ndarray, np.ndarray], np.ndarray], points: np.ndarray, index: np.ndarray
+) -> np.ndarray:
+    """Find the first zero of each function between these points; NaN where there is none."""
+    found = np.full(len(index), np.nan)
+    values = function(points, index[:, None])
+    sign = np.sign(np.where(np.isfinite(values), values, np.nan))
+    changes = sign[:, :-1] * sign[:, 1:] <= 0  # False for NaN
+    while (rows := np.flatnonzero(changes.any(axis=1))).size:
+        at, of = np.argmax(changes[rows], axis=1), index[rows]
+
+        def at_interval(x: np.ndarray, k: np.ndarray, of: np.ndarray = of) -> np.ndarray:
+            return function(x, of[k])
+
+        between = refine(at_interval, points[at], points[at + 1])
+        found[rows] = np.where(sign[rows, at] == 0, points[at], between)
+        changes[rows, at] = False  # a pole, if it is not found
+        changes[rows[np.isfinite(found[rows])]] = False
+    return found

@@ -1,4 +1,4 @@
-"""Conversion of states from sequences and mappings to arrays."""
+"""Conversion of states and parameter values from sequences and mappings to arrays."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.errors import VariableError
+from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name
 from hamsym.symbolic.checks import name_of
 
-__all__ = ["state_array", "states_array"]
+__all__ = ["parameter_arrays", "state_array", "states_array"]
 
 
 def state_array(
@@ -77,3 +77,37 @@ def _in_order(z0: Mapping[Any, Any], names: Sequence[str]) -> list[np.ndarray]:
     if missing:
         raise VariableError(f"'{missing[0]}' is missing in z0; give all of {_order(names)}")
     return [np.array(given[key], dtype=float) for key in wanted]
+
+
+def parameter_arrays(parameters: Mapping[Any, Any], names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Convert values of parameters, numbers or arrays, to finite arrays by name.
+
+    Raises
+    ------
+    InputError
+        If the argument is not a mapping.
+    ParameterError
+        If a name is not among ``names``, or a value is empty or not finite.
+    """
+    if not isinstance(parameters, Mapping):
+        raise InputError(
+            f'parameters={parameters!r} is not a mapping; give for example {{"k": [1.0, 2.0]}}'
+        )
+    known = {canonical_name(name): name for name in names}
+    found = {}
+    for key, value in parameters.items():
+        name = known.get(canonical_name(name_of(key)))
+        if name is None:
+            listed = ", ".join(names) or "none"
+            raise ParameterError(f"'{name_of(key)}' is not a parameter of H; it has {listed}")
+        try:
+            values = np.array(value, dtype=float)
+        except (TypeError, ValueError, OverflowError, RuntimeError):
+            values = np.array(np.nan)
+        if not (values.size and np.isfinite(values).all()):
+            raise ParameterError(
+                f"the values of parameter '{name}' are not finite numbers; give a number or an "
+                "array of finite numbers"
+            )
+        found[name] = values
+    return found
