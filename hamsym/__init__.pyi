@@ -4,6 +4,7 @@ from .archive import save as save
 from .codegen.system import System as System
 from .dynamics.lyapunov import LyapunovExponents as LyapunovExponents
 from .dynamics.lyapunov import lyapunov as lyapunov
+from .dynamics.lyapunov_map import LyapunovMap as LyapunovMap
 from .dynamics.monodromy import monodromy as monodromy
 from .dynamics.sections import Section as Section
 from .dynamics.sections import section as section

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hamsym.dynamics.lyapunov import LyapunovExponents
+from hamsym.dynamics.lyapunov_map import LyapunovMap
 from hamsym.dynamics.sections import Section
 from hamsym.errors import InputError
 from hamsym.integrators.integrate import Trajectory
@@ -29,7 +30,7 @@ def plot(result: Any, *args: Any, **options: Any) -> Figure:
 
     Parameters
     ----------
-    result : Solution, Trajectory, Section, Comparison or LyapunovExponents
+    result : Solution, Trajectory, Section, Comparison, LyapunovExponents or LyapunovMap
     *args, **options
         As in the method ``plot`` of the result.
 
@@ -168,6 +169,58 @@ def _plot_lyapunov(found: LyapunovExponents) -> Figure:
     axis.legend(fontsize=9)
     axis.grid(alpha=0.25)
     return figure
+
+
+@plot.register
+def _plot_lyapunov_map(found: LyapunovMap) -> Figure:
+    """Draw the largest exponents of a plane of starts as colours, or of a row as points.
+
+    An axis is the component or parameter that varies along it alone, or the number of the start.
+    Starts without an exponent are grey.
+    """
+    if not 1 <= found.maximal.ndim <= 2:
+        raise InputError(
+            f"exponents of shape {found.maximal.shape} are neither a row nor a plane; draw "
+            "found.maximal yourself"
+        )
+    columns = dict(zip(found.names, np.moveaxis(found.z0, -1, 0), strict=True)) | found.parameters
+    figure = Figure(figsize=(7, 5.5), layout="constrained")
+    axis = figure.subplots()
+    label = f"largest exponent, t = {found.span[1]:.6g}"
+    if found.maximal.ndim == 1:
+        x_name, x = _grid_line(columns, 0, found.maximal.shape)
+        axis.plot(x, found.maximal, ".", color=_color(0), markersize=3)
+        axis.set(title=found.title, xlabel=x_name, ylabel=label)
+        axis.grid(alpha=0.25)
+        return figure
+    y_name, y = _grid_line(columns, 0, found.maximal.shape)
+    x_name, x = _grid_line(columns, 1, found.maximal.shape)
+    image = axis.pcolormesh(x, y, found.maximal, shading="nearest", rasterized=True)
+    axis.set(title=found.title, xlabel=x_name, ylabel=y_name, facecolor="0.85")
+    figure.colorbar(image, label=label)
+    return figure
+
+
+def _grid_line(
+    columns: dict[str, np.ndarray], along: int, shape: tuple[int, ...]
+) -> tuple[str, np.ndarray]:
+    """Return the name and values of the column that varies along one axis of a grid alone.
+
+    Values of starts that are nan are interpolated from their neighbours.
+    """
+    number = np.arange(shape[along])
+    for name, values in columns.items():
+        rows = np.moveaxis(values, along, 0).reshape(len(number), -1)
+        there = np.isfinite(rows).any(axis=1)
+        if there.sum() < 2:
+            continue
+        low, high = np.nanmin(rows[there], axis=1), np.nanmax(rows[there], axis=1)
+        if np.all(low == high) and np.all(np.diff(low) > 0):
+            line = np.interp(number, number[there], low)
+            slope = (low[-1] - low[0]) / (number[there][-1] - number[there][0])
+            before, after = np.minimum(number - number[there][0], 0), number - number[there][-1]
+            return name, line + slope * (before + np.maximum(after, 0))
+    return "number", number
 
 
 @plot.register

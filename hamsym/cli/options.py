@@ -152,12 +152,14 @@ def output_options(table_help: str) -> Callable[[Command], Command]:
         def wrapped(*arguments: Any, output: str | None, figure: str | None, **options: Any) -> int:
             check_table(output)
             check_figure(figure)
+            import numpy as np
+
             result, columns, arrays = command(*arguments, **options)
             if output is not None:
                 write_table(output, columns, arrays)
             if figure is not None:
                 save_figure(result.plot(), figure)
-            return 0 if result.success else 1
+            return 0 if np.all(result.success) else 1
 
         return wrapped
 

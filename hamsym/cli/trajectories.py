@@ -22,6 +22,7 @@ from hamsym.cli.texts import listed
 if TYPE_CHECKING:
     import numpy as np
 
+    from hamsym.dynamics.lyapunov import LyapunovExponents
     from hamsym.hamiltonian import Hamiltonian
 
 __all__ = ["compare", "integrate", "lyapunov", "section", "solve"]
@@ -156,19 +157,40 @@ _METHODS = "hamsym integrate --list shows the methods."
 
 @click.command(epilog=_METHODS)
 @hamiltonian_options
-@span_options
+@starts_options
 @integrator_options
 @click.option("--count", default=1, show_default=True, help="Number of exponents.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the tangent vectors.")
-@output_options("History as .csv or .npz.")
+@output_options("History, or exponents of several starts, as .csv or .npz.")
 def lyapunov(H: Hamiltonian, z0: Any, span: tuple[float, float], **options: Any) -> Output:
-    """Compute finite-time Lyapunov exponents and judge whether the trajectory is chaotic."""
-    import numpy as np
+    """Compute finite-time Lyapunov exponents and judge whether the trajectory is chaotic.
 
+    Of several starts, the exponents at the end are computed.
+    """
+    from hamsym.dynamics.lyapunov import LyapunovExponents
     from hamsym.dynamics.lyapunov import lyapunov as run
 
     found = run(H, z0, span, **options)
     echo_wrapped("", found.statement)
+    if isinstance(found, LyapunovExponents):
+        return _history(H, found)
+    names = [f"exponent {k + 1}" for k in range(found.exponents.shape[1])]
+    click.echo("\n" + "".join(f"{name:>14}" for name in ("trajectory", *names[:4])))
+    for number, (values, problem) in enumerate(zip(found.exponents, found.message, strict=True)):
+        row = "".join(f"{value:>14.4e}" for value in values[:4])
+        click.echo(f"{number:>14}{row}")
+        if not found.success[number]:
+            echo_wrapped(" " * 14, problem)
+    click.echo(f"{found.method}: {found.steps.max():,} steps or fewer, {found.seconds:.2g} s")
+    columns = [*zip(H.names, found.z0.T, strict=True), *zip(names, found.exponents.T, strict=True)]
+    arrays = {"z0": found.z0, "exponents": found.exponents, "success": found.success}
+    return found, columns, arrays
+
+
+def _history(H: Hamiltonian, found: LyapunovExponents) -> Output:
+    """Print the exponents of one trajectory over time."""
+    import numpy as np
+
     names = [f"exponent {k + 1}" for k in range(found.exponents.shape[1])]
     if len(names) > 1:
         click.echo("at the end: " + ", ".join(f"{value:.4g}" for value in found.exponents[-1]))

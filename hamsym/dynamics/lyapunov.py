@@ -20,7 +20,18 @@ import numpy as np
 
 import hamsym
 from hamsym.dynamics.blocks import advance_in_blocks
+from hamsym.dynamics.growth import (
+    APART,
+    PARALLEL,
+    STEPS_PER_RADIAN,
+    UNRESOLVED,
+    first_vectors,
+    growth_limit,
+    orthonormal,
+)
+from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
+from hamsym.ensemble import ensemble_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
@@ -34,12 +45,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LyapunovExponents", "lyapunov"]
 
-_STEPS_PER_RADIAN = 5  # of the fastest linear motion at the start
-# Largest number of e-folds of the fastest linear motion between two renormalisations: float64
-# overflows at 700, and several vectors become parallel to round-off before.
-_GROWTH_OF_ONE, _GROWTH_OF_SEVERAL = 200.0, 5.0
 _KEPT = 2_000  # points of the history
-_PARALLEL = 30.0  # e-folds by which one vector may outgrow another until both are parallel
 _PILOT_STEPS, _PILOTS = 1_000, 8
 
 
@@ -145,9 +151,10 @@ def lyapunov(
     dt: float | None = None,
     count: int = 1,
     seed: int = 0,
+    parameters: Mapping[Any, Any] | None = None,
     progress: bool | None = None,
-) -> LyapunovExponents:
-    """Compute the largest Lyapunov exponents and their convergence over time.
+) -> LyapunovExponents | LyapunovMap:
+    """Compute the largest Lyapunov exponents, of one trajectory with their convergence over time.
 
     Tangent vectors are moved by the derivative of the steps and made orthonormal at intervals
     (Benettin, Galgani, Giorgilli & Strelcyn 1980; Shimada & Nagashima 1979).
@@ -155,7 +162,9 @@ def lyapunov(
     Parameters
     ----------
     H : Hamiltonian, str or sympy.Expr
-    z0 : sequence or mapping
+    z0 : sequence, mapping or array
+        A start, or an array of starts of shape (..., dim) or a mapping to arrays, as from
+        ``H.state_at_energy``; a start of nan is a member that fails.
     span : (float, float)
     method : str, optional
         A fixed-step method, not ``tao2`` or ``tao4``; by default ``blanes_moan6`` for a separable
@@ -164,19 +173,23 @@ def lyapunov(
         Number of steps.
     dt : float, optional
         Largest step, in place of ``steps``. By default a fifth of a radian of the fastest linear
-        motion at the beginning of the trajectory.
+        motion at the beginning of the trajectory. For many starts it is chosen for each from
+        classes of powers of two, and made shorter where the motion turns out to need it.
     count : int
         Number of exponents, up to dim.
     seed : int
         Seed of the first tangent vectors.
+    parameters : mapping of name to number or array, optional
+        Values that replace those of H, broadcast with the starts.
     progress : bool, optional
         Show progress; by default on a terminal, after a second.
 
     Returns
     -------
-    LyapunovExponents
-        With an interpretation as ``statement``. After a failure or Ctrl-C, the part before it,
-        with ``success=False``.
+    LyapunovExponents or LyapunovMap
+        For one start, with an interpretation as ``statement``. After a failure or Ctrl-C, the part
+        before it, with ``success=False``. For arrays, the exponents of each member at the end,
+        computed on all cores, with nan and ``success`` False for those that fail.
 
     Raises
     ------
@@ -188,26 +201,33 @@ def lyapunov(
     >>> H = Hamiltonian("p**2/2 - x**2/2")  # its exponents are 1 and -1
     >>> lyapunov(H, [1e-9, 0.0], (0, 20), count=2).exponents[-1].round(1)
     array([ 1., -1.])
+    >>> lyapunov(H, [[1e-9, 0.0], [np.nan, 0.0]], (0, 100)).exponents.round(1)
+    array([[ 1.],
+           [nan]])
     """
-    H = Hamiltonian.of(H)
+    members = ensemble_of(H, z0, parameters, finite=False)
+    H = members.H
     span = checked_span(span)
-    state = H.state_from(z0)
     method = usual_method(H) if method is None else method
     require_whole("count", count, 1, H.dim)
     require_whole("seed", seed, 0)
     reject_doubled(H, method)  # before the pilot runs, which compile
+    if members.shape:
+        given = steps is not None or dt is not None
+        number = checked_steps(span[1] - span[0], steps, dt) if given else None
+        return lyapunov_map(members, span, method, number, count, seed, progress)
+    state = H.state_from(members.states[0])
     rate = _fastest_rate(H, method, state, span)
     chosen = steps is None and dt is None
     if chosen:
         whole = abs(span[1] - span[0])
-        dt = min(whole, 1 / (_STEPS_PER_RADIAN * rate) if rate > 0 else whole / 20_000)
+        dt = min(whole, 1 / (STEPS_PER_RADIAN * rate) if rate > 0 else whole / 20_000)
     steps = checked_steps(span[1] - span[0], steps, dt)
     size = (span[1] - span[0]) / steps
     began = time.perf_counter()
-    vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(H.dim, count)))[0]
+    vectors = first_vectors(H.dim, count, seed)
     stepper = tangent_stepper(H, method, state, span[0], size, vectors)
-    growth_limit = _GROWTH_OF_ONE if count == 1 else _GROWTH_OF_SEVERAL
-    block = min(steps // _KEPT, int(growth_limit / max(rate * abs(size), 1e-3)))
+    block = min(steps // _KEPT, int(growth_limit(count) / max(rate * abs(size), 1e-3)))
     run = _Benettin(stepper, state, span[0], size, steps, max(1, block))
     if advance_in_blocks(steps, run.block, progress, run.advance):
         run.problem = "interrupted"
@@ -223,7 +243,7 @@ def lyapunov(
         problem = f"H changed by {energy_error:.1e}, {share:.0%} of its scale: take a smaller dt"
     if not problem and chosen:
         fastest = fastest_rate(H, states, np.append(span[0], times))
-        if not fastest <= 3 * max(rate, 1 / abs(size)):
+        if not fastest <= UNRESOLVED * max(rate, 1 / abs(size)):
             problem = f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
     return LyapunovExponents(
         t=times,
@@ -262,12 +282,9 @@ class _Benettin:
         if not np.isfinite(state).all():
             self.problem = "the states overflowed, or a step could not be solved"
             return False
-        self._stepper.tangents[0], grown = _orthonormal(self._stepper.tangents[0])
-        if not np.isfinite(grown).all() or np.ptp(grown) > _PARALLEL:
-            self.problem = (
-                f"tangent vectors grew apart by more than exp({_PARALLEL:g}) between "
-                "renormalisations; reduce dt"
-            )
+        self._stepper.tangents[0], grown = orthonormal(self._stepper.tangents[0])
+        if not np.isfinite(grown).all() or np.ptp(grown) > PARALLEL:
+            self.problem = APART
             return False
         self._growth = self._growth + grown
         if done == self._steps or done // self.block in self._rows:
@@ -277,13 +294,6 @@ class _Benettin:
             # long time.
             self.history.append(np.sort(self._growth)[::-1] / abs(self._size * done))
         return True
-
-
-def _orthonormal(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return orthonormal vectors of the same flags, and the logarithm of the growth of each."""
-    q, r = np.linalg.qr(vectors)
-    diagonal = np.diag(r)
-    return q * np.sign(diagonal), np.log(np.abs(diagonal))
 
 
 def _fastest_rate(
@@ -299,7 +309,7 @@ def _fastest_rate(
     if not math.isfinite(rate):
         raise InputError("the Hessian of H is not finite at z0; choose another initial state")
     whole = abs(end - start)
-    length = whole / 1_000 if rate == 0 else min(whole, _PILOT_STEPS / (_STEPS_PER_RADIAN * rate))
+    length = whole / 1_000 if rate == 0 else min(whole, _PILOT_STEPS / (STEPS_PER_RADIAN * rate))
     for _ in range(_PILOTS):
         size = math.copysign(length / _PILOT_STEPS, end - start)
         stepper = fixed_step(H, method, state[None], np.array([start]), np.array([size]))
@@ -311,5 +321,5 @@ def _fastest_rate(
         if not rate * 1.5 < found < math.inf:
             return rate if math.isinf(found) else max(rate, found)
         rate = found
-        length = min(length, _PILOT_STEPS / (_STEPS_PER_RADIAN * rate))
+        length = min(length, _PILOT_STEPS / (STEPS_PER_RADIAN * rate))
     return rate

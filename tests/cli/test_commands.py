@@ -250,6 +250,25 @@ def test_lyapunov_prints_its_statement(capsys: Captured, tmp_path: Path) -> None
     assert figure.read_bytes()[1:4] == b"PNG"
 
 
+def test_lyapunov_of_several_starts(capsys: Captured, tmp_path: Path) -> None:
+    path, figure = tmp_path / "exponents.csv", tmp_path / "exponents.png"
+    arguments = [HENON_HEILES, "--z0", "0.3,-0.3,0.3,0.15", "--z0", "x=0,y=0.1,p_x=0.4,p_y=0"]
+    arguments += ["--t-end", "100", "--count", "2", "-o", str(path), "--plot", str(figure)]
+    status, out, _ = run(capsys, "lyapunov", *arguments)
+    assert status == 0
+    assert out.startswith("2 of 2 trajectories reached t = 100; their largest exponents run")
+    lines = out.splitlines()
+    assert max(map(len, lines[:-2])) <= 80
+    assert "    trajectory    exponent 1    exponent 2" in lines
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    assert path.read_text().splitlines()[0] == "x,y,p_x,p_y,exponent 1,exponent 2"
+    np.testing.assert_allclose(table[:, 0], [0.3, 0.0])
+    assert figure.read_bytes()[1:4] == b"PNG"
+    status, out, _ = run(capsys, "lyapunov", *arguments[:3], "--z0", "0,9,0,1", "--t-end", "50")
+    assert status == 1
+    assert "the states overflowed" in " ".join(out.split())
+
+
 def test_section_of_an_ensemble(capsys: Captured, tmp_path: Path) -> None:
     path, figure = tmp_path / "section.npz", tmp_path / "section.png"
     arguments = [HENON_HEILES, "--z0", "x=0,y=-0.15,p_y=0", "--z0", "x=0,y=0.1,p_y=0"]

@@ -1,0 +1,122 @@
+"""Growth of tangent vectors that are made orthonormal at intervals.
+
+Input:  tangent vectors after a number of steps, of one or of many trajectories.
+Output: orthonormal vectors of the same flags, and the logarithms of their growth; the rates that
+        limit the steps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hamsym.codegen.system import System
+from hamsym.numerics.symplectic import generators
+
+__all__ = [
+    "APART",
+    "PARALLEL",
+    "STEPS_PER_RADIAN",
+    "UNRESOLVED",
+    "fastest_rates",
+    "first_vectors",
+    "growth_limit",
+    "orthonormal",
+]
+
+#: Default steps in a radian of the fastest linear motion.
+STEPS_PER_RADIAN = 5
+#: Times the rate for which the steps were chosen at which they no longer resolve the motion.
+UNRESOLVED = 3.0
+#: E-folds by which one vector may outgrow another until both are parallel.
+PARALLEL = 30.0
+#: Outcome where they did.
+APART = (
+    f"tangent vectors grew apart by more than exp({PARALLEL:g}) between renormalisations; reduce dt"
+)
+
+# Largest number of e-folds of the fastest linear motion between two renormalisations: float64
+# overflows at 700, and several vectors become parallel to round-off before.
+_GROWTH_OF_ONE, _GROWTH_OF_SEVERAL = 200.0, 5.0
+
+
+def growth_limit(count: int) -> float:
+    """Return how many e-folds may pass between renormalisations of this number of vectors."""
+    return _GROWTH_OF_ONE if count == 1 else _GROWTH_OF_SEVERAL
+
+
+def first_vectors(dim: int, count: int, seed: int) -> np.ndarray:
+    """Return random orthonormal vectors, shape (dim, count)."""
+    return np.linalg.qr(np.random.default_rng(seed).normal(size=(dim, count)))[0]
+
+
+def orthonormal(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return orthonormal vectors of the same flags, and the logarithm of the growth of each.
+
+    Parameters
+    ----------
+    vectors : numpy.ndarray
+        Shape (..., dim, count).
+
+    Examples
+    --------
+    >>> q, growth = orthonormal(np.array([[2.0, 2.0], [0.0, 3.0]]))
+    >>> q + 0.0, np.exp(growth).round(9)
+    (array([[1., 0.],
+           [0., 1.]]), array([2., 3.]))
+    """
+    if vectors.shape[-1] == 1:
+        length = np.linalg.norm(vectors, axis=-2, keepdims=True)
+        return vectors / length, np.log(length[..., 0, :])
+    q, r = np.linalg.qr(vectors)
+    diagonal = np.diagonal(r, axis1=-2, axis2=-1)
+    return q * np.sign(diagonal)[..., None, :], np.log(np.abs(diagonal))
+
+
+def fastest_rates(
+    system: System,
+    states: np.ndarray,
+    times: np.ndarray | float,
+    parameters: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the fastest rate of the linear motion along each of several trajectories.
+
+    The rate is the eighth root of a norm of the eighth power of J Hess, which is at least its
+    spectral radius, exceeds it by little, and takes a tenth of the time of its eigenvalues.
+
+    Parameters
+    ----------
+    system : System
+        With numpy.
+    states : numpy.ndarray
+        Shape (n, k, dim); those that are not finite are ignored.
+    times : numpy.ndarray or float
+        Shape (k,).
+    parameters : numpy.ndarray, optional
+        As for :class:`hamsym.integrators.energy_drift.EnergyDrift`.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (n,), per unit of time; infinite where the Hessian is not finite.
+
+    Examples
+    --------
+    >>> from hamsym import Hamiltonian
+    >>> system = Hamiltonian("p**2/2 + 9*x**2/2").compile("numpy")
+    >>> fastest_rates(system, np.zeros((1, 1, 2)), 0.0).round(9)
+    array([3.])
+    """
+    values = system.keywords(None if parameters is None else parameters[:, None])
+    with np.errstate(all="ignore"):
+        powers = generators(np.asarray(system.hessian(*system.arguments(states, times), **values)))
+        logarithm = np.zeros(powers.shape[:-2])
+        for _ in range(3):
+            size = np.abs(powers).max(axis=(-2, -1))
+            size = np.where(size == 0, 1.0, size)
+            logarithm = 2 * (logarithm + np.log(size))
+            powers = powers / size[..., None, None]
+            powers = powers @ powers
+        norm = np.abs(powers).sum(axis=-1).max(axis=-1)
+        rates = np.exp((logarithm + np.log(norm)) / 8)
+    there = np.isfinite(states).all(axis=-1)
+    return np.where(there, np.where(np.isfinite(rates), rates, np.inf), 0.0).max(axis=-1)

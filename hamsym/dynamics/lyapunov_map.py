@@ -1,0 +1,373 @@
+"""Lyapunov exponents of many trajectories at once.
+
+Input:  an ensemble of initial states and parameter values, a time span.
+Output: the finite-time exponents of each member, without their history.
+
+Members are divided by the fastest rate of their linear motion into classes of powers of two, and
+each class has its own step, so that a member's result does not depend on the others. A class is
+stepped in chunks that bound the memory and that occupy all cores. A member whose steps turn out to
+be too long is computed again with shorter ones.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import hamsym
+from hamsym.dynamics.growth import (
+    APART,
+    PARALLEL,
+    STEPS_PER_RADIAN,
+    UNRESOLVED,
+    fastest_rates,
+    first_vectors,
+    growth_limit,
+    orthonormal,
+)
+from hamsym.ensemble import Ensemble
+from hamsym.integrators.energy_drift import COARSE, EnergyDrift
+from hamsym.integrators.integrate import fixed_step
+from hamsym.problem import MAX_STEPS
+from hamsym.support.cores import available_cores
+from hamsym.support.progress import stepping_progress
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["LyapunovMap", "lyapunov_map"]
+
+_BLOCKS = 200  # fewest renormalisations, after which the energy is checked as well
+_FEWEST_STEPS = 1_000
+_LONGEST_BLOCK = 10_000  # steps
+_HELD = 1_000_000  # numbers of the paths of a chunk
+_SAMPLED = 50  # states of a path at which the rate is measured
+_RESOLVED = 1.5  # times its first rate that a member's motion may reach
+_FASTER = 8.0  # times by which steps become shorter in one repetition
+_REPETITIONS = 3
+_TESTED_SHARE = 0.9  # tested part of a trajectory that ends early; no step resolves the rest
+
+
+@dataclass(frozen=True)
+class LyapunovMap:
+    """Finite-time Lyapunov exponents of many trajectories; ``...`` is the shape of the starts.
+
+    There is no history: the memory is that of the results.
+
+    Attributes
+    ----------
+    exponents : numpy.ndarray
+        Logarithm of the growth up to the end, divided by the time, the largest first, shape
+        (..., count); nan where ``success`` is False.
+    success : numpy.ndarray
+        Whether the trajectory reached the end and kept H as for
+        :class:`hamsym.LyapunovExponents`, shape (...).
+    message : numpy.ndarray
+        Outcome of each member, shape (...), of str.
+    z0 : numpy.ndarray
+        Starts, shape (..., dim).
+    parameters : dict of str to numpy.ndarray
+        Values of the parameters that were given, shape (...).
+    names : tuple of str
+        Components of z0.
+    span : (float, float)
+    energy_error : numpy.ndarray
+        Largest change of H at 200 times or more, shape (...); nan if H depends on time.
+    steps : numpy.ndarray
+        Number of steps of each member, shape (...); 0 where none was taken.
+    method : str
+    seconds : float
+    interrupted : bool
+        Whether Ctrl-C ended the run; members that were not finished are nan.
+    """
+
+    exponents: np.ndarray = field(repr=False)
+    success: np.ndarray = field(repr=False)
+    message: np.ndarray = field(repr=False)
+    z0: np.ndarray = field(repr=False)
+    parameters: dict[str, np.ndarray] = field(repr=False)
+    names: tuple[str, ...]
+    span: tuple[float, float]
+    energy_error: np.ndarray = field(repr=False)
+    steps: np.ndarray = field(repr=False)
+    method: str
+    seconds: float
+    interrupted: bool = False
+    title: str = field(repr=False, default="")
+
+    @property
+    def maximal(self) -> np.ndarray:
+        """The largest exponent of each member, per unit of time, shape (...)."""
+        return self.exponents[..., 0]
+
+    @property
+    def statement(self) -> str:
+        """Number of members that succeeded, the range of their exponents, the first failure."""
+        given = np.isfinite(self.z0).all(axis=-1)
+        text = (
+            f"{self.success.sum():,} of {given.sum():,} trajectories reached t = {self.span[1]:.6g}"
+        )
+        if not given.all():
+            text += f" (starts of nan: {(~given).sum():,})"
+        if self.success.any():
+            values = self.maximal[self.success]
+            text += (
+                f"; their largest exponents run from {values.min():.3g} to {values.max():.3g}, "
+                f"with median {np.median(values):.3g}"
+            )
+        failed = given & ~self.success
+        if failed.any():
+            first = np.unravel_index(int(np.argmax(failed)), failed.shape)
+            index = ", ".join(map(str, first))
+            text += f"; the first that failed is [{index}]: {self.message[first]}"
+        return text + "."
+
+    def plot(self) -> Figure:
+        """Draw the largest exponent over a plane of starts, or along a row of them."""
+        return hamsym.plot(self)
+
+
+def lyapunov_map(
+    members: Ensemble,
+    span: tuple[float, float],
+    method: str,
+    steps: int | None,
+    count: int,
+    seed: int,
+    progress: bool | None,
+) -> LyapunovMap:
+    """Compute the exponents of each member; see :func:`hamsym.lyapunov`.
+
+    Parameters
+    ----------
+    steps : int, optional
+        Number of steps of every member; by default it is chosen for each.
+    """
+    began = time.perf_counter()
+    run = _Run(members, span, method, steps, count, seed)
+    interrupted = False
+    for _ in range(1 + _REPETITIONS):
+        interrupted = interrupted or run.repeat(progress)
+    shape, names = members.shape, members.H.parameter_names
+    success = np.array([not problem for problem in run.problems])
+    messages = np.array(run.problems, dtype=object)
+    messages[success] = [
+        f"{method}: {steps:,} steps to t = {span[1]:.6g}" for steps in run.steps[success]
+    ]
+    return LyapunovMap(
+        exponents=np.where(success[:, None], run.exponents, np.nan).reshape(*shape, count),
+        success=success.reshape(shape),
+        message=messages.reshape(shape),
+        z0=members.states.reshape(*shape, members.H.dim),
+        parameters={
+            name: members.parameters[:, names.index(name)].reshape(shape) for name in members.varied
+        },
+        names=members.H.names,
+        span=span,
+        energy_error=run.energy_error.reshape(shape),
+        steps=run.steps.reshape(shape),
+        method=method,
+        seconds=time.perf_counter() - began,
+        interrupted=interrupted,
+        title=members.H.formula,
+    )
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """Results of a chunk, in the order of its members.
+
+    ``rates`` are the rates for which a member's steps are too long, nan if they are not.
+    """
+
+    exponents: np.ndarray
+    energy_error: np.ndarray
+    problems: list[str]
+    rates: np.ndarray
+
+
+class _Run:
+    """Results of all members so far."""
+
+    def __init__(
+        self,
+        members: Ensemble,
+        span: tuple[float, float],
+        method: str,
+        steps: int | None,
+        count: int,
+        seed: int,
+    ) -> None:
+        self._members, self._span, self._method, self._steps = members, span, method, steps
+        self._length = abs(span[1] - span[0])
+        self._limit = growth_limit(count)
+        self._vectors = first_vectors(members.H.dim, count, seed)
+        self._stop = threading.Event()
+        size = len(members)
+        self.exponents = np.full((size, count), np.nan)
+        self.energy_error = np.full(size, np.nan)
+        self.steps = np.zeros(size, dtype=np.int64)
+        self.problems = ["interrupted"] * size
+        there = np.isfinite(members.states).all(axis=1)
+        #: Fastest rate for which the steps of the next run are chosen; nan if there is none.
+        self._rates = np.full(size, np.nan)
+        if there.any():
+            index = np.flatnonzero(there)
+            rates = self._class(self._fastest(index, members.states[there][:, None], span[0]))
+            self._rates[index] = np.where(np.isfinite(rates), rates, np.nan)
+        for i in np.flatnonzero(np.isnan(self._rates)):
+            self.problems[i] = (
+                "the Hessian of H is not finite at the start" if there[i] else "the start is nan"
+            )
+
+    def repeat(self, progress: bool | None) -> bool:
+        """Run the members that need it; return whether Ctrl-C interrupted."""
+        chunks = list(self._chunks())
+        self._rates[:] = np.nan
+        interrupted, cores = False, available_cores()
+        work = sum(len(index) * steps for index, _, steps, _ in chunks)
+        with stepping_progress(work, progress) as report, ThreadPoolExecutor(cores) as pool:
+            futures = [pool.submit(self._advance, *chunk, report) for chunk in chunks]
+            try:
+                for (index, _, steps, _), future in zip(chunks, futures, strict=True):
+                    self._store(index, steps, future.result())
+            except KeyboardInterrupt:
+                interrupted = True
+                self._stop.set()
+                pool.shutdown(cancel_futures=True)
+        return interrupted
+
+    def _store(self, index: np.ndarray, steps: int, found: _Outcome) -> None:
+        self.exponents[index] = found.exponents
+        self.energy_error[index] = found.energy_error
+        self.steps[index] = steps
+        self._rates[index] = found.rates
+        for i, problem in zip(index, found.problems, strict=True):
+            self.problems[i] = problem
+
+    def _chunks(self) -> Iterator[tuple[np.ndarray, float, int, int]]:
+        """Yield indices of members with one rate, the rate, and numbers of steps and blocks."""
+        for rate in np.unique(self._rates[np.isfinite(self._rates)]).tolist():
+            index = np.flatnonzero(self._rates == rate)
+            wanted = STEPS_PER_RADIAN * rate * self._length
+            if self._steps is None and not wanted <= MAX_STEPS:
+                for i in index:
+                    self.problems[i] = f"the motion has rates up to {rate:.2g}: give steps or dt"
+                continue
+            steps = math.ceil(wanted) if self._steps is None else self._steps
+            grown = min(rate * self._length / self._limit, steps)
+            blocks = min(steps, max(_BLOCKS, math.ceil(grown), steps // _LONGEST_BLOCK))
+            held = max(1, _HELD // (blocks * self._members.H.dim))
+            parts = max(-(-len(index) // held), min(available_cores(), len(index)))
+            for part in np.array_split(index, parts):
+                yield part, rate, steps, blocks
+
+    def _advance(
+        self,
+        index: np.ndarray,
+        rate: float,
+        steps: int,
+        blocks: int,
+        report: Callable[[int], None],
+    ) -> _Outcome:
+        """Step a chunk through the span."""
+        (start, end), states = self._span, self._members.states[index]
+        size, count = (end - start) / steps, len(index)
+        stepper = fixed_step(
+            self._members.H,
+            self._method,
+            states,
+            np.full(count, start),
+            np.full(count, size),
+            tangents=np.tile(self._vectors, (count, 1, 1)),
+            parameters=self._members.parameters[index],
+        )
+        edges = np.linspace(0, steps, blocks + 1).astype(np.int64)
+        path = np.full((count, blocks + 1, states.shape[1]), np.nan)
+        path[:, 0] = states
+        growth, apart = np.zeros((count, self._vectors.shape[1])), np.zeros(count, dtype=bool)
+        there = np.ones(count, dtype=bool)
+        for block, taken in enumerate(np.diff(edges).tolist(), 1):
+            if self._stop.is_set():
+                raise KeyboardInterrupt
+            path[:, block] = stepper.step(taken)
+            with np.errstate(all="ignore"):  # of members that have escaped
+                stepper.tangents[:], grown = orthonormal(stepper.tangents)
+                kept = np.isfinite(grown).all(axis=1) & (np.ptp(grown, axis=1) <= PARALLEL)
+            there &= np.isfinite(path[:, block]).all(axis=1)
+            apart |= there & ~kept
+            growth += grown
+            report(taken * count)
+            if not there.any():
+                break
+        exponents = np.sort(growth, axis=1)[:, ::-1] / self._length
+        return self._judged(index, rate, start + size * edges, path, apart, exponents)
+
+    def _judged(
+        self,
+        index: np.ndarray,
+        rate: float,
+        times: np.ndarray,
+        path: np.ndarray,
+        apart: np.ndarray,
+        exponents: np.ndarray,
+    ) -> _Outcome:
+        """Find what failed for each member, and whether shorter steps may help."""
+        H, chosen = self._members.H, self._steps is None
+        reached = np.logical_and.accumulate(np.isfinite(path).all(axis=2), axis=1).sum(axis=1)
+        lost = reached < len(times)
+        tested = np.where(lost, np.ceil(_TESTED_SHARE * reached), reached)
+        path[np.arange(len(times)) >= tested[:, None]] = np.nan
+        drift = EnergyDrift(H, len(index), self._parameters(index))
+        drift.add(path)
+        share = drift.relative(round(abs((self._span[1] - self._span[0]) / (times[1] - times[0]))))
+        coarse = ~(share <= COARSE) if H.time is None else np.zeros(len(index), dtype=bool)
+        every = -(-len(times) // _SAMPLED)
+        fastest = self._fastest(index, path[:, ::every], times[::every])
+        again = apart | (chosen & (coarse | ~(fastest <= _RESOLVED * rate)))
+        rates = np.clip(self._class(fastest), 2 * rate, _FASTER * rate)
+        problems = []
+        for i in range(len(index)):
+            problem = ""
+            if lost[i]:
+                problem = (
+                    f"stopped after t = {times[reached[i] - 1]:.6g}: the states overflowed, or a "
+                    "step could not be solved"
+                )
+            elif apart[i]:
+                problem = APART
+            elif coarse[i]:
+                problem = (
+                    f"H changed by {drift.change[i]:.1e}, {share[i]:.0%} of its scale: take a "
+                    "smaller dt"
+                )
+            elif chosen and not fastest[i] <= UNRESOLVED * rate:
+                problem = (
+                    f"the motion has rates up to {fastest[i]:.2g}: give a dt that resolves them"
+                )
+            problems.append(problem)
+        change = drift.change if H.time is None else np.full(len(index), np.nan)
+        return _Outcome(exponents, change, problems, np.where(again, rates, np.nan))
+
+    def _class(self, rates: np.ndarray) -> np.ndarray:
+        """Return the next power of two, at least that of the fewest steps."""
+        least = _FEWEST_STEPS / (STEPS_PER_RADIAN * self._length)
+        return np.exp2(np.ceil(np.log2(np.maximum(rates, least))))
+
+    def _fastest(
+        self, index: np.ndarray, states: np.ndarray, times: np.ndarray | float
+    ) -> np.ndarray:
+        """Return the fastest rate of members at states of shape (n, k, dim), shape (n,)."""
+        system = self._members.H.compile("numpy")
+        return fastest_rates(system, states, times, self._parameters(index))
+
+    def _parameters(self, index: np.ndarray) -> np.ndarray | None:
+        """Return the parameter values of members; None where they are those of H."""
+        return self._members.parameters[index] if self._members.varied else None
