@@ -16,6 +16,7 @@ import sympy
 
 from hamsym.codegen.functions import compile_expressions
 from hamsym.codegen.generate import generate
+from hamsym.codegen.names import Names
 from hamsym.codegen.system import System, load
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name
@@ -506,7 +507,8 @@ class Hamiltonian:
         Returns
         -------
         callable
-            (z, t=0.0) of shapes (..., dim) and (...) -> (...).
+            (z, t=0.0, parameters=None) of shapes (..., dim) and (...) -> (...). Parameters of
+            shape (..., k), in the order of ``parameter_names``, replace the values of H.
 
         Raises
         ------
@@ -525,7 +527,19 @@ class Hamiltonian:
         used = {symbol.name for symbol in expr.free_symbols}
         self._require_values([name for name in self.unbound_parameters if name in used])
         function = compile_expressions([expr], self.real_equations)
-        return lambda z, t=0.0: function(z, t)[..., 0][()]
+        keywords = [keyword for keyword, _ in Names(self.real_equations).parameters]
+        columns = {
+            keyword: i
+            for i, (name, keyword) in enumerate(zip(self.parameter_names, keywords, strict=True))
+            if name in used
+        }
+
+        def values(z: Any, t: Any = 0.0, parameters: np.ndarray | None = None) -> np.ndarray:
+            given = columns if parameters is not None else {}
+            of = {keyword: parameters[..., i] for keyword, i in given.items()}  # type: ignore[index]
+            return function(z, t, **of)[..., 0][()]
+
+        return values
 
     @cached_property
     def variational_equations(self) -> list[sympy.Eq]:

@@ -29,9 +29,9 @@ class Surface:
     names : frozenset of str
         Components of z that occur in the equation.
     value : callable
-        (z, t) -> g, shape (...).
+        (z, t, parameters=None) -> g, shape (...); see :meth:`hamsym.Hamiltonian.observable`.
     conditions : tuple of callable
-        (z, t) -> c_k, shape (...).
+        (z, t, parameters=None) -> c_k, shape (...).
     """
 
     text: str
@@ -39,11 +39,13 @@ class Surface:
     value: Callable[..., np.ndarray] = field(repr=False)
     conditions: tuple[Callable[..., np.ndarray], ...] = field(repr=False)
 
-    def holds(self, z: np.ndarray, t: np.ndarray) -> np.ndarray:
+    def holds(
+        self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return whether states, shape (n, dim), satisfy the constraints; shape (n,)."""
         found = np.ones(len(z), dtype=bool)
         for condition in self.conditions:
-            found &= condition(z, t) > 0
+            found &= condition(z, t, parameters) > 0
         return found
 
 

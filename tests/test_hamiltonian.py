@@ -343,6 +343,14 @@ def test_observables_evaluate() -> None:
     assert H.observable("7")(z).tolist() == [7.0, 7.0]
 
 
+def test_observables_take_parameters_of_each_state() -> None:
+    H = Hamiltonian("p**2/(2*m) + lambda*x**2/2", parameters={"m": 2.0, "lambda": 1.0})
+    force = H.observable("-lambda*x + t")
+    assert force([3.0, 0.0], 1.0) == -2.0
+    rows = np.array([[2.0, 5.0], [7.0, 5.0]])  # lambda, m
+    np.testing.assert_array_equal(force([[3.0, 0.0], [1.0, 0.0]], 1.0, rows), [-5.0, -6.0])
+
+
 def test_observables_with_unknown_symbols() -> None:
     H = Hamiltonian("p**2/(2*m) + x**2/2")
     with pytest.raises(VariableError, match="'v' does not occur in H"):

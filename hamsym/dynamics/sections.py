@@ -21,6 +21,7 @@ import numpy as np
 
 import hamsym
 from hamsym.dynamics.blocks import advance_in_blocks
+from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError, StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.coefficients import Doubled
@@ -54,7 +55,8 @@ class Section:
     z : numpy.ndarray
         States at the crossings, shape (n, dim).
     trajectory : numpy.ndarray
-        Index of the trajectory of each crossing, shape (n,).
+        Number of the trajectory of each crossing, shape (n,). Members of an ensemble of several
+        axes are counted along the last axis first, as by ``numpy.unravel_index``.
     energy_error : float
         Largest change of H at the crossings, nan if H depends on time.
     drift : float
@@ -95,7 +97,7 @@ class Section:
 
 def section(
     H: HamiltonianLike,
-    z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
+    z0: Sequence[float] | Mapping[Any, Any] | np.ndarray,
     span: tuple[float, float],
     surface: str,
     *,
@@ -104,6 +106,7 @@ def section(
     dt: float | None = None,
     direction: float = 0.0,
     crossings: int | None = None,
+    parameters: Mapping[Any, Any] | None = None,
     progress: bool | None = None,
 ) -> Section:
     """Locate crossings of a surface by one trajectory or by each of an ensemble.
@@ -116,7 +119,7 @@ def section(
     ----------
     H : Hamiltonian, str or sympy.Expr
     z0 : sequence, mapping or array
-        As in :func:`hamsym.integrate`, shape (dim,) or (batch, dim).
+        As in :func:`hamsym.integrate`, shape (..., dim).
     span : (float, float)
     surface : str
         An equation, and inequalities that the crossing must satisfy, for example
@@ -134,6 +137,8 @@ def section(
         Above zero, only crossings at which left side minus right side rises; below zero, falls.
     crossings : int, optional
         Number of crossings per trajectory after which to stop.
+    parameters : mapping of name to number or array, optional
+        Values that replace those of H, also in the surface, broadcast with the states.
     progress : bool, optional
         Show progress; by default on a terminal, after a second.
 
@@ -160,8 +165,8 @@ def section(
     >>> len(found.t), (found.t / (2 * np.pi)).round(9)
     (7, array([1., 2., 3., 4., 5., 6., 7.]))
     """
-    H = Hamiltonian.of(H)
-    states = np.atleast_2d(H.states_from(z0))
+    members = ensemble_of(H, z0, parameters)
+    H = members.H
     start, end = span = checked_span(span)
     chosen = method is None and steps is None and dt is None
     steps = checked_steps(end - start, steps, dt)
@@ -173,13 +178,13 @@ def section(
     began = time.perf_counter()
     advice = ""
     if chosen:
-        choice = choose_steps(H, method, states, span, progress=progress)
+        choice = choose_steps(members, method, span, progress=progress)
         steps = choice.steps
         if not choice.met and not choice.attempt.interrupted:
             advice = f"steps were chosen for {AIM:.0e}, {choice.found:.1e} was reached"
     size = (end - start) / steps
-    run = _Crossings(H, method, where, direction, states, start, size, crossings)
-    block = max(1, _HELD // states.size)
+    run = _Crossings(members, method, where, direction, start, size, crossings)
+    block = max(1, _HELD // members.states.size)
     interrupted = advance_in_blocks(steps, block, progress, run.advance)
     t, z, trajectory = run.ordered()
     drift = float(run.drift.relative(run.done).max())
@@ -198,7 +203,7 @@ def section(
         t=t,
         z=z,
         trajectory=trajectory,
-        energy_error=_energy_error(H, states, z, trajectory),
+        energy_error=_energy_error(members, z, trajectory),
         method=method,
         dt=size,
         seconds=time.perf_counter() - began,
@@ -214,29 +219,36 @@ class _Crossings:
 
     def __init__(
         self,
-        H: Hamiltonian,
+        members: Ensemble,
         method: str,
         where: Surface,
         direction: float,
-        states: np.ndarray,
         start: float,
         size: float,
         limit: int | None,
     ) -> None:
-        count = len(states)
-        self._stepper = fixed_step(H, method, states, np.full(count, start), np.full(count, size))
+        count = len(members)
+        self._stepper = fixed_step(
+            members.H,
+            method,
+            members.states,
+            np.full(count, start),
+            np.full(count, size),
+            parameters=members.parameters,
+        )
         if isinstance(self._stepper.scheme, Doubled):
             raise InputError(
                 f"{method} cannot take part of a step; choose another method, for example gauss4"
             )
-        self._H, self._method, self._where, self._direction = H, method, where, direction
+        self._members, self._method = members, method
+        self._where, self._direction = where, direction
         self._start, self._size, self._limit = start, size, limit
-        self._found = [(np.empty(0), np.empty((0, H.dim)), np.empty(0, dtype=int))]
+        self._found = [(np.empty(0), np.empty((0, members.H.dim)), np.empty(0, dtype=int))]
         self._numbers = np.zeros(count, dtype=int)  # of crossings of each trajectory
         self._undefined = math.nan  # first time at which the surface has no value
-        self._last = states
+        self._last = members.states
         self.done = 0
-        self.drift = EnergyDrift(H, count)
+        self.drift = EnergyDrift(members.H, count, _varied(members))
 
     def advance(self, done: int, count: int) -> bool:
         """Take a block of steps; return False after enough crossings or without trajectories."""
@@ -246,7 +258,7 @@ class _Crossings:
         path = np.concatenate((self._last[:, None], moved.states), axis=1)
         times = self._start + self._size * np.arange(done, done + count + 1)
         found, undefined = _crossings(
-            self._H, self._method, self._where, self._direction, path, times, self._size
+            self._members, self._method, self._where, self._direction, path, times, self._size
         )
         self._found.append(found)
         self.drift.add(path)
@@ -288,8 +300,13 @@ class _Crossings:
         return ""
 
 
+def _varied(members: Ensemble) -> np.ndarray | None:
+    """Return the parameters of the members, shape (n, k), or None where all have those of H."""
+    return members.parameters if members.varied else None
+
+
 def _crossings(
-    H: Hamiltonian,
+    members: Ensemble,
     method: str,
     where: Surface,
     direction: float,
@@ -306,49 +323,63 @@ def _crossings(
     undefined : float
         First time at which the state is finite and the surface is NaN, or NaN.
     """
-    at = np.broadcast_to(times, path.shape[:2])
+    at, parameters = np.broadcast_to(times, path.shape[:2]), _varied(members)
     with np.errstate(all="ignore"):  # where a trajectory has escaped
-        values = np.asarray(where.value(path, at), dtype=float)
-        slopes = _slopes(H, where, path, at, size)
+        rows = None if parameters is None else parameters[:, None]
+        values = np.asarray(where.value(path, at, rows), dtype=float)
+        slopes = _slopes(members.H, where, path, at, size, rows)
     without = (np.isnan(values) & np.isfinite(path).all(axis=-1)).any(axis=0)
     undefined = float(times[np.argmax(without)]) if without.any() else math.nan
     (trajectory, step), dips = suspects(values, slopes)
     before, since = path[trajectory, step], times[step]
 
     def part_of_a_step(share: np.ndarray, index: np.ndarray) -> np.ndarray:
-        moved = fixed_step(H, method, before[index], since[index], share * size).step(1)
+        given = members.parameters[trajectory[index]]
+        stepper = fixed_step(
+            members.H, method, before[index], since[index], share * size, parameters=given
+        )
         # No step at all is the state itself, also where a method divides by the step.
-        return np.where(share[:, None] == 0, before[index], moved)
+        return np.where(share[:, None] == 0, before[index], stepper.step(1))
+
+    def of(index: np.ndarray) -> np.ndarray | None:
+        return None if parameters is None else parameters[trajectory[index]]
 
     def value(share: np.ndarray, index: np.ndarray) -> np.ndarray:
-        return where.value(part_of_a_step(share, index), since[index] + share * size)
+        return where.value(part_of_a_step(share, index), since[index] + share * size, of(index))
 
     ends = values[trajectory, step], values[trajectory, step + 1]
     share, index = zeros(value, *ends, dips, direction)
     z = part_of_a_step(share, index) if len(index) else before[:0]
     t = since[index] + share * size
-    holds = where.holds(z, t)
+    holds = where.holds(z, t, of(index))
     return (t[holds], z[holds], trajectory[index][holds]), undefined
 
 
 def _slopes(
-    H: Hamiltonian, where: Surface, path: np.ndarray, at: np.ndarray, size: float
+    H: Hamiltonian,
+    where: Surface,
+    path: np.ndarray,
+    at: np.ndarray,
+    size: float,
+    parameters: np.ndarray | None,
 ) -> np.ndarray:
     """Return the change of the surface function over a small distance along the flow."""
     system, aside = H.compile("numpy"), _ASIDE * size
-    rates = np.asarray(system.vector_field(*system.arguments(path, at)))
-    ahead = where.value(path + aside * rates, at + aside)
-    behind = where.value(path - aside * rates, at - aside)
+    arguments, values = system.arguments(path, at), system.keywords(parameters)
+    rates = np.asarray(system.vector_field(*arguments, **values))
+    ahead = where.value(path + aside * rates, at + aside, parameters)
+    behind = where.value(path - aside * rates, at - aside, parameters)
     return np.asarray(ahead - behind, dtype=float)
 
 
-def _energy_error(
-    H: Hamiltonian, starts: np.ndarray, z: np.ndarray, trajectory: np.ndarray
-) -> float:
-    if H.time is not None:
+def _energy_error(members: Ensemble, z: np.ndarray, trajectory: np.ndarray) -> float:
+    if members.H.time is not None:
         return float("nan")
-    energy = H.compile("numpy").energy
-    return float(np.abs(energy(z) - energy(starts)[trajectory]).max(initial=0.0))
+    system, parameters = members.H.compile("numpy"), _varied(members)
+    starts = system.energy(members.states, **system.keywords(parameters))
+    own = None if parameters is None else parameters[trajectory]
+    energy = system.energy(z, **system.keywords(own))
+    return float(np.abs(energy - starts[trajectory]).max(initial=0.0))
 
 
 def _free_pair(H: Hamiltonian, where: Surface) -> tuple[str, str]:

@@ -262,7 +262,7 @@ def integrate(
             "progress": progress,
         }
         if chosen:
-            choice = _choice(members, name, (start, end), save_every, **options)
+            choice = choose_steps(members, name, (start, end), save_every, **options)
             run, count = choice.attempt, choice.steps
         else:
             run = _stepped(members, name, (start, end), count, every, **options)
@@ -339,28 +339,13 @@ class _Run(Attempt):
 
 
 def choose_steps(
-    H: Hamiltonian, name: str, states: np.ndarray, span: tuple[float, float], **options: Any
-) -> Choice[_Run]:
-    """Choose the number of steps with which all trajectories conserve H, by :func:`choose`.
-
-    Parameters
-    ----------
-    H : Hamiltonian
-    name : str
-    states : numpy.ndarray
-        Shape (n, dim).
-    span : (float, float)
-    """
-    return _choice(ensemble_of(H, states), name, span, **options)
-
-
-def _choice(
     members: Ensemble,
     name: str,
     span: tuple[float, float],
     save_every: int | None = None,
     **options: Any,
 ) -> Choice[_Run]:
+    """Choose the number of steps with which all trajectories conserve H, by :func:`choose`."""
     evaluations = 0
 
     def run(steps: int) -> _Run:

@@ -125,6 +125,38 @@ def test_ensembles_are_sections_of_each(start: np.ndarray) -> None:
     assert together.energy_error < 1e-10
 
 
+@pytest.mark.parametrize("options", [{"dt": 0.05}, {}, {"method": "gauss4", "dt": 0.05}])
+def test_sections_for_several_parameters(options: dict[str, object]) -> None:
+    """As for each by itself, also where the surface contains the parameter."""
+    H = Hamiltonian("p**2/2 + k*x**2/2 + x**4/4", parameters={"k": 1.0})
+    k, surface = np.array([0.5, 1.0, 4.0]), "x = k/10, p > -k"
+    together = hamsym.section(H, [1.0, 0.3], (0, 20), surface, parameters={"k": k}, **options)
+    assert together.success
+    for number, value in enumerate(k.tolist()):
+        own = H.with_parameters(k=value)
+        alone = hamsym.section(own, [1.0, 0.3], (0, 20), surface, **options)
+        mine = together.trajectory == number
+        assert mine.sum() == len(alone.t) > 2
+        np.testing.assert_allclose(together.t[mine], alone.t, atol=1e-8)
+        np.testing.assert_allclose(together.z[mine], alone.z, atol=1e-8)
+        if options:
+            np.testing.assert_array_equal(together.z[mine], alone.z)
+    assert together.energy_error < 1e-6
+
+
+def test_section_over_a_plane_of_parameters() -> None:
+    """Half periods pi/sqrt(k) of oscillators, counted along the last axis first."""
+    H = Hamiltonian("p**2/2 + k*x**2/2")
+    starts, k = {"x": [[1.0], [2.0]], "p": 0.0}, [1.0, 4.0, 9.0]
+    found = hamsym.section(H, starts, (0, 3.2), "x = 0", dt=0.01, parameters={"k": k})
+    start, parameter = np.unravel_index(found.trajectory, (2, 3))
+    assert np.bincount(found.trajectory).tolist() == [1, 2, 3, 1, 2, 3]
+    period = 2 * np.pi / np.sqrt(k)[parameter]
+    np.testing.assert_allclose(found.t / period % 0.5, 0.25, atol=1e-9)
+    speed = np.array([1.0, 2.0])[start] * np.sqrt(k)[parameter]
+    np.testing.assert_allclose(np.abs(found.z[:, 1]), speed, rtol=1e-9)
+
+
 def test_direction_and_number_of_crossings(start: np.ndarray) -> None:
     H = henon_heiles().H
     both = hamsym.section(H, start, (0, 100), "x = 0", dt=0.1)
