@@ -51,6 +51,7 @@ def test_unknown_names_are_rejected() -> None:
 
 _MINIATURE = {
     "chaos": ["--time", "300"],
+    "chaos_map": ["--grid", "8", "--time", "50"],
     "henon_heiles": ["--epochs", "30"],
     "oscillator": [],
     "scheme": [],
