@@ -165,17 +165,70 @@ def splitting_tangent(
                     drift = h * stages[stage, 0]
                     change, curvature = velocity_curvature(q, p, t, values)
                     q = shift(q, drift, change)
-                    shear_q(tangents, drift, curvature)
+                    for column in range(tangents.shape[1]):
+                        shear_q(tangents, column, drift, curvature)
                     if stage == kicks:
                         break
                     t = start + h * (elapsed + stages[stage, 3])
                     kick = -h * stages[stage, 1]
                     change, curvature = slope_curvature(q, p, t, values)
                     p = shift(p, kick, change)
-                    shear_p(tangents, kick, curvature)
+                    for column in range(tangents.shape[1]):
+                        shear_p(tangents, column, kick, curvature)
             write(rows, trajectory * out.shape[1] + offset + save, q, p)
         write(states, trajectory, q, p)
         done[trajectory, 0] += saves * save_every
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def splitting_tangent_ensemble(
+    states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
+    stages, parameters,
+):  # fmt: skip
+    """Splitting methods with one tangent vector each, 64 trajectories at a time."""
+    lanes, vectors = np.empty((DIM, 64)).T, np.empty((DIM, 64))
+    given = np.empty((parameters.shape[1], 64)).T
+    rows = out.reshape(-1, DIM)
+    for base in range(0, states.shape[0], 64):
+        count = min(64, states.shape[0] - base)
+        for lane in range(count):
+            for component in range(DIM):
+                lanes[lane, component] = states[base + lane, component]
+                vectors[component, lane] = columns[base + lane, component, 0]
+            for parameter in range(parameters.shape[1]):
+                given[lane, parameter] = parameters[base + lane, parameter]
+        for save in range(saves):
+            for step in range(save_every):
+                elapsed = first + save * save_every + step
+                for stage in range(stages.shape[0]):
+                    drift, kick = stages[stage, 0], stages[stage, 1]
+                    if drift != 0.0:
+                        for lane in range(count):
+                            h = sizes[base + lane]
+                            t = starts[base + lane] + h * (elapsed + stages[stage, 2])
+                            q, p = read_q(lanes, lane), read_p(lanes, lane)
+                            values = read_parameters(given, lane)
+                            change, curvature = velocity_curvature(q, p, t, values)
+                            write_q(lanes, lane, shift(q, h * drift, change))
+                            shear_q(vectors, lane, h * drift, curvature)
+                    if kick != 0.0:
+                        for lane in range(count):
+                            h = sizes[base + lane]
+                            t = starts[base + lane] + h * (elapsed + stages[stage, 3])
+                            q, p = read_q(lanes, lane), read_p(lanes, lane)
+                            values = read_parameters(given, lane)
+                            change, curvature = slope_curvature(q, p, t, values)
+                            write_p(lanes, lane, shift(p, -h * kick, change))
+                            shear_p(vectors, lane, -h * kick, curvature)
+            for lane in range(count):
+                for component in range(DIM):
+                    at = (base + lane) * out.shape[1] + offset + save
+                    rows[at, component] = lanes[lane, component]
+        for lane in range(count):
+            for component in range(DIM):
+                states[base + lane, component] = lanes[lane, component]
+                columns[base + lane, component, 0] = vectors[component, lane]
+            done[base + lane, 0] += saves * save_every
 
 
 # -- linear equations ----------------------------------------------------------------------------

@@ -76,7 +76,9 @@ _STEP_PARTS = {
     "splitting": _Part(
         ("velocity", "compensation", "integrators"), ("splitting", "splitting_ensemble")
     ),
-    "tangents": _Part(("curvature", "integrators"), ("splitting_tangent",)),
+    "tangents": _Part(
+        ("curvature", "integrators"), ("splitting_tangent", "splitting_tangent_ensemble")
+    ),
     "linear equations": _Part(),
     "symplectic Euler": _Part(
         ("velocity", "hessian", "jacobian", "integrators", "linear equations"), ("euler",)

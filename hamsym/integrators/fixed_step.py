@@ -103,7 +103,7 @@ class Stepper:
     ) -> None:
         count, self._dim = states.shape
         self.scheme = scheme
-        loop = _loop(H, scheme, count, tangents is not None)
+        loop = _loop(H, scheme, count, 0 if tangents is None else tangents.shape[2])
         self._loop = H.kernels.function(loop)
         self._states = np.zeros((count, scheme.width(self._dim)))
         self._states[:, : self._dim] = states
@@ -215,18 +215,20 @@ class Stepper:
         self._states[self._done[:, 0] - before < saves * every] = np.nan
 
 
-def _loop(H: Hamiltonian, scheme: Scheme, count: int, tangent: bool) -> str:
-    """Name of the generated loop for a scheme."""
+def _loop(H: Hamiltonian, scheme: Scheme, count: int, vectors: int) -> str:
+    """Name of the generated loop for a scheme and a number of tangent vectors."""
     if isinstance(scheme, RungeKutta):
         return "implicit"
     if isinstance(scheme, Doubled):
         return "doubled"
     if not H.is_separable:
         return "euler"
-    if tangent:
-        return "splitting_tangent"
     # Kernels that loop over terms gain nothing from blocks of trajectories.
     together = count >= _MIN_ENSEMBLE and not H.kernels.is_looped
+    if vectors:
+        # The processor vectorises over trajectories only without a loop over their vectors.
+        together = together and vectors == 1
+        return "splitting_tangent_ensemble" if together else "splitting_tangent"
     return "splitting_ensemble" if together else "splitting"
 
 

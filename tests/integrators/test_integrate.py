@@ -394,6 +394,32 @@ def test_ensembles_are_many_trajectories(
         np.testing.assert_array_equal(many.z[i], one.z)
 
 
+@pytest.mark.parametrize(
+    ("system", "method"),
+    [("henon_heiles", "blanes_moan6"), ("timed", "ruth3"), ("pendulum", "symplectic_euler_p")],
+)
+def test_tangents_of_ensembles_are_those_of_each(system: str, method: str) -> None:
+    """To the last bit, for every division; for one vector there is a loop of its own."""
+    problem = PROBLEMS[system]()
+    random = np.random.default_rng(0)
+    states = np.array(problem.z0) + 0.01 * random.normal(size=(70, problem.H.dim))
+    vectors = random.normal(size=(70, problem.H.dim, 2))
+
+    def run(rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray]:
+        start, size = np.full(len(states[rows]), 0.2), np.full(len(states[rows]), 0.05)
+        tangents = np.array(vectors[rows, :, columns], order="C")
+        stepper = stepper_of(problem.H, method, states[rows], start, size, tangents=tangents)
+        return stepper.advance(5, 4).states, tangents
+
+    both, one = run(slice(None), slice(None)), run(slice(None), slice(1))
+    np.testing.assert_array_equal(one[0], both[0])
+    np.testing.assert_array_equal(one[1], both[1][..., :1])
+    for i in (0, 64, 69):
+        alone = run(slice(i, i + 1), slice(1))
+        np.testing.assert_array_equal(one[0][i], alone[0][0])
+        np.testing.assert_array_equal(one[1][i], alone[1][0])
+
+
 PARAMETERS = [
     ("p**2/(2*m) + k*(1 + sin(t)/2)*x**2/2", "blanes_moan6", False),
     ("p**2/(2*m) + k*(1 + sin(t)/2)*x**2/2", "blanes_moan6", True),
