@@ -143,7 +143,7 @@ class LyapunovExponents:
 
 def lyapunov(
     H: HamiltonianLike,
-    z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
+    z0: Sequence[float] | Mapping[Any, Any] | np.ndarray,
     span: tuple[float, float],
     *,
     method: str | None = None,

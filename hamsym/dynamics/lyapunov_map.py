@@ -115,7 +115,7 @@ class LyapunovMap:
             f"{self.success.sum():,} of {given.sum():,} trajectories reached t = {self.span[1]:.6g}"
         )
         if not given.all():
-            text += f" (starts of nan: {(~given).sum():,})"
+            text += f" (starts that are not finite: {(~given).sum():,})"
         if self.success.any():
             values = self.maximal[self.success]
             text += (
@@ -224,12 +224,15 @@ class _Run:
             self._rates[index] = np.where(np.isfinite(rates), rates, np.nan)
         for i in np.flatnonzero(np.isnan(self._rates)):
             self.problems[i] = (
-                "the Hessian of H is not finite at the start" if there[i] else "the start is nan"
+                "the Hessian of H is not finite at the start"
+                if there[i]
+                else "the start is not finite"
             )
 
     def repeat(self, progress: bool | None) -> bool:
         """Run the members that need it; return whether Ctrl-C interrupted."""
         chunks = list(self._chunks())
+        self._stop.clear()
         self._rates[:] = np.nan
         interrupted, cores = False, available_cores()
         work = sum(len(index) * steps for index, _, steps, _ in chunks)
@@ -240,6 +243,7 @@ class _Run:
                     self._store(index, steps, future.result())
             except KeyboardInterrupt:
                 interrupted = True
+            finally:
                 self._stop.set()
                 pool.shutdown(cancel_futures=True)
         return interrupted
@@ -308,12 +312,13 @@ class _Run:
             if not there.any():
                 break
         exponents = np.sort(growth, axis=1)[:, ::-1] / self._length
-        return self._judged(index, rate, start + size * edges, path, apart, exponents)
+        return self._judged(index, rate, steps, start + size * edges, path, apart, exponents)
 
     def _judged(
         self,
         index: np.ndarray,
         rate: float,
+        steps: int,
         times: np.ndarray,
         path: np.ndarray,
         apart: np.ndarray,
@@ -327,7 +332,7 @@ class _Run:
         path[np.arange(len(times)) >= tested[:, None]] = np.nan
         drift = EnergyDrift(H, len(index), self._parameters(index))
         drift.add(path)
-        share = drift.relative(round(abs((self._span[1] - self._span[0]) / (times[1] - times[0]))))
+        share = drift.relative(steps)
         coarse = ~(share <= COARSE) if H.time is None else np.zeros(len(index), dtype=bool)
         every = -(-len(times) // _SAMPLED)
         fastest = self._fastest(index, path[:, ::every], times[::every])

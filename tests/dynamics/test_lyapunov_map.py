@@ -171,8 +171,8 @@ def test_bad_members_leave_others_unchanged(starts: np.ndarray, options: dict[st
     assert found.success.tolist() == [True] * 2 + [False] * 2 + [True] * 4
     assert np.isnan(found.exponents[2:4]).all()
     assert "the states overflowed, or a step could not be solved" in found.message[2]
-    assert found.message[3] == "the start is nan"
-    assert "6 of 7 trajectories reached t = 60 (starts of nan: 1)" in found.statement
+    assert found.message[3] == "the start is not finite"
+    assert "6 of 7 trajectories reached t = 60 (starts that are not finite: 1)" in found.statement
     assert "the first that failed is [2]: stopped after t = " in found.statement
 
 
