@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import sympy
 
-from hamsym.formula.printer import _COMMON, _MUL, _POW, Printer, _table
+from hamsym.formula.printer import _ATOM, _COMMON, _MUL, _POW, Printer, _table
+
+_HALF_INTEGERS = tuple(kind(k) / 2 for k in (3, 5, 7) for kind in (sympy.Integer, sympy.Float))
 
 __all__ = ["NUMPY_DEFINITIONS", "PRINTERS", "NumbaPrinter", "NumpyPrinter", "TorchPrinter"]
 
@@ -71,6 +74,14 @@ class NumbaPrinter(Printer):
     backend = "numba"
     functions = _table("math.{}", sign="np.sign", abs="abs", min="np.minimum", max="np.maximum")
     sqrt = "math.sqrt"
+
+    def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
+        # A square root is ten times faster than a general power.
+        if exponent in _HALF_INTEGERS:
+            factor = self._wrapped(base, _ATOM)
+            factor = factor if exponent < 2 else f"{factor}**{math.floor(exponent)}"
+            return f"{factor}*{self.sqrt}({self.argument(base)})", _MUL
+        return super().power(base, exponent)
 
 
 #: Functions that numpy lacks, with the name and the definition that its modules give them.

@@ -147,7 +147,32 @@ def compiled_loops() -> Loops:
 def compiled_rows(system: System, name: str) -> Callable[..., None]:
     """Compile a function of rows of a generated numba module for the compiled loops."""
     rows: Any = system.function(f"{name}_rows")
-    return _compiled(_rows_signature(), rows.py_func)
+    return _pointer_class()(_compiled(_rows_signature(), rows.py_func))
+
+
+@functools.cache
+def _pointer_class() -> Any:
+    from numba import types
+
+    class Pointer(types.WrapperAddressProtocol):  # type: ignore[misc]
+        """A compiled function of rows with its address, which numba looks up in every call."""
+
+        def __init__(self, function: Any) -> None:
+            self._function, self._signature = function, _rows_signature()
+            result = function.get_compile_result(self._signature)
+            name = result.fndesc.llvm_cfunc_wrapper_name
+            self._address = int(result.library.get_pointer_to_function(name))
+
+        def __call__(self, *arguments: Any) -> None:
+            self._function(*arguments)
+
+        def __wrapper_address__(self) -> int:
+            return self._address
+
+        def signature(self) -> Any:
+            return self._signature
+
+    return Pointer
 
 
 def _compiled(signature: Any, function: Any) -> Any:

@@ -419,7 +419,10 @@ def carry_errors(
         for i in range(dim):
             # Three standard deviations, at worst in the window, and the rounding of z^ itself.
             floor = scale[i] * (3 * spread[0, i] + spread[1, i]) + EPS / 2 * tops[i]
-            largest[i] = max(largest[i], MISSED * peaks[i] + floor)
+            peak = MISSED * peaks[i] + floor
+            if not peak < math.inf:
+                return w, LOST
+            largest[i] = max(largest[i], peak)
             if len(floors):
                 floors[w, i] = floor
         if len(series):

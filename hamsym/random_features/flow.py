@@ -138,6 +138,7 @@ def _narrow_arguments(
     return lambda z, t: (arguments(z, t), kinds)
 
 
+@functools.lru_cache(maxsize=64)
 def has_rounded_numbers(expr: sympy.Expr) -> bool:
     """Return whether a formula has numbers that float64 cannot represent: pi, sqrt(2), 0.1."""
     return any(

@@ -366,10 +366,9 @@ def solve_members(
                 break
             excess = 0.0
             for i in range(dim):
+                allowed = max(span.absolute[i] + span.tolerance * sizes[i], TINY)
                 if largest[i] != 0.0:
-                    ratio = largest[i] / max(span.absolute[i] + span.tolerance * sizes[i], TINY)
-                    if not ratio <= excess:
-                        excess = ratio
+                    excess = max(excess, largest[i] / allowed)
             if not excess <= 1.0:
                 if local <= SMALLEST or not excess < math.inf:
                     break

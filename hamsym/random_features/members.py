@@ -9,6 +9,7 @@ What the compiled loop (:mod:`hamsym.random_features.member_loop`) does not acce
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ from hamsym.random_features.error_estimate import (
     kicks,
     resolution_for,
 )
+from hamsym.random_features.error_loop import Actions
 from hamsym.random_features.flow import flow_of, has_rounded_numbers
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
 from hamsym.random_features.member_loop import Members, Span
@@ -113,15 +115,11 @@ class MemberSolver:
             names[4] = "argument"
         functions = [compiled_rows(kernels, name) for name in names]
         self._tables = error_tables(basis, resolution_for(local))
-        units = np.ones(H.dim)
-        entries = np.array(
-            [index for index in equations.hessian if index[0] <= index[1]], dtype=np.int64
-        ).reshape(-1, 2)
         self._constants = (
             *functions,
             basis.tables,
             self._tables,
-            *halves(entries, units),
+            *_terms(H),
             node_signs(basis, H.dim),
             disturbances(self._tables.places.shape, H.dim),
             kicks(H.dim),
@@ -269,6 +267,13 @@ class MemberSolver:
             batch.sizes[0],
             np.array(self.origin),
         )
+
+
+@functools.lru_cache(maxsize=64)
+def _terms(H: Hamiltonian) -> tuple[Actions, Actions]:
+    """Return the terms of J Hess v in the units of H."""
+    entries = [index for index in H.kernels.equations.hessian if index[0] <= index[1]]
+    return halves(np.array(entries, dtype=np.int64).reshape(-1, 2), np.ones(H.dim))
 
 
 def march_of(

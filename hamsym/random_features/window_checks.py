@@ -42,6 +42,7 @@ _RANDOM = 2  # places in each window
 _SLACK = 10.0  # times the residual that the march allows at its own places
 _BISECTIONS = 40
 _SECTIONS, _HALVINGS = 70, 40  # of the interval of a zero or a turning point
+_TOUCHING = 1e-10  # extremum of an argument, relative to its neighbours, that counts as zero
 _GOLDEN = (3 - 5**0.5) / 2
 
 
@@ -160,9 +161,9 @@ class WindowChecks:
         )
         if not len(window):
             return np.empty(0, dtype=int), np.empty(0), np.empty(0)
-        place, width = self._located(windows, low, high, window, which, turns, kinds)
-        # A switch or a pole acts at once and lastingly.
-        switched = (kinds[which] != Narrow.FUNCTION) & (turns == 0)
+        place, width, touches = self._located(windows, low, high, window, which, turns, kinds)
+        # A switch or a pole acts at once and lastingly; a base may also touch zero.
+        switched = (kinds[which] != Narrow.FUNCTION) & ((turns == 0) | touches)
         lasting = np.where(switched, 1.0, np.minimum(4 * width, 1.0))
         width = np.where(switched, _AT_ONCE, width)
         narrow = width < _NARROW
@@ -223,8 +224,8 @@ class WindowChecks:
         which: np.ndarray,
         turns: np.ndarray,
         kinds: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Locate candidates to round-off, and the distance in which the argument changes by 1.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Locate candidates to round-off: place, distance of a change by 1, and whether it is zero.
 
         Bisection locates a zero and golden sections a turning point, both of the argument itself:
         a series loses its digits near a multiple zero.
@@ -237,6 +238,7 @@ class WindowChecks:
             return np.asarray(narrow_arguments(z, t)[0][np.arange(len(s)), which])
 
         span, at_low = high - low, values(low)
+        beside = np.maximum(np.abs(at_low), np.abs(values(high)))
         sign = np.where(turns == 0, 1.0, turns)
         for _ in range(_SECTIONS):
             inner, outer = low + _GOLDEN * (high - low), high - _GOLDEN * (high - low)
@@ -255,7 +257,7 @@ class WindowChecks:
             change = np.max([np.abs(values(s) - at_place) for s in near], axis=0)
             # Where the argument is NaN, the residual decides.
             width = np.where(change < unit, width, distance)
-        return place, width
+        return place, width, np.abs(at_place) <= _TOUCHING * beside
 
     def _energy_changes(self, windows: Windows, sizes: np.ndarray) -> np.ndarray:
         """Return the change of H over each window, in units of the limit."""
