@@ -21,10 +21,10 @@ from numba import njit
 # Each loop advances states, shape (n, ...), by saves*save_every steps of length sizes[i]. The
 # steps begin at time starts[i] + first*sizes[i]. After every save_every steps the states are
 # written to out, shape (n, rows, DIM), from row offset on. low, shaped as the states, is the
-# rounding error that compensated summation adds to the next step. columns, shape (n, ..., k), are
-# tangent vectors, propagated by the derivative of the steps. done, shape (n, 2), counts steps,
-# and evaluations where their number depends on iterations. parameters, shape (n, k), are the
-# values of each trajectory.
+# rounding error that compensated summation adds to the next step. columns, shape (n, ..., k),
+# are tangent vectors, propagated by the derivative of the steps. done, shape (n, 2), counts
+# steps, and evaluations where their number depends on iterations. parameters, shape (n, k), are
+# the values of each trajectory.
 
 # -- splitting -----------------------------------------------------------------------------------
 #
