@@ -142,17 +142,27 @@ class Stepper:
         self._run(None, 1, out, 0, 1, count)
         return np.array(self.states)
 
-    def advance(self, saves: int, save_every: int = 1, *, show: bool | None = None) -> Stepping:
-        """Do saves*save_every steps and return the states after every save_every steps."""
+    def advance(
+        self,
+        saves: int,
+        save_every: int = 1,
+        *,
+        show: bool | None = None,
+        cores: int | None = None,
+    ) -> Stepping:
+        """Do saves*save_every steps and return the states after every save_every steps.
+
+        Without ``cores``, ensembles with enough work are divided between all available ones.
+        """
         count = len(self._states)
         before = self._done.copy()
         path = np.empty((count, 1 + saves, self._dim))
         path[:, 0] = self.states
         interrupted, reached = False, 0
         work = count * self._dim * self.scheme.stages
-        cores = (
-            min(available_cores(), count) if work * saves * save_every > _MIN_THREADED_WORK else 1
-        )
+        if cores is None:
+            threaded = work * saves * save_every > _MIN_THREADED_WORK
+            cores = min(available_cores(), count) if threaded else 1
         with stepping_progress(saves * save_every, show) as progress:
             pool = ThreadPoolExecutor(cores) if cores > 1 else None
             try:
@@ -160,20 +170,32 @@ class Stepper:
                     self._run(pool, cores, path, 1 + save, part, every)
                     reached += part * every
                     progress(part * every)
-                    if not np.isfinite(self._states).all(axis=1).any():
+                    if reached < saves * save_every and self._is_lost():
                         break
             except KeyboardInterrupt:
                 interrupted = True
             finally:
                 if pool is not None:
                     pool.shutdown()
-        steps, counted = (self._done - before).T
+        steps = self._done[:, 0] - before[:, 0]
         completed = 1 + np.minimum(steps, reached) // save_every
         for trajectory in np.flatnonzero(completed <= saves):
             path[trajectory, completed[trajectory] :] = np.nan
+        return Stepping(path, steps, self._evaluations(self._done - before), interrupted)
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of the force, the gradient or the vector field so far."""
+        return self._evaluations(self._done)
+
+    def _evaluations(self, done: np.ndarray) -> int:
         # The loops count evaluations only where the number depends on iterations.
-        evaluations = counted.sum() if counted.any() else steps.sum() * self.scheme.stages
-        return Stepping(path, steps, int(evaluations), interrupted)
+        steps, counted = done.sum(axis=0)
+        return int(counted or steps * self.scheme.stages)
+
+    def _is_lost(self) -> bool:
+        """Whether no trajectory is finite any more."""
+        return not np.isfinite(self._states).all(axis=1).any()
 
     def _run(
         self,
@@ -186,7 +208,8 @@ class Stepper:
     ) -> None:
         """Do saves*every steps; states are written to out[:, offset : offset + saves]."""
         before = self._done[:, 0].copy()
-        edges = np.linspace(0, len(self._states), cores + 1).astype(int)
+        count = len(self._states)
+        edges = [count * core // cores for core in range(cores + 1)]
         futures = []
         for group in map(slice, edges[:-1], edges[1:]):
             arguments = (
@@ -211,8 +234,8 @@ class Stepper:
         for future in futures:
             future.result()
         self._first += saves * every
-        # A trajectory whose step was not solved ends there.
-        self._states[self._done[:, 0] - before < saves * every] = np.nan
+        if self.is_implicit:  # a trajectory whose step was not solved ends there
+            self._states[self._done[:, 0] - before < saves * every] = np.nan
 
 
 def _loop(H: Hamiltonian, scheme: Scheme, count: int, vectors: int) -> str:

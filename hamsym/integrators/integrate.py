@@ -28,10 +28,12 @@ from hamsym.integrators.adaptive import Adaptive, reference
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Splitting
 from hamsym.integrators.energy_drift import AIM, COARSE, Attempt, Choice, EnergyDrift, choose
 from hamsym.integrators.fixed_step import NOT_ONLY_SEPARABLE, Stepper
+from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.table import ALIASES, INTEGRATORS
+from hamsym.integrators.tolerance import Tolerated, integrate_to_tolerance
 from hamsym.numerics.symplectic import generators
 from hamsym.problem import checked_span, checked_steps
-from hamsym.support.validation import require_number, require_whole
+from hamsym.support.validation import require_number, require_positive, require_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,19 +78,24 @@ class Trajectory:
         Components of z.
     method : str
     steps : int
-        Steps taken by a fixed-step method, outputs of an adaptive one.
+        Steps taken by a fixed-step method, outputs of an adaptive one; with ``tol`` those of the
+        finest run of the trajectory that needs the most.
     dt : float
         Length of a step, or of the time between outputs.
     evaluations : int
         Number of evaluations of the force, the gradient or the vector field.
     seconds : float
         Wall time of the integration, including compilation.
-    success : bool
+    success : bool or numpy.ndarray
+        Whether every trajectory reached the end. With ``tol``, whether the trajectory meets it; for
+        an ensemble an array of its shape.
     interrupted : bool
         Whether Ctrl-C ended the run.
     message : str
         Outcome in words. A trajectory that stops early ends at its last state; in an ensemble its
         later states are nan.
+    messages : numpy.ndarray
+        The same for each trajectory of an ensemble, strings in an array of its shape.
     ensemble : Ensemble
         H, the initial states and the parameter values.
     drift : float
@@ -96,6 +103,9 @@ class Trajectory:
         are more), relative to the energy that the motion exchanges between coordinates and momenta
         (:mod:`hamsym.integrators.energy_drift`); the largest of an ensemble. Infinite if H is not
         finite along the trajectory, nan if H depends on time.
+    error_estimate : numpy.ndarray, optional
+        With ``tol``: largest estimated error of each component up to each time, shape of z, in the
+        units of the components; infinite where it is unknown.
     """
 
     t: np.ndarray = field(repr=False)
@@ -106,11 +116,22 @@ class Trajectory:
     dt: float
     evaluations: int
     seconds: float
-    success: bool
+    success: bool | np.ndarray
     message: str
     ensemble: Ensemble = field(repr=False)
     interrupted: bool = False
     drift: float = math.nan
+    error_estimate: np.ndarray | None = field(default=None, repr=False)
+    verdicts: Tolerated | None = field(default=None, repr=False)
+
+    @cached_property
+    def messages(self) -> np.ndarray:
+        """Outcome of each trajectory in words, an array of the shape of the ensemble."""
+        texts = np.full(len(self.ensemble), self.message, dtype=object)
+        if self.verdicts is not None:
+            for index in range(len(texts)):
+                texts[index] = _verdict(self.verdicts, index, self.method, float(self.t[-1]))
+        return texts.reshape(self.ensemble.shape)
 
     @cached_property
     def energy(self) -> np.ndarray:
@@ -135,6 +156,8 @@ def integrate(
     method: str | None = None,
     *,
     parameters: Mapping[Any, Any] | None = None,
+    tol: float | None = None,
+    saves: int | None = None,
     steps: int | None = None,
     dt: float | None = None,
     save_every: int | None = None,
@@ -145,6 +168,12 @@ def integrate(
     progress: bool | None = None,
 ) -> Trajectory:
     """Integrate Hamilton's equations from z0 over a time span.
+
+    With ``tol`` the steps of each trajectory are chosen so that its estimated error is at most
+    ``tol``, from the differences of runs with n, 2n and 4n steps, which are extrapolated
+    (:mod:`hamsym.integrators.tolerance`). A trajectory succeeds if the estimate, with round-off,
+    is within the tolerance, H changes by no more than that allows, and the formula of H has no
+    pulse, pole or jump on the way that the steps do not resolve.
 
     Without ``method``, ``steps`` and ``dt`` the number of steps is the smallest power of two times
     1,000 for which every trajectory conserves H to 1e-9 of the energy that it exchanges between
@@ -172,6 +201,14 @@ def integrate(
         Newton's method.
     parameters : mapping of name to number or array, optional
         Values that replace those of H; arrays broadcast with the shape of the initial states.
+    tol : float, optional
+        Tolerance: |z_i - true z_i| <= tol s_i for every component at the saved times, with s_i the
+        largest |z_i| along the trajectory; for a component that is zero, or below 1e-8 of the size
+        given by the terms of its own equation, s_i is 1e-8 of that size
+        (:mod:`hamsym.numerics.scales`). For splitting and implicit Runge-Kutta methods.
+    saves : int, optional
+        With ``tol``: number of equal intervals between saved states, 100 by default; with 1 only
+        start and end are saved.
     steps : int, optional
         Number of equal steps (for an adaptive method: of equal output intervals); 20,000 by default
         if ``method`` is given.
@@ -203,7 +240,8 @@ def integrate(
     StepSizeWarning
         If the automatic steps do not meet the target above, or if with a given method or number of
         steps H changes by more than 1 % of the energy exchanged or is not finite (not tested for
-        time-dependent H). The message contains the warning.
+        time-dependent H), or a step is too long beside a pole of H (tested if every step is saved).
+        The message contains the warning. With ``tol`` there is none: see ``success``.
 
     Raises
     ------
@@ -221,14 +259,25 @@ def integrate(
     'blanes_moan6: 1,000 steps to t = 6.28319, H kept to round-off'
     >>> integrate(H, {"x": np.linspace(0, 1, 5), "p": 0.0}, (0, 1), "gauss4", dt=0.1).z.shape
     (5, 11, 2)
+    >>> found = integrate(H, [[1.0, 0.0], [2.0, 0.0]], (0, 2 * np.pi), tol=1e-9, saves=1)
+    >>> found.success, bool(np.abs(found.z[:, 1] - found.z[:, 0]).max() < 2e-9)
+    (array([ True,  True]), True)
     >>> H = Hamiltonian("p**2/2 + k*x**2/2")
     >>> integrate(H, [1.0, 0.0], (0, 1), "gauss4", dt=0.1, parameters={"k": [1.0, 4.0]}).z.shape
     (2, 11, 2)
     """
-    members = ensemble_of(H, z0, parameters)
+    members = ensemble_of(H, z0, parameters, finite=tol is None)
     H = members.H
     name = usual_method(H) if method is None else usable_method(H, method)
     start, end = checked_span(span)
+    if tol is not None:
+        given = {"steps": steps, "dt": dt, "save_every": save_every, "rtol": rtol, "atol": atol}
+        _check_tolerance(name, tol, saves, {**given, "omega": omega})
+        if not members.shape:
+            H.state_from(members.states[0])  # one start that is not finite is an invalid argument
+        return _to_tolerance(members, name, (start, end), tol, saves or 100, compensated, progress)
+    if saves is not None:
+        raise InputError("saves applies with tol; give save_every instead")
     chosen = method is None and steps is None and dt is None
     count = checked_steps(end - start, steps, dt)
     if save_every is not None:
@@ -273,6 +322,12 @@ def integrate(
     found, warning = _describe_accuracy(H, drift, choice)
     if found:
         message = f"{message}, {found}"
+    tested = not (chosen or every > 1 or problem or warning)
+    if tested and (pole := _pole(members, z, times)) is not None:
+        warning = (
+            f"the step near t = {pole:.6g} passes a pole of H, or the end of its domain, too fast; "
+            "take more steps"
+        )
     if warning and not problem:
         message = f"{message}: {warning}"
         warnings.warn(message, StepSizeWarning, stacklevel=2)
@@ -291,6 +346,99 @@ def integrate(
         interrupted=run.interrupted,
         drift=drift,
     )
+
+
+def _check_tolerance(name: str, tol: float, saves: int | None, others: dict[str, Any]) -> None:
+    require_positive("tol", tol)
+    if saves is not None:
+        require_whole("saves", saves)
+    if not isinstance(INTEGRATORS[name].scheme, Splitting | RungeKutta):
+        raise InputError(
+            f"tol applies to splitting and implicit Runge-Kutta methods, not to {name}; leave "
+            "method out"
+        )
+    for option, value in others.items():
+        if value is not None:
+            raise InputError(f"{option} and tol exclude each other; give one of them")
+
+
+def _to_tolerance(
+    members: Ensemble,
+    name: str,
+    span: tuple[float, float],
+    tol: float,
+    saves: int,
+    compensated: bool,
+    progress: bool | None,
+) -> Trajectory:
+    _require_memory(2 * saves, members.H.dim, len(members))  # states and error estimates
+    began = time.perf_counter()
+    found = integrate_to_tolerance(
+        members, name, span, tol, saves, compensated=compensated, progress=progress
+    )
+    seconds = time.perf_counter() - began
+    shape, z, errors, times = (
+        members.shape,
+        found.z,
+        found.errors,
+        np.linspace(*span, saves + 1),
+    )
+    if not shape:
+        end = max(int(np.isfinite(z[0]).all(axis=-1).sum()), 1)
+        z, errors, times = z[:, :end], errors[:, :end], times[:end]
+        message = _verdict(found, 0, name, span[1])
+    else:
+        message = _summary(found, name, span[1])
+    steps = int(found.steps.max())
+    return Trajectory(
+        t=times,
+        z=z.reshape(*shape, *z.shape[1:]),
+        names=members.H.names,
+        method=name,
+        steps=steps,
+        dt=(span[1] - span[0]) / max(steps, 1),
+        evaluations=found.evaluations,
+        seconds=seconds,
+        success=found.success.reshape(shape) if shape else bool(found.success[0]),
+        message=message,
+        ensemble=members,
+        interrupted=found.interrupted,
+        error_estimate=errors.reshape(*shape, *errors.shape[1:]),
+        verdicts=found,
+    )
+
+
+def _verdict(found: Tolerated, index: int, name: str, end: float) -> str:
+    """Describe the outcome of one trajectory."""
+    if index in found.problems:
+        return found.problems[index]
+    return (
+        f"{name}: {found.steps[index]:,} steps to t = {end:.6g}, estimated error "
+        f"{found.largest[index]:.1e}"
+    )
+
+
+def _summary(found: Tolerated, name: str, end: float) -> str:
+    """Describe the outcome of an ensemble."""
+    count, failed = len(found.success), sorted(found.problems)
+    if failed:
+        return (
+            f"{len(failed):,} of {count:,} trajectories failed, number {failed[0]:,} first: "
+            f"{found.problems[failed[0]]}"
+        )
+    least, most = int(found.steps.min()), int(found.steps.max())
+    return (
+        f"{name}: {count:,} trajectories, {least:,} to {most:,} steps to t = {end:.6g}, estimated "
+        f"error at most {found.largest.max():.1e}"
+    )
+
+
+def _pole(members: Ensemble, z: np.ndarray, times: np.ndarray) -> float | None:
+    """Time of the first step too long beside a pole of H, from the states after every step."""
+    features = narrow_features(members.H)
+    if features is None or z.size > _MAX_SAVED_COMPONENTS or z.shape[1] < 3:
+        return None
+    return features.pole(z, times, _varied(members))
 
 
 def _drift(members: Ensemble, z: np.ndarray, steps: int) -> float:
