@@ -159,7 +159,7 @@ def output_options(table_help: str) -> Callable[[Command], Command]:
                 write_table(output, columns, arrays)
             if figure is not None:
                 save_figure(result.plot(), figure)
-            return 0 if np.all(result.success) else 1
+            return 0 if np.all(result.success) else 1  # of an ensemble, an array
 
         return wrapped
 

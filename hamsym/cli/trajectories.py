@@ -111,6 +111,8 @@ def compare(
 @hamiltonian_options
 @starts_options
 @integrator_options
+@click.option("--tol", type=float, help="Choose the steps for this relative error.")
+@click.option("--saves", type=int, help="With --tol: intervals between saved states  [100]")
 @click.option("--save-every", type=int, help="Steps between saved states  [1, more for long runs]")
 @click.option("--compensated", is_flag=True, help="Use compensated summation.")
 @click.option("--omega", type=float, help="Coupling of tao2 and tao4.")
@@ -121,7 +123,8 @@ def integrate(H: Hamiltonian, z0: Any, span: tuple[float, float], **options: Any
     """Integrate with a time-stepping method; exit 1 if it had to stop early.
 
     Without method and steps, steps are chosen for an energy drift of 1e-9; with a method alone
-    there are 20,000 steps. A large drift is a warning on standard error.
+    there are 20,000 steps. A large drift is a warning on standard error. With --tol the steps of
+    each trajectory are chosen for an estimated error; exit 1 if one does not meet it.
     """
     import numpy as np
 
@@ -149,6 +152,9 @@ def integrate(H: Hamiltonian, z0: Any, span: tuple[float, float], **options: Any
     if ensemble:
         columns.insert(0, ("trajectory", np.repeat(np.arange(count), len(trajectory.t))))
     arrays = {"t": trajectory.t, "z": trajectory.z, "energy": trajectory.energy}
+    if trajectory.error_estimate is not None:
+        arrays["error_estimate"] = trajectory.error_estimate
+        arrays["success"] = np.asarray(trajectory.success)
     return trajectory, columns, arrays
 
 

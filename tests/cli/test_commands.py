@@ -188,6 +188,25 @@ def test_integrate_chooses_method_and_steps(capsys: Captured) -> None:
     assert float(change.split()[-1]) < 1e-9
 
 
+def test_integrate_to_a_tolerance(capsys: Captured, tmp_path: Path) -> None:
+    path = tmp_path / "states.npz"
+    kepler = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
+    arguments = [kepler, "--z0", "1,0,0,1", "--t-end", "2*pi", "--tol", "1e-9", "--saves", "1"]
+    status, out, err = run(capsys, "integrate", *arguments, "-o", str(path))
+    assert (status, err) == (0, "")
+    assert "estimated error" in out
+    stored = np.load(path)
+    np.testing.assert_allclose(stored["z"], [[1, 0, 0, 1]] * 2, atol=1e-9)
+    assert stored["error_estimate"].shape == (2, 4)
+    status, out, _ = run(capsys, "integrate", *arguments, "--z0", "1,0,0,0", "-o", str(path))
+    assert status == 1  # the second falls to the centre
+    assert out.startswith("1 of 2 trajectories failed, number 1 first")
+    assert np.load(path)["success"].tolist() == [True, False]
+    status, _, err = run(capsys, "integrate", *arguments, "--steps", "9")
+    assert status == 2
+    assert "steps and tol exclude each other" in err
+
+
 @pytest.mark.parametrize("command", ["integrate", "section"])
 def test_energy_drift_warns_and_exits_with_0(capsys: Captured, command: str) -> None:
     arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "40", "--dt", "1/5"]
