@@ -4,7 +4,7 @@ From a formula to a proof, one folder a stage; each imports only what stands bef
 
     formula -> symbolic -> codegen + templates -> hamiltonian
     -> integrators, solution -> random_features, networks -> solving
-    -> dynamics, proof -> study -> plotting, cli
+    -> families -> dynamics, proof -> study -> plotting, cli
 
 Conventions: the state is z = (q_1..q_d, p_1..p_d); arrays are (time, component); float64 unless
 asked otherwise; times, states and energies are in the units of the Hamiltonian.

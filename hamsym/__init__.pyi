@@ -12,6 +12,8 @@ from .errors import CertificationError as CertificationError
 from .errors import FileError as FileError
 from .errors import HamsymError as HamsymError
 from .errors import InputError as InputError
+from .families.many import solve_many as solve_many
+from .families.solutions import Solutions as Solutions
 from .hamiltonian import Hamiltonian as Hamiltonian
 from .integrators.integrate import Trajectory as Trajectory
 from .integrators.integrate import integrate as integrate

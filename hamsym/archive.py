@@ -1,4 +1,4 @@
-"""Files of solutions: save and load.
+"""Files of solutions, of one or of many: save and load.
 
 A file is accepted only if it describes exactly a solution that a solver returns: every type, shape,
 order and value is checked when it is loaded and when it is saved.
@@ -14,6 +14,8 @@ import numpy as np
 
 from hamsym.description import MALFORMED, described, hamiltonian_from
 from hamsym.errors import FileError
+from hamsym.families.solutions import Solutions
+from hamsym.families.storage import KIND, open_store, read_solutions, write_solutions
 from hamsym.random_features.error_estimate import MarchError
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
@@ -31,21 +33,21 @@ from hamsym.support.checked_data import (
     require_array,
     require_names,
 )
-from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
+from hamsym.support.tensor_files import is_folder, kind_of, one_line, read_tensors, write_tensors
 
-__all__ = ["assembled", "load", "parts", "save"]
+__all__ = ["assembled", "load", "load_solution", "parts", "save"]
 
 _KIND = "solution"
 # Arrays of a march that are also arrays of its trial solution, and are stored once.
 _IN_TRIAL = ("edges", "states", "readouts")
 
 
-def save(solution: Solution, path: str | os.PathLike[str]) -> None:
-    """Write a solution to a file, from which :func:`load` restores it.
+def save(solution: Solution | Solutions, path: str | os.PathLike[str]) -> None:
+    """Write a solution, or many, to one file, from which :func:`load` restores it.
 
     Parameters
     ----------
-    solution : Solution
+    solution : Solution or Solutions
     path : path-like
         File in the safetensors format, replaced in one step.
 
@@ -64,6 +66,9 @@ def save(solution: Solution, path: str | os.PathLike[str]) -> None:
     >>> bool((again([1.0, 2.0]) == solution([1.0, 2.0])).all())
     True
     """
+    if isinstance(solution, Solutions):
+        write_solutions(solution, path)
+        return
     try:
         _check(solution)
     except MALFORMED as error:
@@ -80,15 +85,31 @@ def save(solution: Solution, path: str | os.PathLike[str]) -> None:
     write_tensors(path, _KIND, arrays, values)
 
 
-def load(path: str | os.PathLike[str]) -> Solution:
-    """Read a solution that :func:`save` or :meth:`hamsym.Solution.save` wrote.
+def load(path: str | os.PathLike[str]) -> Any:
+    """Read what :func:`save`, or ``save`` of a result, wrote.
+
+    Parameters
+    ----------
+    path : path-like
+        A file, or a store of zarr of :func:`hamsym.solve_many`.
+
+    Returns
+    -------
+    Solution or Solutions
+        The windows of a store are read when they are needed.
 
     Raises
     ------
     FileError
-        If the file cannot be read, is damaged, has another kind or version, or is not a valid
-        solution.
+        If the file cannot be read, is damaged, has another kind or version, or is not valid.
     """
+    if is_folder(path):
+        return open_store(path)
+    return read_solutions(path) if kind_of(path) == KIND else load_solution(path)
+
+
+def load_solution(path: str | os.PathLike[str]) -> Solution:
+    """Read a file of one solution; see :func:`load`."""
     arrays, values = read_tensors(path, _KIND)
     try:
         solution = assembled(arrays, values)

@@ -47,9 +47,9 @@ def whole_numbers(text: str) -> tuple[int, ...]:
 
 def saved_solution(path: str) -> Solution:
     """Return the solution in a file."""
-    from hamsym.archive import load
+    from hamsym.archive import load_solution
 
-    return load(path)
+    return load_solution(path)
 
 
 def assignments(text: str, option: str) -> dict[str, float]:

@@ -30,7 +30,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from hamsym.archive import load
+from hamsym.archive import load_solution
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof.balls import SMALLEST, at_least, at_most
 from hamsym.proof.certificate import (
@@ -179,7 +179,7 @@ def verify(
             f"certificate must be a Certificate or its text, not {type(certificate).__name__}"
         )
     if isinstance(solution, (str, os.PathLike)):
-        solution = load(Path(solution))
+        solution = load_solution(Path(solution))
     if not isinstance(solution, Solution):
         raise InputError(f"solution must be a Solution or a path, not {type(solution).__name__}")
     claims = certificate

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from hamsym.archive import load
+from hamsym.archive import load_solution
 from hamsym.description import settings_text
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.hamiltonian import Hamiltonian
@@ -88,7 +88,7 @@ class Run:
             self._solve(progress)
         if not self.is_done:
             try:
-                proof = load(self.file).certify(time_limit=self.certify, progress=False)
+                proof = load_solution(self.file).certify(time_limit=self.certify, progress=False)
                 write_atomically(self._proof, proof.to_json().encode())
             except CertificationError as error:
                 write_atomically(self._refusal, str(error).encode())
@@ -110,7 +110,7 @@ class Run:
         if not METHODS[options.get("method", "features")].marches:
             options["checkpoint"] = checkpoint
         if self.initial is not None:
-            options["initial"] = load(self.initial)
+            options["initial"] = load_solution(self.initial)
         resumed = checkpoint.exists()
 
         def solved() -> Solution:

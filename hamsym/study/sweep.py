@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.archive import load
+from hamsym.archive import load_solution
 from hamsym.errors import FileError, InputError
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.problem import InitialValueProblem
@@ -176,7 +176,9 @@ def sweep(
             carry_out(missing, min(workers or available_cores(), len(missing)), progress)
     groups = [runs[k : k + len(chosen)] for k in range(0, len(runs), len(chosen))]
     named = dict(zip(settings, groups, strict=True))
-    solutions = {name: tuple(load(run.file) for run in group) for name, group in named.items()}
+    solutions = {
+        name: tuple(load_solution(run.file) for run in group) for name, group in named.items()
+    }
     certificates = {
         name: tuple(
             run.certificate(solution) for run, solution in zip(group, solutions[name], strict=True)

@@ -1,4 +1,4 @@
-"""Progress bar of time stepping, drawn on terminals only."""
+"""Progress bar of work in many steps, drawn on terminals only."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ __all__ = ["stepping_progress"]
 
 
 @contextmanager
-def stepping_progress(steps: int, show: bool | None = None) -> Iterator[Callable[[int], None]]:
+def stepping_progress(
+    steps: int, show: bool | None = None, text: str = "stepping"
+) -> Iterator[Callable[[int], None]]:
     """Yield a function that takes a number of further steps and, after a second, draws a bar.
 
     Parameters
@@ -23,12 +25,14 @@ def stepping_progress(steps: int, show: bool | None = None) -> Iterator[Callable
         Number of all steps.
     show : bool, optional
         By default the bar is drawn if standard error is a terminal.
+    text : str
+        What is in progress, before the bar.
     """
     if not (sys.stderr.isatty() if show is None else show):
         yield lambda _: None
         return
     columns = (
-        TextColumn("stepping"),
+        TextColumn(text),
         BarColumn(bar_width=16),
         TaskProgressColumn(),
         TimeRemainingColumn(),

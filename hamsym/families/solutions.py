@@ -1,0 +1,426 @@
+"""Solutions: many trajectories of one Hamiltonian as functions of time."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import hamsym
+from hamsym.errors import InputError
+from hamsym.families.evaluation import states_in_groups
+from hamsym.families.windows import ACCEPTED, MARCHED, OPEN, Table, Windows
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.random_features.basis import basis_of_series, size_of
+from hamsym.random_features.error_estimate import RESOLUTIONS, MarchError, estimate_error
+from hamsym.random_features.flow import flow_of
+from hamsym.random_features.march import origin_of
+from hamsym.random_features.members import MemberSolver, march_of
+from hamsym.random_features.method import (
+    Accuracy,
+    FeatureOptions,
+    accepted_solution,
+    basis_for,
+    checked_accuracy,
+    success_message,
+)
+from hamsym.random_features.trial import FeatureTrial
+from hamsym.random_features.windows import March
+from hamsym.solution.solution import Solution
+from hamsym.solution.times import times_in_span
+from hamsym.support.checked_data import checked_record
+
+if TYPE_CHECKING:  # an optional package
+    import xarray
+
+__all__ = ["Family", "Solutions"]
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """The problem whose members :class:`Solutions` solves.
+
+    Attributes
+    ----------
+    H : Hamiltonian
+        With the parameters of the first member.
+    span : (float, float)
+    options : FeatureOptions
+    seed : int
+    varied : tuple of str
+        Parameters that were given as arguments.
+    series : numpy.ndarray
+        Chebyshev series of the columns of the basis, shape (degree + 1, m).
+    """
+
+    H: Hamiltonian
+    span: tuple[float, float]
+    options: FeatureOptions
+    seed: int
+    varied: tuple[str, ...]
+    series: np.ndarray
+
+    @cached_property
+    def accuracy(self) -> Accuracy:
+        """The checked options."""
+        return checked_accuracy(self.options, self.span, self.H.dim)
+
+    @property
+    def origin(self) -> float:
+        """Time from which edges are counted."""
+        return origin_of(self.H.time is None, self.span)
+
+    @property
+    def degrees(self) -> int:
+        """Terms of the series of an estimated error."""
+        return RESOLUTIONS[size_of(self.series.shape[1]).nodes][0][1]
+
+    @cached_property
+    def solver(self) -> MemberSolver | None:
+        """The compiled solver; None where it does not apply."""
+        if not MemberSolver.applies(self.H):
+            return None
+        found = self.accuracy
+        basis = basis_for(self.seed, found.tol)
+        return MemberSolver(
+            self.H, self.span, found.tol, found.local, found.absolute, found.longest, basis
+        )
+
+    def hamiltonian(self, parameters: np.ndarray) -> Hamiltonian:
+        """Return H with the parameters of a member, shape (k,)."""
+        if not self.varied:
+            return self.H
+        values = dict(zip(self.H.parameter_names, parameters.tolist(), strict=True))
+        return self.H.with_parameters(**values)
+
+
+class Solutions:
+    """Many trajectories z^(t) over one time span, from :func:`hamsym.solve_many`.
+
+    Members are arranged in an array; ``...`` below is its shape. Call it with times to get the
+    states of all members: times of shape (n,) give (..., n, dim), a scalar gives (..., dim).
+    ``many[i]`` (``many[i, j]``) is the :class:`~hamsym.Solution` of one member, the same to the
+    last bit as :func:`hamsym.solve` returns with ``compiled=True``; slices and masks give
+    ``Solutions``. ``len`` and iteration follow the first axis, as those of an array.
+
+    Attributes
+    ----------
+    H : Hamiltonian
+        With the parameters of the first member where they differ.
+    span : (float, float)
+    shape : tuple of int
+    z0 : numpy.ndarray
+        Initial states, shape (..., dim).
+    parameters : dict of str to numpy.ndarray
+        Values of the parameters that were given, shape (...).
+    success : numpy.ndarray
+        Whether the estimated error, round-off included, is within the tolerance, shape (...).
+    message : numpy.ndarray
+        Outcome of each member, shape (...), of str.
+    error_estimate : numpy.ndarray
+        Largest estimated error, round-off included, over the time that a member reached, shape
+        (..., dim); infinite where it is unknown.
+    excess : numpy.ndarray
+        Largest ratio of the estimated to the allowed error, shape (...); infinite where it is
+        unknown.
+    family, table, windows, members
+        The problem, the results and windows of all members of the run, and the numbers of these
+        members among them, shape (...).
+    """
+
+    def __init__(self, family: Family, table: Table, windows: Windows, members: np.ndarray) -> None:
+        self.family, self.table, self.windows = family, table, windows
+        self.members = members  # their numbers in the table, in their shape
+
+    def __repr__(self) -> str:
+        start, end = self.span
+        solved = int(self.success.sum())
+        return (
+            f"Solutions({self.H.formula!r}, shape {self.shape}, t from {start:.6g} to {end:.6g}: "
+            f"{solved:,} succeeded, {self.size - solved:,} failed)"
+        )
+
+    @property
+    def H(self) -> Hamiltonian:
+        return self.family.H
+
+    @property
+    def span(self) -> tuple[float, float]:
+        return self.family.span
+
+    @property
+    def tol(self) -> float:
+        """The relative tolerance."""
+        return float(self.family.options.tol)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.members.shape
+
+    @property
+    def size(self) -> int:
+        """Number of members."""
+        return self.members.size
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes in which members are arranged."""
+        return self.members.ndim
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    @cached_property
+    def z0(self) -> np.ndarray:
+        return self.table.z0[self.members]
+
+    @cached_property
+    def parameters(self) -> Mapping[str, np.ndarray]:
+        names = self.H.parameter_names
+        columns = {name: self.table.parameters[:, names.index(name)] for name in self._varied}
+        return {name: column[self.members] for name, column in columns.items()}
+
+    @property
+    def _varied(self) -> tuple[str, ...]:
+        return self.family.varied
+
+    @cached_property
+    def success(self) -> np.ndarray:
+        return self.table.success[self.members]
+
+    @cached_property
+    def error_estimate(self) -> np.ndarray:
+        return self.table.largest[self.members]
+
+    @cached_property
+    def excess(self) -> np.ndarray:
+        return self.table.excess[self.members]
+
+    @cached_property
+    def message(self) -> np.ndarray:
+        found = np.empty(self.size, dtype=object)
+        found[:] = [self._message(member) for member in self.members.ravel().tolist()]
+        return found.reshape(self.shape)
+
+    def _message(self, member: int) -> str:
+        table = self.table
+        if table.status[member] == ACCEPTED:
+            return success_message(self.tol, table.counts[member], table.excess[member])
+        if table.status[member] == OPEN:
+            return table.stopped
+        return str(table.notes[member]["message"])
+
+    # -- members -----------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[Solution | Solutions]:
+        return (self[i] for i in range(len(self)))
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return the solution of a member, or the solutions of several.
+
+        Raises
+        ------
+        InputError
+            If the member has no solution; the message is its ``message``.
+        IndexError
+            If there is no such member.
+        """
+        members = self.members[key]
+        if np.ndim(members):
+            return Solutions(self.family, self.table, self.windows, members)
+        return self._solution(int(members))
+
+    def _solution(self, member: int) -> Solution:
+        table, family = self.table, self.family
+        if not table.counts[member]:
+            raise InputError(self._message(member))
+        z0 = table.z0[member].copy()
+        H = family.hamiltonian(table.parameters[member])
+        if table.status[member] == MARCHED:
+            march, error, trial = self.marched(member)
+            return Solution(
+                H,
+                z0,
+                (self.span[0], march.reached),
+                trial,
+                method="features",
+                record=march,
+                error=error,
+                success=bool(table.success[member]),
+                message=self._message(member),
+            )
+        return self._accepted(member, H, z0)
+
+    def _accepted(self, member: int, H: Hamiltonian, z0: np.ndarray) -> Solution:
+        """Solve a member of the batch again: the same windows, and their error."""
+        table, family = self.table, self.family
+        accuracy, own = family.accuracy, table.packed(self.windows, member, member + 1)
+        wall, cpu = time.perf_counter(), time.process_time()
+        basis, error = basis_for(family.seed, accuracy.tol), None
+        if family.solver is not None and np.array_equal(basis.series, family.series):
+            parameters = table.parameters[member : member + 1]
+            batch = family.solver.solve(z0[None], parameters, keep_error=True)
+            if batch.accepted[0] and all(
+                np.array_equal(getattr(batch, name), getattr(own, name))
+                for name in ("edges", "states", "readouts")
+            ):
+                error = family.solver.error_of(batch)
+        seconds = time.perf_counter() - wall, time.process_time() - cpu
+        march = march_of(
+            (own.edges.copy(), own.states.copy(), own.readouts.copy()),
+            table.sizes[member].copy(),
+            int(table.evaluations[member]),
+            family.seed,
+            family.origin,
+            seconds,
+        )
+        excess = float(table.excess[member])
+        if error is None:  # the windows are from a machine that rounds differently
+            basis = basis_of_series(family.seed, family.series)
+            flow = flow_of(H, True)
+            error = estimate_error(march, basis, flow, accuracy.local).error
+            excess = error.excess(accuracy.absolute + accuracy.tol * error.scale)
+        solution = accepted_solution(H, z0, self.span, march, basis, error, accuracy.tol, excess)
+        if not excess <= 1:
+            reason = f"the error, estimated again, is {excess:.1e} of the tolerance"
+            return solution.judged(False, reason)
+        return solution
+
+    def marched(self, member: int) -> tuple[March, MarchError, FeatureTrial]:
+        """Return march, error and trial solution of a member that was solved by itself."""
+        table = self.table
+        own, note = table.packed(self.windows, member, member + 1), table.notes[member]
+        arrays = {name: getattr(own, name).copy() for name in ("edges", "states", "readouts")}
+        march: March = checked_record(
+            March, note["march"], {**arrays, "scale": table.sizes[member].copy()}
+        )
+        error = MarchError(
+            march.edges,
+            own.error.copy(),
+            own.floors.copy(),
+            table.largest[member].copy(),
+            np.array(note["scale"], dtype=float),
+            np.array(march.origin),
+        )
+        trial = FeatureTrial(
+            march.edges, march.states, march.readouts, self.family.series, error.origin
+        )
+        return march, error, trial
+
+    # -- evaluation --------------------------------------------------------------------------
+
+    def __call__(self, t: Any, *, extrapolate: bool = False) -> np.ndarray:
+        """Return the states of all members at times t, shape (..., n, dim), or (..., dim).
+
+        Each is equal to ``many[i](t)`` to the last bit. They are nan for a member without a
+        solution, and after the time that a member reached.
+
+        Parameters
+        ----------
+        t : float, sequence or array
+        extrapolate : bool
+            Allow times outside the span.
+
+        Raises
+        ------
+        InputError
+            If a time is outside the span, unless ``extrapolate=True``.
+        """
+        times = times_in_span(t, self.span, extrapolate=extrapolate)
+        flat = np.atleast_1d(times)
+        found = np.full((self.size, len(flat), self.H.dim), np.nan)
+        for places, part, states in self._groups(flat):
+            found[places, part] = states
+        return found.reshape(*self.shape, *times.shape, self.H.dim)
+
+    def energy(self, t: Any, *, extrapolate: bool = False) -> np.ndarray:
+        """Return H of all members at times t, shape (..., n), or (...) for a scalar t.
+
+        Raises
+        ------
+        InputError
+            If a time is outside the span, unless ``extrapolate=True``.
+        """
+        times = times_in_span(t, self.span, extrapolate=extrapolate)
+        flat, system = np.atleast_1d(times), self.H.compile("numpy")
+        found, members = np.full((self.size, len(flat)), np.nan), self.members.ravel()
+        for places, part, states in self._groups(flat):
+            values = self.table.parameters[members[places], None] if self._varied else None
+            with np.errstate(all="ignore"):  # of states that are nan
+                arguments = system.arguments(states, flat[part])
+                found[places, part] = system.energy(*arguments, **system.keywords(values))
+        return found.reshape(*self.shape, *times.shape)
+
+    def _groups(self, times: np.ndarray) -> Iterator[tuple[np.ndarray, slice, np.ndarray]]:
+        family, members = self.family, self.members.ravel()
+        return states_in_groups(
+            self.table, self.windows, family.series, family.origin, self.span[1], members, times
+        )
+
+    # -- files and tables --------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the solutions to one file that :func:`hamsym.load` reads; see :func:`hamsym.save`.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written.
+        """
+        hamsym.save(self, path)
+
+    def to_xarray(self, t: Any) -> xarray.Dataset:
+        """Return states at times t, with success and error estimates, as a dataset of xarray.
+
+        Its variables are ``state``, ``success``, ``message``, ``error_estimate`` and ``z0``. Axes
+        of members are called ``member``, or ``axis_0``, ``axis_1``, ... if there are several; the
+        other ones are ``time`` and ``component``. Parameters are coordinates.
+
+        Parameters
+        ----------
+        t : sequence or array
+            Times, shape (n,); a scalar counts as one time.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed, or a time is outside the span.
+        """
+        try:
+            import xarray
+        except ImportError:
+            raise InputError(
+                "to_xarray needs the package xarray, which is not installed; install it with "
+                "pip install xarray"
+            ) from None
+        axes = ["member"] if self.ndim == 1 else [f"axis_{i}" for i in range(self.ndim)]
+        times = np.atleast_1d(times_in_span(t, self.span))
+        return xarray.Dataset(
+            {
+                "state": ([*axes, "time", "component"], self(times)),
+                "success": (axes, self.success),
+                "message": (axes, self.message.astype(str)),
+                "error_estimate": ([*axes, "component"], self.error_estimate),
+                "z0": ([*axes, "component"], self.z0),
+            },
+            coords={
+                "time": times,
+                "component": list(self.H.names),
+                **{name: (axes, values) for name, values in self.parameters.items()},
+            },
+            attrs={
+                "H": self.H.formula,
+                "span": list(self.span),
+                "tol": self.tol,
+                **{
+                    name: value
+                    for name, value in self.H.parameters.items()
+                    if name not in self._varied
+                },
+            },
+        )

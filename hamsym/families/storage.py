@@ -1,0 +1,486 @@
+"""Solutions in one file, and in stores of zarr to which windows are written as they are found.
+
+Both have the same arrays: the columns of the table, the windows, the basis, and the notes of
+members as JSON text. They are accepted only if they are exactly what is written. The windows of a
+store are read, and checked against their checksums, when they are needed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hamsym.description import MALFORMED, described, hamiltonian_from
+from hamsym.errors import FileError, InputError
+from hamsym.families.solutions import Family, Solutions
+from hamsym.families.windows import (
+    ACCEPTED,
+    MARCHED,
+    OPEN,
+    REFUSED,
+    Packed,
+    Pieces,
+    Table,
+    Windows,
+    pieces_of,
+)
+from hamsym.problem import checked_span
+from hamsym.random_features.basis import DEGREE
+from hamsym.random_features.method import FeatureOptions
+from hamsym.support.checked_data import (
+    checked_list,
+    checked_mapping,
+    checked_number,
+    checked_type,
+    numbers_of,
+    require_array,
+    require_names,
+)
+from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
+from hamsym.support.validation import require_whole
+
+__all__ = ["KIND", "WindowStore", "open_store", "read_solutions", "write_solutions"]
+
+KIND = "solutions"
+_VALUES = {"H", "span", "options", "seed", "varied", "shape", "stopped"}
+_VERSION = 1  # of stores
+_CHUNK = 2**22  # bytes of a chunk of a store
+
+
+def write_solutions(solutions: Solutions, path: str | os.PathLike[str]) -> None:
+    """Write solutions to one file; see :func:`hamsym.save`."""
+    solutions = _compact(solutions)
+    _require_formula(path, solutions.family)
+    try:
+        _check(solutions)
+    except MALFORMED as error:
+        raise FileError(
+            f"'{path}' was not written, because the solutions are not valid: {one_line(error)}"
+        ) from None
+    windows = solutions.windows
+    arrays = _columns(solutions.family, solutions.table) | {
+        name: rows.rows(0, len(rows)) for name, rows in windows._asdict().items()
+    }
+    write_tensors(path, KIND, arrays, _values(solutions))
+
+
+def read_solutions(path: str | os.PathLike[str]) -> Solutions:
+    """Read solutions that :func:`write_solutions` wrote; see :func:`hamsym.load`."""
+    arrays, values = read_tensors(path, KIND)
+    try:
+        require_names("arrays", {**arrays}, _COLUMNS | {*Packed._fields})
+        windows = Windows(*(Pieces([arrays[name]]) for name in Windows._fields))
+        solutions = _assembled(arrays, values, windows)
+        _check(solutions)
+    except MALFORMED as error:
+        raise FileError(f"'{path}' is not a valid solution file: {one_line(error)}") from None
+    return solutions
+
+
+class WindowStore:
+    """A new store of zarr, to which windows are written.
+
+    Raises
+    ------
+    InputError
+        If zarr is not installed.
+    FileError
+        If the path exists, or cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], family: Family) -> None:
+        zarr = _zarr()
+        self._path, self._family = Path(path), family
+        _require_formula(path, family)
+        if self._path.exists():
+            raise FileError(f"'{path}' exists; give the path of a new store")
+        try:
+            self._group = zarr.open_group(self._path, mode="w-")
+            for name, shape in _row_shapes(family).items():
+                self._create(name, (0, *shape), "float64")
+        except OSError as error:
+            raise FileError(f"'{path}' cannot be written: {error.strerror or error}") from None
+        #: Blocks that are written, and rows of each array.
+        self._done = 0, dict.fromkeys(Windows._fields, 0)
+
+    def append(self, blocks: int, windows: Packed) -> None:
+        """Write the windows up to a number of blocks, unless they are already written."""
+        done, ends = self._done
+        if blocks <= done:
+            return
+        new = {name: ends[name] + len(array) for name, array in windows._asdict().items()}
+        try:
+            for name, array in windows._asdict().items():
+                stored = self._group[name]
+                stored.resize((new[name], *array.shape[1:]))
+                if len(array):
+                    stored[ends[name] : new[name]] = array
+        except OSError as error:
+            raise FileError(
+                f"'{self._path}' cannot be written: {error.strerror or error}"
+            ) from None
+        self._done = blocks, new
+
+    def finished(self, table: Table, members: np.ndarray) -> Solutions:
+        """Write the table, and return the solutions, which read their windows from the store."""
+        solutions = Solutions(self._family, table, self._windows(), members)
+        columns, values = _columns(self._family, table), _values(solutions)
+        for name, column in columns.items():
+            self._create(name, column.shape, column.dtype.name)
+            if column.size:
+                self._group[name][...] = column
+        rows = list(self._done[1].values())
+        head = {"kind": KIND, "version": _VERSION, "rows": rows, **values}
+        # Last: a store without it is not complete.
+        self._group.attrs["hamsym"] = json.dumps({**head, "sha256": _digest(columns, head)})
+        return solutions
+
+    def _windows(self) -> Windows:
+        return _stored_windows(self._path, self._group)
+
+    def _create(self, name: str, shape: tuple[int, ...], dtype: str) -> None:
+        from zarr.codecs import Crc32cCodec
+
+        inner = [max(1, length) for length in shape[1:]]
+        rows = max(1, _CHUNK // (math.prod(inner) * np.dtype(dtype).itemsize))
+        self._group.create_array(
+            name,
+            shape=shape,
+            chunks=(rows, *inner),
+            dtype=dtype,
+            compressors=[Crc32cCodec()],  # numbers that are not compressible, with a checksum
+            # A lost chunk reads as NaN, which is no window.
+            fill_value=math.nan if dtype == "float64" else 0,
+        )
+
+
+class _StoredRows:
+    """Rows of an array of a store, read when they are needed."""
+
+    def __init__(self, path: str | os.PathLike[str], array: Any) -> None:
+        self._path, self._array = path, array
+
+    def __len__(self) -> int:
+        return int(self._array.shape[0])
+
+    def rows(self, start: int, stop: int) -> np.ndarray:
+        """Rows of a range.
+
+        Raises
+        ------
+        FileError
+            If the store is damaged.
+        """
+        try:
+            found = np.asarray(self._array[start:stop])
+        except Exception as error:  # of any codec
+            raise FileError(f"'{self._path}' is damaged: {one_line(error)}") from None
+        if np.isnan(found).any():
+            raise FileError(f"'{self._path}' is damaged: windows are missing")
+        return found
+
+
+def open_store(path: str | os.PathLike[str]) -> Solutions:
+    """Open the solutions of a store of zarr; their windows are read when they are needed.
+
+    Raises
+    ------
+    FileError
+        If it is damaged, is not a store of solutions, or was not finished.
+    """
+    zarr = _zarr()
+    try:
+        group = zarr.open_group(path, mode="r")
+        text = group.attrs.get("hamsym")
+    except Exception as error:  # zarr raises many kinds
+        raise FileError(f"'{path}' is not a store of solutions: {one_line(error)}") from None
+    if text is None:
+        raise FileError(f"'{path}' is not a store of solutions, or was not finished; solve again")
+    try:
+        values = checked_mapping("values", json.loads(text))
+        claimed = values.pop("sha256", None)
+        if (values.get("kind"), values.get("version")) != (KIND, _VERSION):
+            raise ValueError(f"it is not of kind {KIND} and version {_VERSION}")
+        require_names(
+            "arrays", {name: 0 for name, _ in group.arrays()}, _COLUMNS | {*Packed._fields}
+        )
+        arrays = {name: np.asarray(group[name][...]) for name in _COLUMNS}
+        if claimed != _digest(arrays, values):
+            raise ValueError("its checksum does not match its content")
+        del values["kind"], values["version"]
+        windows, rows = _stored_windows(path, group), values.pop("rows")
+        if rows != [len(array) for array in windows]:
+            raise ValueError("windows are missing")
+        solutions = _assembled(arrays, values, windows)
+        _check_table(solutions)
+        _check_shapes(solutions, [group[name] for name in Windows._fields])
+    except (*MALFORMED, OSError) as error:
+        raise FileError(f"'{path}' is damaged: {one_line(error)}") from None
+    return solutions
+
+
+def _zarr() -> Any:
+    try:
+        import zarr
+    except ImportError:
+        raise InputError(
+            "a store needs the package zarr, which is not installed; install it with "
+            'pip install "zarr>=3"'
+        ) from None
+    return zarr
+
+
+def _stored_windows(path: str | os.PathLike[str], group: Any) -> Windows:
+    return Windows(*(_StoredRows(path, group[name]) for name in Windows._fields))
+
+
+def _digest(columns: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> str:
+    """Compute SHA-256 of columns and values."""
+    found = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
+    for name, column in sorted(columns.items()):
+        found.update(f"{name} {column.dtype.name} {column.shape} ".encode())
+        found.update(np.ascontiguousarray(column).tobytes())
+    return found.hexdigest()
+
+
+def _require_formula(path: str | os.PathLike[str], family: Family) -> None:
+    """Raise FileError unless the formula of H is read back as it is."""
+    try:
+        same = hamiltonian_from(described(family.H)) == family.H
+    except MALFORMED:
+        same = False
+    if not same:
+        raise FileError(f"'{path}' is not written: H has no formula that is read back as it is")
+
+
+# -- parts -----------------------------------------------------------------------------------------
+
+_COLUMNS = {
+    *("z0", "parameters", "status", "success", "counts", "evaluations", "excess", "largest"),
+    *("sizes", "notes", "basis"),
+}
+
+
+def _columns(family: Family, table: Table) -> dict[str, np.ndarray]:
+    """Return all arrays but for the windows."""
+    notes = json.dumps({str(member): note for member, note in sorted(table.notes.items())})
+    return {
+        **table.arrays(),
+        "success": table.success.astype(np.uint8),
+        "notes": np.frombuffer(notes.encode(), dtype=np.uint8),
+        "basis": family.series,
+    }
+
+
+def _values(solutions: Solutions) -> dict[str, Any]:
+    """Return what is not an array, as values that JSON can store."""
+    family, found = solutions.family, solutions.family.accuracy
+    longest = family.options.max_window
+    return {
+        "H": described(family.H),
+        "span": [float(time) for time in family.span],
+        "options": {
+            "tol": float(found.tol),
+            "atol": found.absolute.tolist(),
+            "max_window": None if longest is None else float(longest),
+        },
+        "seed": family.seed,
+        "varied": list(family.varied),
+        "shape": list(solutions.shape),
+        "stopped": solutions.table.stopped,
+    }
+
+
+def _assembled(
+    arrays: Mapping[str, np.ndarray], values: Mapping[str, Any], windows: Windows
+) -> Solutions:
+    """Build solutions from :func:`_columns`, :func:`_values` and their windows."""
+    require_names("values", values, _VALUES)
+    options = checked_mapping("options", values["options"])
+    require_names("options", options, {"tol", "atol", "max_window"})
+    formula = checked_mapping("H", values["H"])
+    start, end = (checked_number("span", time) for time in checked_list("span", values["span"], 2))
+    seed = checked_type("seed", values["seed"], "int")
+    require_whole("seed", seed, 0)
+    shape = tuple(checked_type("shape", n, "int") for n in checked_list("shape", values["shape"]))
+    if len(shape) > 32 or any(not 0 < n < 2**63 for n in shape):
+        raise ValueError("'shape' is out of range")
+    if math.prod(shape) != len(arrays["status"]):
+        raise ValueError("its shape differs from its number of members")
+    own = {name: arrays[name] for name in _COLUMNS - {"notes", "basis"}}
+    require_array("success", own["success"], own["status"].shape, np.uint8)
+    if (own["success"] > 1).any():
+        raise ValueError("'success' is out of range")
+    family = Family(
+        H=hamiltonian_from(formula),
+        span=checked_span((start, end)),
+        options=FeatureOptions(
+            tol=checked_number("tol", options["tol"]),
+            atol=[checked_number("atol", a) for a in checked_list("atol", options["atol"])],
+            max_window=checked_type("max_window", options["max_window"], "float | None"),
+            compiled=True,
+        ),
+        seed=seed,
+        varied=tuple(
+            checked_type("varied", name, "str") for name in checked_list("varied", values["varied"])
+        ),
+        series=arrays["basis"],
+    )
+    table = Table(
+        **{**own, "success": own["success"].astype(bool)},
+        notes=_notes(arrays["notes"]),
+        stopped=checked_type("stopped", values["stopped"], "str"),
+    )
+    members = np.arange(len(table.status)).reshape(shape)
+    return Solutions(family, table, windows, members)
+
+
+def _notes(text: np.ndarray) -> dict[int, dict[str, Any]]:
+    if text.dtype != np.uint8:
+        raise ValueError("'notes' is not of type uint8")
+    found = {}
+    for member, note in checked_mapping("notes", json.loads(text.tobytes())).items():
+        alone = len(checked_mapping("note", note)) == 1
+        names = {"message"} if alone else {"message", "march", "scale"}
+        require_names("notes", note, names)
+        checked_type("message", note["message"], "str")
+        found[int(member)] = note
+    return found
+
+
+def _compact(solutions: Solutions) -> Solutions:
+    """Return the same solutions with a table and windows of their members alone, in order."""
+    members, table = solutions.members.ravel(), solutions.table
+    if np.array_equal(members, np.arange(len(table.status))):
+        return solutions
+    rows = {name: column[members] for name, column in table.arrays().items()}
+    notes = {k: table.notes[m] for k, m in enumerate(members.tolist()) if m in table.notes}
+    none = table.packed(solutions.windows, 0, 0)
+    parts = [table.packed(solutions.windows, m, m + 1) for m in members.tolist()]
+    return Solutions(
+        solutions.family,
+        Table(**rows, notes=notes, stopped=table.stopped),
+        pieces_of([*parts, none]),
+        np.arange(len(members)).reshape(solutions.shape),
+    )
+
+
+# -- checks ----------------------------------------------------------------------------------------
+
+
+def _check(solutions: Solutions) -> None:
+    """Raise ValueError unless solutions are what solve_many returns."""
+    _check_table(solutions)
+    windows = solutions.windows
+    arrays = [rows.rows(0, len(rows)) for rows in windows]
+    _check_shapes(solutions, arrays)
+    _check_windows(solutions, Packed(*arrays))
+
+
+def _check_table(solutions: Solutions) -> None:
+    family, table = solutions.family, solutions.table
+    H, count = family.H, len(table.status)
+    H.require_parameters()
+    if not family.accuracy.tol == family.options.tol:
+        raise ValueError("its tolerance is not valid")
+    require_array("basis", family.series, (DEGREE + 1, family.series.size // (DEGREE + 1)))
+    if not set(family.varied) <= set(H.parameter_names):
+        raise ValueError("it varies a parameter that H does not have")
+    names = H.parameter_names
+    require_array("z0", table.z0, (count, H.dim), finite=False)
+    require_array("parameters", table.parameters, (count, len(names)))
+    for name, column in zip(names, table.parameters.T, strict=True):
+        if name not in family.varied and not (column == H.parameters[name]).all():
+            raise ValueError(f"'{name}' differs from its value in H")
+    require_array("status", table.status, (count,), np.uint8)
+    require_array("success", table.success, (count,), bool)
+    for name in ("counts", "evaluations"):
+        require_array(name, getattr(table, name), (count,), np.int64)
+    require_array("excess", table.excess, (count,), finite=False)
+    require_array("largest", table.largest, (count, H.dim), finite=False)
+    require_array("sizes", table.sizes, (count, H.dim))
+    for name in ("counts", "evaluations", "excess", "largest", "sizes"):
+        if not (getattr(table, name) >= 0).all():
+            raise ValueError(f"'{name}' is negative or not a number")
+    solved = (table.status == ACCEPTED) | (table.status == MARCHED)
+    good = table.success
+    if (table.status > REFUSED).any() or ((table.counts > 0) != solved).any():
+        raise ValueError("members without windows have a solution, or the reverse")
+    if (good & ~solved).any() or (~good & (table.status == ACCEPTED)).any():
+        raise ValueError("success contradicts the state of a member")
+    if not ((table.excess <= 1) | ~good).all() or not np.isfinite(table.largest[good]).all():
+        raise ValueError("a member's success is true, but its error exceeds the tolerance")
+    if not np.isfinite(table.z0[solved]).all():
+        raise ValueError("a member with a solution starts at a state that is not finite")
+    noted = np.flatnonzero((table.status == MARCHED) | (table.status == REFUSED)).tolist()
+    if sorted(table.notes) != noted:
+        raise ValueError("members without messages, or messages without members")
+    if any((len(n) > 1) != (table.status[m] == MARCHED) for m, n in table.notes.items()):
+        raise ValueError("a note does not belong to the state of its member")
+    if (table.status == OPEN).any() != bool(table.stopped):
+        raise ValueError("members are not solved without a reason")
+
+
+def _row_shapes(family: Family) -> dict[str, tuple[int, ...]]:
+    """Return the shape of a row of each array of :class:`Windows`."""
+    dim, columns = family.H.dim, family.series.shape[1]
+    return {
+        "edges": (),
+        "states": (dim,),
+        "readouts": (columns, dim),
+        "error": (family.degrees, dim),
+        "floors": (dim,),
+    }
+
+
+def _check_shapes(solutions: Solutions, arrays: Sequence[Any]) -> None:
+    """Raise ValueError unless the arrays of windows have the shapes that the table states."""
+    table = solutions.table
+    edges, windows, errors = (
+        int(first[-1]) for first in (table.first_edge, table.first_window, table.first_error)
+    )
+    counts = (edges, edges, windows, errors, errors)
+    rows = _row_shapes(solutions.family).items()
+    for (name, row), count, array in zip(rows, counts, arrays, strict=True):
+        if array.dtype != np.float64 or tuple(array.shape) != (count, *row):
+            raise ValueError(f"'{name}' is not of type float64 and shape {(count, *row)}")
+
+
+def _check_windows(solutions: Solutions, packed: Packed) -> None:
+    family, table = solutions.family, solutions.table
+    for name in ("edges", "states", "readouts"):
+        if not np.isfinite(getattr(packed, name)).all():
+            raise ValueError(f"'{name}' is not finite")
+    solved = table.counts > 0
+    first, last = table.first_edge[:-1][solved], table.first_edge[1:][solved] - 1
+    start, end = family.span
+    with np.errstate(over="ignore"):
+        steps = np.diff(packed.edges) * math.copysign(1.0, end - start)
+    inner = np.ones(len(steps), dtype=bool)
+    inner[last[:-1]] = False  # from one member to the next
+    if not (steps[inner] > 0).all() or not np.isfinite(steps[inner]).all():
+        raise ValueError("its windows are not in order")
+    if not (family.origin + packed.edges[first] == start).all():
+        raise ValueError("a member does not start at the start of the span")
+    reached = family.origin + packed.edges[last]
+    if not (reached[table.success[solved]] == end).all():
+        raise ValueError("a member's success is true, but it ends before the span")
+    if packed.states[first].tobytes() != table.z0[solved].tobytes():
+        raise ValueError("a member does not start at its z0")
+    for member in np.flatnonzero(table.status == MARCHED).tolist():
+        march, error, trial = solutions.marched(member)
+        success = bool(table.success[member])
+        if march.origin != family.origin:
+            raise ValueError("the times of a member have another origin")
+        march.check(trial)
+        error.check(trial, finite=success)
+        numbers = [v for v in numbers_of(march).values() if isinstance(v, float)]
+        if success and not np.isfinite(numbers).all():
+            raise ValueError("a member's success is true, but a number of its march is not finite")
