@@ -51,7 +51,7 @@ from hamsym.support.validation import require_whole
 
 __all__ = ["solve_many"]
 
-_FIRST, _MOST = 32, 256  # members of the first chunk, and of any
+_FIRST, _MOST = 32, 1_024  # members of the first chunk, and of any; a call costs a millisecond
 _SECONDS = 0.2  # that a chunk should take, so that Ctrl-C is soon obeyed
 _WAITING = 2  # chunks for each core
 _CHECKED = 65_536  # members whose starts are checked at once
@@ -158,6 +158,7 @@ class _Run:
         self._flushed, self._held = 0, 0  # blocks in the store, and bytes of windows in memory
         self._refused: dict[int, str] = {}
         self._stopped = ""
+        self._limit = _SHARE * memory_size()  # of the windows in memory
 
     def solve(self, report: Callable[[int], None]) -> None:
         """Solve all members, or as many as there are before Ctrl-C."""
@@ -169,14 +170,16 @@ class _Run:
             report(len(self._members) - len(valid))
             position, size = 0, _FIRST
             while waiting or position < len(valid):
-                while position < len(valid) and len(waiting) < (
-                    _WAITING * cores if position else 1
-                ):
+                # Nothing follows the first chunk before the memory is known to suffice.
+                most = _WAITING * cores if self._blocks else 1
+                while position < len(valid) and len(waiting) < most:
                     chunk = valid[position : position + size]
                     waiting.append((chunk, pool.submit(self._batch, chunk)))
                     position += len(chunk)
                 batch, seconds = waiting[0][1].result()
-                size = int(min(max(_SECONDS * len(waiting[0][0]) / seconds, 1), _MOST))
+                # Smaller chunks at the end occupy all cores until then.
+                fair = max((len(valid) - position) // (_WAITING * cores), _FIRST)
+                size = int(min(max(_SECONDS * len(waiting[0][0]) / seconds, 1), fair, _MOST))
                 chunk, _ = waiting.popleft()
                 self._finish(chunk, batch, report)
                 self._limit_memory(len(valid))
@@ -324,7 +327,7 @@ class _Run:
         """Refuse after the first chunk, or stop later, where windows would fill the memory."""
         if self._store is not None:
             return
-        limit, done = _SHARE * memory_size(), sum(len(block.members) for block in self._blocks)
+        limit, done = self._limit, sum(len(block.members) for block in self._blocks)
         advice = 'give zarr="windows.zarr" to write them to a store'
         if len(self._blocks) == 1 and (needed := self._held / done * count) > limit:
             raise InputError(

@@ -404,7 +404,7 @@ class Solutions:
             {
                 "state": ([*axes, "time", "component"], self(times)),
                 "success": (axes, self.success),
-                "message": (axes, self.message.astype(str)),
+                "message": (axes, self.message),
                 "error_estimate": ([*axes, "component"], self.error_estimate),
                 "z0": ([*axes, "component"], self.z0),
             },

@@ -51,7 +51,7 @@ __all__ = ["KIND", "WindowStore", "open_store", "read_solutions", "write_solutio
 KIND = "solutions"
 _VALUES = {"H", "span", "options", "seed", "varied", "shape", "stopped"}
 _VERSION = 1  # of stores
-_CHUNK = 2**22  # bytes of a chunk of a store
+_CHUNK = 2**20  # bytes of a chunk of a store
 
 
 def write_solutions(solutions: Solutions, path: str | os.PathLike[str]) -> None:
@@ -133,7 +133,7 @@ class WindowStore:
         solutions = Solutions(self._family, table, self._windows(), members)
         columns, values = _columns(self._family, table), _values(solutions)
         for name, column in columns.items():
-            self._create(name, column.shape, column.dtype.name)
+            self._create(name, column.shape, column.dtype.name, max(1, len(column)))
             if column.size:
                 self._group[name][...] = column
         rows = list(self._done[1].values())
@@ -145,11 +145,13 @@ class WindowStore:
     def _windows(self) -> Windows:
         return _stored_windows(self._path, self._group)
 
-    def _create(self, name: str, shape: tuple[int, ...], dtype: str) -> None:
+    def _create(
+        self, name: str, shape: tuple[int, ...], dtype: str, most: int = _CHUNK
+    ) -> None:
         from zarr.codecs import Crc32cCodec
 
         inner = [max(1, length) for length in shape[1:]]
-        rows = max(1, _CHUNK // (math.prod(inner) * np.dtype(dtype).itemsize))
+        rows = max(1, min(_CHUNK // (math.prod(inner) * np.dtype(dtype).itemsize), most))
         self._group.create_array(
             name,
             shape=shape,
