@@ -145,9 +145,7 @@ class WindowStore:
     def _windows(self) -> Windows:
         return _stored_windows(self._path, self._group)
 
-    def _create(
-        self, name: str, shape: tuple[int, ...], dtype: str, most: int = _CHUNK
-    ) -> None:
+    def _create(self, name: str, shape: tuple[int, ...], dtype: str, most: int = _CHUNK) -> None:
         from zarr.codecs import Crc32cCodec
 
         inner = [max(1, length) for length in shape[1:]]
