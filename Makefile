@@ -56,6 +56,7 @@ docs: tables ## Make tables and pictures of the documentation again (five minute
 	$(BIN)/python examples/henon_heiles.py --out examples/pictures
 	$(BIN)/python examples/chaos.py --out examples/pictures
 	$(BIN)/python examples/chaos_map.py --out examples/pictures
+	$(BIN)/python examples/pendulum_period.py --out examples/pictures
 
 clean: ## Remove the environment and everything built
 	rm -rf $(VENV) build dist output *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage .coverage.*

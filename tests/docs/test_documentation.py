@@ -54,6 +54,7 @@ _MINIATURE = {
     "chaos_map": ["--grid", "8", "--time", "50"],
     "henon_heiles": ["--epochs", "30"],
     "oscillator": [],
+    "pendulum_period": ["--count", "12"],
     "scheme": [],
 }
 _LONG = {"henon_heiles", "oscillator"}

@@ -591,9 +591,8 @@ def test_datasets_have_names_and_coordinates(mixed: Solutions) -> None:
     data = mixed.to_xarray([0.0, 1.0, 2.5])
     assert data["state"].dims == ("axis_0", "axis_1", "time", "component")
     np.testing.assert_array_equal(data["state"], mixed([0.0, 1.0, 2.5]))
-    # Products of other shapes round differently.
-    at_one = data["state"].sel(component="p", time=1.0)
-    np.testing.assert_allclose(at_one, mixed(1.0)[..., 1], rtol=1e-14)
+    momenta = data["state"].sel(component="p", time=1.0)
+    np.testing.assert_array_equal(momenta, mixed([0.0, 1.0, 2.5])[..., 1, 1])
     np.testing.assert_array_equal(data["k"], mixed.parameters["k"])
     np.testing.assert_array_equal(data["success"], mixed.success)
     assert data.attrs["H"] == CUBIC.formula
@@ -671,11 +670,13 @@ def survey_pendulum(count: int) -> None:
     many = hamsym.solve_many(H, starts, (0, 10))
     good = many.success
     assert good.mean() > 0.95
-    # Motions that part fast limit the reference; they are compared with themselves.
-    truth, finer = (dop853(H, starts, t, group) for group in (20, 7))
-    sure = errors(many, t, many(t) + (truth - finer)) <= 3e-10
-    assert sure.mean() > 0.8
-    assert errors(many, t, truth)[good & sure].max() <= 1e-9
+    # Where motions part fast the truth is not sharp enough either.
+    fine = hamsym.solve_many(H, starts, (0, 10), tol=1e-12, seed=1)
+    sure = fine.excess <= 300
+    assert sure.mean() > 0.9
+    assert errors(many, t, fine(t))[good & sure].max() <= 1e-9
+    own = np.flatnonzero(good & sure)[:10]
+    assert errors(many[own], t, dop853(H, starts[own], t, 10)).max() <= 1e-9
 
 
 def survey_kepler(count: int) -> None:
