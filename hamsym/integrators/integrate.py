@@ -102,10 +102,12 @@ class Trajectory:
         Largest change of H in excess of round-off, at the saved states (at 20,001 of them if there
         are more), relative to the energy that the motion exchanges between coordinates and momenta
         (:mod:`hamsym.integrators.energy_drift`); the largest of an ensemble. Infinite if H is not
-        finite along the trajectory, nan if H depends on time.
+        finite along the trajectory, nan if H depends on time and with ``tol``.
     error_estimate : numpy.ndarray, optional
         With ``tol``: largest estimated error of each component up to each time, shape of z, in the
         units of the components; infinite where it is unknown.
+    verdicts : Tolerated, optional
+        With ``tol``: steps, largest relative error and problem of each trajectory, in a flat order.
     """
 
     t: np.ndarray = field(repr=False)

@@ -42,12 +42,12 @@ __all__ = ["Tolerated", "integrate_to_tolerance"]
 _SAMPLES = 5  # fewest times at which the three runs are compared
 _MIDDLE_SAVES = 64  # most saved states of the middle run between two of these times
 _PERTURBED = 8  # most perturbations between two of these times
-_ANGLE = 1.0  # phase of the fastest linear motion in a coarse step, at a tolerance of 1e-9
+_ANGLE = 0.9  # phase of the fastest linear motion in a coarse step, at a tolerance of 1e-9
 _ANGLES = (0.02, 1.5)  # limits of this phase at other tolerances
 _AIM = 0.5  # of the tolerance, for the choice of the next number of steps
 #: Rounding errors of a step in units of the last place: of implicit methods, which stop iterating
 #: there, and of splitting methods without and with compensated summation.
-_ROUNDING = {"implicit": 4.0, "plain": 8.0, "compensated": 1.0}
+_ROUNDING = {"implicit": 4.0, "plain": 8.0, "compensated": 0.25}
 _LIMITED = 0.2  # round-off, relative to the tolerance, from which summation is compensated
 _SLACK = 10.0  # change of H in units of the change that the tolerance allows
 _MAX_GROWTH = 4.0  # largest factor between two numbers of steps
@@ -359,8 +359,9 @@ class _Search:
     ) -> tuple[np.ndarray, int, int]:
         """Integrate with perturbations; return the path, their number, and evaluations."""
         stepper = self._stepper(rows, coarse_path[:, 0], steps)
-        # A divisor of the steps, larger for longer runs.
-        pieces = math.gcd(steps // self._sampled, _PERTURBED)
+        # A divisor of the steps; short runs have few perturbations.
+        between = steps // self._sampled
+        pieces = math.gcd(between, _PERTURBED) if between >= 2 * _PERTURBED else 1
         count = pieces * self._sampled
         path = np.empty_like(coarse_path)
         path[:, 0] = coarse_path[:, 0]
