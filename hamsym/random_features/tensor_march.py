@@ -53,7 +53,7 @@ __all__ = [
 
 CROWDED = 0.75  # share of members in progress below which the others are removed from the tensors
 
-Rates: TypeAlias = Callable[[Tensor, Tensor, Tensor, Tensor], None]
+Rates: TypeAlias = Callable[[Tensor | list[Tensor], Tensor, Tensor, Tensor], None]
 Fields = TypeVar("Fields", bound=tuple[Tensor, ...])
 
 
@@ -303,11 +303,12 @@ def _iterate(
     for iteration in range(1, ITERATIONS + 1):
         length, times = its.h[:, None], its.times[0]
         speeds, slopes = its.rates[:half], its.rates[half:]
-        functions.force(its.coordinates, times, its.parameters, slopes)
+        # The functions take rows, of a tensor or in a list.
+        rows = [*its.coordinates, *its.momenta]
+        functions.force(rows, times, its.parameters, slopes)
         momenta = torch.addcmul(its.base[half:], slopes @ tables.integration, length)
-        # The functions index rows, as those of a list.
-        rows = [*its.coordinates, *momenta]
-        functions.velocity(rows, times, its.parameters, speeds)  # type: ignore[arg-type]
+        rows[half:] = momenta
+        functions.velocity(rows, times, its.parameters, speeds)
         coordinates = torch.addcmul(its.base[:half], speeds @ tables.integration, length)
         changes = torch.cat((_change(coordinates, its.coordinates), _change(momenta, its.momenta)))
         moves, kicks = (changes / its.scale).split(half)
