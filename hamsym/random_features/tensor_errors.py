@@ -36,6 +36,7 @@ from hamsym.random_features.tensor_march import (
     CROWDED,
     Functions,
     MarchTables,
+    change,
     disturbed,
     evaluate,
     largest_of,
@@ -297,9 +298,7 @@ def _transport(
         now = now._replace(coordinates=coordinates, momenta=momenta)
         if iteration <= 2:
             continue
-        changes = torch.cat(
-            [largest_of(new - old) for new, old in zip((coordinates, momenta), before, strict=True)]
-        )
+        changes = torch.cat((change(coordinates, before[0]), change(momenta, before[1])))
         few = torch.cat([rows.index_select(2, some_nodes) for rows in (coordinates, momenta)])
         sizes = largest_of(few).view(dim, each, -1).amax(1).clamp(min=TINY)
         ratios = changes.view(dim, each, -1).amax(1) / (now.accuracy * sizes)
@@ -384,7 +383,7 @@ def carry_errors(
     lengths = path.edges[path.slots + 1] - path.edges[path.slots]
     usual = torch.zeros_like(tolerances).index_add_(0, path.member, lengths.square())
     usual /= settings.whole
-    accuracy = ACCURACY / path.counts.clamp(min=FEWEST)
+    accuracy = ACCURACY / path.counts.to(sizes.dtype).clamp(min=FEWEST)
     joint = sizes.new_zeros((dim, _EACH, members))
     errors = Errors(
         path.counts > 0,

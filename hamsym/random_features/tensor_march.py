@@ -43,12 +43,14 @@ __all__ = [
     "MarchTables",
     "Marched",
     "Settings",
+    "change",
     "disturbed",
     "evaluate",
     "first_lengths",
     "largest_of",
     "march",
     "take",
+    "taken",
 ]
 
 CROWDED = 0.75  # share of members in progress below which the others are removed from the tensors
@@ -189,7 +191,8 @@ def largest_of(rows: Tensor) -> Tensor:
     return rows.abs().amax(-1)
 
 
-def _change(rows: Tensor, others: Tensor) -> Tensor:
+def change(rows: Tensor, others: Tensor) -> Tensor:
+    """Largest magnitude of rows - others over the last dimension; NaN if there is one."""
     return (rows - others).abs_().amax(-1)
 
 
@@ -310,21 +313,22 @@ def _iterate(
         rows[half:] = momenta
         functions.velocity(rows, times, its.parameters, speeds)
         coordinates = torch.addcmul(its.base[:half], speeds @ tables.integration, length)
-        changes = torch.cat((_change(coordinates, its.coordinates), _change(momenta, its.momenta)))
-        moves, kicks = (changes / its.scale).split(half)
-        change, kick, last = moves.amax(0), kicks.amax(0), its.last
+        moves, kicks = change(coordinates, its.coordinates), change(momenta, its.momenta)
+        changes = torch.cat((moves, kicks))
+        ratios = changes / its.scale
+        largest, kick, last = ratios[:half].amax(0), ratios[half:].amax(0), its.last
         if settings.separable:
             # The momenta follow the coordinates of the last iteration: their next change is
             # smaller by as much as that of the coordinates is.
-            later = kick * (change / last) if iteration > 1 else change
-            kick = torch.where(change <= last, later, kick)
-        change = torch.maximum(change, kick)
-        its = its._replace(coordinates=coordinates, momenta=momenta, last=change)
-        done = (change <= its.enough) | ((change < 1e-12) & (change >= last))
-        tested = its.alive & ~done & (change >= last) & (its.tests < ROUND_OFF_TESTS)
-        failed = ~(change < 1e9)
+            later = kick * (largest / last) if iteration > 1 else largest
+            kick = torch.where(largest <= last, later, kick)
+        largest = torch.maximum(largest, kick)
+        its = its._replace(coordinates=coordinates, momenta=momenta, last=largest)
+        done = (largest <= its.enough) | ((largest < 1e-12) & (largest >= last))
+        tested = its.alive & ~done & (largest >= last) & (its.tests < ROUND_OFF_TESTS)
+        failed = ~(largest < 1e9)
         if iteration > 31:
-            failed |= change > 0.9 * last
+            failed |= largest > 0.9 * last
         stopped = its.alive & (done | failed)
         stops, tests = torch.stack((stopped.sum(), tested.sum())).tolist()
         if tests:

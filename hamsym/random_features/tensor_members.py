@@ -61,7 +61,7 @@ __all__ = ["TensorSolver", "checked_device"]
 _WINDOWS = 32  # of a member, expected before the first chunk is solved
 _ARRAYS = 8  # of the size of the vectors of the estimate, in use at one time
 _COPIES = 6  # of the windows of a chunk, while they are arranged
-_IN_CACHE = 2**21  # numbers in the tensors of a chunk on a processor, which its caches hold
+_IN_CACHE = 2**22  # numbers in the tensors of a chunk on a processor, which its caches hold
 
 
 def checked_device(device: Any) -> torch.device:
@@ -142,7 +142,7 @@ class TensorSolver(MemberSolver):
             rounds=MAX_WINDOWS,
         )
         tables = error_tables(basis, resolution_for(local))
-        self._tables = ErrorTables(
+        self._error_tables = ErrorTables(
             *(self._tensor(getattr(tables, name)) for name in ErrorTables._fields)
         )
         entries = np.array(
@@ -189,10 +189,13 @@ class TensorSolver(MemberSolver):
 
     def _limits(self) -> tuple[int, float]:
         """Members of the next chunk, and windows for which there is room."""
-        vectors = self.H.dim * (PERTURBATIONS + 2) * len(self._tables.nodes)
+        vectors = self.H.dim * (PERTURBATIONS + 2) * len(self._error_tables.nodes)
         window = self.H.dim * self.basis.series.shape[1]
         if self.device.type == "cuda":
-            numbers = torch.cuda.mem_get_info(self.device)[0] / 16
+            # Half of what is free, and of what torch has reserved and does not use.
+            free = torch.cuda.mem_get_info(self.device)[0]
+            free += torch.cuda.memory_reserved(self.device)
+            numbers = (free - torch.cuda.memory_allocated(self.device)) / 16
         else:
             numbers = _IN_CACHE
         room = max(numbers, 2**22) / (_COPIES * window)
@@ -205,7 +208,7 @@ class TensorSolver(MemberSolver):
         """Solve a chunk of members; return None if their windows need more than the room."""
         z = self._tensor(states.T.copy())
         values = self._tensor(parameters.T.copy())[..., None]
-        dim, count = z.shape
+        count = z.shape[1]
         start = torch.full((count, 1), self._start, dtype=torch.float64, device=self.device)
         place = z[..., None]
         rates = evaluate(self._functions, place, start, values, torch.empty_like(place))
@@ -242,7 +245,7 @@ class TensorSolver(MemberSolver):
             errors = carry_errors(
                 self._functions,
                 self._march_tables,
-                self._tables,
+                self._error_tables,
                 self._error_settings,
                 path,
                 marched.sizes,
@@ -289,7 +292,7 @@ class TensorSolver(MemberSolver):
         self, path: Path, members: Tensor, sizes: Tensor, parameters: Tensor
     ) -> Tensor:
         """Check windows of members in which H may act briefly, on the host."""
-        marks = narrow(self._functions, self._tables, self._kinds, path, parameters)
+        marks = narrow(self._functions, self._error_tables, self._kinds, path, parameters)
         marks &= members[path.member]
         passed = torch.ones_like(members)
         for index in path.member[marks].unique().tolist():
