@@ -15,7 +15,7 @@ import numpy as np
 from hamsym.description import MALFORMED, described, hamiltonian_from
 from hamsym.errors import FileError
 from hamsym.families.solutions import Solutions
-from hamsym.families.storage import KIND, open_store, read_solutions, write_solutions
+from hamsym.families.storage import KIND, is_store, open_store, read_solutions, write_solutions
 from hamsym.random_features.error_estimate import MarchError
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
@@ -33,7 +33,7 @@ from hamsym.support.checked_data import (
     require_array,
     require_names,
 )
-from hamsym.support.tensor_files import is_folder, kind_of, one_line, read_tensors, write_tensors
+from hamsym.support.tensor_files import kind_of, one_line, read_tensors, write_tensors
 
 __all__ = ["assembled", "load", "load_solution", "parts", "save"]
 
@@ -103,7 +103,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     FileError
         If the file cannot be read, is damaged, has another kind or version, or is not valid.
     """
-    if is_folder(path):
+    if is_store(path):
         return open_store(path)
     return read_solutions(path) if kind_of(path) == KIND else load_solution(path)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +64,10 @@ class Family:
     seed: int
     varied: tuple[str, ...]
     series: np.ndarray
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Compiled functions cannot be pickled.
+        return Family, tuple(getattr(self, entry.name) for entry in fields(self))
 
     @cached_property
     def accuracy(self) -> Accuracy:

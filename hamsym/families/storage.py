@@ -46,7 +46,7 @@ from hamsym.support.checked_data import (
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 from hamsym.support.validation import require_whole
 
-__all__ = ["KIND", "WindowStore", "open_store", "read_solutions", "write_solutions"]
+__all__ = ["KIND", "WindowStore", "is_store", "open_store", "read_solutions", "write_solutions"]
 
 KIND = "solutions"
 _VALUES = {"H", "span", "options", "seed", "varied", "shape", "stopped"}
@@ -185,6 +185,14 @@ class _StoredRows:
         if np.isnan(found).any():
             raise FileError(f"'{self._path}' is damaged: windows are missing")
         return found
+
+
+def is_store(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path is a folder that zarr wrote."""
+    try:
+        return os.path.isfile(os.path.join(path, "zarr.json"))
+    except (ValueError, TypeError):  # it is no path
+        return False
 
 
 def open_store(path: str | os.PathLike[str]) -> Solutions:

@@ -23,7 +23,7 @@ import safetensors.numpy
 from hamsym.errors import FileError
 from hamsym.support.atomic import write_atomically
 
-__all__ = ["is_folder", "kind_of", "one_line", "read_tensors", "write_tensors"]
+__all__ = ["kind_of", "one_line", "read_tensors", "write_tensors"]
 
 _VERSION = 2
 _KEY = "hamsym"
@@ -121,14 +121,6 @@ def kind_of(path: str | os.PathLike[str]) -> str | None:
     except (_DamagedError, OSError, ValueError, TypeError):
         return None
     return kind if isinstance(kind, str) else None
-
-
-def is_folder(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is that of a folder; False if it is no path."""
-    try:
-        return os.path.isdir(path)
-    except (ValueError, TypeError):
-        return False
 
 
 def one_line(error: Exception) -> str:
