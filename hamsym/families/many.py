@@ -35,7 +35,7 @@ from hamsym.families.windows import (
 )
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.problem import InitialValueProblem, checked_span
-from hamsym.random_features.members import Batch
+from hamsym.random_features.members import Batch, MemberSolver
 from hamsym.random_features.method import (
     FeatureOptions,
     basis_for,
@@ -52,6 +52,7 @@ from hamsym.support.validation import require_whole
 __all__ = ["solve_many"]
 
 _FIRST, _MOST = 32, 1_024  # members of the first chunk, and of any; a call costs a millisecond
+_ON_DEVICE = 32_768  # members of a chunk on a device of torch
 _SECONDS = 0.2  # that a chunk should take, so that Ctrl-C is soon obeyed
 _WAITING = 2  # chunks for each core
 _CHECKED = 65_536  # members whose starts are checked at once
@@ -71,6 +72,7 @@ def solve_many(
     seed: int = 0,
     progress: bool | None = None,
     zarr: str | os.PathLike[str] | None = None,
+    device: str | None = None,
 ) -> Solutions:
     """Solve from many initial states, or with many parameter values, on all cores.
 
@@ -96,6 +98,11 @@ def solve_many(
     zarr : path-like, optional
         Write windows to a new store of the package zarr instead of keeping them in memory. The
         result reads them when they are needed; :func:`hamsym.load` opens the store again.
+
+    device : str, optional
+        A device of torch, for example ``"cuda"``: the march of
+        :mod:`hamsym.random_features.tensor_march`, the same up to round-off, for a million members.
+        By default compiled code on all cores.
 
     Returns
     -------
@@ -130,7 +137,7 @@ def solve_many(
     basis = basis_for(int(seed), accuracy.tol)
     family = Family(members.H, times, options, int(seed), members.varied, basis.series)
     store = None if zarr is None else WindowStore(zarr, family)
-    run = _Run(family, members, store)
+    run = _Run(family, members, store, device)
     index = np.arange(len(members)).reshape(members.shape)
     with stepping_progress(len(members), progress, "solving") as report:
         run.solve(report)
@@ -150,9 +157,14 @@ class _Block(NamedTuple):
 class _Run:
     """The members that are solved so far."""
 
-    def __init__(self, family: Family, members: Ensemble, store: WindowStore | None) -> None:
+    def __init__(
+        self, family: Family, members: Ensemble, store: WindowStore | None, device: str | None
+    ) -> None:
         self._family, self._members, self._store = family, members, store
-        self._solver = family.solver
+        self._solver = family.solver if device is None else _on_device(family, device)
+        # One chunk occupies a device.
+        self._cores = available_cores() if device is None else 1
+        self._sizes = (_FIRST, 1, _MOST) if device is None else (_ON_DEVICE,) * 3
         self._basis = basis_for(family.seed, family.accuracy.tol)
         self._blocks: list[_Block] = []
         self._flushed, self._held = 0, 0  # blocks in the store, and bytes of windows in memory
@@ -163,12 +175,12 @@ class _Run:
     def solve(self, report: Callable[[int], None]) -> None:
         """Solve all members, or as many as there are before Ctrl-C."""
         waiting: deque[tuple[np.ndarray, Future[tuple[Batch | None, float]]]] = deque()
-        cores = available_cores()
+        cores, (start, least, largest) = self._cores, self._sizes
         pool = ThreadPoolExecutor(cores)
         try:
             valid = self._valid_starts()
             report(len(self._members) - len(valid))
-            position, size = 0, _FIRST
+            position, size = 0, start
             while waiting or position < len(valid):
                 # Nothing follows the first chunk before the memory is known to suffice.
                 most = _WAITING * cores if self._blocks else 1
@@ -178,8 +190,9 @@ class _Run:
                     position += len(chunk)
                 batch, seconds = waiting[0][1].result()
                 # Smaller chunks at the end occupy all cores until then.
-                fair = max((len(valid) - position) // (_WAITING * cores), _FIRST)
-                size = int(min(max(_SECONDS * len(waiting[0][0]) / seconds, 1), fair, _MOST))
+                fair = max((len(valid) - position) // (_WAITING * cores), start)
+                wanted = _SECONDS * len(waiting[0][0]) / seconds
+                size = int(min(max(wanted, least), fair, largest))
                 chunk, _ = waiting.popleft()
                 self._finish(chunk, batch, report)
                 self._limit_memory(len(valid))
@@ -357,6 +370,20 @@ class _Run:
         """Return the windows of all members, where they are in memory."""
         packed = [block.windows for block in self._blocks if block.windows is not None]
         return pieces_of(packed or [self._packed(None)])
+
+
+def _on_device(family: Family, device: str) -> MemberSolver | None:
+    """Make the solver on a device of torch; None where it does not apply."""
+    from hamsym.random_features.tensor_members import TensorSolver  # imports torch, which is slow
+
+    if not TensorSolver.applies(family.H):
+        return None
+    found, basis = family.accuracy, basis_for(family.seed, family.accuracy.tol)
+    return TensorSolver(
+        *(family.H, family.span, found.tol, found.local, found.absolute, found.longest),
+        basis,
+        device,
+    )
 
 
 def _note(solution: Solution) -> dict[str, Any]:
