@@ -38,6 +38,7 @@ _NARROW = 0.1  # of a window: the march resolves wider features
 _ENDS = np.array([0.0, 1e-9, 1e-8, 1e-7, 1e-6])  # before the first node, less for the last
 _AT_ONCE = 1e-7  # of a window
 _AROUND = np.array([-1.5, -0.7, 0.0, 0.7, 1.5])  # places of the residual, in widths
+_LASTING = 200.0  # widths: what is missed adds a tenth of the local tolerance at most
 _RANDOM = 2  # places in each window
 _SLACK = 10.0  # times the residual that the march allows at its own places
 _BISECTIONS = 40
@@ -164,7 +165,7 @@ class WindowChecks:
         place, width, touches = self._located(windows, low, high, window, which, turns, kinds)
         # A switch or a pole acts at once and lastingly; a base may also touch zero.
         switched = (kinds[which] != Narrow.FUNCTION) & ((turns == 0) | touches)
-        lasting = np.where(switched, 1.0, np.minimum(4 * width, 1.0))
+        lasting = np.where(switched, 1.0, np.minimum(_LASTING * width, 1.0))
         width = np.where(switched, _AT_ONCE, width)
         narrow = width < _NARROW
         place, width, window = place[narrow], width[narrow], window[narrow]

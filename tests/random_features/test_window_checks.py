@@ -201,3 +201,21 @@ def test_pulses_beside_the_ends_of_windows_are_found(place: float, stops: list[f
     solution = hamsym.solve(H, [0.0, 1.0], (0, 10), tol=1e-8, breakpoints=stops)
     assert solution.success, solution.message
     assert solution(10.0)[1] == pytest.approx(1 - math.sqrt(math.pi) / 1e5, abs=2e-8)
+
+
+@pytest.mark.parametrize(
+    ("steepness", "push", "places"),
+    [
+        (338, 0.00191, [1.35, 3.2, 6.72, 8.32, 9.35, 13.14]),
+        (5307, 0.0299, [1.7, 1.83, 4.38, 6.45, 15.14, 15.2]),
+    ],
+)
+def test_small_pulses_do_not_add_up(steepness: float, push: float, places: list[float]) -> None:
+    """Each changes the momentum by a third of the tolerance, and the coordinate for long."""
+    tol = 1e-4
+    pulses = "+".join(f"exp(-({steepness}*(t - {place}))**2)" for place in places)
+    solution = hamsym.solve(f"p**2/2 + {push}*x*({pulses})", [0.0, 0.3], (0, 20), tol=tol)
+    assert solution.success, solution.message
+    impulse = push * math.sqrt(math.pi) / steepness
+    exact = [6 - impulse * sum(20 - place for place in places), 0.3 - 6 * impulse]
+    assert (np.abs(solution(20.0) - exact) <= tol * np.array([6.0, 0.3])).all()
