@@ -2,12 +2,12 @@
 
 The error delta = z - z^ obeys delta' = J Hess(z^) delta - r(t) with r the residual (the paper's
 eq. ell), up to terms of second order. Inside a window r oscillates about as often as there are
-columns in the basis, so it is sampled at twice as many nodes as the solution used, and carried to
-the ends of the windows by their tangent maps: delta(t) = Phi(t) (delta_a - integral of Phi^-1 r).
-The residual r contains only another sample of the round-off: random perturbations of its size are
-moved by the same maps, one batch at every joint. Its size is measured as the change of F when the
-states change by one unit in the last place. Numbers of H that float64 cannot represent, for example
-pi, push every window the same way; a perturbation in the direction of the motion represents them.
+columns in the basis, so it is sampled at twice as many nodes as the solution used and at random
+places. The equation is solved window by window (:mod:`hamsym.random_features.error_loop`). The
+residual r contains only another sample of the round-off: random perturbations of its size are moved
+with the error, one batch at every joint. Its size is measured as the change of F when the states
+change by half a unit in the last place. Numbers of H that float64 cannot represent, for example pi,
+push every window the same way; a perturbation in the direction of the motion represents them.
 
 The estimate is infinite from the time at which the errors reach the size of the motion, or J Hess
 is not finite: the linear equation is not valid there.
@@ -163,7 +163,7 @@ def estimate_error(
     tolerance: float = 0.0,
     resolution: int | None = None,
 ) -> Estimate:
-    """Estimate the error of a march from its residual and its tangent maps.
+    """Estimate the error of a march from its residual, with the linear equation of the error.
 
     Parameters
     ----------

@@ -341,7 +341,7 @@ class Solution:
     def error_estimate_check(self, t: Any) -> np.ndarray:
         """Return the change of the estimate at a finer resolution, at times t, shape (n, dim).
 
-        For a march, 50 % more nodes sample the residual, and more nodes resolve the tangent maps;
+        For a march, more nodes sample the residual and resolve the equation of the error;
         for a trained network the equation of the error is solved to a thousandth of the tolerance.
         A change that is large relative to the estimate shows that the estimate is not resolved. It
         is infinite where either estimate is, and excludes the round-off floor of a march.
