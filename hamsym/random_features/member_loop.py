@@ -229,7 +229,7 @@ def keeps_energy(
             allowed += slope * sizes[i]
             rounding += slope * max(abs(rows[i, w]), abs(rows[i, w + 1]))
         allowed = SLACK * (tolerance * allowed + ROUND_OFF * rounding)
-        if not abs(energies[0, w + 1] - energies[0, w]) <= allowed:
+        if not (abs(energies[0, w + 1] - energies[0, w]) <= allowed and allowed < math.inf):
             return False
     return True
 
