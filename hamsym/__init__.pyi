@@ -14,6 +14,8 @@ from .errors import HamsymError as HamsymError
 from .errors import InputError as InputError
 from .families.many import solve_many as solve_many
 from .families.solutions import Solutions as Solutions
+from .flow_maps.flow_map import FlowMap as FlowMap
+from .flow_maps.flow_map import flow_map as flow_map
 from .hamiltonian import Hamiltonian as Hamiltonian
 from .integrators.integrate import Trajectory as Trajectory
 from .integrators.integrate import integrate as integrate

@@ -16,6 +16,9 @@ from hamsym.description import MALFORMED, described, hamiltonian_from
 from hamsym.errors import FileError
 from hamsym.families.solutions import Solutions
 from hamsym.families.storage import KIND, is_store, open_store, read_solutions, write_solutions
+from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.flow_maps.storage import KIND as FLOW_MAP
+from hamsym.flow_maps.storage import read_flow_map, write_flow_map
 from hamsym.random_features.error_estimate import MarchError
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
@@ -42,12 +45,12 @@ _KIND = "solution"
 _IN_TRIAL = ("edges", "states", "readouts")
 
 
-def save(solution: Solution | Solutions, path: str | os.PathLike[str]) -> None:
-    """Write a solution, or many, to one file, from which :func:`load` restores it.
+def save(solution: Solution | Solutions | FlowMap, path: str | os.PathLike[str]) -> None:
+    """Write a solution, or many, or a flow map to one file, from which :func:`load` restores it.
 
     Parameters
     ----------
-    solution : Solution or Solutions
+    solution : Solution, Solutions or FlowMap
     path : path-like
         File in the safetensors format, replaced in one step.
 
@@ -68,6 +71,9 @@ def save(solution: Solution | Solutions, path: str | os.PathLike[str]) -> None:
     """
     if isinstance(solution, Solutions):
         write_solutions(solution, path)
+        return
+    if isinstance(solution, FlowMap):
+        write_flow_map(solution, path)
         return
     try:
         _check(solution)
@@ -95,7 +101,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    Solution or Solutions
+    Solution, Solutions or FlowMap
         The windows of a store are read when they are needed.
 
     Raises
@@ -105,7 +111,10 @@ def load(path: str | os.PathLike[str]) -> Any:
     """
     if is_store(path):
         return open_store(path)
-    return read_solutions(path) if kind_of(path) == KIND else load_solution(path)
+    kind = kind_of(path)
+    if kind == FLOW_MAP:
+        return read_flow_map(path)
+    return read_solutions(path) if kind == KIND else load_solution(path)
 
 
 def load_solution(path: str | os.PathLike[str]) -> Solution:

@@ -1,0 +1,163 @@
+"""Expansion of the solutions over a box: legs, one after the other, and splits of the box.
+
+Input:  a box, a span, the allowed error.
+Output: :class:`Built`, the map with the time up to which it holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.families.solutions import Solutions
+from hamsym.flow_maps.box import Box
+from hamsym.flow_maps.domain import Domain, box_domain, image_domain, split_domain
+from hamsym.flow_maps.expansion import Chain, Leg, Split
+from hamsym.flow_maps.legs import FailedError, LegBuilder
+
+__all__ = ["Builder", "Built"]
+
+_CORNERS, _IMAGE = 512, 4_000  # samples of an image: corners, and others
+_AT_END = 0.3  # probability that an input of a sample is an end of its interval
+
+
+@dataclass(frozen=True)
+class Built:
+    """An expansion over a box.
+
+    Attributes
+    ----------
+    map : Leg, Chain or Split
+    reached : float
+        Time up to which it holds.
+    failure : str
+        Why it does not reach the end of the span; empty if it does.
+    edges : numpy.ndarray
+        Ends of the pieces of all its legs, from the start to ``reached``.
+    """
+
+    map: Any
+    reached: float
+    failure: str
+    edges: np.ndarray
+
+
+class Builder:
+    """Construction of the expansion of one box over one span.
+
+    Parameters
+    ----------
+    box : Box
+    span : (float, float)
+    solve : callable
+        (initial states, parameter values, span) -> Solutions.
+    allowed, scale : numpy.ndarray
+        Allowed error and size of each component, shape (dim,).
+    random : numpy.random.Generator
+    note : callable
+        Takes a line of text about the progress.
+    """
+
+    def __init__(
+        self,
+        box: Box,
+        span: tuple[float, float],
+        solve: Callable[..., Solutions],
+        allowed: np.ndarray,
+        scale: np.ndarray,
+        random: np.random.Generator,
+        note: Callable[[str], None],
+    ) -> None:
+        self._box, self._span, self._solve = box, span, solve
+        self._allowed, self._scale, self._random, self._note = allowed, scale, random, note
+
+    def build(self) -> Built:
+        """Return the expansion.
+
+        Raises
+        ------
+        InputError
+            If a solution fails at the start of the span, or too many solutions would be needed.
+        """
+        try:
+            return self._over(box_domain(self._box), self._span[0])
+        except FailedError as error:
+            raise InputError(f"there is no flow map over this box: {error}") from None
+
+    def _over(self, domain: Domain, begin: float) -> Built:
+        """Return the expansion over a domain from a time to the end of the span."""
+        end, dim = self._span[1], self._box.H.dim
+        maps: list[Any] = []
+        starts, edges = [begin], [begin]
+        horizon, failure = end, ""
+        while True:
+            try:
+                trial = LegBuilder(
+                    domain,
+                    (starts[-1], horizon),
+                    self._solutions,
+                    self._allowed,
+                    self._random,
+                    may_end=self._box.is_whole,
+                    note=self._note,
+                )
+            except FailedError as error:
+                if not maps:
+                    raise
+                starts.pop()
+                failure = str(error)
+                break
+            if trial.splits:
+                part = self._split(domain, starts[-1], trial.widest)
+                maps.append(part.map)
+                edges.extend(part.edges[1:].tolist())
+                failure = part.failure
+                break
+            maps.append(trial.leg())
+            edges.extend((starts[-1] + maps[-1].edges[1:]).tolist())
+            failure = trial.failure
+            if failure or edges[-1] == end:
+                break
+            # Nothing is computed beyond twice the last leg.
+            horizon = edges[-1] + 2 * (edges[-1] - starts[-1])
+            if not abs(horizon - begin) < abs(end - begin):
+                horizon = end
+            domain = self._image(maps[-1], trial.domain, edges[-1])
+            starts.append(edges[-1])
+        kept = np.arange(dim, len(domain))
+        whole = maps[0] if len(maps) == 1 else Chain(maps, np.array(starts[1:]), kept)
+        return Built(whole, edges[-1], failure, np.array(edges))
+
+    def _split(self, domain: Domain, begin: float, direction: int) -> Built:
+        """Return the expansions over two halves of a domain."""
+        parts = [self._over(half, begin) for half in split_domain(domain, direction)]
+        threshold = -float(domain.shift[direction])
+        split = Split(domain.scaling[direction], threshold, parts[0].map, parts[1].map)
+        sign = np.sign(self._span[1] - self._span[0])
+        reached = float(sign * min(sign * part.reached for part in parts))
+        edges = np.unique(np.concatenate([part.edges for part in parts]))[:: int(sign)]
+        failures = [part.failure for part in parts if part.failure]
+        return Built(
+            split, reached, failures[0] if failures else "", edges[sign * edges <= sign * reached]
+        )
+
+    def _image(self, leg: Leg, domain: Domain, time: float) -> Domain:
+        """Return a domain around the states at the end of a leg."""
+        d, dim = len(domain), self._box.H.dim
+        y = self._random.uniform(-1, 1, (_IMAGE, d))
+        y = np.where(self._random.random(y.shape) < _AT_END, np.sign(y), y)
+        corners = self._random.choice((-1.0, 1.0), (_CORNERS, d))
+        inputs = domain.at(np.concatenate((corners, y)))
+        states = leg.evaluate(np.full(len(inputs), time), inputs)
+        of_H = set(self._box.H.parameter_names)
+        names = tuple(name if name in of_H else "" for name in self._box.parameters)
+        return image_domain(states, inputs[:, dim:], names, self._scale)
+
+    def _solutions(self, domain: Domain, y: np.ndarray, span: tuple[float, float]) -> Solutions:
+        """Return the solutions from scaled inputs of a domain."""
+        inputs = domain.at(y)
+        return self._solve(domain.states(inputs), domain.values(inputs), span)

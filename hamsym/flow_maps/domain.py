@@ -1,0 +1,166 @@
+"""Domains of the legs of a flow map: a box, a part of one, or the image of one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.flow_maps.box import Box
+from hamsym.flow_maps.degrees import interpolated
+from hamsym.flow_maps.expansion import products
+from hamsym.numerics.lower_sets import chebyshev_coefficients
+
+__all__ = ["Domain", "box_domain", "image_domain", "split_domain"]
+
+_MARGIN = 0.02  # of a half-width, around the samples of an image
+_ROUND_OFF = 4e-15  # of expressions in z0, relative
+_MOST_START = 3_000  # terms of their expansion
+_THIN = 1e-9  # smallest half-width of an image, relative to the size of its component
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Inputs of a leg, and their scaling y = scaling @ inputs + shift to [-1, 1].
+
+    Attributes
+    ----------
+    scaling, shift : numpy.ndarray
+        Shapes (d, d) and (d,).
+    selection, offset : numpy.ndarray
+        The start is selection @ inputs + offset, shapes (dim, d) and (dim,), with the expansion
+        ``start`` of shape (n, dim) in the multi-indices ``start_degrees``, shape (n, d).
+    states : callable
+        Inputs, shape (n, d) -> initial states, shape (n, dim).
+    values : callable
+        Inputs -> values of the parameters that vary, by name.
+    """
+
+    scaling: np.ndarray
+    shift: np.ndarray
+    selection: np.ndarray
+    offset: np.ndarray
+    start_degrees: np.ndarray
+    start: np.ndarray
+    states: Callable[[np.ndarray], np.ndarray]
+    values: Callable[[np.ndarray], Mapping[str, np.ndarray]]
+
+    def __len__(self) -> int:
+        return len(self.shift)
+
+    def at(self, y: np.ndarray) -> np.ndarray:
+        """Return the inputs of scaled ones, shape (n, d)."""
+        return np.linalg.solve(self.scaling, (y - self.shift).T).T
+
+    def start_states(self, inputs: np.ndarray) -> np.ndarray:
+        """Return the starts as they are expanded, shape (n, dim)."""
+        found = inputs @ self.selection.T + self.offset
+        if len(self.start):
+            y = inputs @ self.scaling.T + self.shift
+            found += products(self.start_degrees, y).T @ self.start
+        return found
+
+
+def box_domain(box: Box) -> Domain:
+    """Return a box as the domain of the first leg."""
+    half = 0.5 * (box.high - box.low)
+    dim, d = box.H.dim, len(box)
+    selection, offset = np.zeros((dim, d)), np.zeros(dim)
+    for i, name in enumerate(box.H.names):
+        if name in box.components:
+            selection[i, box.names.index(name)] = 1.0
+        else:
+            offset[i] = box.fixed.get(name, 0.0)
+    domain = Domain(
+        np.diag(1 / half),
+        -0.5 * (box.low + box.high) / half,
+        selection,
+        offset,
+        np.empty((0, d), dtype=int),
+        np.empty((0, dim)),
+        box.states,
+        box.values,
+    )
+    return _with_start(domain, box) if box.expressions else domain
+
+
+def _with_start(domain: Domain, box: Box) -> Domain:
+    """Expand the components of z0 that are expressions of the parameters, to round-off."""
+    given = np.array([name in box.expressions for name in box.H.names])
+    sample = box.states(box.at(np.cos(np.linspace(0, np.pi, 33))[:, None] * np.ones(len(box))))
+    accuracy = _ROUND_OFF * np.maximum(np.abs(sample).max(axis=0), _ROUND_OFF)
+    try:
+        degrees, values = interpolated(
+            lambda y: np.where(given, box.states(box.at(y)), 0.0), len(box), accuracy, _MOST_START
+        )
+    except ValueError:
+        raise InputError(
+            "the expressions in z0 are not smooth over the intervals of their parameters; give "
+            "shorter intervals"
+        ) from None
+    return replace(domain, start_degrees=degrees, start=chebyshev_coefficients(degrees, values))
+
+
+def split_domain(domain: Domain, direction: int) -> tuple[Domain, Domain]:
+    """Return the halves of a domain along one of its scaled inputs, the lower one first."""
+    halves = []
+    for side in (1.0, -1.0):
+        scaling, shift = domain.scaling.copy(), domain.shift.copy()
+        scaling[direction] *= 2
+        shift[direction] = 2 * shift[direction] + side
+        halves.append(replace(domain, scaling=scaling, shift=shift))
+    return halves[0], halves[1]
+
+
+def image_domain(
+    states: np.ndarray, kept: np.ndarray, names: tuple[str, ...], scale: np.ndarray
+) -> Domain:
+    """Return a domain around the states in which a leg ends.
+
+    It is a parallelepiped along the principal axes of the states, after the part that is linear in
+    the parameters is subtracted.
+
+    Parameters
+    ----------
+    states : numpy.ndarray
+        Samples of the image, shape (n, dim).
+    kept : numpy.ndarray
+        Their parameters, shape (n, k).
+    names : tuple of str
+        Names of these parameters that H has, with "" for the others.
+    scale : numpy.ndarray
+        Sizes of the components, shape (dim,).
+    """
+    count, dim = states.shape
+    low, high = kept.min(axis=0), kept.max(axis=0)
+    centre, half = 0.5 * (low + high), 0.5 * (high - low)
+    theta = (kept - centre) / half
+    design = np.column_stack((np.ones(count), theta))
+    linear = np.linalg.lstsq(design, states / scale, rcond=None)[0].T  # (dim, 1 + k)
+    rest = states / scale - design @ linear.T
+    axes = np.linalg.svd(rest, full_matrices=False)[2]  # rows
+    along = rest @ axes.T
+    middle = 0.5 * (along.max(axis=0) + along.min(axis=0))
+    width = (1 + _MARGIN) * 0.5 * np.ptp(along, axis=0) + _THIN
+    d = dim + kept.shape[1]
+    scaling, shift = np.zeros((d, d)), np.zeros(d)
+    turn = (
+        axes / width[:, None]
+    )  # y_state = turn @ (z / scale - linear @ (1, theta)) - middle / width
+    scaling[:dim, :dim] = turn / scale
+    scaling[:dim, dim:] = -turn @ linear[:, 1:] / half
+    scaling[dim:, dim:] = np.diag(1 / half)
+    shift[:dim] = -turn @ (linear[:, 0] - linear[:, 1:] @ (centre / half)) - middle / width
+    shift[dim:] = -centre / half
+    return Domain(
+        scaling,
+        shift,
+        np.eye(dim, d),
+        np.zeros(dim),
+        np.empty((0, d), dtype=int),
+        np.empty((0, dim)),
+        lambda inputs: inputs[:, :dim],
+        lambda inputs: {name: inputs[:, dim + i] for i, name in enumerate(names) if name},
+    )

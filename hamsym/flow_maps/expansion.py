@@ -1,0 +1,287 @@
+"""Evaluation of expansions z^ = z_a + (t - t_a) N(t, y) over a box, with numpy or torch.
+
+The text of this module is a part of exported modules: it imports nothing but numpy. ``xp`` is the
+module numpy or torch; queries are along the first axis. The inputs are what varies in the box,
+and y are the inputs scaled to [-1, 1]; T_nu(y) = prod_k T_{nu_k}(y_k) are products of Chebyshev
+polynomials with multi-indices nu, the rows of ``degrees``.
+
+Leg, Chain and Split have two methods. ``evaluate(t, inputs, xp)`` returns z^ at times of shape (n,)
+for inputs of shape (n, d); ``derivatives(t, inputs)`` returns z^, dz^/dt and dz^/d(inputs), of
+shapes (n, dim), (n, dim) and (n, dim, d), with numpy.
+"""
+
+import numpy as np
+
+CHUNK = 65_536  # values of products of polynomials at once, to stay in the cache
+
+
+class Piece:
+    """N over a part of the time, of low rank: sum_r W_r(y) phi_r(t).
+
+    The readouts are W_r(y) = sum_nu readouts[nu, r] T_nu(y). The columns phi_r have the Chebyshev
+    series ``columns[r, n, i]`` in time, for component i of the state.
+    """
+
+    def __init__(self, degrees, readouts, columns):
+        self.degrees, self.readouts, self.columns = degrees, readouts, columns
+
+    def arrays(self):
+        return {"degrees": self.degrees, "readouts": self.readouts, "columns": self.columns}
+
+    def states(self, time, y, xp):
+        """Return N at scaled times and inputs."""
+        readouts = array_of(self.readouts, y, xp).T @ products(self.degrees, y, xp)
+        series = chebyshev_table(time, self.columns.shape[1], xp)
+        return combined(readouts, array_of(self.columns, y, xp), series, xp)
+
+    def derivatives(self, time, y):
+        """Return N, its derivative in the scaled time, and those in y."""
+        readouts = self.readouts.T @ products(self.degrees, y)
+        series = chebyshev_table(time, self.columns.shape[1])
+        value = combined(readouts, self.columns, series)
+        rate = combined(readouts, self.columns, chebyshev_slopes(time, series))
+        slopes = [
+            combined(self.readouts.T @ products(self.degrees, y, slope=k), self.columns, series)
+            for k in range(y.shape[1])
+        ]
+        return value, rate, np.stack(slopes, axis=-1)
+
+
+class Leg:
+    """A trial solution over a box, exact at its start: z^ = z_a + (t - t_a) N(t, y).
+
+    The scaled inputs are y = scaling @ inputs + shift. The start is
+    z_a = selection @ inputs + offset + sum_nu start[nu] T_nu(y), with the multi-indices
+    ``start_degrees``. ``edges`` are the ends of the pieces, counted from t_a = ``begin``.
+    """
+
+    def __init__(
+        self, begin, edges, scaling, shift, selection, offset, start_degrees, start, pieces
+    ):
+        self.begin, self.edges, self.pieces = begin, edges, pieces
+        self.scaling, self.shift = scaling, shift
+        self.selection, self.offset = selection, offset
+        self.start_degrees, self.start = start_degrees, start
+
+    def describe(self):
+        """Return what the arrays do not contain, as values of JSON."""
+        return {"form": "leg", "begin": float(self.begin), "pieces": len(self.pieces)}
+
+    def arrays(self):
+        """Return all arrays that define the map, by name."""
+        own = ("edges", "scaling", "shift", "selection", "offset", "start_degrees", "start")
+        found = {name: getattr(self, name) for name in own}
+        for number, piece in enumerate(self.pieces):
+            found |= {f"{number}.{name}": array for name, array in piece.arrays().items()}
+        return found
+
+    def evaluate(self, t, inputs, xp=np):
+        y = affine(inputs, self.scaling, self.shift, xp)
+        states = affine(inputs, self.selection, self.offset, xp)
+        if len(self.start):
+            start = array_of(self.start, y, xp)
+            states = states + products(self.start_degrees, y, xp).T @ start
+        times = t - self.begin
+        found = xp.zeros_like(states)
+        for number, chosen in self.parts(times):
+            time = self.scaled_time(number, times[chosen])
+            found[chosen] = self.pieces[number].states(time, y[chosen], xp)
+        return states + times[:, None] * found
+
+    def derivatives(self, t, inputs):
+        y = affine(inputs, self.scaling, self.shift)
+        states = affine(inputs, self.selection, self.offset)
+        jacobian = np.repeat(self.selection[None], len(y), axis=0)
+        if len(self.start):
+            states += products(self.start_degrees, y).T @ self.start
+            slopes = [
+                products(self.start_degrees, y, slope=k).T @ self.start for k in range(y.shape[1])
+            ]
+            jacobian += np.stack(slopes, axis=-1) @ self.scaling
+        times, rates = t - self.begin, np.zeros_like(states)
+        for number, chosen in self.parts(times):
+            time = times[chosen]
+            value, rate, slopes = self.pieces[number].derivatives(
+                self.scaled_time(number, time), y[chosen]
+            )
+            rate *= 2 / (self.edges[number + 1] - self.edges[number])
+            states[chosen] += time[:, None] * value
+            rates[chosen] = value + time[:, None] * rate
+            jacobian[chosen] += time[:, None, None] * (slopes @ self.scaling)
+        return states, rates, jacobian
+
+    def parts(self, times):
+        """Yield the number of a piece and queries in it, in chunks."""
+        yield from grouped(interval_numbers(self.edges, times), self.pieces)
+
+    def scaled_time(self, number, times):
+        """Return times of a piece, counted from t_a, scaled to [-1, 1]."""
+        low, high = self.edges[number], self.edges[number + 1]
+        return (2 * times - (low + high)) / (high - low)
+
+
+class Chain:
+    """Maps one after the other: each starts at the end of the one before.
+
+    The inputs of the second and later ones are the state at its start and the parameters, which are
+    the columns ``kept`` of the inputs. ``joints`` are the ends of all maps but the last.
+    """
+
+    def __init__(self, maps, joints, kept):
+        self.maps, self.joints, self.kept = maps, joints, kept
+        self.begin = maps[0].begin
+
+    def describe(self):
+        """Return what the arrays do not contain, as values of JSON."""
+        return {"form": "chain", "maps": [part.describe() for part in self.maps]}
+
+    def arrays(self):
+        """Return all arrays that define the map, by name."""
+        found = {"joints": self.joints, "kept": self.kept}
+        for number, part in enumerate(self.maps):
+            found |= {f"{number}.{name}": array for name, array in part.arrays().items()}
+        return found
+
+    def evaluate(self, t, inputs, xp=np):
+        numbers = interval_numbers([self.begin, *self.joints, None], t)
+        parts, order, left = [], [], np.arange(len(numbers))
+        kept = inputs[:, self.kept]
+        for k, part in enumerate(self.maps):
+            here, beyond = numbers[left] == k, numbers[left] > k
+            parts.append(part.evaluate(t[left[here]], inputs[here], xp))
+            order.append(left[here])
+            if not beyond.any():
+                break
+            left = left[beyond]
+            ends = xp.zeros_like(t[left]) + self.joints[k]
+            states = part.evaluate(ends, inputs[beyond], xp)
+            inputs = xp.concatenate((states, kept[left]), 1)
+        return xp.concatenate(parts)[np.argsort(np.concatenate(order))]
+
+    def derivatives(self, t, inputs):
+        numbers = interval_numbers([self.begin, *self.joints, None], t)
+        parts, order, left = [], [], np.arange(len(numbers))
+        kept, count = inputs[:, self.kept], inputs.shape[1]
+        through = np.repeat(np.eye(count)[None], len(t), axis=0)
+        of_kept = np.eye(count)[self.kept]
+        for k, part in enumerate(self.maps):
+            here, beyond = numbers[left] == k, numbers[left] > k
+            states, rates, jacobian = part.derivatives(t[left[here]], inputs[here])
+            parts.append((states, rates, jacobian @ through[here]))
+            order.append(left[here])
+            if not beyond.any():
+                break
+            left = left[beyond]
+            ends = np.full(len(left), self.joints[k])
+            states, _, jacobian = part.derivatives(ends, inputs[beyond])
+            inputs = np.concatenate((states, kept[left]), axis=1)
+            rows = np.repeat(of_kept[None], len(left), axis=0)
+            through = np.concatenate((jacobian @ through[beyond], rows), axis=1)
+        places = np.argsort(np.concatenate(order))
+        return tuple(np.concatenate(found)[places] for found in zip(*parts, strict=True))
+
+
+class Split:
+    """Two maps over two parts of a box: ``low`` where normal @ inputs is at most a threshold."""
+
+    def __init__(self, normal, threshold, low, high):
+        self.normal, self.threshold, self.low, self.high = normal, threshold, low, high
+        self.begin = low.begin
+
+    def describe(self):
+        """Return what the arrays do not contain, as values of JSON."""
+        sides = {"low": self.low.describe(), "high": self.high.describe()}
+        return {"form": "split", "threshold": float(self.threshold), **sides}
+
+    def arrays(self):
+        """Return all arrays that define the map, by name."""
+        found = {"normal": self.normal}
+        for name, part in (("low", self.low), ("high", self.high)):
+            found |= {f"{name}.{key}": array for key, array in part.arrays().items()}
+        return found
+
+    def evaluate(self, t, inputs, xp=np):
+        first, second, places = self.sides(inputs)
+        low = self.low.evaluate(t[first], inputs[first], xp)
+        high = self.high.evaluate(t[second], inputs[second], xp)
+        return xp.concatenate((low, high))[places]
+
+    def derivatives(self, t, inputs):
+        first, second, places = self.sides(inputs)
+        low = self.low.derivatives(t[first], inputs[first])
+        high = self.high.derivatives(t[second], inputs[second])
+        return tuple(np.concatenate(parts)[places] for parts in zip(low, high, strict=True))
+
+    def sides(self, inputs):
+        """Return the queries of the lower side and of the other one, and the way back."""
+        is_low = plain(inputs) @ self.normal <= self.threshold
+        first, second = np.flatnonzero(is_low), np.flatnonzero(~is_low)
+        return first, second, np.argsort(np.concatenate((first, second)))
+
+
+def affine(inputs, matrix, shift, xp=np):
+    """Return matrix @ inputs + shift for each query."""
+    return inputs @ array_of(matrix, inputs, xp).T + array_of(shift, inputs, xp)
+
+
+def products(degrees, y, xp=np, slope=None):
+    """Return T_nu(y), shape (n, queries); the derivative in one component of y if it is given."""
+    found = None
+    for k in range(degrees.shape[1]):
+        table = chebyshev_table(y[:, k], int(degrees[:, k].max()) + 1, xp)
+        if k == slope:
+            table = chebyshev_slopes(y[:, k], table)
+        rows = table[degrees[:, k]]
+        found = rows if found is None else found * rows
+    return found
+
+
+def combined(readouts, columns, series, xp=np):
+    """Return sum_r W_r phi_r for each query, from readouts of shape (r, queries)."""
+    parts = [(readouts * (columns[:, :, i] @ series)).sum(0) for i in range(columns.shape[2])]
+    return xp.stack(parts).T
+
+
+def chebyshev_table(x, count, xp=np):
+    """Return T_0 to T_(count - 1) at x, shape (count, queries)."""
+    rows = [xp.ones_like(x), x]
+    while len(rows) < count:
+        rows.append(2 * x * rows[-1] - rows[-2])
+    return xp.stack(rows[:count])
+
+
+def chebyshev_slopes(x, table):
+    """Return the derivatives of a table of T_0, T_1, ... at x."""
+    rows = np.zeros_like(table)
+    if len(rows) > 1:
+        rows[1] = 1.0
+    for n in range(2, len(rows)):
+        rows[n] = 2 * table[n - 1] + 2 * x * rows[n - 1] - rows[n - 2]
+    return rows
+
+
+def interval_numbers(edges, t):
+    """Return the interval in which each time is, shape (n,); outside, the first or the last one."""
+    joints = np.array(edges[1:-1], dtype=float)
+    sign = 1.0 if not len(joints) or joints[0] > edges[0] else -1.0
+    return np.searchsorted(sign * joints, sign * plain(t))
+
+
+def grouped(numbers, pieces):
+    """Yield the number of a piece and the queries with it, in chunks."""
+    order = np.argsort(numbers, kind="stable")
+    ends = np.searchsorted(numbers[order], np.arange(len(pieces) + 1)).tolist()
+    for number, piece in enumerate(pieces):
+        size = max(16, CHUNK // len(piece.degrees))
+        for first in range(ends[number], ends[number + 1], size):
+            yield number, order[first : min(first + size, ends[number + 1])]
+
+
+def plain(values):
+    """Return an array of numpy with the values of an array or tensor."""
+    return values.detach().cpu().numpy() if hasattr(values, "detach") else values
+
+
+def array_of(values, like, xp):
+    """Return a constant as an array or tensor, of the type of another one."""
+    return values if xp is np else xp.as_tensor(values, dtype=like.dtype, device=like.device)

@@ -1,0 +1,469 @@
+"""Flow maps z^(t; z0, parameters): one closed form for all starts in a box."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import hamsym
+from hamsym.errors import InputError
+from hamsym.families.many import solve_many
+from hamsym.families.solutions import Solutions
+from hamsym.flow_maps.box import Box, checked_box
+from hamsym.flow_maps.building import Builder
+from hamsym.flow_maps.judging import Judgement, judged
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.problem import checked_span
+from hamsym.solution.times import is_tensor
+from hamsym.support.validation import require, require_whole
+
+__all__ = ["FlowMap", "flow_map"]
+
+_SMALLEST_TOL = 1e-11  # the solutions of which a map is made are exact to 1e-12
+_SOLUTIONS = 0.02  # tolerance of these solutions, relative to that of the map
+_SMALLEST_SOLUTIONS = 1e-12
+_SHARE = 0.5  # of the allowed error, for the expansion
+_ATTEMPTS = 3
+_AIM = 0.4  # of the allowed error, in a further attempt
+_PROBES = 32  # solutions from which the sizes of the components are taken
+_ROUND_OFF = 4e-16  # relative, of times at the ends of the span
+
+
+@dataclass(frozen=True, eq=False)
+class FlowMap:
+    """All trajectories from a box of initial states and parameters, as one function.
+
+    Call it with times, initial states and parameters to get states; see :meth:`__call__`.
+
+    Attributes
+    ----------
+    box : Box
+        What varies, with ``names``, ``low`` and ``high``; H with the centres of the parameters.
+    span : (float, float)
+        Times for which the map holds; it ends early where solutions fail.
+    method : str
+        "features" or "network".
+    map : Leg, Chain, Split or network
+        The closed form, in the inputs ``inputs``.
+    tol : float
+        The tolerance that was asked for.
+    success : bool
+        Whether the estimated error over the whole box and span is within the tolerance.
+    message : str
+        Outcome, with the worst place found.
+    error_estimate : numpy.ndarray
+        Estimated largest error of each component over the box and the span, shape (dim,); see
+        :mod:`hamsym.flow_maps.judging`.
+    excess : float
+        Largest ratio of the estimated to the allowed error.
+    judgement : Judgement
+        How the error was estimated: places, worst place, confidence, symplecticity.
+    solutions : int
+        Number of solutions from which the map was made.
+    seconds : float
+        Wall time of the construction, without the judgement.
+    """
+
+    box: Box
+    span: tuple[float, float]
+    method: str
+    map: Any
+    tol: float
+    success: bool
+    message: str
+    error_estimate: np.ndarray
+    excess: float
+    judgement: Judgement
+    solutions: int
+    seconds: float
+
+    def __repr__(self) -> str:
+        start, end = self.span
+        intervals = ", ".join(
+            f"{name} in [{low:.6g}, {high:.6g}]"
+            for name, low, high in zip(self.inputs, self.box.low, self.box.high, strict=True)
+        )
+        return (
+            f"FlowMap({self.H.formula!r}, {intervals}, t from {start:.6g} to {end:.6g}: "
+            f"{'success' if self.success else 'no success'}, {self.message})"
+        )
+
+    @property
+    def H(self) -> Hamiltonian:
+        """The Hamiltonian; parameters that vary have the centres of their intervals."""
+        return self.box.H
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of what varies: components of z0, then parameters."""
+        return self.box.names
+
+    @property
+    def symplecticity(self) -> float | None:
+        """Largest entry of M^T J M - J, M = dz^/dz0; see :class:`Judgement`."""
+        return self.judgement.symplecticity
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the numbers that define the map."""
+        return sum(array.nbytes for array in self.map.arrays().values())
+
+    # -- evaluation --------------------------------------------------------------------------
+
+    def __call__(
+        self,
+        t: Any,
+        z0: Any = None,
+        parameters: Mapping[Any, Any] | None = None,
+        *,
+        extrapolate: bool = False,
+    ) -> Any:
+        """Return the states z^(t; z0, parameters).
+
+        Parameters
+        ----------
+        t : float or array
+            Times, shape (n,) or any other.
+        z0 : array or mapping, optional
+            Initial states, shape (n, dim) in the order of H.z, or a mapping of components to
+            numbers and arrays. Components that do not vary may be left out of a mapping.
+        parameters : mapping, optional
+            A number or an array for each parameter that varies.
+        extrapolate : bool
+            Allow queries outside the box and the span, where nothing is known of the error.
+
+        Returns
+        -------
+        numpy.ndarray or torch.Tensor
+            Shape (n, dim): all arguments are broadcast to one shape (n,). A tensor if an argument
+            is one; it is differentiable in t, z0 and the parameters.
+
+        Raises
+        ------
+        InputError
+            If an argument is missing, unknown, or outside the box or the span.
+
+        Examples
+        --------
+        >>> flow = flow_map("p**2/2 + x**2/2", {"x": (1, 2), "p": (-1, 1)}, (0, 3), tol=1e-8)
+        >>> flow([1.0, 2.0], {"x": 1.5, "p": 0.0}).shape
+        (2, 2)
+        >>> bool(abs(flow(3.0, [2.0, 0.0])[0] - 2 * np.cos(3)) < 1e-8)
+        True
+        """
+        given = self.box.inputs_of(z0, parameters)
+        if is_tensor(t) or any(map(is_tensor, given.values())):
+            return self._tensors(t, given, extrapolate)
+        times, inputs, shape = self._queries(t, given, extrapolate)
+        return self.map.evaluate(times, inputs).reshape(*shape, self.H.dim)
+
+    def jacobian(
+        self,
+        t: Any,
+        z0: Any = None,
+        parameters: Mapping[Any, Any] | None = None,
+        *,
+        extrapolate: bool = False,
+    ) -> np.ndarray:
+        """Return the derivatives of the states in the inputs, shape (n, dim, len(inputs)).
+
+        The columns are in the order of ``inputs``: components of z0, then parameters.
+
+        Parameters
+        ----------
+        t, z0, parameters, extrapolate
+            As of :meth:`__call__`.
+
+        Examples
+        --------
+        >>> flow = flow_map("p**2/2 + x**2/2", {"x": (1, 2), "p": (-1, 1)}, (0, 3), tol=1e-8)
+        >>> flow.jacobian(np.pi / 2, [1.5, 0.5]).round(6) + 0.0
+        array([[ 0.,  1.],
+               [-1.,  0.]])
+        """
+        times, inputs, shape = self._queries(t, self.box.inputs_of(z0, parameters), extrapolate)
+        found = self.map.derivatives(times, inputs)[2]
+        return np.asarray(found.reshape(*shape, self.H.dim, len(self.inputs)))
+
+    def rate(
+        self,
+        t: Any,
+        z0: Any = None,
+        parameters: Mapping[Any, Any] | None = None,
+        *,
+        extrapolate: bool = False,
+    ) -> np.ndarray:
+        """Return dz^/dt, shape (n, dim); arguments as of :meth:`__call__`."""
+        times, inputs, shape = self._queries(t, self.box.inputs_of(z0, parameters), extrapolate)
+        return np.asarray(self.map.derivatives(times, inputs)[1].reshape(*shape, self.H.dim))
+
+    def _queries(
+        self, t: Any, given: Mapping[str, Any], extrapolate: bool
+    ) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
+        """Return times, shape (n,), inputs, shape (n, d), and their shape as it was given."""
+        arrays = []
+        for name, value in {"t": t, **given}.items():
+            try:
+                arrays.append(np.asarray(value, dtype=float))
+            except (TypeError, ValueError):
+                raise InputError(
+                    f"'{name}' has an entry that is not a number; give numbers"
+                ) from None
+        try:
+            times, *columns = np.broadcast_arrays(*arrays)
+        except ValueError:
+            shapes = ", ".join(
+                f"{name} {array.shape}" for name, array in zip(("t", *given), arrays, strict=True)
+            )
+            raise InputError(
+                f"shapes do not broadcast: {shapes}; give arrays of one shape"
+            ) from None
+        inputs = np.stack([column.ravel() for column in columns], axis=-1)
+        self._check(times.ravel(), inputs, extrapolate)
+        return times.ravel(), inputs, times.shape
+
+    def _tensors(self, t: Any, given: Mapping[str, Any], extrapolate: bool) -> Any:
+        import torch  # slow to import; the caller has a tensor
+
+        tensors = [value for value in (t, *given.values()) if is_tensor(value)]
+        like = {"dtype": torch.float64, "device": tensors[0].device}
+        columns = torch.broadcast_tensors(
+            *(torch.as_tensor(v, **like) for v in (t, *given.values()))
+        )
+        shape, flat = columns[0].shape, [column.reshape(-1) for column in columns]
+        inputs = torch.stack(flat[1:], dim=-1)
+        self._check(flat[0].detach().cpu().numpy(), inputs.detach().cpu().numpy(), extrapolate)
+        return self.map.evaluate(flat[0], inputs, torch).reshape(*shape, self.H.dim)
+
+    def _check(self, times: np.ndarray, inputs: np.ndarray, extrapolate: bool) -> None:
+        """Raise InputError unless all queries are finite, and inside the box and the span."""
+        if not (np.isfinite(times).all() and np.isfinite(inputs).all()):
+            raise InputError("t, z0 or a parameter is not finite; give finite numbers")
+        if extrapolate:
+            return
+        low, high = sorted(self.span)
+        slack = _ROUND_OFF * max(abs(low), abs(high))
+        late = ~((times >= low - slack) & (times <= high + slack))
+        if late.any():
+            raise InputError(
+                f"t = {times[np.argmax(late)]:.6g} is outside the span from {low:.6g} to "
+                f"{high:.6g}; give times inside it, or extrapolate=True"
+            )
+        outside = self.box.outside(inputs)
+        if outside.any():
+            query, column = np.argwhere(outside)[0]
+            raise InputError(
+                f"{self.inputs[column]} = {inputs[query, column]:.6g} is outside the box, from "
+                f"{self.box.low[column]:.6g} to {self.box.high[column]:.6g}; give a value inside "
+                "it, or extrapolate=True"
+            )
+
+    # -- files -------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the map to a file that :func:`hamsym.load` reads; see :func:`hamsym.save`."""
+        hamsym.save(self, path)
+
+
+def flow_map(
+    H: HamiltonianLike,
+    z0: Mapping[Any, Any] | Sequence[Any],
+    span: tuple[float, float],
+    parameters: Mapping[Any, Any] | None = None,
+    *,
+    tol: float = 1e-6,
+    atol: float | Sequence[float] = 0.0,
+    method: str = "features",
+    points: int = 2_000,
+    max_solutions: int = 100_000,
+    seed: int = 0,
+    progress: bool | None = None,
+) -> FlowMap:
+    """Find one closed form of all trajectories that start in a box.
+
+    Solutions at the points of a sparse grid in the box, as many as the tolerance needs in each
+    direction, are expanded in Chebyshev polynomials of the initial state and the parameters:
+    z^ = z0 + (t - t0) N(t, z0, parameters), with columns in time and readouts that are polynomials.
+    The error is estimated over the whole box by comparison with other solutions, by a search for
+    the worst place and by the linear equation of the error.
+
+    Parameters
+    ----------
+    H : Hamiltonian, str or sympy.Expr
+    z0 : mapping or sequence
+        For each component an interval (low, high), a number, or an expression of parameters, for
+        example ``"sqrt((1 + e)/(1 - e))"``.
+    span : (float, float)
+    parameters : mapping, optional
+        Intervals or numbers for parameters of H and for symbols in the expressions of z0.
+    tol : float
+        Tolerance over the whole box, relative to the largest value of each component there.
+    atol : float or sequence
+        Absolute tolerance, added to it.
+    method : str
+        "features".
+    points : int
+        Random points at which the error is estimated.
+    max_solutions : int
+        Largest number of solutions of which the map may be made.
+    seed : int
+        Of the random points and of the basis.
+    progress : bool, optional
+        Write lines about the progress, with the number of solutions that is expected, on standard
+        error; by default if that is a terminal.
+
+    Returns
+    -------
+    FlowMap
+
+    Raises
+    ------
+    InputError
+        If an argument is invalid, a solution fails at the start of the span, or more solutions are
+        needed than ``max_solutions``.
+
+    Examples
+    --------
+    >>> box = {"x": (1.0, 1.6), "p": (0.7, 1.3)}
+    >>> flow = flow_map("p**2/2 + x**2/2 + x**4/4", box, (0, 2), tol=1e-6)
+    >>> flow.success, flow.inputs
+    (True, ('x', 'p'))
+    >>> starts = np.random.default_rng(1).uniform([1, 0.7], [1.6, 1.3], (5, 2))
+    >>> flow(1.0, starts).shape
+    (5, 2)
+    """
+    box, times = checked_box(H, z0, parameters), checked_span(span)
+    number = isinstance(tol, (int, float, np.floating)) and not isinstance(tol, bool)
+    require(
+        number and _SMALLEST_TOL <= tol < 1,
+        "tol",
+        tol,
+        f"a number from {_SMALLEST_TOL:g} to below 1",
+    )
+    for name, value, least in (("points", points, 100), ("max_solutions", max_solutions, 1)):
+        require_whole(name, value, least)
+    require_whole("seed", seed, 0)
+    require(method == "features", "method", method, '"features"')
+    absolute = np.broadcast_to(np.asarray(atol, dtype=float), box.H.dim)
+    show = sys.stderr.isatty() if progress is None else progress
+
+    def note(text: str) -> None:
+        if show:
+            print(f"flow map: {text}", file=sys.stderr, flush=True)
+
+    return _Construction(
+        box, times, float(tol), absolute, points, max_solutions, seed, note
+    ).found()
+
+
+class _Construction:
+    """Construction of one map: attempts, each with its judgement."""
+
+    def __init__(
+        self,
+        box: Box,
+        span: tuple[float, float],
+        tol: float,
+        absolute: np.ndarray,
+        points: int,
+        most: int,
+        seed: int,
+        note: Callable[[str], None],
+    ) -> None:
+        self._box, self._span, self._tol, self._absolute = box, span, tol, absolute
+        self._points, self._most, self._seed, self._note = points, most, seed, note
+        self._solved = 0
+
+    def found(self) -> FlowMap:
+        began = time.perf_counter()
+        random = np.random.default_rng(self._seed)
+        y = random.uniform(-1, 1, (_PROBES, len(self._box)))
+        inputs = self._box.at(y)
+        probes = self._solve(self._box.states(inputs), self._box.values(inputs), self._span)
+        scale = probes.table.sizes.max(axis=0)
+        allowed = self._absolute + self._tol * scale
+        share = _SHARE
+        for attempt in range(_ATTEMPTS):
+            self._solved = 0
+            builder = Builder(
+                self._box, self._span, self._counted, share * allowed, scale, random, self._note
+            )
+            built = builder.build()
+            seconds = time.perf_counter() - began
+            span = (self._span[0], built.reached)
+            self._note(f"{self._solved:,} solutions in {seconds:.3g} s; estimating the error")
+            judgement = judged(
+                *(built.map, self._box, span, built.edges, self._solve, allowed, scale, random),
+                self._points,
+            )
+            excess = float((judgement.error / allowed).max())
+            if excess <= 1 or not math.isfinite(excess) or attempt == _ATTEMPTS - 1:
+                break
+            share *= _AIM / excess
+            self._note(f"the error is {excess:.2g} of the tolerance; again with a smaller share")
+        failure = built.failure or judgement.failure
+        success = not failure and excess <= 1 and span == self._span
+        return FlowMap(
+            self._box,
+            span,
+            "features",
+            built.map,
+            self._tol,
+            bool(success),
+            self._message(built.failure, span, excess, judgement),
+            judgement.error,
+            excess,
+            judgement,
+            self._solved,
+            seconds,
+        )
+
+    def _message(
+        self, failure: str, span: tuple[float, float], excess: float, judgement: Judgement
+    ) -> str:
+        place = self._box.described(judgement.worst_inputs)
+        worst = f"worst found at t = {judgement.worst_time:.6g}, {place}"
+        if failure:
+            return f"the map ends at t = {span[1]:.6g}: {failure}"
+        if judgement.failure:
+            return f"the error cannot be estimated everywhere: {judgement.failure}"
+        if excess <= 1:
+            return (
+                f"estimated error {excess:.2g} of the tolerance over the box; {worst}; "
+                f"{judgement.points:,} random starts bound it, with 95 % confidence, except in "
+                f"{judgement.share:.2%} of the box"
+            )
+        return f"estimated error {excess:.2g} of the tolerance; {worst}"
+
+    def _counted(
+        self, states: np.ndarray, values: Mapping[str, np.ndarray], span: tuple[float, float]
+    ) -> Solutions:
+        """Solve for the expansion, up to the largest number of solutions."""
+        self._solved += len(states)
+        if self._solved > self._most:
+            raise InputError(
+                f"the flow map needs more than max_solutions={self._most:,} solutions; give "
+                "smaller intervals, a shorter span, a larger tol or a larger max_solutions"
+            )
+        return self._solve(states, values, span)
+
+    def _solve(
+        self, states: np.ndarray, values: Mapping[str, np.ndarray], span: tuple[float, float]
+    ) -> Solutions:
+        return solve_many(
+            self._box.H,
+            states,
+            span,
+            tol=max(_SOLUTIONS * self._tol, _SMALLEST_SOLUTIONS),
+            atol=(_SOLUTIONS * self._absolute).tolist(),
+            parameters=values or None,
+            seed=self._seed,
+            progress=False,
+        )

@@ -1,0 +1,217 @@
+"""Files of flow maps."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from hamsym.description import MALFORMED, described, hamiltonian_from
+from hamsym.errors import FileError
+from hamsym.flow_maps.box import Box
+from hamsym.flow_maps.expansion import Chain, Leg, Piece, Split
+from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.flow_maps.judging import Judgement
+from hamsym.numerics.lower_sets import MOST_DEGREE
+from hamsym.support.checked_data import (
+    arrays_of,
+    checked_list,
+    checked_mapping,
+    checked_number,
+    checked_record,
+    checked_type,
+    numbers_of,
+    require_array,
+    require_names,
+)
+from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
+
+__all__ = ["KIND", "read_flow_map", "write_flow_map"]
+
+#: Kind of the file.
+KIND = "flow map"
+
+_DEEPEST = 64  # splits and chains inside each other
+_PIECES = 1_000_000
+
+
+def write_flow_map(flow: FlowMap, path: str | os.PathLike[str]) -> None:
+    """Write a flow map to one file.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written, or the map cannot be described.
+    """
+    box, judgement = flow.box, flow.judgement
+    arrays = {f"map.{name}": _stored(array) for name, array in flow.map.arrays().items()}
+    arrays |= {"low": box.low, "high": box.high, "error_estimate": flow.error_estimate}
+    arrays |= arrays_of("judgement", judgement)
+    values = {
+        "H": described(box.H),
+        "names": list(box.names),
+        "fixed": dict(box.fixed),
+        "expressions": dict(box.expressions),
+        "span": list(flow.span),
+        "judgement": numbers_of(judgement),
+        "map": flow.map.describe(),
+        **{name: getattr(flow, name) for name in _PLAIN},
+    }
+    write_tensors(path, KIND, arrays, values)
+
+
+_PLAIN = {
+    "method": "str",
+    "tol": "float",
+    "success": "bool",
+    "message": "str",
+    "excess": "float",
+    "solutions": "int",
+    "seconds": "float",
+}
+
+
+def read_flow_map(path: str | os.PathLike[str]) -> FlowMap:
+    """Read a file of a flow map.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, is damaged or not valid.
+    """
+    arrays, values = read_tensors(path, KIND)
+    try:
+        return _assembled(arrays, values)
+    except MALFORMED as error:
+        raise FileError(f"'{path}' is not a valid file of a flow map: {one_line(error)}") from None
+
+
+def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> FlowMap:
+    own = {"H", "names", "fixed", "expressions", "span", "judgement", "map"}
+    require_names("values", values, own | set(_PLAIN))
+    plain = {name: checked_type(name, values[name], kind) for name, kind in _PLAIN.items()}
+    start, end = (checked_number("span", time) for time in checked_list("span", values["span"], 2))
+    H = hamiltonian_from(checked_mapping("H", values["H"]))
+    names = tuple(
+        checked_type("names", name, "str") for name in checked_list("names", values["names"])
+    )
+    d, dim = len(names), H.dim
+    low, high = arrays.pop("low"), arrays.pop("high")
+    for name, array in (("low", low), ("high", high)):
+        require_array(name, array, (d,))
+    fixed = {
+        name: checked_number("fixed", value)
+        for name, value in checked_mapping("fixed", values["fixed"]).items()
+    }
+    expressions = {
+        name: checked_type("expressions", text, "str")
+        for name, text in checked_mapping("expressions", values["expressions"]).items()
+    }
+    box = Box(H, names, low, high, fixed, expressions)
+    if not (d and len(set(names)) == d and (low < high).all()):
+        raise ValueError("its box has no intervals")
+    parts = [*box.components, *fixed, *expressions]
+    if sorted(parts) != sorted(H.names):
+        raise ValueError("its box does not give every component of z0 once")
+    box.states(box.at(np.zeros((1, d))))  # raises for expressions of other symbols
+    error = arrays.pop("error_estimate")
+    require_array("error_estimate", error, (dim,), finite=plain["success"])
+    judged = {
+        name.removeprefix("judgement."): arrays.pop(name)
+        for name in [name for name in arrays if name.startswith("judgement.")]
+    }
+    judgement = checked_record(Judgement, values["judgement"], judged)
+    for name, shape in (("error", (dim,)), ("linear", (dim,)), ("worst_inputs", (d,))):
+        require_array(name, getattr(judgement, name), shape, finite=name == "worst_inputs")
+    given = {name.removeprefix("map."): array for name, array in arrays.items()}
+    if len(given) > _PIECES or not all(name.startswith("map.") for name in arrays):
+        raise ValueError("it has an array that is not a part of a flow map")
+    map = _map(checked_mapping("map", values["map"]), given, d, dim, _DEEPEST)
+    if given:
+        raise ValueError(f"'{min(given)[:40]}' is not a part of a flow map")
+    if plain["success"] and not (plain["excess"] <= 1 and map.begin == start != end):
+        raise ValueError("its success is true, but its error is not within the tolerance")
+    return FlowMap(
+        box=box, span=(start, end), map=map, error_estimate=error, judgement=judgement, **plain
+    )
+
+
+def _map(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int, depth: int) -> Any:
+    """Build a map from its description and its arrays, which are removed."""
+    if not depth:
+        raise ValueError("its map has too many parts inside each other")
+    kind = form.get("form")
+    if kind == "leg":
+        require_names("leg", form, {"form", "begin", "pieces"})
+        return _leg(form, arrays, d, dim)
+    if kind == "chain":
+        require_names("chain", form, {"form", "maps"})
+        forms = checked_list("maps", form["maps"])
+        joints, kept = arrays.pop("joints"), arrays.pop("kept").astype(int)
+        require_array("joints", joints, (len(forms) - 1,))
+        if not np.array_equal(kept, np.arange(dim, d)) or len(forms) < 2:
+            raise ValueError("its legs do not fit each other")
+        maps = [
+            _map(checked_mapping("map", part), _taken(arrays, f"{k}."), d, dim, depth - 1)
+            for k, part in enumerate(forms)
+        ]
+        if [part.begin for part in maps[1:]] != joints.tolist():
+            raise ValueError("its legs do not follow each other")
+        return Chain(maps, joints, kept)
+    if kind == "split":
+        require_names("split", form, {"form", "threshold", "low", "high"})
+        normal = arrays.pop("normal")
+        require_array("normal", normal, (d,))
+        sides = [
+            _map(checked_mapping(side, form[side]), _taken(arrays, f"{side}."), d, dim, depth - 1)
+            for side in ("low", "high")
+        ]
+        return Split(normal, checked_number("threshold", form["threshold"]), *sides)
+    raise ValueError(f"its map has the unknown form {str(kind)[:40]}")
+
+
+def _leg(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int) -> Leg:
+    count = checked_type("pieces", form["pieces"], "int")
+    edges = arrays.pop("edges")
+    require_array("edges", edges, (count + 1,))
+    steps = np.diff(edges)
+    if count < 1 or edges[0] != 0 or not ((steps > 0).all() or (steps < 0).all()):
+        raise ValueError("the pieces of its time are not in order")
+    own = {name: arrays.pop(name) for name in ("scaling", "shift", "selection", "offset", "start")}
+    shapes = {"scaling": (d, d), "shift": (d,), "selection": (dim, d), "offset": (dim,)}
+    for name, shape in shapes.items():
+        require_array(name, own[name], shape)
+    degrees = arrays.pop("start_degrees")
+    require_array("start", own["start"], (len(degrees), dim))
+    pieces = []
+    for number in range(count):
+        piece = _taken(arrays, f"{number}.")
+        require_names("piece", piece, {"degrees", "readouts", "columns"})
+        readouts, columns = piece["readouts"], piece["columns"]
+        require_array("readouts", readouts, (len(piece["degrees"]), len(columns)))
+        require_array("columns", columns, (len(columns), *columns.shape[1:2], dim))
+        pieces.append(Piece(_degrees(piece["degrees"], d), readouts, columns))
+        if not min(*readouts.shape, *columns.shape):
+            raise ValueError("a piece of its map is empty")
+    begin = checked_number("begin", form["begin"])
+    start, start_degrees = own.pop("start"), _degrees(degrees, d)
+    return Leg(begin, edges, start_degrees=start_degrees, start=start, pieces=pieces, **own)
+
+
+def _degrees(array: np.ndarray, d: int) -> np.ndarray:
+    require_array("degrees", array, (len(array), d), np.uint8)
+    if array.size and int(array.max()) > MOST_DEGREE:
+        raise ValueError("a degree is too high")
+    return array.astype(int)
+
+
+def _stored(array: np.ndarray) -> np.ndarray:
+    """Return whole numbers, which are small, as bytes."""
+    return array.astype(np.uint8) if array.dtype.kind == "i" else array
+
+
+def _taken(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Remove and return the arrays with a prefix, by the rest of their names."""
+    names = [name for name in arrays if name.startswith(prefix)]
+    return {name.removeprefix(prefix): arrays.pop(name) for name in names}
