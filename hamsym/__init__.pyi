@@ -12,6 +12,8 @@ from .errors import CertificationError as CertificationError
 from .errors import FileError as FileError
 from .errors import HamsymError as HamsymError
 from .errors import InputError as InputError
+from .families.fit import fit as fit
+from .families.fitted import Fit as Fit
 from .families.many import solve_many as solve_many
 from .families.solutions import Solutions as Solutions
 from .flow_maps.flow_map import FlowMap as FlowMap

@@ -12,6 +12,7 @@ from hamsym.dynamics.lyapunov import LyapunovExponents
 from hamsym.dynamics.lyapunov_map import LyapunovMap
 from hamsym.dynamics.sections import Section
 from hamsym.errors import InputError
+from hamsym.families.fitted import Fit
 from hamsym.integrators.integrate import Trajectory
 from hamsym.random_features.windows import March
 from hamsym.solution.solution import Solution
@@ -26,11 +27,11 @@ _MAX_LINES = 8
 
 @singledispatch
 def plot(result: Any, *args: Any, **options: Any) -> Figure:
-    """Draw a solution, trajectory, section, comparison or Lyapunov exponents.
+    """Draw a solution, trajectory, fit, section, comparison or Lyapunov exponents.
 
     Parameters
     ----------
-    result : Solution, Trajectory, Section, Comparison, LyapunovExponents or LyapunovMap
+    result : Solution, Trajectory, Fit, Section, Comparison, LyapunovExponents or LyapunovMap
     *args, **options
         As in the method ``plot`` of the result.
 
@@ -52,8 +53,8 @@ def plot(result: Any, *args: Any, **options: Any) -> Figure:
     ['Trajectory', 'Phase space']
     """
     raise InputError(
-        f"{type(result).__name__} cannot be plotted; give a solution, a trajectory, a section, "
-        "a comparison or Lyapunov exponents"
+        f"{type(result).__name__} cannot be plotted; give a solution, a trajectory, a fit, "
+        "a section, a comparison or Lyapunov exponents"
     )
 
 
@@ -133,6 +134,40 @@ def _plot_trajectory(trajectory: Trajectory) -> Figure:
     for k, values in enumerate(energy[:_MAX_LINES]):
         axes[1, 1].plot(t, (values - values[0])[::every], color=_color(k), linewidth=0.7)
     axes[1, 1].set(title="H(t) - H(0)", xlabel="t")
+    return figure
+
+
+@plot.register
+def _plot_fit(found: Fit, number: int = 0) -> Figure:
+    """Draw data with the fitted motion above residuals in units of sigma, for each observable.
+
+    Of several sets, the one with this number.
+    """
+    several = np.ndim(found.success) > 0
+    if not 0 <= number < (len(found.success) if several else 1):
+        raise InputError(f"number={number!r} is no set of data; give one from 0")
+    at = (number,) if several else ()
+    labels = list(found.data)[:_MAX_LINES]
+    figure = Figure(figsize=(max(7.0, 4.5 * len(labels)), 6), layout="constrained")
+    axes = figure.subplots(2, len(labels), sharex=True, squeeze=False, height_ratios=(2, 1))
+    values = ", ".join(
+        f"{name} = {np.asarray(value)[at]:.6g}" for name, value in found.parameters.items()
+    )
+    figure.suptitle(f"set {number}: {values}" if several else values, fontsize=11)
+    dense = np.linspace(*found.span, _SAMPLES)
+    curves = found(dense)
+    for column, label in enumerate(labels):
+        data, sigma = found.data[label][at], found.sigma[label][at]
+        weighted = found.weighted_residuals[label][at]
+        above, below = axes[:, column]
+        above.errorbar(found.t, data, sigma, fmt=".", color="0.4", markersize=3, elinewidth=0.5)
+        above.plot(dense, curves[label][at], color=_color(0), linewidth=1.1)
+        above.set(title=label)
+        below.plot(found.t, weighted, ".", color=_color(0), markersize=3)
+        below.axhline(0.0, color="0.5", linewidth=0.8)
+        below.set(xlabel="t", ylabel="residual / sigma")
+        for axis in (above, below):
+            axis.grid(alpha=0.25)
     return figure
 
 

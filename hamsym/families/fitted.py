@@ -1,0 +1,184 @@
+"""Fit: quantities estimated from observations, with their uncertainty and a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sympy
+
+import hamsym
+from hamsym.errors import InputError
+from hamsym.families.motions import FlowLike, MappedMotions
+from hamsym.families.solutions import Solutions
+from hamsym.families.unknowns import Unknowns
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.solution.solution import Solution
+from hamsym.solution.times import times_in_span
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Fit", "Minimum"]
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """A minimum of chi-square.
+
+    Attributes
+    ----------
+    parameters : dict of str to float
+        The free quantities.
+    chi_square : float
+    starts : int
+        Number of starts that reached it.
+    """
+
+    parameters: dict[str, float]
+    chi_square: float
+    starts: int
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit:
+    """Free quantities estimated from observations, from :func:`hamsym.fit`.
+
+    Of several sets of data, every array has a leading axis (sets,), written "..." below; of one
+    set, numbers are floats.
+
+    Attributes
+    ----------
+    H : Hamiltonian
+        With the fitted parameters (of the first set).
+    names : tuple of str
+        The free quantities.
+    parameters : dict of str to float or numpy.ndarray
+        Their estimates, shape (...).
+    covariance : numpy.ndarray
+        Shape (..., k, k), in the order of ``names``; nan where the data do not determine them.
+    confidence : float
+    confidence_intervals : dict of str to (low, high)
+        Each of shape (...): estimates -+ a multiple of their standard errors, from the normal
+        distribution, or Student's t distribution if sigma was estimated.
+    z0 : numpy.ndarray
+        Starts with the estimates, shape (..., dim).
+    span : (float, float)
+    t : numpy.ndarray
+        Times of the data, shape (n,).
+    data, sigma, residuals : dict of str to numpy.ndarray
+        Of each observable, shape (..., n). Residuals are data minus model; nan where data are
+        missing. An estimated sigma is the same for all data of a set.
+    chi_square : float or numpy.ndarray
+        Sum of (residual/sigma)^2, with sigma = 1 if it was not given.
+    degrees_of_freedom : int or numpy.ndarray
+        Number of data minus number of free quantities.
+    p_value : float or numpy.ndarray
+        Probability of a larger chi-square if the model and sigma are right; nan without sigma.
+    success : bool or numpy.ndarray
+        Whether the estimates are a minimum inside the bounds that the data determine, the motion is
+        accurate to a tenth of sigma, and the model fits (p >= 1e-6).
+    message : str or numpy.ndarray
+    minima : tuple of Minimum
+        The minima that several starts reached, the best one first; empty for several sets.
+    starts_reached : int or numpy.ndarray
+        Number of refined starts that reached the best minimum.
+    solution : Solution, Solutions or None
+        Motions with the estimates; None if a flow map was used.
+    """
+
+    H: Hamiltonian
+    names: tuple[str, ...]
+    parameters: dict[str, Any]
+    covariance: np.ndarray
+    confidence: float
+    confidence_intervals: dict[str, tuple[Any, Any]]
+    z0: np.ndarray
+    span: tuple[float, float]
+    t: np.ndarray
+    data: dict[str, np.ndarray]
+    sigma: dict[str, np.ndarray]
+    residuals: dict[str, np.ndarray]
+    chi_square: Any
+    degrees_of_freedom: Any
+    p_value: Any
+    success: Any
+    message: Any
+    minima: tuple[Minimum, ...]
+    starts_reached: Any
+    solution: Solution | Solutions | None
+    unknowns: Unknowns = field(repr=False)
+    expressions: Mapping[str, sympy.Expr] = field(repr=False)
+    flow: FlowLike | None = field(repr=False)
+
+    def __repr__(self) -> str:
+        if np.ndim(self.success):
+            good, sets = int(self.success.sum()), len(self.success)
+            listed = ", ".join(self.names)
+            return f"Fit({listed} from {sets:,} sets: {good:,} succeeded, {sets - good:,} failed)"
+        errors = self.standard_errors
+        listed = ", ".join(f"{n} = {v:.6g} +- {errors[n]:.2g}" for n, v in self.parameters.items())
+        return f"Fit({listed}, success={self.success})"
+
+    @property
+    def standard_errors(self) -> dict[str, Any]:
+        """Square roots of the variances, by name, shape (...)."""
+        with np.errstate(invalid="ignore"):
+            errors = np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
+        return {name: errors[..., j][()] for j, name in enumerate(self.names)}
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """The covariance in units of the standard errors, shape (..., k, k)."""
+        errors = np.stack([np.asarray(error) for error in self.standard_errors.values()], axis=-1)
+        with np.errstate(all="ignore"):
+            return np.asarray(self.covariance / (errors[..., :, None] * errors[..., None, :]))
+
+    @property
+    def weighted_residuals(self) -> dict[str, np.ndarray]:
+        """Residuals divided by sigma, by observable, shape (..., n)."""
+        return {label: r / self.sigma[label] for label, r in self.residuals.items()}
+
+    def __call__(self, t: Any) -> dict[str, np.ndarray]:
+        """Return the fitted observables at times t, each of shape (..., m), or (...).
+
+        Raises
+        ------
+        InputError
+            If a time is outside the span.
+        """
+        times = times_in_span(t, self.span)
+        flat = np.atleast_1d(times)
+        values = np.stack([np.atleast_1d(value) for value in self.parameters.values()], axis=-1)
+        if self.solution is not None:
+            states = np.asarray(self.solution(flat)).reshape(len(values), len(flat), -1)
+        elif self.flow is not None:
+            states = MappedMotions(self.flow, self.unknowns, flat).states(values, flat)
+        else:
+            raise InputError("this fit has no motion; see its message")
+        rows = np.array(list(self.unknowns.parameters(values).values())).T[:, None]
+        shape = (*np.shape(self.success), *times.shape)
+        found = {}
+        for label, function in self._functions.items():
+            with np.errstate(all="ignore"):
+                found[label] = np.broadcast_to(
+                    function(states, flat, rows), (len(values), len(flat))
+                ).reshape(shape)
+        return found
+
+    @cached_property
+    def _functions(self) -> dict[str, Any]:
+        return {label: self.H.observable(expr) for label, expr in self.expressions.items()}
+
+    def plot(self, number: int = 0) -> Figure:
+        """Draw data with the fitted motion, and the residuals, of each observable.
+
+        Parameters
+        ----------
+        number : int
+            Of the set, if there are several.
+        """
+        return hamsym.plot(self, number)

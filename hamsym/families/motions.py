@@ -1,0 +1,320 @@
+"""States at given times, and their derivatives in free quantities, for many values of these.
+
+A source of motions evaluates rows of values. There are three: :class:`SolvedMotions` solves one
+row at a time, with :meth:`Solution.sensitivity`; :class:`LiftedMotions` solves all rows and all
+derivatives in one call of :func:`hamsym.solve_many`; :class:`MappedMotions` evaluates a flow map.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import sympy
+
+from hamsym.errors import HamsymError, InputError
+from hamsym.families.many import solve_many
+from hamsym.families.unknowns import Unknowns
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.random_features.members import MemberSolver
+from hamsym.solution.solution import Solution
+from hamsym.solving import solve
+
+__all__ = ["FlowLike", "LiftedMotions", "MappedMotions", "Motions", "SolvedMotions"]
+
+_ROWS = 256  # that are solved together, to bound the memory
+_SMALL = 1e-3  # size of the response to a parameter, relative to that to the start
+
+
+class FlowLike(Protocol):
+    """A map from times, starts and parameters to states, with its derivatives."""
+
+    @property
+    def H(self) -> Hamiltonian:
+        """The Hamiltonian."""
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Start and end of the times."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of what varies: components of the start, then parameters."""
+
+    @property
+    def box(self) -> Mapping[str, tuple[float, float]]:
+        """Range of each input."""
+
+    @property
+    def fixed(self) -> Mapping[str, float]:
+        """Values of the other components and parameters."""
+
+    @property
+    def success(self) -> bool:
+        """Whether its error is within its tolerance everywhere in the box."""
+
+    @property
+    def tol(self) -> float:
+        """Its tolerance, relative to the largest value of each component."""
+
+    def __call__(
+        self, t: np.ndarray, z0: np.ndarray, parameters: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        """States at times (n,) from starts (n, dim) with parameters (n,), shape (n, dim)."""
+
+    def jacobian(
+        self, t: np.ndarray, z0: np.ndarray, parameters: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        """Derivatives of the states in the inputs, shape (n, dim, inputs)."""
+
+
+class Motions(Protocol):
+    """Source of states and their derivatives."""
+
+    def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States (n, times, dim) and derivatives (n, times, dim, k) for values (n, k).
+
+        Rows that have no motion over all times are nan.
+        """
+
+    def reason(self, values: np.ndarray) -> str:
+        """Return why values of shape (k,) have no motion."""
+
+
+@dataclass
+class SolvedMotions:
+    """Motions of one solution for each row.
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    t : numpy.ndarray
+    span : (float, float)
+    tol : float
+    """
+
+    unknowns: Unknowns
+    t: np.ndarray
+    span: tuple[float, float]
+    tol: float
+    _last: dict[bytes, Solution] = field(default_factory=dict, repr=False)
+
+    def solution(self, values: np.ndarray) -> Solution:
+        """Return the solution with values of shape (k,); the last one is kept.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        key = values.tobytes()
+        if key not in self._last:
+            H, start = self.unknowns.hamiltonian(values), self.unknowns.starts(values[None])[0]
+            self._last = {key: solve(H, start, self.span, tol=self.tol, compiled=True)}
+        return self._last[key]
+
+    def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        shape = (len(values), len(self.t), self.unknowns.H.dim)
+        states, slopes = np.full(shape, np.nan), np.full((*shape, values.shape[1]), np.nan)
+        for row, here in enumerate(values):
+            try:
+                states[row], slopes[row] = self._motion(here)
+            except HamsymError:
+                continue
+        return states, slopes
+
+    def _motion(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        unknowns, solution = self.unknowns, self.solution(values)
+        if solution.span[1] != self.span[1]:
+            raise InputError(solution.message)
+        slopes = np.empty((len(self.t), unknowns.H.dim, len(values)))
+        places, free = unknowns.components, unknowns.free_parameters
+        if places:
+            slopes[:, :, list(places)] = solution.sensitivity(self.t)[:, :, list(places.values())]
+        if free:
+            columns = [j for j in range(len(values)) if j not in places]
+            slopes[:, :, columns] = solution.sensitivity(self.t, parameters=list(free))
+        return solution(self.t), slopes
+
+    def reason(self, values: np.ndarray) -> str:
+        try:
+            self._motion(values)
+        except HamsymError as error:
+            return str(error)
+        return "the motion or an observable is not finite"
+
+
+class LiftedMotions:
+    """Motions of the tangent lift, in which derivatives in one direction are further components.
+
+    With a direction (dz, dk) the Hamiltonian K = dz . grad H + dk . dH/dk, with pairs (q, dp) and
+    (dq, p), has the equations of z and the variational equations of dz: all rows and directions
+    are members of one ensemble.
+
+    Parameters
+    ----------
+    unknowns : Unknowns
+    t : numpy.ndarray
+    span : (float, float)
+    tol : float
+    """
+
+    def __init__(
+        self, unknowns: Unknowns, t: np.ndarray, span: tuple[float, float], tol: float
+    ) -> None:
+        self._unknowns, self._t, self._span, self._tol = unknowns, t, span, tol
+        lifted = _lift(unknowns.H, unknowns.free_parameters)
+        assert lifted is not None
+        self._lifted, self._rates = lifted
+        # Directions of parameters have a start too, whose motion is subtracted: a member that
+        # starts with no deviation at all has components without a scale.
+        self._directions = [i for _, i in sorted(unknowns.components.items())] or [0]
+        self._sizes = {
+            name: abs(unknowns.H.parameters[name]) or 1.0 for name in unknowns.free_parameters
+        }
+
+    @staticmethod
+    def applies(unknowns: Unknowns) -> bool:
+        """Return whether H and its lift are smooth."""
+        return _lift(unknowns.H, unknowns.free_parameters) is not None
+
+    def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        parts = [self._part(values[k : k + _ROWS]) for k in range(0, len(values), _ROWS)]
+        states, slopes = zip(*parts, strict=True)
+        return np.concatenate(states), np.concatenate(slopes)
+
+    def _part(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        unknowns, dim, dof = self._unknowns, self._unknowns.H.dim, self._unknowns.H.dof
+        places, free = unknowns.components, unknowns.free_parameters
+        columns = [j for j in range(values.shape[1]) if j not in places]
+        shape = (len(values), len(self._directions) + len(free))
+        # The components of the lift are (q, dq, dp, p).
+        own = [*range(dof), *range(3 * dof, 4 * dof)]
+        deviation = np.arange(dof, 3 * dof)
+        starts = np.zeros((*shape, 2 * dim))
+        starts[..., own] = unknowns.starts(values)[:, None]
+        for member, i in enumerate(self._directions):
+            starts[:, member, deviation[i]] = 1.0
+        starts[:, len(self._directions) :, deviation[self._directions[0]]] = 1.0
+        while True:
+            given: dict[str, Any] = {
+                name: value[:, None] for name, value in unknowns.parameters(values).items()
+            }
+            for place, name in enumerate(free):
+                rate = np.zeros(shape)
+                rate[:, len(self._directions) + place] = self._sizes[name]
+                given[self._rates[name]] = rate
+            given = {n: v for n, v in given.items() if n in self._lifted.parameter_names}
+            many = solve_many(
+                self._lifted, starts, self._span, tol=self._tol, parameters=given, progress=False
+            )
+            found = many(self._t)
+            moved = found[..., deviation]
+            responses = moved[:, len(self._directions) :] - moved[:, :1]
+            if not self._resized(responses, moved[:, :1]):
+                break
+        slopes = np.empty((len(values), len(self._t), dim, values.shape[1]))
+        for member, j in enumerate(sorted(places)):
+            slopes[..., j] = moved[:, member]
+        for place, (j, name) in enumerate(zip(columns, free, strict=True)):
+            slopes[..., j] = responses[:, place] / self._sizes[name]
+        return found[:, 0][..., own], slopes
+
+    def _resized(self, responses: np.ndarray, reference: np.ndarray) -> bool:
+        """Enlarge changes of parameters whose response is lost beside that of the start."""
+        changed = False
+        with np.errstate(all="ignore"):
+            for place, name in enumerate(self._sizes):
+                response = np.abs(responses[:, place]).max(axis=1)
+                sizes = response / np.abs(reference[:, 0]).max(axis=1)
+                ratio = np.where(np.isfinite(sizes), sizes, 0.0).max()
+                if 1e-30 < ratio < _SMALL:
+                    self._sizes[name] /= ratio
+                    changed = True
+        return changed
+
+    def reason(self, values: np.ndarray) -> str:
+        return SolvedMotions(self._unknowns, self._t, self._span, self._tol).reason(values)
+
+
+def _lift(H: Hamiltonian, free: tuple[str, ...]) -> tuple[Hamiltonian, Mapping[str, str]] | None:
+    return _lift_of(H.with_parameters(**dict.fromkeys(H.parameters, 1.0)), free)
+
+
+@functools.lru_cache(maxsize=64)
+def _lift_of(H: Hamiltonian, free: tuple[str, ...]) -> tuple[Hamiltonian, Mapping[str, str]] | None:
+    """Return the tangent lift of H without values, and the names of the changes of parameters.
+
+    None where H is not smooth, or derivatives of its gradient are too large.
+    """
+    if not MemberSolver.applies(H):
+        return None
+    equations, taken = H.real_equations, {*H.names, *H.parameter_names, "t"}
+
+    def unused(name: str) -> str:
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        return name
+
+    deviations = [sympy.Symbol(unused(f"d_{i}"), real=True) for i in range(H.dim)]
+    rates = {name: unused(f"e_{i}") for i, name in enumerate(free)}
+    terms = [slope * d for slope, d in zip(equations.gradient, deviations, strict=True)]
+    for name, rate in rates.items():
+        slope = sympy.diff(equations.expr, equations.parameters[name][0])
+        terms.append(slope * sympy.Symbol(rate, real=True))
+    z, dof = equations.z, H.dof
+    try:
+        lifted = Hamiltonian(
+            sympy.Add(*terms), q=[*z[:dof], *deviations[:dof]], p=[*deviations[dof:], *z[dof:]]
+        )
+        if not MemberSolver.applies(
+            lifted.with_parameters(**dict.fromkeys(lifted.parameter_names, 1.0))
+        ):
+            return None
+    except HamsymError:
+        return None
+    return lifted, rates
+
+
+@dataclass(frozen=True)
+class MappedMotions:
+    """Motions of a flow map.
+
+    Attributes
+    ----------
+    flow : FlowLike
+    unknowns : Unknowns
+    t : numpy.ndarray
+    """
+
+    flow: FlowLike
+    unknowns: Unknowns
+    t: np.ndarray
+
+    def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        arguments = self._arguments(values, self.t)
+        shape = (len(values), len(self.t), self.unknowns.H.dim)
+        states = np.asarray(self.flow(*arguments)).reshape(shape)
+        every = np.asarray(self.flow.jacobian(*arguments)).reshape(*shape, -1)
+        columns = [self.flow.inputs.index(name) for name in self.unknowns.names]
+        return states, every[..., columns]
+
+    def _arguments(
+        self, values: np.ndarray, t: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        repeated = np.repeat(values, len(t), axis=0)
+        parameters = self.unknowns.parameters(repeated)
+        varied = {name: array for name, array in parameters.items() if name in self.flow.inputs}
+        return np.tile(t, len(values)), self.unknowns.starts(repeated), varied
+
+    def states(self, values: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Return states at times (m,) for values (n, k), shape (n, m, dim)."""
+        found = np.asarray(self.flow(*self._arguments(values, t)))
+        return found.reshape(len(values), len(t), -1)
+
+    def reason(self, values: np.ndarray) -> str:
+        return "the map or an observable is not finite"

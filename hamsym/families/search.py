@@ -1,0 +1,210 @@
+"""Search for the minima of chi-square: of many sets of data, from many starts, at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.families.motions import Motions
+from hamsym.families.observations import Observables, Observations
+from hamsym.families.unknowns import Unknowns
+from hamsym.numerics.least_squares import Minima, minimize_squares, projections
+
+__all__ = ["Found", "Model", "search"]
+
+_FEWEST, _SHARE = 8, 4  # starts that are refined: eight, or a quarter
+_SAME = 0.1  # standard errors between estimates of the same minimum
+_BATCH = 4_000_000  # numbers in the derivatives of states that are computed together
+_CLOSE = 1e-6  # of the variance: the projected residuals of a minimum
+
+
+@dataclass(frozen=True)
+class Found:
+    """The best minimum of each set.
+
+    Attributes
+    ----------
+    unknowns, residuals, jacobian : numpy.ndarray
+        Shapes (sets, k), (sets, m), (sets, m, k), with m = observables times; (model - data)/sigma,
+        zero where data are missing.
+    converged : numpy.ndarray
+        Shape (sets,).
+    iterations : numpy.ndarray
+        Shape (sets,).
+    reached, refined : numpy.ndarray, int
+        Number of starts that reached it, shape (sets,), and of those that were refined.
+    minima : tuple of (unknowns, chi-square, starts)
+        Of one set: the different minima, the best one first.
+    """
+
+    unknowns: np.ndarray
+    residuals: np.ndarray
+    jacobian: np.ndarray
+    converged: np.ndarray
+    iterations: np.ndarray
+    reached: np.ndarray
+    refined: int
+    minima: tuple[tuple[np.ndarray, float, int], ...]
+
+    @property
+    def chi_square(self) -> np.ndarray:
+        """Shape (sets,)."""
+        return np.asarray((self.residuals**2).sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Model:
+    """Weighted residuals of observations as functions of the free quantities."""
+
+    unknowns: Unknowns
+    observed: Observations
+    motions: Motions
+    span: tuple[float, float]
+    tol: float
+
+    @cached_property
+    def observables(self) -> Observables:
+        unknowns = self.unknowns
+        return Observables(unknowns.H, self.observed.expressions, unknowns.free_parameters)
+
+    def residuals(self, values: np.ndarray, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return residuals (n, m) and derivatives (n, m, k) for values (n, k) and their sets."""
+        size = len(self.observed.t) * self.unknowns.H.dim * values.shape[1]
+        step = max(1, _BATCH // size)
+        parts = [
+            self._part(values[k : k + step], sets[k : k + step])
+            for k in range(0, len(values), step)
+        ]
+        residuals, slopes = zip(*parts, strict=True)
+        return np.concatenate(residuals), np.concatenate(slopes)
+
+    def _part(self, values: np.ndarray, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found, slopes = self._observed(values)
+        present, sigma = self.observed.present[sets], self.observed.sigma[sets]
+        with np.errstate(all="ignore"):
+            residuals = np.where(present, (found - self.observed.data[sets]) / sigma, 0.0)
+            slopes = np.where(present[..., None], slopes / sigma[..., None], 0.0)
+        count = len(values)
+        return residuals.reshape(count, -1), slopes.reshape(count, -1, values.shape[1])
+
+    def _observed(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return observables (n, observables, times) and derivatives in the free quantities."""
+        states, motion = self.motions(values)
+        parameters = self.unknowns.parameters(values)
+        found, in_state, explicit = self.observables(states, self.observed.t, parameters)
+        with np.errstate(all="ignore"):
+            slopes = np.einsum("noti,ntik->notk", in_state, motion)
+        columns = [j for j in range(values.shape[1]) if j not in self.unknowns.components]
+        slopes[..., columns] += explicit
+        return found, slopes
+
+    def chi_squares(self, values: np.ndarray) -> np.ndarray:
+        """Return chi-square of all sets for values (n, k), shape (sets, n); infinite for nan."""
+        found, _ = self._observed(values)
+        observed, squares = self.observed, np.empty((len(self.observed.data), len(values)))
+        for k, (data, sigma) in enumerate(zip(observed.data, observed.sigma, strict=True)):
+            with np.errstate(all="ignore"):
+                weighted = np.where(np.isfinite(data), (found - data) / sigma, 0.0)
+                squares[k] = (weighted**2).sum(axis=(1, 2))
+        return np.where(np.isfinite(squares), squares, np.inf)
+
+    def variance(self, squares: np.ndarray, sets: np.ndarray) -> np.ndarray:
+        """Return the variance of a weighted residual, from chi-square of some sets, shape (n,)."""
+        freedom = np.maximum(self.observed.counts[sets] - len(self.unknowns.names), 1)
+        if self.observed.known:
+            return np.maximum(squares / freedom, 1.0)
+        # Residuals smaller than the errors of the motion say nothing of a minimum.
+        squares_of_data = np.nansum(self.observed.data[sets] ** 2, axis=(1, 2))
+        floor = self.tol**2 * squares_of_data / np.maximum(self.observed.counts[sets], 1)
+        return np.maximum(squares / freedom, floor)
+
+    def again(self, found: Found, motions: Motions) -> Found:
+        """Return a result for one set with residuals from another source of motions."""
+        model = replace(self, motions=motions)
+        residuals, slopes = model.residuals(found.unknowns, np.zeros(1, dtype=int))
+        converged = np.zeros(1, dtype=bool)
+        if np.isfinite(residuals).all() and np.isfinite(slopes).all():
+            scatter = model.variance((residuals**2).sum(axis=1), np.zeros(1, dtype=int))
+            converged = found.converged & (projections(residuals, slopes) <= 2 * _CLOSE * scatter)
+        return replace(found, residuals=residuals, jacobian=slopes, converged=converged)
+
+
+def search(model: Model, starts: int, seed: int) -> Found:
+    """Minimise chi-square of every set from the best of some starts.
+
+    Raises
+    ------
+    InputError
+        If the motion cannot be solved from any start.
+    """
+    unknowns, sets = model.unknowns, len(model.observed.data)
+    guesses = unknowns.draw(starts, seed)
+    if starts > 1:
+        squares = model.chi_squares(guesses)
+        _require_motion(model, np.isfinite(squares).any(), guesses)
+        refined = min(starts, max(_FEWEST, starts // _SHARE))
+        best = np.argsort(squares, axis=1, kind="stable")[:, :refined]
+        first = guesses[best].reshape(sets * refined, -1)
+    else:
+        refined, first = 1, np.tile(guesses, (sets, 1))
+    owners = np.repeat(np.arange(sets), refined)
+    found = minimize_squares(
+        lambda values, rows: model.residuals(values, owners[rows]),
+        first,
+        unknowns.low,
+        unknowns.high,
+        lambda squares, rows: model.variance(squares, owners[rows]),
+    )
+    with np.errstate(all="ignore"):
+        squares = (found.residuals**2).sum(axis=1)
+    squares = np.where(np.isfinite(squares), squares, np.inf).reshape(sets, refined)
+    _require_motion(model, np.isfinite(squares).any(), guesses)
+    rows = np.argmin(squares, axis=1) + refined * np.arange(sets)
+    groups = _groups(model, found, squares, 0) if sets == 1 else []
+    reached = np.array([len(_same(model, found, squares, k, row)) for k, row in enumerate(rows)])
+    return Found(
+        found.unknowns[rows],
+        found.residuals[rows],
+        found.jacobian[rows],
+        found.converged[rows],
+        found.iterations[rows],
+        reached,
+        refined,
+        tuple((found.unknowns[g[0]], float(squares[0, g[0]]), len(g)) for g in groups),
+    )
+
+
+def _require_motion(model: Model, exists: bool | np.bool_, guesses: np.ndarray) -> None:
+    if not exists:
+        which = "the first guess" if len(guesses) == 1 else f"any of {len(guesses):,} first guesses"
+        raise InputError(
+            f"the motion cannot be solved from {which}, {model.unknowns.text(guesses[0])}: "
+            f"{model.motions.reason(guesses[0])}; give another first guess"
+        )
+
+
+def _same(model: Model, found: Minima, squares: np.ndarray, k: int, row: int) -> list[int]:
+    """Return the converged rows of set k whose estimates are those of a row."""
+    rows = np.arange(k * squares.shape[1], (k + 1) * squares.shape[1])
+    if not np.isfinite(squares[k, row - rows[0]]):
+        return []
+    away = np.einsum("mk,nk->nm", found.jacobian[row], found.unknowns[rows] - found.unknowns[row])
+    unit = model.variance(squares[k, [row - rows[0]]], np.array([k]))
+    near = (away**2).sum(axis=1) <= _SAME**2 * unit
+    return [int(other) for other in rows[near & found.converged[rows]]]
+
+
+def _groups(model: Model, found: Minima, squares: np.ndarray, k: int) -> list[list[int]]:
+    """Return converged rows of set k, those of each minimum together, the best one first."""
+    order = [int(row) for row in np.argsort(squares[k], kind="stable") if found.converged[row]]
+    groups: list[list[int]] = []
+    left = set(order)
+    for row in order:
+        if row in left:
+            same = [row, *(r for r in _same(model, found, squares, k, row) if r in left - {row})]
+            groups.append(same)
+            left -= set(same)
+    return groups
