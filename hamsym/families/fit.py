@@ -1,8 +1,9 @@
 """Estimation of parameters and initial states from noisy observations.
 
 Stage 1  Observables, data and free quantities are checked, and compiled with their gradients.
-Stage 2  Chi-square of all starts is evaluated; the best ones are refined by the
-         Levenberg-Marquardt method with exact derivatives (:mod:`hamsym.numerics.least_squares`).
+Stage 2  All starts are ranked by the least chi-square of their linear models; the best ones are
+         refined by the Levenberg-Marquardt method with exact derivatives
+         (:mod:`hamsym.families.search`).
 Stage 3  The best minimum of every set of data is judged (:mod:`hamsym.families.verdicts`).
 """
 

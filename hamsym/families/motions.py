@@ -19,6 +19,7 @@ from hamsym.errors import HamsymError, InputError
 from hamsym.families.many import solve_many
 from hamsym.families.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.symplectic import generators
 from hamsym.random_features.members import MemberSolver
 from hamsym.solution.solution import Solution
 from hamsym.solving import solve
@@ -26,6 +27,8 @@ from hamsym.solving import solve
 __all__ = ["FlowLike", "LiftedMotions", "MappedMotions", "Motions", "SolvedMotions"]
 
 _ROWS = 256  # that are solved together, to bound the memory
+_FAST = 2e4  # radians in the span, from which a motion takes a second
+_FASTER = 10  # times the first guess: also too fast
 _SMALL = 1e-3  # size of the response to a parameter, relative to that to the start
 
 
@@ -120,6 +123,8 @@ class SolvedMotions:
         shape = (len(values), len(self.t), self.unknowns.H.dim)
         states, slopes = np.full(shape, np.nan), np.full((*shape, values.shape[1]), np.nan)
         for row, here in enumerate(values):
+            if _is_too_fast(self.unknowns, here[None], self.span)[0]:
+                continue
             try:
                 states[row], slopes[row] = self._motion(here)
             except HamsymError:
@@ -140,11 +145,38 @@ class SolvedMotions:
         return solution(self.t), slopes
 
     def reason(self, values: np.ndarray) -> str:
+        if _is_too_fast(self.unknowns, values[None], self.span)[0]:
+            return "it is too fast for the span"
         try:
             self._motion(values)
         except HamsymError as error:
             return str(error)
         return "the motion or an observable is not finite"
+
+
+def _is_too_fast(unknowns: Unknowns, values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
+    """Return whether motions would take long, so that a search does without them, shape (n,).
+
+    By the eigenvalues of J Hess at the start. The first guess is never too fast.
+    """
+    rates = _rates(unknowns, np.vstack((unknowns.guesses, values)), span[0])
+    limit = max(_FAST / abs(span[1] - span[0]), _FASTER * float(np.nan_to_num(rates[0])))
+    return rates[1:] > limit
+
+
+def _rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
+    system = unknowns.H.compile("numpy")
+    columns = unknowns.parameters(values)
+    rows = np.array([columns[name] for name in unknowns.H.parameter_names]).T if columns else None
+    with np.errstate(all="ignore"):
+        at = system.arguments(unknowns.starts(values), np.full(len(values), start))
+        hessians = np.asarray(system.hessian(*at, **system.keywords(rows)), dtype=float)
+    shape = (len(values), unknowns.H.dim, unknowns.H.dim)
+    matrices = generators(np.broadcast_to(hessians, shape))
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    rates = np.full(len(values), np.nan)
+    rates[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(axis=1)
+    return rates
 
 
 class LiftedMotions:
@@ -182,9 +214,13 @@ class LiftedMotions:
         return _lift(unknowns.H, unknowns.free_parameters) is not None
 
     def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        parts = [self._part(values[k : k + _ROWS]) for k in range(0, len(values), _ROWS)]
-        states, slopes = zip(*parts, strict=True)
-        return np.concatenate(states), np.concatenate(slopes)
+        shape = (len(values), len(self._t), self._unknowns.H.dim)
+        states, slopes = np.full(shape, np.nan), np.full((*shape, values.shape[1]), np.nan)
+        slow = np.flatnonzero(~_is_too_fast(self._unknowns, values, self._span))
+        for k in range(0, len(slow), _ROWS):
+            rows = slow[k : k + _ROWS]
+            states[rows], slopes[rows] = self._part(values[rows])
+        return states, slopes
 
     def _part(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         unknowns, dim, dof = self._unknowns, self._unknowns.H.dim, self._unknowns.H.dof

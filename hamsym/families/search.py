@@ -11,14 +11,13 @@ from hamsym.errors import InputError
 from hamsym.families.motions import Motions
 from hamsym.families.observations import Observables, Observations
 from hamsym.families.unknowns import Unknowns
-from hamsym.numerics.least_squares import Minima, minimize_squares, projections
+from hamsym.numerics.least_squares import Minima, are_minima, minimize_squares, projections
 
 __all__ = ["Found", "Model", "search"]
 
 _FEWEST, _SHARE = 8, 4  # starts that are refined: eight, or a quarter
 _SAME = 0.1  # standard errors between estimates of the same minimum
 _BATCH = 4_000_000  # numbers in the derivatives of states that are computed together
-_CLOSE = 1e-6  # of the variance: the projected residuals of a minimum
 
 
 @dataclass(frozen=True)
@@ -82,13 +81,17 @@ class Model:
         return np.concatenate(residuals), np.concatenate(slopes)
 
     def _part(self, values: np.ndarray, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found, slopes = self._observed(values)
+        return self._weighted(*self._observed(values), sets)
+
+    def _weighted(
+        self, found: np.ndarray, slopes: np.ndarray, sets: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return (model - data)/sigma of some sets and its derivatives, zero without data."""
         present, sigma = self.observed.present[sets], self.observed.sigma[sets]
         with np.errstate(all="ignore"):
             residuals = np.where(present, (found - self.observed.data[sets]) / sigma, 0.0)
             slopes = np.where(present[..., None], slopes / sigma[..., None], 0.0)
-        count = len(values)
-        return residuals.reshape(count, -1), slopes.reshape(count, -1, values.shape[1])
+        return residuals.reshape(len(sets), -1), slopes.reshape(len(sets), -1, slopes.shape[-1])
 
     def _observed(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return observables (n, observables, times) and derivatives in the free quantities."""
@@ -101,15 +104,20 @@ class Model:
         slopes[..., columns] += explicit
         return found, slopes
 
-    def chi_squares(self, values: np.ndarray) -> np.ndarray:
-        """Return chi-square of all sets for values (n, k), shape (sets, n); infinite for nan."""
-        found, _ = self._observed(values)
-        observed, squares = self.observed, np.empty((len(self.observed.data), len(values)))
-        for k, (data, sigma) in enumerate(zip(observed.data, observed.sigma, strict=True)):
-            with np.errstate(all="ignore"):
-                weighted = np.where(np.isfinite(data), (found - data) / sigma, 0.0)
-                squares[k] = (weighted**2).sum(axis=(1, 2))
-        return np.where(np.isfinite(squares), squares, np.inf)
+    def prospects(self, values: np.ndarray) -> np.ndarray:
+        """Return the least chi-square of the linear model at values (n, k), shape (sets, n).
+
+        It is infinite where there is no motion. It ranks starts better than chi-square itself,
+        which prefers small amplitudes to the right frequency with another amplitude.
+        """
+        found, slopes = self._observed(values)
+        least = np.full((len(self.observed.data), len(values)), np.inf)
+        for k in range(len(least)):
+            residuals, J = self._weighted(found, slopes, np.full(len(values), k))
+            good = np.isfinite(residuals).all(axis=1) & np.isfinite(J).all(axis=(1, 2))
+            residuals, J = residuals[good], J[good]
+            least[k, good] = (residuals**2).sum(axis=1) - projections(residuals, J)
+        return least
 
     def variance(self, squares: np.ndarray, sets: np.ndarray) -> np.ndarray:
         """Return the variance of a weighted residual, from chi-square of some sets, shape (n,)."""
@@ -128,7 +136,9 @@ class Model:
         converged = np.zeros(1, dtype=bool)
         if np.isfinite(residuals).all() and np.isfinite(slopes).all():
             scatter = model.variance((residuals**2).sum(axis=1), np.zeros(1, dtype=int))
-            converged = found.converged & (projections(residuals, slopes) <= 2 * _CLOSE * scatter)
+            box = self.unknowns.low, self.unknowns.high
+            minimal = are_minima(found.unknowns, residuals, slopes, *box, scatter)
+            converged = found.converged & minimal
         return replace(found, residuals=residuals, jacobian=slopes, converged=converged)
 
 
@@ -143,7 +153,7 @@ def search(model: Model, starts: int, seed: int) -> Found:
     unknowns, sets = model.unknowns, len(model.observed.data)
     guesses = unknowns.draw(starts, seed)
     if starts > 1:
-        squares = model.chi_squares(guesses)
+        squares = model.prospects(guesses)
         _require_motion(model, np.isfinite(squares).any(), guesses)
         refined = min(starts, max(_FEWEST, starts // _SHARE))
         best = np.argsort(squares, axis=1, kind="stable")[:, :refined]

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Minima", "minimize_squares", "projections"]
+__all__ = ["Minima", "are_minima", "minimize_squares", "projections"]
 
 _ENOUGH = 1e-8  # of the variance of the residuals: iterations end
 _CLOSE = 1e-6  # of it: a minimum, if no step improves it further
@@ -137,10 +137,22 @@ def minimize_squares(
     converged = np.zeros(count, dtype=bool)
     rows = np.flatnonzero(np.isfinite(squares))
     if len(rows):
-        J = _inside(x, residuals, jacobian, low, high, rows)
-        distance = projections(residuals[rows], J)
-        converged[rows] = distance <= _CLOSE * variance(squares[rows], rows)
+        parts = x[rows], residuals[rows], jacobian[rows]
+        converged[rows] = are_minima(*parts, low, high, variance(squares[rows], rows))
     return Minima(x, residuals, jacobian, converged, steps)
+
+
+def are_minima(
+    x: np.ndarray,
+    residuals: np.ndarray,
+    jacobian: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    variance: np.ndarray,
+) -> np.ndarray:
+    """Return whether the projected residuals vanish, up to steps out of the box, shape (n,)."""
+    J = _inside(x, residuals, jacobian, low, high, np.arange(len(x)))
+    return projections(residuals, J) <= _CLOSE * variance
 
 
 def projections(residuals: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
