@@ -185,7 +185,9 @@ def _inside(
 
 
 def _lengths(jacobian: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.einsum("nmk,nmk->nk", jacobian, jacobian))
+    largest = np.abs(jacobian).max(axis=1)  # squares of some units overflow
+    scaled = jacobian / np.where(largest > 0, largest, 1.0)[:, None]
+    return largest * np.sqrt(np.einsum("nmk,nmk->nk", scaled, scaled))
 
 
 def _squares(residuals: np.ndarray, jacobian: np.ndarray) -> np.ndarray:

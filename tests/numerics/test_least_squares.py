@@ -1,0 +1,105 @@
+"""Least squares of many rows: each is the minimum that scipy finds."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.optimize
+
+from hamsym.numerics.least_squares import minimize_squares
+
+T = np.linspace(0, 4, 41)
+FREE = np.full(3, np.inf)
+
+
+def decay(x: np.ndarray, data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals of x0 exp(-x1 t) + x2 and their derivatives."""
+    falling = np.exp(-x[:, 1:2] * T)
+    residuals = x[:, :1] * falling + x[:, 2:] - data
+    slopes = (falling, -x[:, :1] * T * falling, np.ones_like(falling))
+    return residuals, np.stack(slopes, axis=-1)
+
+
+def unit(squares: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    return np.maximum(squares / (len(T) - 3), 1e-30)
+
+
+def noisy(count: int) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    truth = rng.uniform([1, 0.5, -1], [3, 2, 1], (count, 3))
+    return decay(truth, np.zeros(len(T)))[0] + rng.normal(0, 0.05, (count, len(T)))
+
+
+def test_every_row_is_the_minimum_of_scipy() -> None:
+    data = noisy(20)
+    starts = np.tile([1.0, 1.0, 0.0], (20, 1))
+    found = minimize_squares(lambda x, rows: decay(x, data[rows]), starts, -FREE, FREE, unit)
+    assert found.converged.all()
+    for row, values in enumerate(data):
+        expected = scipy.optimize.least_squares(
+            lambda x, values=values: decay(x[None], values)[0][0], [1, 1, 0], xtol=1e-15, ftol=1e-15
+        )
+        np.testing.assert_allclose(found.unknowns[row], expected.x, rtol=1e-4)
+        assert (found.residuals[row] ** 2).sum() <= 2 * expected.cost * (1 + 1e-9)
+
+
+def test_units_of_unknowns_change_nothing() -> None:
+    data, units = noisy(4), np.array([1e-9, 1e12, 1e-200])
+
+    def scaled(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residuals, slopes = decay(x / units, data[rows])
+        return residuals, slopes / units
+
+    starts = np.tile([1.0, 1.0, 0.1], (4, 1))
+    plain = minimize_squares(lambda x, rows: decay(x, data[rows]), starts, -FREE, FREE, unit)
+    other = minimize_squares(scaled, starts * units, -FREE, FREE, unit)
+    np.testing.assert_allclose(other.unknowns / units, plain.unknowns, rtol=1e-6)
+    np.testing.assert_array_equal(other.iterations, plain.iterations)
+
+
+def test_bounds_hold_where_the_minimum_is_outside() -> None:
+    data = noisy(1)
+    high = np.array([np.inf, 0.3, np.inf])
+    found = minimize_squares(
+        lambda x, rows: decay(x, data[rows]), np.array([[1.0, 0.1, 0.0]]), -FREE, high, unit
+    )
+    expected = scipy.optimize.least_squares(
+        lambda x: decay(x[None], data[0])[0][0], [1, 0.1, 0], bounds=(-FREE, high), xtol=1e-12
+    )
+    assert found.converged.all()
+    assert found.unknowns[0, 1] == 0.3
+    np.testing.assert_allclose((found.residuals**2).sum(), 2 * expected.cost, rtol=1e-6)
+
+
+def test_rows_without_values_do_not_disturb_others() -> None:
+    data = noisy(3)
+
+    def broken(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residuals, slopes = decay(x, data[rows])
+        residuals[rows == 1] = np.nan
+        return residuals, slopes
+
+    starts = np.tile([1.0, 1.0, 0.0], (3, 1))
+    found = minimize_squares(broken, starts, -FREE, FREE, unit)
+    np.testing.assert_array_equal(found.converged, [True, False, True])
+    np.testing.assert_array_equal(found.unknowns[1], starts[1])
+    alone = minimize_squares(lambda x, rows: decay(x, data[:1]), starts[:1], -FREE, FREE, unit)
+    np.testing.assert_allclose(found.unknowns[0], alone.unknowns[0], rtol=1e-10)
+
+
+def test_steps_where_there_are_no_values_are_refused() -> None:
+    def root(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(x) - 0.1, 0.5 / np.sqrt(x)[..., None]
+
+    one = np.array([np.inf])
+    found = minimize_squares(root, np.array([[4.0]]), -one, one, lambda s, rows: 1e-12 + 0 * s)
+    assert found.converged.all()
+    np.testing.assert_allclose(found.unknowns, 0.01, rtol=1e-4)
+
+
+def test_the_limit_of_iterations_is_no_convergence() -> None:
+    data = noisy(1)
+    found = minimize_squares(
+        lambda x, rows: decay(x, data), np.array([[9.0, 9.0, 9.0]]), -FREE, FREE, unit, iterations=1
+    )
+    assert not found.converged.any()
