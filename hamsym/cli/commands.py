@@ -1,4 +1,4 @@
-"""The command line: derive, source, solve, integrate, ..., certify, verify, reproduce.
+"""The command line: derive, source, solve, integrate, fit, ..., certify, verify, reproduce.
 
 Results go to standard output, progress and errors to standard error. The exit status is 0 on
 success, 1 if a solution did not converge or a proof was refused, and 2 on invalid input, with a
@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import click
 
 from hamsym.cli.derivation import derive, source
+from hamsym.cli.fitting import fit
 from hamsym.cli.output import WIDTH
 from hamsym.cli.paper import reproduce
 from hamsym.cli.proofs import certify, verify
@@ -90,7 +91,7 @@ def cli(context: click.Context) -> None:
 
 
 for command in (
-    *(derive, source, solve, integrate, lyapunov, section, compare),
+    *(derive, source, solve, integrate, lyapunov, section, compare, fit),
     *(certify, verify, reproduce),
 ):
     cli.add_command(command)
