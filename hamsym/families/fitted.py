@@ -79,8 +79,9 @@ class Fit:
     p_value : float or numpy.ndarray
         Probability of a larger chi-square if the model and sigma are right; nan without sigma.
     success : bool or numpy.ndarray
-        Whether the estimates are a minimum inside the bounds that the data determine, the motion is
-        accurate to a tenth of sigma, and the model fits (p >= 1e-6).
+        Whether the estimates are a minimum inside the bounds that the data determine, without
+        another one that fits as well, the motion is accurate to a tenth of sigma, and the model
+        fits (p >= 1e-6).
     message : str or numpy.ndarray
     minima : tuple of Minimum
         The minima that several starts reached, the best one first; empty for several sets.

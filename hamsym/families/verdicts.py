@@ -103,6 +103,8 @@ def judged(
                     else "residuals are not much larger than errors of the motion, so that sigma "
                     "cannot be estimated"
                 )
+            if rivals := [m for m in found.minima[1:] if not m[1] - squares[k] > 4 * variance[k]]:
+                problems.append(f"another minimum fits as well, {unknowns.text(rivals[0][0])}")
             if observed.known and freedom[k] > 0 and not p_value[k] >= _IMPROBABLE:
                 problems.append("the model does not fit the data with this sigma")
         success[k] = not problems

@@ -409,6 +409,24 @@ def test_starts_find_the_frequency_of_many_periods() -> None:
     assert again.parameters == found.parameters
 
 
+def test_minima_that_fit_as_well_are_refused() -> None:
+    t, data = tracks(1, 0.05)
+    found = hamsym.fit(
+        OSCILLATOR,
+        t,
+        {"x**2": data[0] ** 2},
+        free={"x": 1.0},
+        bounds={"x": (-2, 2)},
+        z0={"p": 0},
+        parameters={"k": 4},
+        span=(0, 10),
+        starts=8,
+    )
+    assert not found.success
+    assert "another minimum fits as well, x = " in found.message
+    assert found.minima[0].parameters["x"] == pytest.approx(-found.minima[1].parameters["x"])
+
+
 # -- sets of data ----------------------------------------------------------------------------------
 
 
