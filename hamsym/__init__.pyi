@@ -12,10 +12,10 @@ from .errors import CertificationError as CertificationError
 from .errors import FileError as FileError
 from .errors import HamsymError as HamsymError
 from .errors import InputError as InputError
-from .families.fit import fit as fit
-from .families.fitted import Fit as Fit
 from .families.many import solve_many as solve_many
 from .families.solutions import Solutions as Solutions
+from .fitting.fit import fit as fit
+from .fitting.fitted import Fit as Fit
 from .flow_maps.flow_map import FlowMap as FlowMap
 from .flow_maps.flow_map import flow_map as flow_map
 from .hamiltonian import Hamiltonian as Hamiltonian

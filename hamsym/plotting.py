@@ -12,7 +12,7 @@ from hamsym.dynamics.lyapunov import LyapunovExponents
 from hamsym.dynamics.lyapunov_map import LyapunovMap
 from hamsym.dynamics.sections import Section
 from hamsym.errors import InputError
-from hamsym.families.fitted import Fit
+from hamsym.fitting.fitted import Fit
 from hamsym.integrators.integrate import Trajectory
 from hamsym.random_features.windows import March
 from hamsym.solution.solution import Solution

@@ -50,7 +50,7 @@ def fit(
     DATA is a .csv file with a header: the column t, and one for each observable, which is a
     component of the state or a formula, e.g. "r*cos(phi)". Empty cells are missing values.
     """
-    from hamsym.families.fit import fit as run
+    from hamsym.fitting.fit import fit as run
 
     columns = read_columns(file)
     if "t" not in columns:

@@ -21,7 +21,8 @@ from hamsym.flow_maps.legs import FailedError, LegBuilder
 
 __all__ = ["Builder", "Built"]
 
-_CORNERS, _IMAGE = 512, 4_000  # samples of an image: corners, and others
+_CORNERS, _IMAGE = 1_000, 20_000  # samples of an image: corners, and others
+_SHORTEST = 0.005  # of the span, of a leg that ends where a solution fails
 _AT_END = 0.3  # probability that an input of a sample is an end of its interval
 
 
@@ -119,9 +120,15 @@ class Builder:
                 break
             maps.append(trial.leg())
             edges.extend((starts[-1] + maps[-1].edges[1:]).tolist())
-            failure = trial.failure
-            if failure or edges[-1] == end:
+            if horizon == end and trial.is_complete:
+                edges[-1] = end
                 break
+            failure = trial.failure
+            short = not abs(edges[-1] - starts[-1]) > _SHORTEST * abs(end - begin)
+            if failure and (short or not self._box.is_whole):
+                break
+            # The image may contain less than what failed: a further leg may reach the end.
+            failure = ""
             # Nothing is computed beyond twice the last leg.
             horizon = edges[-1] + 2 * (edges[-1] - starts[-1])
             if not abs(horizon - begin) < abs(end - begin):
@@ -134,7 +141,10 @@ class Builder:
 
     def _split(self, domain: Domain, begin: float, direction: int) -> Built:
         """Return the expansions over two halves of a domain."""
-        parts = [self._over(half, begin) for half in split_domain(domain, direction)]
+        halves = [half for half in split_domain(domain, direction) if half is not None]
+        parts = [self._over(half, begin) for half in halves]
+        if len(parts) == 1:
+            return parts[0]
         threshold = -float(domain.shift[direction])
         split = Split(domain.scaling[direction], threshold, parts[0].map, parts[1].map)
         sign = np.sign(self._span[1] - self._span[0])
@@ -155,7 +165,7 @@ class Builder:
         states = leg.evaluate(np.full(len(inputs), time), inputs)
         of_H = set(self._box.H.parameter_names)
         names = tuple(name if name in of_H else "" for name in self._box.parameters)
-        return image_domain(states, inputs[:, dim:], names, self._scale)
+        return image_domain(np.column_stack((states, inputs[:, dim:])), names, self._scale)
 
     def _solutions(self, domain: Domain, y: np.ndarray, span: tuple[float, float]) -> Solutions:
         """Return the solutions from scaled inputs of a domain."""

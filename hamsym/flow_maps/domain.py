@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ __all__ = ["Domain", "box_domain", "image_domain", "split_domain"]
 _MARGIN = 0.02  # of a half-width, around the samples of an image
 _ROUND_OFF = 4e-15  # of expressions in z0, relative
 _MOST_START = 3_000  # terms of their expansion
+_FEWEST = 100  # samples of a half of an image
 _THIN = 1e-9  # smallest half-width of an image, relative to the size of its component
 
 
@@ -36,6 +37,9 @@ class Domain:
         Inputs, shape (n, d) -> initial states, shape (n, dim).
     values : callable
         Inputs -> values of the parameters that vary, by name.
+    samples : numpy.ndarray, optional
+        Of an image: inputs in it, shape (n, d); with the arguments ``names`` and ``scale`` of
+        :func:`image_domain`.
     """
 
     scaling: np.ndarray
@@ -46,6 +50,9 @@ class Domain:
     start: np.ndarray
     states: Callable[[np.ndarray], np.ndarray]
     values: Callable[[np.ndarray], Mapping[str, np.ndarray]]
+    samples: np.ndarray | None = None
+    names: tuple[str, ...] = ()
+    scale: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __len__(self) -> int:
         return len(self.shift)
@@ -103,20 +110,29 @@ def _with_start(domain: Domain, box: Box) -> Domain:
     return replace(domain, start_degrees=degrees, start=chebyshev_coefficients(degrees, values))
 
 
-def split_domain(domain: Domain, direction: int) -> tuple[Domain, Domain]:
-    """Return the halves of a domain along one of its scaled inputs, the lower one first."""
-    halves = []
+def split_domain(domain: Domain, direction: int) -> tuple[Domain | None, Domain | None]:
+    """Return the halves of a domain along one of its scaled inputs, the lower one first.
+
+    The halves of an image are fitted to its samples; None for a half without any.
+    """
+    if domain.samples is not None:
+        low = (domain.samples @ domain.scaling.T + domain.shift)[:, direction] <= 0
+        parts = [domain.samples[side] for side in (low, ~low)]
+        halves = [
+            image_domain(part, domain.names, domain.scale) if len(part) > _FEWEST else None
+            for part in parts
+        ]
+        return halves[0], halves[1]
+    found = []
     for side in (1.0, -1.0):
         scaling, shift = domain.scaling.copy(), domain.shift.copy()
         scaling[direction] *= 2
         shift[direction] = 2 * shift[direction] + side
-        halves.append(replace(domain, scaling=scaling, shift=shift))
-    return halves[0], halves[1]
+        found.append(replace(domain, scaling=scaling, shift=shift))
+    return found[0], found[1]
 
 
-def image_domain(
-    states: np.ndarray, kept: np.ndarray, names: tuple[str, ...], scale: np.ndarray
-) -> Domain:
+def image_domain(samples: np.ndarray, names: tuple[str, ...], scale: np.ndarray) -> Domain:
     """Return a domain around the states in which a leg ends.
 
     It is a parallelepiped along the principal axes of the states, after the part that is linear in
@@ -124,18 +140,17 @@ def image_domain(
 
     Parameters
     ----------
-    states : numpy.ndarray
-        Samples of the image, shape (n, dim).
-    kept : numpy.ndarray
-        Their parameters, shape (n, k).
+    samples : numpy.ndarray
+        States and parameters in the image, shape (n, dim + k).
     names : tuple of str
         Names of these parameters that H has, with "" for the others.
     scale : numpy.ndarray
         Sizes of the components, shape (dim,).
     """
-    count, dim = states.shape
+    count, dim = len(samples), len(scale)
+    states, kept = samples[:, :dim], samples[:, dim:]
     low, high = kept.min(axis=0), kept.max(axis=0)
-    centre, half = 0.5 * (low + high), 0.5 * (high - low)
+    centre, half = 0.5 * (low + high), 0.5 * (high - low) * (1 + _MARGIN)
     theta = (kept - centre) / half
     design = np.column_stack((np.ones(count), theta))
     linear = np.linalg.lstsq(design, states / scale, rcond=None)[0].T  # (dim, 1 + k)
@@ -163,4 +178,7 @@ def image_domain(
         np.empty((0, dim)),
         lambda inputs: inputs[:, :dim],
         lambda inputs: {name: inputs[:, dim + i] for i, name in enumerate(names) if name},
+        samples,
+        names,
+        scale,
     )

@@ -29,7 +29,7 @@ __all__ = ["FlowMap", "flow_map"]
 _SMALLEST_TOL = 1e-11  # the solutions of which a map is made are exact to 1e-12
 _SOLUTIONS = 0.02  # tolerance of these solutions, relative to that of the map
 _SMALLEST_SOLUTIONS = 1e-12
-_SHARE = 0.5  # of the allowed error, for the expansion
+_SHARE = 0.6  # of the allowed error, for the expansion
 _ATTEMPTS = 3
 _AIM = 0.4  # of the allowed error, in a further attempt
 _PROBES = 32  # solutions from which the sizes of the components are taken
@@ -44,8 +44,8 @@ class FlowMap:
 
     Attributes
     ----------
-    box : Box
-        What varies, with ``names``, ``low`` and ``high``; H with the centres of the parameters.
+    region : Box
+        What varies.
     span : (float, float)
         Times for which the map holds; it ends early where solutions fail.
     method : str
@@ -71,7 +71,7 @@ class FlowMap:
         Wall time of the construction, without the judgement.
     """
 
-    box: Box
+    region: Box
     span: tuple[float, float]
     method: str
     map: Any
@@ -88,7 +88,7 @@ class FlowMap:
         start, end = self.span
         intervals = ", ".join(
             f"{name} in [{low:.6g}, {high:.6g}]"
-            for name, low, high in zip(self.inputs, self.box.low, self.box.high, strict=True)
+            for name, low, high in zip(self.inputs, self.region.low, self.region.high, strict=True)
         )
         return (
             f"FlowMap({self.H.formula!r}, {intervals}, t from {start:.6g} to {end:.6g}: "
@@ -98,12 +98,25 @@ class FlowMap:
     @property
     def H(self) -> Hamiltonian:
         """The Hamiltonian; parameters that vary have the centres of their intervals."""
-        return self.box.H
+        return self.region.H
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of what varies: components of z0, then parameters."""
-        return self.box.names
+        return self.region.names
+
+    @property
+    def box(self) -> dict[str, tuple[float, float]]:
+        """Interval of each input, by name."""
+        low, high = self.region.low.tolist(), self.region.high.tolist()
+        return dict(zip(self.inputs, zip(low, high, strict=True), strict=True))
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Components of z0, and parameters, that do not vary."""
+        varied = {*self.inputs}
+        values = {k: v for k, v in self.H.parameters.items() if k not in varied}
+        return {**self.region.fixed, **values}
 
     @property
     def symplecticity(self) -> float | None:
@@ -158,7 +171,7 @@ class FlowMap:
         >>> bool(abs(flow(3.0, [2.0, 0.0])[0] - 2 * np.cos(3)) < 1e-8)
         True
         """
-        given = self.box.inputs_of(z0, parameters)
+        given = self.region.inputs_of(z0, parameters)
         if is_tensor(t) or any(map(is_tensor, given.values())):
             return self._tensors(t, given, extrapolate)
         times, inputs, shape = self._queries(t, given, extrapolate)
@@ -188,7 +201,7 @@ class FlowMap:
         array([[ 0.,  1.],
                [-1.,  0.]])
         """
-        times, inputs, shape = self._queries(t, self.box.inputs_of(z0, parameters), extrapolate)
+        times, inputs, shape = self._queries(t, self.region.inputs_of(z0, parameters), extrapolate)
         found = self.map.derivatives(times, inputs)[2]
         return np.asarray(found.reshape(*shape, self.H.dim, len(self.inputs)))
 
@@ -201,7 +214,7 @@ class FlowMap:
         extrapolate: bool = False,
     ) -> np.ndarray:
         """Return dz^/dt, shape (n, dim); arguments as of :meth:`__call__`."""
-        times, inputs, shape = self._queries(t, self.box.inputs_of(z0, parameters), extrapolate)
+        times, inputs, shape = self._queries(t, self.region.inputs_of(z0, parameters), extrapolate)
         return np.asarray(self.map.derivatives(times, inputs)[1].reshape(*shape, self.H.dim))
 
     def _queries(
@@ -256,13 +269,13 @@ class FlowMap:
                 f"t = {times[np.argmax(late)]:.6g} is outside the span from {low:.6g} to "
                 f"{high:.6g}; give times inside it, or extrapolate=True"
             )
-        outside = self.box.outside(inputs)
+        outside = self.region.outside(inputs)
         if outside.any():
             query, column = np.argwhere(outside)[0]
             raise InputError(
                 f"{self.inputs[column]} = {inputs[query, column]:.6g} is outside the box, from "
-                f"{self.box.low[column]:.6g} to {self.box.high[column]:.6g}; give a value inside "
-                "it, or extrapolate=True"
+                f"{self.region.low[column]:.6g} to {self.region.high[column]:.6g}; give a value "
+                "inside it, or extrapolate=True"
             )
 
     # -- files -------------------------------------------------------------------------------

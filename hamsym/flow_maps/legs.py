@@ -33,7 +33,7 @@ __all__ = ["FailedError", "LegBuilder"]
 _TERMS = 12  # of the series in time of a piece
 _LARGEST = 2_500  # terms of an expansion in the inputs: more make queries slow
 _TIME = 0.03  # share of the allowed error for the series in time
-_SURPLUS = 0.1  # share for a surplus
+_SURPLUS = 0.3  # share for a surplus
 _TRUNCATION = 0.02  # share for what is left out
 _RANDOM = 0.4  # share for the difference from a solution at a random point
 _ROUNDS = 8  # comparisons with random points
@@ -44,10 +44,12 @@ _DIAGONALS = 4
 _SAMPLE = 48  # solutions by which the pieces of the time are chosen
 _GROWTH = 1.4  # of the pieces
 _SMALLEST_PIECE = 1e-7  # of the span
+_WORTHWHILE = 0.4  # of a span that is twice the last leg
 _SHORTEST = 1e-3  # of the span of a leg, before a solution fails
 _MONITORS = 2  # times in each piece at which surpluses are computed
 _PLACES = np.array([-0.97, -0.71, -0.13, 0.43, 0.89, 0.99])  # at which a piece is compared
-_PARTS = 8  # parts of a domain that cost less than a further leg from its image
+# Cost of a further leg relative to that of a leg. Images that depend on parameters are large.
+_WITH_PARAMETERS = 8.0
 _SPARE = 1.2  # times the largest number of terms, until a leg ends
 _FEWEST_RANDOM = 32
 _AT_END = 0.2  # probability that an input of a random point is an end of its interval
@@ -58,6 +60,10 @@ Solve = Callable[[Domain, np.ndarray, tuple[float, float]], Solutions]
 
 class FailedError(Exception):
     """A solution fails at the beginning of a leg."""
+
+
+class _SplitError(Exception):
+    """A solution from a part of an image fails too early."""
 
 
 class LegBuilder:
@@ -85,6 +91,8 @@ class LegBuilder:
         Whether the domain has to be split, in the direction ``widest``; then there is no leg.
     failure : str
         Why the leg ends before the span; empty if it does not, or ends because of its degrees.
+    is_complete : bool
+        Whether the leg has the whole span.
     predicted : int
         Number of solutions that the leg was expected to need.
 
@@ -107,13 +115,18 @@ class LegBuilder:
     ) -> None:
         self.domain, self._solve, self._allowed = domain, solve, allowed
         self._random, self._may_end, self._note = random, may_end, note
+        self._each = _WITH_PARAMETERS if len(domain) > len(allowed) else 1.0
         self._begin, self._length = span[0], span[1] - span[0]
-        self._shortest = _SHORTEST * abs(self._length)
+        self._whole = abs(self._length)
         self.failure, self.splits, self.widest, self.predicted = "", False, 0, 0
+        self.is_complete = True
         self._solutions: list[Solutions] = []
-        self._probe()
-        if not self.splits:
-            self._enlarge()
+        try:
+            self._probe()
+            if not self.splits:
+                self._enlarge()
+        except _SplitError:
+            self.splits = True
 
     # -- stage 1 ---------------------------------------------------------------------------------
 
@@ -184,6 +197,7 @@ class LegBuilder:
             step = (1 - edges[-1]) / left
             if not step > _SMALLEST_PIECE:
                 self.failure = "the solutions change too fast for an expansion in time"
+                self.is_complete = False
                 break
             places = edges[-1] + 0.5 * step * (1 + np.concatenate((nodes, _PLACES)))
             times = self._length * places
@@ -200,8 +214,21 @@ class LegBuilder:
         return self._length * np.array(edges)
 
     def _end_after(self, pieces: int, terms: float) -> bool:
-        """End the leg after some pieces; return whether it is worthwhile, or the domain splits."""
-        if not self._may_end or pieces < _FEWEST_PIECES or terms <= _PARTS * _LARGEST:
+        """End the leg after some pieces, or split the domain; return whether the leg remains.
+
+        Parameters
+        ----------
+        pieces : int
+        terms : float
+            Terms that the whole leg would need: about as many solutions, if the domain is split.
+        """
+        ends = self._may_end and pieces >= _FEWEST_PIECES
+        if ends and self.domain.samples is not None:  # of a span that is twice the last leg
+            ends = abs(self._edges[pieces]) > _WORTHWHILE * self._whole
+        elif ends:
+            legs = (len(self._edges) - 1) / pieces
+            ends = terms > self._each * legs * _LARGEST
+        if not ends:
             self.splits = True
             return False
         self._keep(pieces)
@@ -209,7 +236,7 @@ class LegBuilder:
 
     def _keep(self, pieces: int) -> None:
         self._edges = self._edges[: pieces + 1]
-        self._length = float(self._edges[-1])
+        self._length, self.is_complete = float(self._edges[-1]), False
         self._values = self._values[:, : _MONITORS * pieces]
 
     # -- stage 2 ---------------------------------------------------------------------------------
@@ -232,7 +259,7 @@ class LegBuilder:
             too_many = len(self._degrees) + len(added) > _SPARE * _LARGEST
             if too_many or highest >= MOST_DEGREE or rounds > _ROUNDS:
                 self.widest = int(np.argmax(self._degrees.max(axis=0)))
-                self._end_after(3 * (len(self._edges) - 1) // 4, len(self._degrees))
+                self._end_after(3 * (len(self._edges) - 1) // 4, math.inf if self._each == 1 else 0)
                 rounds = 0
                 continue
             solutions = self._solved(points(added))
@@ -280,8 +307,10 @@ class LegBuilder:
         if hasattr(self, "_edges"):
             self._keep(int(np.sum(np.abs(self._edges[1:]) <= abs(length))))
         else:
-            self._length = length
-        if not abs(self._length) > self._shortest:
+            self._length, self.is_complete = length, False
+        if self.domain.samples is not None and not abs(self._length) > _WORTHWHILE * self._whole:
+            raise _SplitError
+        if not abs(self._length) > _SHORTEST * self._whole:
             raise FailedError(self.failure)
 
     def _monitored(self, solutions: Solutions) -> np.ndarray:

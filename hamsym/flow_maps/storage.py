@@ -44,7 +44,7 @@ def write_flow_map(flow: FlowMap, path: str | os.PathLike[str]) -> None:
     FileError
         If the file cannot be written, or the map cannot be described.
     """
-    box, judgement = flow.box, flow.judgement
+    box, judgement = flow.region, flow.judgement
     arrays = {f"map.{name}": _stored(array) for name, array in flow.map.arrays().items()}
     arrays |= {"low": box.low, "high": box.high, "error_estimate": flow.error_estimate}
     arrays |= arrays_of("judgement", judgement)
@@ -133,7 +133,7 @@ def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> FlowMap
     if plain["success"] and not (plain["excess"] <= 1 and map.begin == start != end):
         raise ValueError("its success is true, but its error is not within the tolerance")
     return FlowMap(
-        box=box, span=(start, end), map=map, error_estimate=error, judgement=judgement, **plain
+        region=box, span=(start, end), map=map, error_estimate=error, judgement=judgement, **plain
     )
 
 

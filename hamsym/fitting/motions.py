@@ -17,7 +17,7 @@ import sympy
 
 from hamsym.errors import HamsymError, InputError
 from hamsym.families.many import solve_many
-from hamsym.families.unknowns import Unknowns
+from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import generators
 from hamsym.random_features.members import MemberSolver

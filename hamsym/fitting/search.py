@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.families.motions import Motions
-from hamsym.families.observations import Observables, Observations
-from hamsym.families.unknowns import Unknowns
+from hamsym.fitting.motions import Motions
+from hamsym.fitting.observations import Observables, Observations
+from hamsym.fitting.unknowns import Unknowns
 from hamsym.numerics.least_squares import Minima, are_minima, minimize_squares, projections
 
 __all__ = ["Found", "Model", "search"]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from hamsym.families.motions import FlowLike
-from hamsym.families.search import Found, Model
 from hamsym.families.solutions import Solutions
-from hamsym.families.unknowns import Unknowns
+from hamsym.fitting.motions import FlowLike
+from hamsym.fitting.search import Found, Model
+from hamsym.fitting.unknowns import Unknowns
 from hamsym.solution.solution import Solution
 
 __all__ = ["Verdicts", "judged"]

@@ -12,9 +12,9 @@ import sympy
 
 import hamsym
 from hamsym.errors import InputError
-from hamsym.families.motions import FlowLike, MappedMotions
 from hamsym.families.solutions import Solutions
-from hamsym.families.unknowns import Unknowns
+from hamsym.fitting.motions import FlowLike, MappedMotions
+from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span

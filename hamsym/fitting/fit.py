@@ -3,8 +3,8 @@
 Stage 1  Observables, data and free quantities are checked, and compiled with their gradients.
 Stage 2  All starts are ranked by the least chi-square of their linear models; the best ones are
          refined by the Levenberg-Marquardt method with exact derivatives
-         (:mod:`hamsym.families.search`).
-Stage 3  The best minimum of every set of data is judged (:mod:`hamsym.families.verdicts`).
+         (:mod:`hamsym.fitting.search`).
+Stage 3  The best minimum of every set of data is judged (:mod:`hamsym.fitting.verdicts`).
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import numpy as np
 import sympy
 
 from hamsym.errors import InputError
-from hamsym.families.fitted import Fit, Minimum
 from hamsym.families.many import solve_many
-from hamsym.families.motions import (
+from hamsym.fitting.fitted import Fit, Minimum
+from hamsym.fitting.motions import (
     FlowLike,
     LiftedMotions,
     MappedMotions,
     Motions,
     SolvedMotions,
 )
-from hamsym.families.observations import checked_observations, checked_times
-from hamsym.families.search import Found, Model, search
-from hamsym.families.unknowns import checked_unknowns
-from hamsym.families.verdicts import Verdicts, judged
+from hamsym.fitting.observations import checked_observations, checked_times
+from hamsym.fitting.search import Found, Model, search
+from hamsym.fitting.unknowns import checked_unknowns
+from hamsym.fitting.verdicts import Verdicts, judged
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import checked_span

@@ -1,0 +1,1 @@
+"""Fits: parameters and initial states from noisy observations."""
