@@ -10,7 +10,7 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.degrees import interpolated
-from hamsym.flow_maps.expansion import products
+from hamsym.flow_maps.expansion import products, tables
 from hamsym.numerics.lower_sets import chebyshev_coefficients
 
 __all__ = ["Domain", "box_domain", "image_domain", "split_domain"]
@@ -66,7 +66,7 @@ class Domain:
         found = inputs @ self.selection.T + self.offset
         if len(self.start):
             y = inputs @ self.scaling.T + self.shift
-            found += products(self.start_degrees, y).T @ self.start
+            found += products(self.start_degrees, tables(self.start_degrees, y)).T @ self.start
         return found
 
 

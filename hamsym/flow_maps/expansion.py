@@ -12,7 +12,7 @@ shapes (n, dim), (n, dim) and (n, dim, d), with numpy.
 
 import numpy as np
 
-CHUNK = 65_536  # values of products of polynomials at once, to stay in the cache
+CHUNK = 131_072  # values of products of polynomials at once, to stay in the cache
 
 
 class Piece:
@@ -30,21 +30,20 @@ class Piece:
 
     def states(self, time, y, xp):
         """Return N at scaled times and inputs."""
-        readouts = array_of(self.readouts, y, xp).T @ products(self.degrees, y, xp)
+        values = products(self.degrees, tables(self.degrees, y, xp))
         series = chebyshev_table(time, self.columns.shape[1], xp)
+        readouts = array_of(self.readouts, y, xp).T @ values
         return combined(readouts, array_of(self.columns, y, xp), series, xp)
 
     def derivatives(self, time, y):
         """Return N, its derivative in the scaled time, and those in y."""
-        readouts = self.readouts.T @ products(self.degrees, y)
+        values, *slopes = products_and_slopes(self.degrees, y)
         series = chebyshev_table(time, self.columns.shape[1])
+        readouts = self.readouts.T @ values
         value = combined(readouts, self.columns, series)
         rate = combined(readouts, self.columns, chebyshev_slopes(time, series))
-        slopes = [
-            combined(self.readouts.T @ products(self.degrees, y, slope=k), self.columns, series)
-            for k in range(y.shape[1])
-        ]
-        return value, rate, np.stack(slopes, axis=-1)
+        found = [combined(self.readouts.T @ slope, self.columns, series) for slope in slopes]
+        return value, rate, np.stack(found, axis=-1)
 
 
 class Leg:
@@ -80,7 +79,8 @@ class Leg:
         states = affine(inputs, self.selection, self.offset, xp)
         if len(self.start):
             start = array_of(self.start, y, xp)
-            states = states + products(self.start_degrees, y, xp).T @ start
+            values = products(self.start_degrees, tables(self.start_degrees, y, xp))
+            states = states + values.T @ start
         times = t - self.begin
         found = xp.zeros_like(states)
         for number, chosen in self.parts(times):
@@ -93,11 +93,10 @@ class Leg:
         states = affine(inputs, self.selection, self.offset)
         jacobian = np.repeat(self.selection[None], len(y), axis=0)
         if len(self.start):
-            states += products(self.start_degrees, y).T @ self.start
-            slopes = [
-                products(self.start_degrees, y, slope=k).T @ self.start for k in range(y.shape[1])
-            ]
-            jacobian += np.stack(slopes, axis=-1) @ self.scaling
+            values, *slopes = products_and_slopes(self.start_degrees, y)
+            states += values.T @ self.start
+            slopes = np.stack([slope.T @ self.start for slope in slopes], axis=-1)
+            jacobian += slopes @ self.scaling
         times, rates = t - self.begin, np.zeros_like(states)
         for number, chosen in self.parts(times):
             time = times[chosen]
@@ -224,15 +223,27 @@ def affine(inputs, matrix, shift, xp=np):
     return inputs @ array_of(matrix, inputs, xp).T + array_of(shift, inputs, xp)
 
 
-def products(degrees, y, xp=np, slope=None):
-    """Return T_nu(y), shape (n, queries); the derivative in one component of y if it is given."""
-    found = None
-    for k in range(degrees.shape[1]):
-        table = chebyshev_table(y[:, k], int(degrees[:, k].max()) + 1, xp)
-        if k == slope:
-            table = chebyshev_slopes(y[:, k], table)
-        rows = table[degrees[:, k]]
-        found = rows if found is None else found * rows
+def tables(degrees, y, xp=np):
+    """Return the Chebyshev polynomials of each component of y, up to its degree."""
+    most = degrees.max(axis=0).tolist()
+    return [chebyshev_table(y[:, k], most[k] + 1, xp) for k in range(len(most))]
+
+
+def products(degrees, factors):
+    """Return prod_k factors[k][nu_k], shape (n, queries): T_nu(y), if they are the tables."""
+    found = factors[0][degrees[:, 0]]
+    for k in range(1, len(factors)):
+        found = found * factors[k][degrees[:, k]]
+    return found
+
+
+def products_and_slopes(degrees, y):
+    """Return T_nu(y) and its derivatives in the components of y, each of shape (n, queries)."""
+    factors = tables(degrees, y)
+    found = [products(degrees, factors)]
+    for k, table in enumerate(factors):
+        slope = chebyshev_slopes(y[:, k], table)
+        found.append(products(degrees, [*factors[:k], slope, *factors[k + 1 :]]))
     return found
 
 
@@ -244,20 +255,24 @@ def combined(readouts, columns, series, xp=np):
 
 def chebyshev_table(x, count, xp=np):
     """Return T_0 to T_(count - 1) at x, shape (count, queries)."""
-    rows = [xp.ones_like(x), x]
-    while len(rows) < count:
-        rows.append(2 * x * rows[-1] - rows[-2])
-    return xp.stack(rows[:count])
+    found = xp.stack((xp.ones_like(x), x))
+    while len(found) < count:
+        # T_(k+j) = 2 T_k T_j - T_(k-j) doubles the table.
+        k = len(found) - 1
+        more = 2 * found[k] * found[1:] - found[np.arange(k - 1, -1, -1)]
+        found = xp.concatenate((found, more))
+    return found[:count]
 
 
 def chebyshev_slopes(x, table):
     """Return the derivatives of a table of T_0, T_1, ... at x."""
-    rows = np.zeros_like(table)
-    if len(rows) > 1:
-        rows[1] = 1.0
-    for n in range(2, len(rows)):
-        rows[n] = 2 * table[n - 1] + 2 * x * rows[n - 1] - rows[n - 2]
-    return rows
+    found = np.stack((np.zeros_like(x), np.ones_like(x)))
+    while len(found) < len(table):
+        k = len(found) - 1
+        values = table[: k + 1]
+        last = found[k] * values[1:] + values[k] * found[1:]
+        found = np.concatenate((found, 2 * last - found[k - 1 :: -1]))[: len(table)]
+    return found[: len(table)]
 
 
 def interval_numbers(edges, t):

@@ -20,7 +20,7 @@ from numpy.polynomial import chebyshev
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.degrees import axis_degrees, further_degrees, margin, points
 from hamsym.flow_maps.domain import Domain
-from hamsym.flow_maps.expansion import Leg, Piece, products
+from hamsym.flow_maps.expansion import Leg, Piece, products, tables
 from hamsym.numerics.lower_sets import (
     MOST_DEGREE,
     chebyshev_coefficients,
@@ -278,7 +278,12 @@ class LegBuilder:
         exact = self._monitored(self._solved(y))
         kept = self._values[:, : exact.shape[1]]
         coefficients = chebyshev_coefficients(self._degrees, kept)
-        found = np.einsum("nq,nmc->qmc", products(self._degrees, y), coefficients, optimize=True)
+        found = np.einsum(
+            "nq,nmc->qmc",
+            products(self._degrees, tables(self._degrees, y)),
+            coefficients,
+            optimize=True,
+        )
         return float(np.abs((found - exact) / self._allowed).max())
 
     # -- solutions and their values --------------------------------------------------------------
