@@ -1,53 +1,42 @@
 """Solution of many initial-value problems of one Hamiltonian to a tolerance.
 
-Stage 1  Chunks of members are solved by the compiled loop over members
-         (:mod:`hamsym.random_features.members`) on all cores.
-Stage 2  Members that it does not accept are solved one at a time, as
-         :func:`hamsym.solve` solves them.
-Stage 3  The windows of a chunk are kept, or moved to a store of zarr
+Stage 1  Chunks of members are solved (:mod:`hamsym.families.blocks`) on all cores, or on the
+         workers of a cluster (:mod:`hamsym.families.distributed`).
+Stage 2  The windows of a chunk are kept, or moved to a store of zarr
          (:mod:`hamsym.families.storage`).
 """
 
 from __future__ import annotations
 
 import os
-import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
-from typing import Any, NamedTuple
+from contextlib import closing, nullcontext
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hamsym.cluster import require_client
 from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError
+from hamsym.families.blocks import Block, BlockSolver
+from hamsym.families.distributed import blocks_on_cluster
 from hamsym.families.solutions import Family, Solutions
 from hamsym.families.storage import WindowStore
-from hamsym.families.windows import (
-    ACCEPTED,
-    MARCHED,
-    REFUSED,
-    Packed,
-    Table,
-    Windows,
-    pieces_of,
-)
+from hamsym.families.windows import OPEN, Packed, Table, pieces_of
 from hamsym.hamiltonian import HamiltonianLike
-from hamsym.problem import InitialValueProblem, checked_span
-from hamsym.random_features.members import Batch, MemberSolver
-from hamsym.random_features.method import (
-    FeatureOptions,
-    basis_for,
-    checked_accuracy,
-    solve_by_march,
-)
+from hamsym.problem import checked_span
+from hamsym.random_features.members import Batch
+from hamsym.random_features.method import FeatureOptions, basis_for, checked_accuracy
 from hamsym.solution.solution import Solution
-from hamsym.support.checked_data import numbers_of
 from hamsym.support.cores import available_cores
 from hamsym.support.memory import memory_size
 from hamsym.support.progress import stepping_progress
 from hamsym.support.validation import require_whole
+
+if TYPE_CHECKING:  # an optional package
+    from distributed import Client
 
 __all__ = ["solve_many"]
 
@@ -55,7 +44,6 @@ _FIRST, _MOST = 32, 1_024  # members of the first chunk, and of any; a call cost
 _ON_DEVICE = 32_768  # members of a chunk on a device of torch
 _SECONDS = 0.2  # that a chunk should take, so that Ctrl-C is soon obeyed
 _WAITING = 2  # chunks for each core
-_CHECKED = 65_536  # members whose starts are checked at once
 _BUFFER = 2**26  # bytes of windows that are kept before they are moved to a store
 _SHARE = 0.5  # of the memory, for windows
 
@@ -73,8 +61,10 @@ def solve_many(
     progress: bool | None = None,
     zarr: str | os.PathLike[str] | None = None,
     device: str | None = None,
+    client: Client | None = None,
+    retries: int = 3,
 ) -> Solutions:
-    """Solve from many initial states, or with many parameter values, on all cores.
+    """Solve from many initial states, or with many parameter values, on all cores or a cluster.
 
     Each member is solved as by :func:`hamsym.solve` with ``compiled=True``, and the results are
     the same to the last bit. A member that fails has its own message and leaves the others
@@ -96,13 +86,20 @@ def solve_many(
     progress : bool, optional
         Draw progress and the time left on standard error; by default if that is a terminal.
     zarr : path-like, optional
-        Write windows to a new store of the package zarr instead of keeping them in memory. The
-        result reads them when they are needed; :func:`hamsym.load` opens the store again.
-
+        Write windows to a store of the package zarr instead of keeping them in memory. The
+        result reads them when they are needed; :func:`hamsym.load` opens the store again. A store
+        that an interrupted call with the same arguments began is completed: members that are in
+        it are not solved again.
     device : str, optional
         A device of torch, for example ``"cuda"``: the march of
         :mod:`hamsym.random_features.tensor_march`, the same up to round-off, for a million members.
         By default compiled code on all cores.
+    client : dask.distributed.Client, optional
+        Solve on the workers of this cluster, with the same results to the last bit on processors
+        of one kind. With ``zarr``, workers write to the store themselves if they reach its path.
+    retries : int
+        Times that a chunk of members is repeated after an error on a worker; see
+        :func:`hamsym.cluster.cluster_results`.
 
     Returns
     -------
@@ -114,7 +111,9 @@ def solve_many(
     InputError
         If an argument is invalid, or the windows would need more than half of the memory.
     FileError
-        If the store cannot be written.
+        If the store cannot be written, or was begun with other arguments.
+    HamsymError
+        If a chunk fails on the cluster; the message names its members.
 
     Examples
     --------
@@ -136,22 +135,20 @@ def solve_many(
     accuracy = checked_accuracy(options, times, members.H.dim)
     basis = basis_for(int(seed), accuracy.tol)
     family = Family(members.H, times, options, int(seed), members.varied, basis.series)
-    store = None if zarr is None else WindowStore(zarr, family)
-    run = _Run(family, members, store, device)
-    index = np.arange(len(members)).reshape(members.shape)
-    with stepping_progress(len(members), progress, "solving") as report:
-        run.solve(report)
-    if store is None:
-        return Solutions(family, run.table(), run.windows(), index)
-    return store.finished(run.table(), index)
-
-
-class _Block(NamedTuple):
-    """Results of a chunk: a table of its members, of which ``members`` are the numbers."""
-
-    members: np.ndarray
-    table: Table
-    windows: Packed | None
+    if client is not None:
+        require_client(client)
+        require_whole("retries", retries, 0)
+        if device is not None:
+            raise InputError("client and device exclude each other; give one of them")
+    store = None if zarr is None else WindowStore(zarr, family, members, device)
+    with nullcontext() if store is None else store.locked():
+        run = _Run(family, members, store, device)
+        with stepping_progress(len(members), progress, "solving") as report:
+            if client is None:
+                run.solve(report)
+            else:
+                run.solve_on(client, retries, report)
+        return run.solutions()
 
 
 class _Run:
@@ -161,13 +158,15 @@ class _Run:
         self, family: Family, members: Ensemble, store: WindowStore | None, device: str | None
     ) -> None:
         self._family, self._members, self._store = family, members, store
-        self._solver = family.solver if device is None else _on_device(family, device)
+        self._solver = BlockSolver(family, members, device)
         # One chunk occupies a device.
         self._cores = available_cores() if device is None else 1
         self._sizes = (_FIRST, 1, _MOST) if device is None else (_ON_DEVICE,) * 3
-        self._basis = basis_for(family.seed, family.accuracy.tol)
-        self._blocks: list[_Block] = []
-        self._flushed, self._held = 0, 0  # blocks in the store, and bytes of windows in memory
+        self._blocks: list[Block] = []  # those in memory
+        #: Blocks that are not in the store yet, and those that are being written to it.
+        self._pending: list[Block] = []
+        self._writing: list[Block] = []
+        self._held = 0  # bytes of windows in memory
         self._refused: dict[int, str] = {}
         self._stopped = ""
         self._limit = _SHARE * memory_size()  # of the windows in memory
@@ -178,15 +177,17 @@ class _Run:
         cores, (start, least, largest) = self._cores, self._sizes
         pool = ThreadPoolExecutor(cores)
         try:
-            valid = self._valid_starts()
-            report(len(self._members) - len(valid))
+            valid = self._missing(report)
+            if len(valid):
+                _ = self._solver.solver  # compiled before the threads need it
             position, size = 0, start
             while waiting or position < len(valid):
                 # Nothing follows the first chunk before the memory is known to suffice.
-                most = _WAITING * cores if self._blocks else 1
+                known = bool(self._blocks) or self._store is not None
+                most = _WAITING * cores if known else 1
                 while position < len(valid) and len(waiting) < most:
                     chunk = valid[position : position + size]
-                    waiting.append((chunk, pool.submit(self._batch, chunk)))
+                    waiting.append((chunk, pool.submit(self._solver.batch, chunk)))
                     position += len(chunk)
                 batch, seconds = waiting[0][1].result()
                 # Smaller chunks at the end occupy all cores until then.
@@ -202,48 +203,35 @@ class _Run:
             self._stopped = "interrupted"
             for chunk, future in waiting:
                 if not future.cancel():
-                    self._keep(self._block(chunk, future.result()[0], {}))
+                    self._keep(self._solver.block(chunk, future.result()[0], {}))
         finally:
             pool.shutdown(cancel_futures=True)
         self._flush()
 
-    def _valid_starts(self) -> np.ndarray:
-        """Return members whose starts solve accepts; the others are refused with its message."""
-        members, family = self._members, self._family
-        system, good = members.H.compile("numpy"), np.empty(len(members), dtype=bool)
-        for first in range(0, len(members), _CHECKED):
-            part = slice(first, first + _CHECKED)
-            values = members.parameters[part] if members.varied else None
-            arguments = system.arguments(members.states[part], family.span[0])
-            with np.errstate(all="ignore"):
-                energies = system.energy(*arguments, **system.keywords(values))
-                rates = system.vector_field(*arguments, **system.keywords(values))
-            good[part] = np.isfinite(energies) & np.isfinite(rates).all(axis=-1)
-        good &= np.isfinite(members.states).all(axis=1)
-        for member in np.flatnonzero(~good).tolist():
-            state = members.states[member]
-            try:
-                # The message does not depend on the parameters where the state is not finite.
-                finite = np.isfinite(state).all()
-                self._problem(member, members.hamiltonian(member) if finite else members.H)
-                good[member] = True
-            except InputError as error:
-                self._refused[member] = str(error)
-        return np.flatnonzero(good)
+    def solve_on(self, client: Client, retries: int, report: Callable[[int], None]) -> None:
+        """Solve all members on a cluster, or as many as there are before Ctrl-C."""
+        family, store = self._family, self._store
+        try:
+            valid = self._missing(report)
+            place = None if store is None else store.place
+            found = blocks_on_cluster(client, family, self._members, valid, place, retries)
+            with closing(found):
+                for block in found:
+                    self._keep(block)
+                    report(len(block.members))
+                    self._limit_memory(len(valid))
+                    if self._stopped:
+                        break
+        except KeyboardInterrupt:
+            self._stopped = "interrupted"
+        self._flush()
 
-    def _problem(self, member: int, H: HamiltonianLike) -> InitialValueProblem:
-        family = self._family
-        state = self._members.states[member]
-        return InitialValueProblem.checked(H, state, family.span, family.seed, None)
-
-    def _batch(self, chunk: np.ndarray) -> tuple[Batch | None, float]:
-        """Solve a chunk by the loop over members; return the seconds that it took."""
-        began = time.perf_counter()
-        states, parameters = self._members.states[chunk], self._members.parameters[chunk]
-        batch = None
-        if self._solver is not None:
-            batch = self._solver.solve(states, parameters, keep_error=False)
-        return batch, max(time.perf_counter() - began, 1e-6)
+    def _missing(self, report: Callable[[int], None]) -> np.ndarray:
+        """Return members that are not solved, and whose starts are valid."""
+        valid, self._refused = self._solver.valid_starts()
+        missing = valid if self._store is None else np.setdiff1d(valid, self._store.solved)
+        report(len(self._members) - len(missing))
+        return missing
 
     def _finish(
         self, chunk: np.ndarray, batch: Batch | None, report: Callable[[int], None]
@@ -253,88 +241,30 @@ class _Run:
         found: dict[int, Solution | str] = {}
         try:
             for place in left.tolist():
-                found[place] = self._alone(int(chunk[place]))
+                found[place] = self._solver.alone(int(chunk[place]))
                 report(1)
         finally:
-            self._keep(self._block(chunk, batch, found))
+            self._keep(self._solver.block(chunk, batch, found))
         report(len(chunk) - len(left))
 
-    def _alone(self, member: int) -> Solution | str:
-        """Solve one member as solve does; return the message if it has no solution."""
-        try:
-            problem = self._problem(member, self._members.hamiltonian(member))
-            return solve_by_march(problem, self._family.options, self._basis, "features")
-        except InputError as error:
-            return str(error)
-
-    def _block(
-        self, chunk: np.ndarray, batch: Batch | None, found: Mapping[int, Solution | str]
-    ) -> _Block:
-        """Put the members of a batch, and those that were solved by themselves, in order."""
-        members = self._members
-        table = Table.empty(members.states[chunk], members.parameters[chunk])
-        parts: list[Packed] = []
-        accepted = np.zeros(len(chunk), dtype=bool) if batch is None else batch.accepted
-        if batch is not None:
-            table.status[accepted], table.success[accepted] = ACCEPTED, True
-            for name in ("counts", "evaluations", "excess", "largest", "sizes"):
-                getattr(table, name)[accepted] = getattr(batch, name)[accepted]
-        whole = self._packed(batch)
-        edges = np.cumsum(np.where(accepted, table.counts + 1, 0))
-        places = np.cumsum(np.where(accepted, table.counts, 0))
-        notes: dict[int, dict[str, Any]] = {}
-        parts, edge, window = [], 0, 0
-        for place, solution in sorted(found.items()):
-            if isinstance(solution, str):
-                table.status[place], notes[place] = REFUSED, {"message": solution}
-                continue
-            parts.append(_between(whole, (edge, int(edges[place])), (window, int(places[place]))))
-            edge, window = int(edges[place]), int(places[place])
-            parts.append(self._marched(table, place, solution))
-            notes[place] = _note(solution)
-        if parts:
-            parts.append(_between(whole, (edge, len(whole.edges)), (window, len(whole.readouts))))
-            whole = Packed(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-        return _Block(chunk, replace(table, notes=notes), whole)
-
-    def _packed(self, batch: Batch | None) -> Packed:
-        """Return the windows of a batch, of which the errors are not kept."""
-        dim, columns = self._members.H.dim, self._family.series.shape[1]
-        none = np.empty((0, self._family.degrees, dim)), np.empty((0, dim))
-        if batch is None:
-            return Packed(np.empty(0), np.empty((0, dim)), np.empty((0, columns, dim)), *none)
-        return Packed(batch.edges, batch.states, batch.readouts, *none)
-
-    def _marched(self, table: Table, place: int, solution: Solution) -> Packed:
-        """Enter a member that was solved by itself into the table, and return its windows."""
-        accuracy = self._family.accuracy
-        march: Any = solution.record
-        error: Any = solution.error
-        table.status[place], table.success[place] = MARCHED, solution.success
-        table.counts[place], table.evaluations[place] = len(march.readouts), march.evaluations
-        table.excess[place] = error.excess(accuracy.absolute + accuracy.tol * error.scale)
-        table.largest[place], table.sizes[place] = error.largest, march.scale
-        return Packed(march.edges, march.states, march.readouts, error.series, error.floors)
-
-    def _keep(self, block: _Block) -> None:
-        self._blocks.append(block)
-        if block.windows is not None:
-            self._held += sum(array.nbytes for array in block.windows)
-        if self._store is not None and self._held > _BUFFER:
+    def _keep(self, block: Block) -> None:
+        if self._store is not None and block.windows is None:  # a worker has written it
+            self._store.append(block)
+            return
+        (self._blocks if self._store is None else self._pending).append(block)
+        self._held += sum(array.nbytes for array in block.windows or ())
+        if self._held > _BUFFER:
             self._flush()
 
     def _flush(self) -> None:
-        """Move windows to the store; an interruption leaves it as it was."""
-        if self._store is None:
-            return
-        pending = [b.windows for b in self._blocks[self._flushed :] if b.windows is not None]
-        if pending:
-            arrays = (np.concatenate(parts) for parts in zip(*pending, strict=True))
-            # The store counts its blocks, so that nothing is written twice after an interruption.
-            self._store.append(len(self._blocks), Packed(*arrays))
-        for k in range(self._flushed, len(self._blocks)):
-            self._blocks[k] = self._blocks[k]._replace(windows=None)
-        self._flushed, self._held = len(self._blocks), 0
+        """Move windows to the store; after an interruption the same part is written again."""
+        while self._store is not None and (self._writing or self._pending):
+            if not self._writing:
+                self._writing, self._pending = self._pending, []
+            block = _joined(self._writing)
+            if len(block.members):
+                self._store.append(block)
+            self._writing, self._held = [], 0
 
     def _limit_memory(self, count: int) -> None:
         """Refuse after the first chunk, or stop later, where windows would fill the memory."""
@@ -352,54 +282,41 @@ class _Run:
                 f"stopped: windows fill half of the memory, {limit / 1e9:.3g} GB; {advice}"
             )
 
-    def table(self) -> Table:
+    def solutions(self) -> Solutions:
         """Return the results of all members."""
-        table, notes = Table.empty(self._members.states, self._members.parameters), {}
-        for block in self._blocks:
-            for name, column in block.table.arrays().items():
-                if name not in ("z0", "parameters"):
-                    getattr(table, name)[block.members] = column
-            notes.update(
-                {int(block.members[place]): note for place, note in block.table.notes.items()}
+        if self._store is not None:
+            return self._store.finished(self._refused, self._stopped)
+        # Those of a cluster come in any order.
+        blocks = sorted(self._blocks, key=lambda block: int(block.members[0]))
+        tables = [(block.members, block.table) for block in blocks]
+        table = Table.of_members(
+            self._members.states, self._members.parameters, tables, self._refused, self._stopped
+        )
+        packed = [block.windows for block in blocks if block.windows is not None]
+        windows = pieces_of(packed or [self._solver.packed(None)])
+        index = np.arange(len(self._members)).reshape(self._members.shape)
+        return Solutions(self._family, table, windows, index)
+
+
+def _joined(blocks: Sequence[Block]) -> Block:
+    """Put the members of blocks that are solved one after the other."""
+    windows = [block.windows for block in blocks if block.windows is not None]
+    members = np.concatenate([block.members for block in blocks])
+    solved = np.concatenate([block.table.status for block in blocks]) != OPEN
+    table = Table.of_members(
+        np.concatenate([block.table.z0 for block in blocks]),
+        np.concatenate([block.table.parameters for block in blocks]),
+        [
+            (np.arange(end - len(block.members), end), block.table)
+            for end, block in zip(
+                np.cumsum([len(block.members) for block in blocks]), blocks, strict=True
             )
-        for member, message in self._refused.items():
-            table.status[member], notes[member] = REFUSED, {"message": message}
-        return replace(table, notes=notes, stopped=self._stopped)
-
-    def windows(self) -> Windows:
-        """Return the windows of all members, where they are in memory."""
-        packed = [block.windows for block in self._blocks if block.windows is not None]
-        return pieces_of(packed or [self._packed(None)])
-
-
-def _on_device(family: Family, device: str) -> MemberSolver | None:
-    """Make the solver on a device of torch; None where it does not apply."""
-    from hamsym.random_features.tensor_members import TensorSolver  # imports torch, which is slow
-
-    if not TensorSolver.applies(family.H):
-        return None
-    found, basis = family.accuracy, basis_for(family.seed, family.accuracy.tol)
-    return TensorSolver(
-        *(family.H, family.span, found.tol, found.local, found.absolute, found.longest),
-        basis,
-        device,
+        ],
+        {},
+        "",
     )
-
-
-def _note(solution: Solution) -> dict[str, Any]:
-    """Return what the table and the windows do not contain of a solution."""
-    error: Any = solution.error
-    return {
-        "message": solution.message,
-        "march": numbers_of(solution.record),
-        "scale": error.scale.tolist(),
-    }
-
-
-def _between(packed: Packed, edges: tuple[int, int], windows: tuple[int, int]) -> Packed:
-    """Return the windows of some members of a batch."""
-    return packed._replace(
-        edges=packed.edges[slice(*edges)],
-        states=packed.states[slice(*edges)],
-        readouts=packed.readouts[slice(*windows)],
+    return Block(
+        members[solved],
+        table.selected(np.flatnonzero(solved)),
+        Packed(*(np.concatenate(parts) for parts in zip(*windows, strict=True))),
     )

@@ -11,14 +11,32 @@ import hashlib
 import json
 import math
 import os
+import shutil
+import uuid
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import hamsym
 from hamsym.description import MALFORMED, described, hamiltonian_from
-from hamsym.errors import FileError, InputError
+from hamsym.ensemble import Ensemble
+from hamsym.errors import FileError
+from hamsym.families.blocks import Block
+from hamsym.families.distributed import StorePlace
+from hamsym.families.parts import (
+    FOLDER,
+    NAME,
+    Part,
+    create_array,
+    part_of,
+    read_parts,
+    windows_of,
+    write_part,
+    zarr_of,
+)
 from hamsym.families.solutions import Family, Solutions
 from hamsym.families.windows import (
     ACCEPTED,
@@ -43,6 +61,7 @@ from hamsym.support.checked_data import (
     require_array,
     require_names,
 )
+from hamsym.support.locking import exclusive
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 from hamsym.support.validation import require_whole
 
@@ -50,8 +69,9 @@ __all__ = ["KIND", "WindowStore", "is_store", "open_store", "read_solutions", "w
 
 KIND = "solutions"
 _VALUES = {"H", "span", "options", "seed", "varied", "shape", "stopped"}
-_VERSION = 1  # of stores
-_CHUNK = 2**20  # bytes of a chunk of a store
+_VERSION = 2  # of stores
+_BEGUN = "hamsym_begun"  # attribute of a store that is being written
+_ORDER = "order"  # numbers of the members in the order of the table of a store
 
 
 def write_solutions(solutions: Solutions, path: str | os.PathLike[str]) -> None:
@@ -85,106 +105,117 @@ def read_solutions(path: str | os.PathLike[str]) -> Solutions:
 
 
 class WindowStore:
-    """A new store of zarr, to which windows are written.
+    """A store of zarr to which members are written in parts.
 
     Raises
     ------
     InputError
         If zarr is not installed.
     FileError
-        If the path exists, or cannot be written.
+        If the path exists and is not a store that was begun with the same arguments, or it cannot
+        be written.
     """
 
-    def __init__(self, path: str | os.PathLike[str], family: Family) -> None:
-        zarr = _zarr()
-        self._path, self._family = Path(path), family
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        family: Family,
+        members: Ensemble,
+        device: str | None = None,
+    ) -> None:
+        zarr = zarr_of()
+        self._path, self._family, self._members = Path(os.path.abspath(path)), family, members
         _require_formula(path, family)
-        if self._path.exists():
-            raise FileError(f"'{path}' exists; give the path of a new store")
+        request = _request(family, members, device)
         try:
-            self._group = zarr.open_group(self._path, mode="w-")
-            for name, shape in _row_shapes(family).items():
-                self._create(name, (0, *shape), "float64")
+            if self._path.exists():
+                begun = {}
+                if is_store(self._path):
+                    self._group = zarr.open_group(self._path, mode="r+")
+                    begun = json.loads(self._group.attrs.get(_BEGUN, "{}"))
+                if begun.get("request") != request:
+                    raise FileError(
+                        f"'{path}' exists; give the path of a new store, or the arguments with "
+                        "which this one was begun"
+                    )
+            else:
+                self._group = zarr.open_group(self._path, mode="w-")
+                self._group.create_group(FOLDER)
+                begun = {"request": request, "token": uuid.uuid4().hex}
+                self._group.attrs[_BEGUN] = json.dumps(begun)
         except OSError as error:
             raise FileError(f"'{path}' cannot be written: {error.strerror or error}") from None
-        #: Blocks that are written, and rows of each array.
-        self._done = 0, dict.fromkeys(Windows._fields, 0)
+        self._token, self._changed = begun["token"], False
+        self._blocks = read_parts(self._path)
 
-    def append(self, blocks: int, windows: Packed) -> None:
-        """Write the windows up to a number of blocks, unless they are already written."""
-        done, ends = self._done
-        if blocks <= done:
-            return
-        new = {name: ends[name] + len(array) for name, array in windows._asdict().items()}
-        try:
-            for name, array in windows._asdict().items():
-                stored = self._group[name]
-                stored.resize((new[name], *array.shape[1:]))
-                if len(array):
-                    stored[ends[name] : new[name]] = array
-        except OSError as error:
-            raise FileError(
-                f"'{self._path}' cannot be written: {error.strerror or error}"
-            ) from None
-        self._done = blocks, new
+    def locked(self) -> AbstractContextManager[None]:
+        """Lock the store against other processes that would write to it."""
+        return exclusive(self._path, self._path.with_name(f".{self._path.name}.lock"))
 
-    def finished(self, table: Table, members: np.ndarray) -> Solutions:
+    @property
+    def place(self) -> StorePlace:
+        """The store, for workers that write to it."""
+        return StorePlace(self._path, self._token)
+
+    @property
+    def solved(self) -> np.ndarray:
+        """Numbers of the members in it."""
+        return np.concatenate([np.empty(0, np.int64), *(b.members for b in self._blocks)])
+
+    def append(self, block: Block) -> None:
+        """Write a block, all of whose members are solved, unless a worker has written it."""
+        if block.windows is not None:
+            write_part(self._path, block)
+        self._blocks.append(block._replace(windows=None))
+        self._changed = True
+
+    def finished(self, refused: Mapping[int, str], stopped: str) -> Solutions:
         """Write the table, and return the solutions, which read their windows from the store."""
-        solutions = Solutions(self._family, table, self._windows(), members)
-        columns, values = _columns(self._family, table), _values(solutions)
+        if not self._changed and "hamsym" in self._group.attrs:
+            found = open_store(self._path)
+            if not found.table.stopped:
+                return found
+        blocks = sorted(self._blocks, key=lambda block: int(block.members[0]))
+        members, solved = self._members, np.concatenate([[-1], *(b.members for b in blocks)])
+        order = np.arange(len(members))
+        if not (np.diff(solved) > 0).all():  # members of a later call are between those of others
+            order = np.concatenate((solved[1:], np.setdiff1d(order, solved))).astype(np.int64)
+        tables = [(block.members, block.table) for block in blocks]
+        table = Table.of_members(members.states, members.parameters, tables, refused, stopped)
+        table, parts = table.selected(order), [part_of(block) for block in blocks]
+        windows = windows_of(self._path, parts, _row_shapes(self._family))
+        index = np.argsort(order).reshape(members.shape)
+        solutions = Solutions(self._family, table, windows, index)
+        columns, values = _columns(self._family, table) | {_ORDER: order}, _values(solutions)
+        self._group.attrs.pop("hamsym", None)
         for name, column in columns.items():
-            self._create(name, column.shape, column.dtype.name, max(1, len(column)))
+            create_array(self._group, name, column.shape, column.dtype.name, max(1, len(column)))
             if column.size:
                 self._group[name][...] = column
-        rows = list(self._done[1].values())
-        head = {"kind": KIND, "version": _VERSION, "rows": rows, **values}
+        head = {"kind": KIND, "version": _VERSION, "parts": [[*part] for part in parts], **values}
         # Last: a store without it is not complete.
         self._group.attrs["hamsym"] = json.dumps({**head, "sha256": _digest(columns, head)})
+        if not table.stopped:
+            for leftover in (self._path / FOLDER).glob(".*"):  # of processes that were killed
+                shutil.rmtree(leftover, ignore_errors=True)
         return solutions
 
-    def _windows(self) -> Windows:
-        return _stored_windows(self._path, self._group)
 
-    def _create(self, name: str, shape: tuple[int, ...], dtype: str, most: int = _CHUNK) -> None:
-        from zarr.codecs import Crc32cCodec
-
-        inner = [max(1, length) for length in shape[1:]]
-        rows = max(1, min(_CHUNK // (math.prod(inner) * np.dtype(dtype).itemsize), most))
-        self._group.create_array(
-            name,
-            shape=shape,
-            chunks=(rows, *inner),
-            dtype=dtype,
-            compressors=[Crc32cCodec()],  # numbers that are not compressible, with a checksum
-            # A lost chunk reads as NaN, which is no window.
-            fill_value=math.nan if dtype == "float64" else 0,
-        )
-
-
-class _StoredRows:
-    """Rows of an array of a store, read when they are needed."""
-
-    def __init__(self, path: str | os.PathLike[str], array: Any) -> None:
-        self._path, self._array = path, array
-
-    def __len__(self) -> int:
-        return int(self._array.shape[0])
-
-    def rows(self, start: int, stop: int) -> np.ndarray:
-        """Rows of a range.
-
-        Raises
-        ------
-        FileError
-            If the store is damaged.
-        """
-        try:
-            found = np.asarray(self._array[start:stop])
-        except Exception as error:  # of any codec
-            raise FileError(f"'{self._path}' is damaged: {one_line(error)}") from None
-        if np.isnan(found).any():
-            raise FileError(f"'{self._path}' is damaged: windows are missing")
-        return found
+def _request(family: Family, members: Ensemble, device: str | None) -> str:
+    """Compute SHA-256 of all that determines the solutions."""
+    found, longest = family.accuracy, family.options.max_window
+    values = {
+        "version": hamsym.__version__,
+        "H": described(family.H),
+        "span": [float(time).hex() for time in family.span],
+        "options": [float(found.tol), found.absolute.tolist(), longest],
+        "seed": family.seed,
+        "varied": list(family.varied),
+        "shape": list(members.shape),
+        "device": device,
+    }
+    arrays = {"z0": members.states, "parameters": members.parameters, "basis": family.series}
+    return _digest(arrays, values)
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
@@ -203,7 +234,7 @@ def open_store(path: str | os.PathLike[str]) -> Solutions:
     FileError
         If it is damaged, is not a store of solutions, or was not finished.
     """
-    zarr = _zarr()
+    zarr = zarr_of()
     try:
         group = zarr.open_group(path, mode="r")
         text = group.attrs.get("hamsym")
@@ -216,37 +247,33 @@ def open_store(path: str | os.PathLike[str]) -> Solutions:
         claimed = values.pop("sha256", None)
         if (values.get("kind"), values.get("version")) != (KIND, _VERSION):
             raise ValueError(f"it is not of kind {KIND} and version {_VERSION}")
-        require_names(
-            "arrays", {name: 0 for name, _ in group.arrays()}, _COLUMNS | {*Packed._fields}
-        )
-        arrays = {name: np.asarray(group[name][...]) for name in _COLUMNS}
+        arrays = {name: np.asarray(group[name][...]) for name in (*_COLUMNS, _ORDER)}
         if claimed != _digest(arrays, values):
             raise ValueError("its checksum does not match its content")
         del values["kind"], values["version"]
-        windows, rows = _stored_windows(path, group), values.pop("rows")
-        if rows != [len(array) for array in windows]:
-            raise ValueError("windows are missing")
-        solutions = _assembled(arrays, values, windows)
+        parts = [_part(entry) for entry in checked_list("parts", values.pop("parts"))]
+        order = arrays.pop(_ORDER)
+        solutions = _assembled(arrays, values, Windows(*(Pieces([order[:0]]),) * 5))
+        require_array(_ORDER, order, (len(solutions.table.status),), np.int64)
+        if not np.array_equal(np.sort(order), np.arange(len(order))):
+            raise ValueError("the order of its members is not one")
+        windows = windows_of(Path(os.path.abspath(path)), parts, _row_shapes(solutions.family))
+        members = np.argsort(order).reshape(solutions.shape)
+        solutions = Solutions(solutions.family, solutions.table, windows, members)
         _check_table(solutions)
-        _check_shapes(solutions, [group[name] for name in Windows._fields])
+        if [len(rows) for rows in windows] != list(_row_counts(solutions.table)):
+            raise ValueError("windows are missing")
     except (*MALFORMED, OSError) as error:
         raise FileError(f"'{path}' is damaged: {one_line(error)}") from None
     return solutions
 
 
-def _zarr() -> Any:
-    try:
-        import zarr
-    except ImportError:
-        raise InputError(
-            "a store needs the package zarr, which is not installed; install it with "
-            'pip install "zarr>=3"'
-        ) from None
-    return zarr
-
-
-def _stored_windows(path: str | os.PathLike[str], group: Any) -> Windows:
-    return Windows(*(_StoredRows(path, group[name]) for name in Windows._fields))
+def _part(entry: Any) -> Part:
+    """Return a part from its values in the head of a store."""
+    name, rows = checked_list("part", entry, 2)
+    if not NAME.fullmatch(checked_type("part", name, "str")):
+        raise ValueError("a part has no valid name")
+    return Part(name, tuple(checked_type("rows", n, "int") for n in checked_list("rows", rows, 5)))
 
 
 def _digest(columns: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> str:
@@ -368,13 +395,11 @@ def _compact(solutions: Solutions) -> Solutions:
     members, table = solutions.members.ravel(), solutions.table
     if np.array_equal(members, np.arange(len(table.status))):
         return solutions
-    rows = {name: column[members] for name, column in table.arrays().items()}
-    notes = {k: table.notes[m] for k, m in enumerate(members.tolist()) if m in table.notes}
     none = table.packed(solutions.windows, 0, 0)
     parts = [table.packed(solutions.windows, m, m + 1) for m in members.tolist()]
     return Solutions(
         solutions.family,
-        Table(**rows, notes=notes, stopped=table.stopped),
+        table.selected(members),
         pieces_of([*parts, none]),
         np.arange(len(members)).reshape(solutions.shape),
     )
@@ -448,13 +473,17 @@ def _row_shapes(family: Family) -> dict[str, tuple[int, ...]]:
     }
 
 
-def _check_shapes(solutions: Solutions, arrays: Sequence[Any]) -> None:
-    """Raise ValueError unless the arrays of windows have the shapes that the table states."""
-    table = solutions.table
+def _row_counts(table: Table) -> tuple[int, ...]:
+    """Return the number of rows of each array of :class:`Windows`."""
     edges, windows, errors = (
         int(first[-1]) for first in (table.first_edge, table.first_window, table.first_error)
     )
-    counts = (edges, edges, windows, errors, errors)
+    return edges, edges, windows, errors, errors
+
+
+def _check_shapes(solutions: Solutions, arrays: Sequence[Any]) -> None:
+    """Raise ValueError unless the arrays of windows have the shapes that the table states."""
+    counts = _row_counts(solutions.table)
     rows = _row_shapes(solutions.family).items()
     for (name, row), count, array in zip(rows, counts, arrays, strict=True):
         if array.dtype != np.float64 or tuple(array.shape) != (count, *row):

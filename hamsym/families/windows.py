@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
@@ -159,6 +159,34 @@ class Table:
             largest=np.full((count, dim), np.inf),
             sizes=np.zeros((count, dim)),
         )
+
+    @classmethod
+    def of_members(
+        cls,
+        z0: np.ndarray,
+        parameters: np.ndarray,
+        parts: Sequence[tuple[np.ndarray, Table]],
+        refused: Mapping[int, str],
+        stopped: str,
+    ) -> Table:
+        """Make the table of all members from numbers of members with their tables."""
+        table, notes = cls.empty(z0, parameters), {}
+        for members, part in parts:
+            for name, column in part.arrays().items():
+                if name not in ("z0", "parameters"):
+                    getattr(table, name)[members] = column
+            notes.update({int(members[place]): note for place, note in part.notes.items()})
+        for member, message in refused.items():
+            table.status[member], notes[member] = REFUSED, {"message": message}
+        # Without open members there is nothing that was stopped.
+        stopped = stopped if (table.status == OPEN).any() else ""
+        return replace(table, notes=notes, stopped=stopped)
+
+    def selected(self, members: np.ndarray) -> Table:
+        """Return the table of some members, in their order."""
+        rows = {name: column[members] for name, column in self.arrays().items()}
+        notes = {k: self.notes[m] for k, m in enumerate(members.tolist()) if m in self.notes}
+        return Table(**rows, notes=notes, stopped=self.stopped)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return its arrays by name."""

@@ -18,6 +18,7 @@ import hamsym
 from hamsym import FileError, Hamiltonian, InputError, Solutions
 from hamsym.families import many as many_module
 from hamsym.families import solutions as solutions_module
+from hamsym.families.blocks import BlockSolver
 from hamsym.families.windows import ACCEPTED, MARCHED
 from hamsym.random_features.basis import feature_basis
 from hamsym.support import tensor_files
@@ -325,13 +326,63 @@ def test_interruption_of_a_store(henon: Solutions, tmp_path: Path) -> None:
     same_solutions(again[many.success], henon[many.success])
 
 
+def test_resumed_store_solves_what_is_missing(
+    henon: Solutions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("zarr")
+    path, starts, solved = tmp_path / "a.zarr", random_starts(300), []
+    with interrupting(120):
+        part = hamsym.solve_many(HENON, starts, SPAN, zarr=path)
+    solve = BlockSolver.batch
+
+    def counted(solver: BlockSolver, chunk: np.ndarray) -> object:
+        solved.extend(chunk.tolist())
+        return solve(solver, chunk)
+
+    monkeypatch.setattr(BlockSolver, "batch", counted)
+    whole = hamsym.solve_many(HENON, starts, SPAN, zarr=path)
+    assert sorted(solved) == np.flatnonzero(~part.success).tolist()
+    same_solutions(whole, henon)
+    written = (path / "zarr.json").stat().st_mtime_ns
+    same_solutions(hamsym.solve_many(HENON, starts, SPAN, zarr=path), henon)
+    assert (path / "zarr.json").stat().st_mtime_ns == written
+    same_solutions(hamsym.load(path), henon)
+    assert len(solved) == 300 - part.success.sum()
+    whole.save(tmp_path / "one file")
+    same_solutions(hamsym.load(tmp_path / "one file"), henon)
+    damaged = next(path.glob("parts/*/table/c/0"))
+    damaged.write_bytes(damaged.read_bytes()[:-1])
+    with pytest.raises(FileError, match="is damaged.*remove it, and its members are solved again"):
+        hamsym.solve_many(HENON, starts, SPAN, zarr=path)
+
+
+def test_resumed_store_keeps_members_between_others(henon: Solutions, tmp_path: Path) -> None:
+    """Parts of a cluster come in any order."""
+    pytest.importorskip("zarr")
+    starts = random_starts(300)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(many_module, "_BUFFER", 0)
+        patch.setattr(many_module, "_FIRST", 40)
+        patch.setattr(many_module, "_MOST", 40)
+        hamsym.solve_many(HENON, starts, SPAN, zarr=tmp_path / "b.zarr")
+    parts = sorted((tmp_path / "b.zarr" / "parts").glob("0*"))
+    for part in parts[1::3]:
+        shutil.rmtree(part)
+    whole = hamsym.solve_many(HENON, starts, SPAN, zarr=tmp_path / "b.zarr")
+    same_solutions(whole, henon)
+    assert len(list((tmp_path / "b.zarr" / "parts").glob("0*"))) < len(parts)
+    same_solution(whole[45], henon[45])
+    whole.save(tmp_path / "one file")
+    same_solutions(hamsym.load(tmp_path / "one file"), henon)
+
+
 def test_too_little_memory_is_refused_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(many_module, "memory_size", lambda: 2e6)
     solved = []
-    solve = many_module._Run._batch
+    solve = BlockSolver.batch
     monkeypatch.setattr(
-        many_module._Run,
-        "_batch",
+        BlockSolver,
+        "batch",
         lambda run, chunk: solved.append(len(chunk)) or solve(run, chunk),
     )
     message = r"300 members would need about 0.00\d+ GB, more than half .*, 0.001 GB; give zarr="
@@ -512,7 +563,7 @@ def store(mixed: Solutions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(many_module, "_BUFFER", 0)
     monkeypatch.setattr(many_module, "_FIRST", 2)
     monkeypatch.setattr(many_module, "_MOST", 3)
-    monkeypatch.setattr("hamsym.families.storage._CHUNK", 2**12)
+    monkeypatch.setattr("hamsym.families.parts._CHUNK", 2**12)
     path = tmp_path / "windows.zarr"
     parameters = {"k": mixed.parameters["k"]}
     many = hamsym.solve_many(CUBIC, mixed.z0, mixed.span, parameters=parameters, zarr=path)
@@ -531,8 +582,7 @@ def test_stores_are_exact_to_the_last_bit(store: Path, mixed: Solutions, tmp_pat
 
 def test_windows_of_stores_are_read_late(store: Path) -> None:
     many = hamsym.load(store)
-    chunks = sorted((store / "readouts" / "c").rglob("*"))
-    chunks = [chunk for chunk in chunks if chunk.is_file()]
+    chunks = [path for path in sorted(store.glob("parts/*/readouts/c/**/*")) if path.is_file()]
     damaged = bytearray(chunks[-1].read_bytes())
     damaged[0] ^= 1
     chunks[-1].write_bytes(damaged)
@@ -562,7 +612,7 @@ def test_damaged_stores_are_refused(store: Path) -> None:
     head.write_text(text.replace("hamsym", "other"))
     with pytest.raises(FileError, match="was not finished"):
         hamsym.load(store)
-    shutil.rmtree(store / "edges")
+    shutil.rmtree(next(store.glob("parts/*/edges")))
     head.write_text(text)
     with pytest.raises(FileError, match="damaged"):
         hamsym.load(store)

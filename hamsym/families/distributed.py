@@ -1,0 +1,78 @@
+"""Solution of many members on the workers of a cluster.
+
+Input:  a family, the members, the numbers of those to solve.
+Output: blocks of members, as they come; with a store that the workers reach, written by them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hamsym.cluster import members_on_cluster
+from hamsym.ensemble import Ensemble
+from hamsym.families.blocks import Block, BlockSolver
+from hamsym.families.parts import write_part
+from hamsym.families.solutions import Family
+
+if TYPE_CHECKING:  # an optional package
+    from distributed import Client
+
+__all__ = ["StorePlace", "blocks_on_cluster"]
+
+
+class StorePlace(NamedTuple):
+    """A store: its path, and a text in it by which a worker recognises it."""
+
+    path: Path
+    token: str
+
+    def is_reached(self) -> bool:
+        """Whether this process reaches the store."""
+        try:
+            return self.token in (self.path / "zarr.json").read_text("utf-8")
+        except OSError:
+            return False
+
+
+def blocks_on_cluster(
+    client: Client,
+    family: Family,
+    members: Ensemble,
+    chosen: np.ndarray,
+    store: StorePlace | None,
+    retries: int,
+) -> Generator[Block, None, None]:
+    """Yield the blocks of the chosen members; see :func:`hamsym.cluster.members_on_cluster`."""
+    setup = (family, store, members.states[chosen[:1]], members.parameters[chosen[:1]])
+    found = members_on_cluster(
+        client, _solved, setup, members, chosen, prepare=_prepare, retries=retries
+    )
+    with closing(found):
+        for _, block in found:
+            yield block
+
+
+_Setup = tuple[Family, StorePlace | None, np.ndarray, np.ndarray]
+
+
+def _prepare(setup: _Setup) -> None:
+    """Compile what solves members of a family, by solving the first one."""
+    family, _, *first = setup
+    if family.solver is not None:
+        family.solver.solve(*first, keep_error=False)
+
+
+def _solved(setup: _Setup, numbers: np.ndarray, members: Ensemble) -> Block:
+    """Solve members, on a worker, and write them to the store if it is reached."""
+    family, store, *_ = setup
+    block = BlockSolver(family, members).solved(np.arange(len(members)))
+    block = block._replace(members=numbers)
+    if store is not None and store.is_reached():
+        write_part(store.path, block)
+        block = block._replace(windows=None)
+    return block
