@@ -14,12 +14,14 @@ import math
 import time
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 import hamsym
+from hamsym.cluster import members_on_cluster
 from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError, StepSizeWarning
@@ -29,10 +31,12 @@ from hamsym.integrators.energy_drift import AIM, COARSE, EnergyDrift
 from hamsym.integrators.integrate import choose_steps, fixed_step, usable_method, usual_method
 from hamsym.numerics.roots import suspects, zeros
 from hamsym.problem import checked_span, checked_steps
+from hamsym.support.progress import stepping_progress
 from hamsym.support.validation import require_number, require_whole
 from hamsym.surface import Surface, parse_surface
 
 if TYPE_CHECKING:
+    from distributed import Client
     from matplotlib.figure import Figure
 
 __all__ = ["Section", "section"]
@@ -108,6 +112,8 @@ def section(
     crossings: int | None = None,
     parameters: Mapping[Any, Any] | None = None,
     progress: bool | None = None,
+    client: Client | None = None,
+    retries: int = 3,
 ) -> Section:
     """Locate crossings of a surface by one trajectory or by each of an ensemble.
 
@@ -141,6 +147,12 @@ def section(
         Values that replace those of H, also in the surface, broadcast with the states.
     progress : bool, optional
         Show progress; by default on a terminal, after a second.
+    client : dask.distributed.Client, optional
+        Step an ensemble on the workers of this cluster, with the same crossings. Steps that are
+        not given are chosen on this machine. With ``crossings``, each chunk of trajectories stops
+        when all of its own have enough, so that ``drift`` may be smaller.
+    retries : int
+        Times that a chunk is repeated after an error on a worker.
 
     Returns
     -------
@@ -183,12 +195,13 @@ def section(
         if not choice.met and not choice.attempt.interrupted:
             advice = f"steps were chosen for {AIM:.0e}, {choice.found:.1e} was reached"
     size = (end - start) / steps
-    run = _Crossings(members, method, where, direction, start, size, crossings)
-    block = max(1, _HELD // members.states.size)
-    interrupted = advance_in_blocks(steps, block, progress, run.advance)
-    t, z, trajectory = run.ordered()
-    drift = float(run.drift.relative(run.done).max())
-    problem = run.problem(interrupted, end)
+    setting = _Setting(method, surface, direction, start, size, steps, crossings)
+    if client is None:
+        found = setting.found(members, progress)
+    else:
+        found = _found_on_cluster(client, setting, members, progress, retries)
+    t, z, trajectory, drift = found.t, found.z, found.trajectory, found.drift
+    problem = setting.problem(found, end)
     message = f"{len(t):,} crossings of {surface}, {method} with dt = {size:.3g}"
     if H.time is None:
         message += f", H kept to {drift:.1e} of its scale" if drift else ", H kept to round-off"
@@ -212,6 +225,133 @@ def section(
         axes=_free_pair(H, where),
         drift=drift,
     )
+
+
+class _Found(NamedTuple):
+    """Crossings of some trajectories, and what may be missing.
+
+    ``numbers`` are those of the crossings of each trajectory before the limit, ``lost`` tells
+    whether it ended early, ``undefined`` is the first time at which the surface has no value, and
+    ``until`` the time that was reached if Ctrl-C interrupted, else nan.
+    """
+
+    t: np.ndarray
+    z: np.ndarray
+    trajectory: np.ndarray
+    numbers: np.ndarray
+    lost: np.ndarray
+    undefined: float
+    drift: float
+    until: float = math.nan
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What :func:`section` looks for, and the steps that it takes."""
+
+    method: str
+    surface: str
+    direction: float
+    start: float
+    size: float
+    steps: int
+    limit: int | None
+
+    def found(self, members: Ensemble, progress: bool | None) -> _Found:
+        """Return the crossings of some members."""
+        run = _Crossings(
+            members,
+            self.method,
+            parse_surface(members.H, self.surface),
+            self.direction,
+            self.start,
+            self.size,
+            self.limit,
+        )
+        block = max(1, _HELD // members.states.size)
+        interrupted = advance_in_blocks(self.steps, block, progress, run.advance)
+        found = run.found()
+        if not interrupted:
+            return found
+        return found._replace(until=self.start + self.size * run.done)
+
+    def problem(self, found: _Found, end: float) -> str:
+        """Describe why the crossings are incomplete; "" if they are complete."""
+        numbers, count = found.numbers, len(found.numbers)
+        if not math.isnan(found.until):
+            return f"stopped after t = {found.until:.6g}: interrupted"
+        if found.lost.any():
+            return (
+                f"{found.lost.sum()} of {count:,} trajectories overflowed or came to a step that "
+                f"could not be solved, for example number {int(np.argmax(found.lost))}"
+            )
+        if not math.isnan(found.undefined):
+            return (
+                f"{self.surface} is not a number at t = {found.undefined:.6g}; crossings there "
+                "are missed"
+            )
+        if self.limit is not None and numbers.min() < self.limit:
+            return (
+                f"trajectory {int(np.argmin(numbers))} has only {numbers.min()} of {self.limit} "
+                f"crossings by t = {end:.6g}"
+            )
+        return ""
+
+
+def _found_on_cluster(
+    client: Client, setting: _Setting, members: Ensemble, progress: bool | None, retries: int
+) -> _Found:
+    """Return the crossings of all members, which chunks of trajectories find on a cluster."""
+    numbers, lost = np.zeros(len(members), dtype=int), np.zeros(len(members), dtype=bool)
+    parts: list[tuple[int, _Found]] = []
+    until = math.nan
+    results = members_on_cluster(
+        client,
+        _on_worker,
+        (setting, members.first()),
+        members,
+        prepare=_prepare,
+        compiled=setting.method,
+        retries=retries,
+    )
+    with stepping_progress(len(members), progress) as report, closing(results):
+        try:
+            for index, part in results:
+                parts.append((int(index[0]), part))
+                numbers[index], lost[index] = part.numbers, part.lost
+                report(len(index))
+        except KeyboardInterrupt:
+            until = setting.start  # that all trajectories have reached
+    found = [
+        part._replace(trajectory=first + part.trajectory)
+        for first, part in sorted(parts, key=lambda entry: entry[0])
+    ]
+    if not found:
+        nothing = np.empty(0), np.empty((0, members.H.dim)), np.empty(0, dtype=int)
+        return _Found(*nothing, numbers, lost, math.nan, math.nan, until)
+    undefined = [part.undefined for part in found if not math.isnan(part.undefined)]
+    return _Found(
+        np.concatenate([part.t for part in found]),
+        np.concatenate([part.z for part in found]),
+        np.concatenate([part.trajectory for part in found]),
+        numbers,
+        lost,
+        min(undefined, key=lambda t: abs(t - setting.start), default=math.nan),
+        float(np.max([part.drift for part in found])),
+        until,
+    )
+
+
+def _prepare(setup: tuple[_Setting, Ensemble]) -> None:
+    """Compile the steps of the method, by taking one."""
+    setting, first = setup
+    one = np.array([setting.start]), np.array([setting.size])
+    fixed_step(first.H, setting.method, first.states, *one, parameters=first.parameters).step(1)
+
+
+def _on_worker(setup: tuple[_Setting, Ensemble], numbers: np.ndarray, members: Ensemble) -> _Found:
+    """Return the crossings of a chunk of members."""
+    return setup[0].found(members, False)
 
 
 class _Crossings:
@@ -277,27 +417,15 @@ class _Crossings:
             order = order[np.arange(len(order)) - first < self._limit]
         return t[order], z[order], trajectory[order]
 
-    def problem(self, interrupted: bool, end: float) -> str:
-        """Describe why the crossings are incomplete; "" if they are complete."""
-        count, lost = len(self._numbers), ~np.isfinite(self._last).all(axis=-1)
-        if interrupted:
-            return f"stopped after t = {self._start + self._size * self.done:.6g}: interrupted"
-        if lost.any():
-            return (
-                f"{lost.sum()} of {count:,} trajectories overflowed or came to a step that could "
-                f"not be solved, for example number {int(np.argmax(lost))}"
-            )
-        if not math.isnan(self._undefined):
-            return (
-                f"{self._where.text} is not a number at t = {self._undefined:.6g}; crossings there "
-                "are missed"
-            )
-        if self._limit is not None and self._numbers.min() < self._limit:
-            return (
-                f"trajectory {int(np.argmin(self._numbers))} has only {self._numbers.min()} of "
-                f"{self._limit} crossings by t = {end:.6g}"
-            )
-        return ""
+    def found(self) -> _Found:
+        """Return what was found so far."""
+        return _Found(
+            *self.ordered(),
+            numbers=self._numbers,
+            lost=~np.isfinite(self._last).all(axis=-1),
+            undefined=self._undefined,
+            drift=float(self.drift.relative(self.done).max()),
+        )
 
 
 def _varied(members: Ensemble) -> np.ndarray | None:
