@@ -1,4 +1,4 @@
-"""Runs in processes side by side."""
+"""Runs in processes side by side, on this machine or on a cluster."""
 
 from __future__ import annotations
 
@@ -9,22 +9,27 @@ import os
 import signal
 import threading
 import time
+import uuid
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
 import torch
 
+from hamsym.cluster import Task, cluster_results
 from hamsym.errors import HamsymError
 from hamsym.study.display import display
 from hamsym.study.runs import Run
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from hamsym.networks.record import TrainingState
 
-__all__ = ["carry_out"]
+__all__ = ["carry_out", "carry_out_on"]
 
 _REPORT_EVERY = 0.5  # seconds between two reports of a run
 
@@ -88,6 +93,51 @@ def carry_out(runs: Sequence[Run], workers: int, progress: bool | None) -> None:
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def carry_out_on(client: Client, runs: Sequence[Run], progress: bool | None, retries: int) -> None:
+    """Carry out runs on the workers of a cluster, which reach the same folder.
+
+    Raises
+    ------
+    HamsymError
+        If a run fails, or the folder is not there for a worker.
+    """
+    topic = f"hamsym-{uuid.uuid4().hex}"
+    tasks = [Task(np.array([k]), (run,)) for k, run in enumerate(runs)]
+    with display(len(runs), progress) as board:
+        client.subscribe_topic(topic, lambda event: board.put(tuple(event[1])))
+        results = cluster_results(client, _on_worker, topic, tasks, retries=retries)
+        try:
+            with closing(results):
+                for task, _, _ in results:
+                    run: Run = task.arguments[0]
+                    if not run.is_done:
+                        raise HamsymError(
+                            f"the files of '{run.label}' are not in '{run.base.parent}'; give a "
+                            "folder that all machines reach"
+                        )
+                    board.ended(run.label)
+        finally:
+            client.unsubscribe_topic(topic)
+
+
+class _Topic:
+    """Reports of a worker to the client."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def put(self, item: tuple[str, float, float]) -> None:
+        from distributed import get_worker
+
+        get_worker().log_event(self._name, item)
+
+
+def _on_worker(topic: str, run: Run) -> None:
+    """Carry out a run on a worker of a cluster."""
+    torch.set_num_threads(1)
+    _reporting(run, _Topic(topic))
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,11 +22,15 @@ from hamsym.problem import InitialValueProblem
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Row, measure
-from hamsym.study.processes import carry_out
+from hamsym.study.grid import sweep_to_store
+from hamsym.study.processes import carry_out, carry_out_on
 from hamsym.study.runs import planned_run
 from hamsym.support.cores import available_cores
 from hamsym.support.locking import exclusive
 from hamsym.support.validation import require_positive, require_whole
+
+if TYPE_CHECKING:  # an optional package
+    from distributed import Client
 
 __all__ = ["Sweep", "sweep"]
 
@@ -88,23 +92,34 @@ def sweep(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     span: tuple[float, float],
-    settings: Mapping[str, Settings],
+    settings: Mapping[str, Settings] | None = None,
     *,
-    folder: str | os.PathLike[str],
+    folder: str | os.PathLike[str] | None = None,
     seeds: int | Sequence[int] = 3,
     certify: float | None = None,
     workers: int | None = None,
     progress: bool | None = None,
-) -> Sweep:
-    """Solve one problem with several settings and seeds, in parallel processes.
+    client: Client | None = None,
+    retries: int = 3,
+    over: Mapping[str, Any] | None = None,
+    task: str | Callable[..., Mapping[str, Any]] = "solve",
+    store: str | os.PathLike[str] | None = None,
+    chunk: int | None = None,
+    **options: Any,
+) -> Any:
+    """Solve one problem with several settings and seeds, or carry out a task over a grid.
+
+    With ``settings`` and ``folder``, solutions are files in a folder. With ``over`` and ``store``,
+    a task is carried out at each point of a grid, and its results go to a store on disk.
 
     Parameters
     ----------
     H, z0, span
-        As in :func:`hamsym.solve`.
-    settings : mapping
+        As in :func:`hamsym.solve`. With an axis ``"energy"``, z0 is a mapping without one
+        component, which :meth:`hamsym.Hamiltonian.state_at_energy` finds.
+    settings : mapping, optional
         Name -> options of :func:`hamsym.solve`, or a function from a seed to options.
-    folder : path
+    folder : path, optional
         Directory with the files of all runs; created if it does not exist. Existing runs with
         the same settings are reused, and interrupted ones are resumed. It is locked against other
         processes while runs are carried out.
@@ -113,8 +128,8 @@ def sweep(
     certify : float, optional
         Prove the error of each solution, with this time limit in seconds.
     workers : int, optional
-        Number of processes, by default the number of cores; each uses one thread. With 1 all runs
-        are carried out in this process.
+        Number of processes for settings, by default the number of cores; each uses one thread.
+        With 1 all runs are carried out in this process.
     progress : bool, optional
         By default a bar is drawn if standard error is a terminal. True prints a line for each run
         that has ended if it is not a terminal.
@@ -147,6 +162,24 @@ def sweep(
     >>> all(row.error < 1e-6 for row in found.rows(exact)["1e-6"])
     True
     """
+    if over is not None:
+        if settings is not None or folder is not None or store is None:
+            raise InputError("a sweep over a grid has a store, and no settings or folder")
+        return sweep_to_store(
+            H,
+            z0,
+            span,
+            over,
+            task,
+            store,
+            options,
+            chunk=chunk,
+            progress=progress,
+            client=client,
+            retries=retries,
+        )
+    if settings is None or folder is None or store is not None or options:
+        raise InputError("a sweep needs settings and folder, or over and store; give one pair")
     chosen = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
     for seed in chosen:
         require_whole("seeds", seed, 0)
@@ -173,7 +206,10 @@ def sweep(
     missing = [run for run in runs if not run.is_done]
     if missing:
         with exclusive(directory):
-            carry_out(missing, min(workers or available_cores(), len(missing)), progress)
+            if client is None:
+                carry_out(missing, min(workers or available_cores(), len(missing)), progress)
+            else:
+                carry_out_on(client, missing, progress, retries)
     groups = [runs[k : k + len(chosen)] for k in range(0, len(runs), len(chosen))]
     named = dict(zip(settings, groups, strict=True))
     solutions = {

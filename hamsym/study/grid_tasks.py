@@ -1,0 +1,196 @@
+"""What a sweep over a grid computes at each of its points, as named arrays.
+
+Input:  members of an ensemble, a span, options of the task.
+Output: :data:`Columns`, whose arrays have the members along their first axis.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from hamsym.dynamics.lyapunov import lyapunov
+from hamsym.dynamics.sections import section
+from hamsym.ensemble import Ensemble
+from hamsym.errors import HamsymError, InputError, StepSizeWarning
+from hamsym.families.many import solve_many
+from hamsym.problem import checked_span
+from hamsym.solution.times import times_in_span
+
+__all__ = ["OPTIONS", "TASKS", "Columns", "checked_options", "computed"]
+
+#: Name -> names of the axes after that of the members, and values.
+Columns = dict[str, tuple[tuple[str, ...], np.ndarray]]
+
+#: Options of each task.
+OPTIONS = {
+    "solve": ("t", "tol", "atol", "max_window", "seed"),
+    "lyapunov": ("method", "steps", "dt", "count", "seed"),
+    "section": ("surface", "method", "steps", "dt", "direction", "crossings"),
+}
+
+
+def checked_options(
+    task: Any, options: Mapping[str, Any], span: tuple[float, float]
+) -> dict[str, Any]:
+    """Return the options of a task with their defaults.
+
+    Raises
+    ------
+    InputError
+        If there is no such task or option.
+    """
+    found = dict(options)
+    if callable(task):
+        name = getattr(task, "__qualname__", "<")
+        if "<" in name:  # a lambda, or a function within a function
+            raise InputError(
+                f"task={task!r} has no name by which a store recognises it; give a function of a "
+                "module"
+            )
+        return found
+    if task not in TASKS:
+        raise InputError(f"task={task!r} is unknown; give {', '.join(TASKS)}, or a function")
+    for name in found:
+        if name not in OPTIONS[task]:
+            listed = ", ".join(OPTIONS[task])
+            raise InputError(f"'{name}' is not an option of the task {task!r}; it has {listed}")
+    if task == "solve":
+        times = np.atleast_1d(found.get("t", checked_span(span)[1]))
+        found["t"] = np.atleast_1d(times_in_span(times, checked_span(span)))
+    if task == "section" and "surface" not in found:
+        raise InputError("the task 'section' needs a surface; give surface='x = 0, p_x > 0'")
+    return found
+
+
+def computed(
+    task: str | Callable[..., Mapping[str, Any]],
+    members: Ensemble,
+    span: tuple[float, float],
+    options: Mapping[str, Any],
+) -> Columns:
+    """Return the results of members, with ``success``, ``message`` and their starts ``z0``.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C.
+    """
+    function = TASKS[task] if isinstance(task, str) else _called(task)
+    found = function(members, span, dict(options))
+    return {**found, "z0": (("component",), members.states)}
+
+
+def _solve(members: Ensemble, span: tuple[float, float], options: dict[str, Any]) -> Columns:
+    times = options.pop("t")
+    many = solve_many(
+        members.H, members.states, span, parameters=_values(members), progress=False, **options
+    )
+    if many.table.stopped == "interrupted":
+        raise KeyboardInterrupt
+    return {
+        "state": (("time", "component"), many(times)),
+        "error_estimate": (("component",), many.error_estimate),
+        "excess": ((), many.excess),
+        "success": ((), many.success),
+        "message": ((), many.message),
+    }
+
+
+def _lyapunov(members: Ensemble, span: tuple[float, float], options: dict[str, Any]) -> Columns:
+    found: Any = lyapunov(
+        members.H, members.states, span, parameters=_values(members), progress=False, **options
+    )
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return {
+        "exponent": (("rank",), found.exponents),
+        "energy_error": ((), found.energy_error),
+        "steps": ((), found.steps),
+        "success": ((), found.success),
+        "message": ((), found.message),
+    }
+
+
+def _section(members: Ensemble, span: tuple[float, float], options: dict[str, Any]) -> Columns:
+    """Find the crossings of each member by itself: steps are chosen for each."""
+    found: list[Any] = []
+    for k in range(len(members)):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", StepSizeWarning)  # the message has it
+                one = section(
+                    members.hamiltonian(k), members.states[k], span, progress=False, **options
+                )
+        except InputError as error:
+            if np.isfinite(members.states[k]).all():
+                raise
+            found.append(str(error))
+            continue
+        if one.message.endswith("interrupted"):
+            raise KeyboardInterrupt
+        found.append(one)
+    counts = [0 if isinstance(one, str) else len(one.t) for one in found]
+    most = options.get("crossings") or max([*counts, 1])
+    t, z = np.full((len(found), most), np.nan), np.full((len(found), most, members.H.dim), np.nan)
+    for k, one in enumerate(found):
+        if counts[k]:
+            t[k, : counts[k]], z[k, : counts[k]] = one.t, one.z
+    return {
+        "count": ((), np.array(counts)),
+        "t": (("crossing",), t),
+        "z": (("crossing", "component"), z),
+        "drift": ((), np.array([np.nan if isinstance(one, str) else one.drift for one in found])),
+        "success": ((), np.array([not isinstance(one, str) and one.success for one in found])),
+        "message": (
+            (),
+            np.array([one if isinstance(one, str) else one.message for one in found], object),
+        ),
+    }
+
+
+def _called(task: Callable[..., Mapping[str, Any]]) -> Callable[..., Columns]:
+    """Return the task of a function ``(H, z0, span, **options) -> mapping of numbers, arrays``."""
+
+    def called(members: Ensemble, span: tuple[float, float], options: dict[str, Any]) -> Columns:
+        found: list[Mapping[str, Any] | str] = []
+        for k in range(len(members)):
+            try:
+                result = task(members.hamiltonian(k), members.states[k], span, **options)
+            except HamsymError as error:
+                found.append(str(error))
+                continue
+            if not isinstance(result, Mapping):
+                raise InputError(
+                    f"the function returned {result!r}; return a mapping of names to numbers or "
+                    "arrays"
+                )
+            found.append({name: np.asarray(value, dtype=float) for name, value in result.items()})
+        good = [one for one in found if not isinstance(one, str)]
+        columns: Columns = {}
+        for name, like in (good[0] if good else {}).items():
+            values = np.full((len(found), *like.shape), np.nan)
+            for k, one in enumerate(found):
+                if not isinstance(one, str):
+                    values[k] = one[name]
+            columns[name] = tuple(f"{name}_{axis}" for axis in range(like.ndim)), values
+        failed = np.array([isinstance(one, str) for one in found])
+        messages = np.array([one if isinstance(one, str) else "" for one in found], object)
+        return {**columns, "success": ((), ~failed), "message": ((), messages)}
+
+    return called
+
+
+def _values(members: Ensemble) -> dict[str, np.ndarray]:
+    names = members.H.parameter_names
+    return {name: members.parameters[:, names.index(name)] for name in members.varied}
+
+
+TASKS: dict[str, Callable[..., Columns]] = {
+    "solve": _solve,
+    "lyapunov": _lyapunov,
+    "section": _section,
+}

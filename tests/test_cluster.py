@@ -1,0 +1,281 @@
+"""Clusters of dask: results of a local run to the last bit, nothing lost with a worker."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym import FileError, Hamiltonian, HamsymError, InputError
+from hamsym.cluster import Task, _on_worker, cluster_results, members_on_cluster
+from hamsym.ensemble import ensemble_of
+from hamsym.families import many as many_module
+from hamsym.families.distributed import StorePlace
+from hamsym.systems import henon_heiles
+
+distributed = pytest.importorskip("distributed")
+
+HENON = henon_heiles().H
+SPAN = (0.0, 6 * np.pi)
+# Cubic forces let states with much energy escape in finite time.
+CUBIC = Hamiltonian("p**2/2 + k*x**2/2 + x**3/3", parameters={"k": 1.0})
+
+
+def random_starts(count: int) -> np.ndarray:
+    return np.random.default_rng(0).uniform(-0.2, 0.2, (count, 4))
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Any]:
+    """Two processes, which are started again after they are killed."""
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0"}
+    with (
+        distributed.LocalCluster(**options, silence_logs=50) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield client
+
+
+def same_solutions(one: hamsym.Solutions, other: hamsym.Solutions) -> None:
+    t = np.linspace(*one.span, 7)
+    np.testing.assert_array_equal(one(t), other(t))
+    for name in ("success", "message", "error_estimate", "excess", "z0"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
+    assert one.shape == other.shape
+
+
+@contextmanager
+def after_members(count: int, action: Callable[[], None]) -> Iterator[list[int]]:
+    """Act once, in the report of progress; yield the numbers of members that are reported."""
+    reports: list[int] = []
+
+    @contextmanager
+    def progress(*_: object) -> Iterator[Callable[[int], None]]:
+        def report(more: int) -> None:
+            before = sum(reports)
+            reports.append(more)
+            if before < count <= sum(reports):
+                action()
+
+        yield report
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(many_module, "stepping_progress", progress)
+        yield reports
+
+
+def interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+# -- solve_many ------------------------------------------------------------------------------------
+
+
+def test_members_equal_those_of_a_local_run(client: Any) -> None:
+    starts = {"x": [[0.1, -3.0, 0.2, np.nan, 0.5]], "p": [[0.0], [0.3]]}
+    options = {"parameters": {"k": [[1.0], [2.0]]}}
+    here = hamsym.solve_many(CUBIC, starts, (0, 10), **options)
+    there = hamsym.solve_many(CUBIC, starts, (0, 10), client=client, **options)
+    same_solutions(there, here)
+    assert not here.success.all()
+    assert (there[0, 0](3.0) == here[0, 0](3.0)).all()
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 200])
+def test_size_of_chunks_changes_no_bit(
+    client: Any, chunk: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hamsym.cluster._FIRST", chunk)
+    monkeypatch.setattr("hamsym.cluster._MOST", chunk)
+    monkeypatch.setattr("hamsym.cluster._SHARES", 0.01)
+    count = min(30 * chunk, 200)
+    starts = random_starts(200)[:count]
+    here = hamsym.solve_many(HENON, starts, SPAN)
+    same_solutions(hamsym.solve_many(HENON, starts, SPAN, client=client), here)
+
+
+@pytest.mark.slow  # a worker is started again
+def test_killed_worker_loses_nothing(client: Any, tmp_path: Path) -> None:
+    pytest.importorskip("zarr")
+    starts = random_starts(600)
+
+    def kill() -> None:
+        os.kill(next(iter(client.run(os.getpid).values())), 9)
+
+    with after_members(100, kill) as reports:
+        found = hamsym.solve_many(HENON, starts, SPAN, client=client, zarr=tmp_path / "a.zarr")
+    assert sum(reports) == 600
+    here = hamsym.solve_many(HENON, starts, SPAN)
+    same_solutions(found, here)
+    same_solutions(hamsym.load(tmp_path / "a.zarr"), here)
+
+
+def test_interrupted_store_is_completed(client: Any, tmp_path: Path) -> None:
+    pytest.importorskip("zarr")
+    starts, path = random_starts(600), tmp_path / "a.zarr"
+    with after_members(150, interrupt):
+        part = hamsym.solve_many(HENON, starts, SPAN, client=client, zarr=path)
+    done = part.success
+    assert 0 < done.sum() < 600
+    assert set(part.message[~done]) == {"interrupted"}
+    parts = {entry: entry.stat().st_mtime_ns for entry in (path / "parts").glob("0*")}
+    with after_members(10_000, interrupt) as reports:
+        found = hamsym.solve_many(HENON, starts, SPAN, client=client, zarr=path)
+    assert reports[0] >= done.sum()  # members that are not solved again
+    assert sum(reports) == 600
+    again = {entry: entry.stat().st_mtime_ns for entry in (path / "parts").glob("0*")}
+    assert parts.items() <= again.items()
+    here = hamsym.solve_many(HENON, starts, SPAN)
+    same_solutions(found, here)
+    same_solutions(hamsym.load(path), here)
+    with pytest.raises(FileError, match="or the arguments with which this one was begun"):
+        hamsym.solve_many(HENON, starts, SPAN, tol=1e-8, client=client, zarr=path)
+
+
+def test_store_that_workers_do_not_reach(
+    client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows then come through the client, which writes them."""
+    pytest.importorskip("zarr")
+    starts = random_starts(100)
+    elsewhere = StorePlace(tmp_path / "none", "")
+    monkeypatch.setattr(many_module.WindowStore, "place", elsewhere)
+    found = hamsym.solve_many(HENON, starts, SPAN, client=client, zarr=tmp_path / "a.zarr")
+    same_solutions(found, hamsym.solve_many(HENON, starts, SPAN))
+
+
+# -- other functions -------------------------------------------------------------------------------
+
+
+def test_exponents_equal_those_of_a_local_run(client: Any) -> None:
+    starts = random_starts(40)
+    starts[3] = np.nan
+    here = hamsym.lyapunov(HENON, starts, (0, 100), count=2)
+    there = hamsym.lyapunov(HENON, starts, (0, 100), count=2, client=client)
+    for name in ("exponents", "energy_error", "steps", "success", "message"):
+        np.testing.assert_array_equal(getattr(there, name), getattr(here, name), name)
+
+
+def test_crossings_equal_those_of_a_local_run(client: Any) -> None:
+    starts, parameters = random_starts(10)[:, None], {"k": [0.5, 1.0]}
+    H = "(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + k*(x**2*y - y**3/3)"
+    arguments = H, starts, (0, 50), "x = 0, p_x > 0"
+    here = hamsym.section(*arguments, parameters=parameters)
+    there = hamsym.section(*arguments, parameters=parameters, client=client)
+    for name in ("t", "z", "trajectory"):
+        np.testing.assert_array_equal(getattr(there, name), getattr(here, name), name)
+    assert (there.success, there.message, there.drift) == (here.success, here.message, here.drift)
+    assert there.energy_error == here.energy_error
+
+
+@pytest.mark.slow  # workers import torch
+def test_sweep_of_settings_on_a_cluster(client: Any, tmp_path: Path) -> None:
+    adam = {"method": "adam", "epochs": 60, "points": 20, "hidden": (8, 8)}
+    arguments = "p**2/2 + x**2/2", [1.0, 0.0], (0, 2), {"adam": adam, "march": {}}
+    here = hamsym.sweep(*arguments, folder=tmp_path / "here", seeds=[3], workers=1)
+    there = hamsym.sweep(*arguments, folder=tmp_path / "there", seeds=[3], client=client)
+    for name in ("adam", "march"):
+        one, other = here.solutions[name][0], there.solutions[name][0]
+        assert (one([0.5, 2.0]) == other([0.5, 2.0])).all()
+
+
+@pytest.mark.parametrize("ending", ["zarr", "parquet"])
+def test_sweep_over_a_grid_on_a_cluster(client: Any, tmp_path: Path, ending: str) -> None:
+    for package in ("zarr", "xarray", "pandas", "pyarrow"):
+        pytest.importorskip(package)
+    arguments = "p**2/2 + k*x**2/2", [1.0, 0.0], (0, 5)
+    options: dict[str, Any] = {"over": {"k": [1.0, 2.0], "x": [0.5, 1.0, 1.5]}, "chunk": 2}
+    here = hamsym.sweep(*arguments, store=tmp_path / f"here.{ending}", **options)
+    there = hamsym.sweep(*arguments, store=tmp_path / f"there.{ending}", client=client, **options)
+    assert here.complete
+    assert there.complete
+    assert here.open().equals(there.open())
+
+
+# -- failures --------------------------------------------------------------------------------------
+
+
+def _fails_once(folder: str, number: int) -> int:
+    flag = Path(folder) / str(number)
+    if not flag.exists():
+        flag.touch()
+        raise OSError("the disk is not there")
+    return number
+
+
+def _fails_at_three(_: None, number: int) -> int:
+    if number == 3:
+        raise OSError("the disk is not there")
+    return number
+
+
+def _dies_at_three(_: None, number: int) -> int:
+    if number == 3:
+        os._exit(1)
+    return number
+
+
+def _refuses(_: None, number: int) -> int:
+    raise InputError(f"{number} cannot be used")
+
+
+def _numbers(count: int) -> list[Task]:
+    return [Task(np.array([10 * k, 10 * k + 9]), (k,)) for k in range(count)]
+
+
+def test_errors_on_workers_are_repeated(client: Any, tmp_path: Path) -> None:
+    found = cluster_results(client, _fails_once, str(tmp_path), _numbers(5), retries=1)
+    assert sorted(result for _, result, _ in found) == [0, 1, 2, 3, 4]
+    with pytest.raises(HamsymError, match="members 30 to 39 failed on a worker: OSError: the disk"):
+        list(cluster_results(client, _fails_at_three, None, _numbers(5), retries=1))
+    with pytest.raises(InputError, match="cannot be used"):
+        list(cluster_results(client, _refuses, None, _numbers(1)))
+
+
+@pytest.mark.slow  # workers are started again
+def test_members_that_kill_workers_are_named(client: Any) -> None:
+    """Members that were on the same worker are not blamed."""
+    client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
+    with pytest.raises(HamsymError, match="members 30 to 39 ended the worker .* each time"):
+        list(cluster_results(client, _dies_at_three, None, _numbers(5)))
+    client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 3))
+
+
+def test_closing_cancels_what_is_left(client: Any) -> None:
+    members = ensemble_of(HENON, random_starts(20))
+    results = members_on_cluster(client, _slow, None, members)
+    next(results)
+    results.close()
+    assert not client.futures
+
+
+def _slow(_: None, numbers: np.ndarray, members: Any) -> int:
+    return len(members)
+
+
+def test_other_version_of_a_worker_is_refused() -> None:
+    problem, _ = _on_worker(_slow, b"", "0.0.0")
+    assert isinstance(problem, InputError)
+    assert "this process has 0.0.0; install one version" in str(problem)
+
+
+def test_invalid_clients_are_refused(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    for function in (hamsym.solve_many, hamsym.lyapunov):
+        with pytest.raises(InputError, match=r"client=3 cannot be used; give a dask\.distributed"):
+            function(HENON, random_starts(2), SPAN, client=3)
+    with pytest.raises(InputError, match="arrays of starts"):
+        hamsym.lyapunov(HENON, random_starts(2)[0], SPAN, client=client)
+    with pytest.raises(InputError, match="exclude each other"):
+        hamsym.solve_many(HENON, random_starts(2), SPAN, client=client, device="cpu")
+    with pytest.raises(InputError, match="retries=-1"):
+        hamsym.solve_many(HENON, random_starts(2), SPAN, client=client, retries=-1)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r'pip install "hamsym\[distributed\]"'):
+        hamsym.solve_many(HENON, random_starts(2), SPAN, client=client)
