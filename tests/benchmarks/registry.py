@@ -6,6 +6,7 @@ from typing import Protocol
 
 from . import (
     certificates,
+    clusters,
     derivation,
     dimension,
     ensembles,
@@ -48,6 +49,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "pyhamsys": pyhamsys_steps,
     "ensembles": ensembles,
     "families": families,
+    "clusters": clusters,
     "gpu": gpu,
     "equal-error": equal_error,
     "implicit": implicit,

@@ -19,7 +19,7 @@ from .registry import BENCHMARKS
 from .results import read, replace_section
 from .tables import PAGE, filled
 
-_SUBPROCESS = {"first-call"}
+_SUBPROCESS = {"clusters", "first-call"}
 _CASES = [
     pytest.param(name, marks=pytest.mark.slow if name in _SUBPROCESS else ()) for name in BENCHMARKS
 ]
