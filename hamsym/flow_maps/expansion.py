@@ -24,6 +24,7 @@ class Piece:
 
     def __init__(self, degrees, readouts, columns):
         self.degrees, self.readouts, self.columns = degrees, readouts, columns
+        self.chunk = max(16, CHUNK // len(degrees))
 
     def arrays(self):
         return {"degrees": self.degrees, "readouts": self.readouts, "columns": self.columns}
@@ -287,9 +288,8 @@ def grouped(numbers, pieces):
     order = np.argsort(numbers, kind="stable")
     ends = np.searchsorted(numbers[order], np.arange(len(pieces) + 1)).tolist()
     for number, piece in enumerate(pieces):
-        size = max(16, CHUNK // len(piece.degrees))
-        for first in range(ends[number], ends[number + 1], size):
-            yield number, order[first : min(first + size, ends[number + 1])]
+        for first in range(ends[number], ends[number + 1], piece.chunk):
+            yield number, order[first : min(first + piece.chunk, ends[number + 1])]
 
 
 def plain(values):

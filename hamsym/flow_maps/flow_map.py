@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +24,7 @@ from hamsym.flow_maps.judging import Judgement, judged
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import checked_span
 from hamsym.solution.times import is_tensor
+from hamsym.support.cores import available_cores
 from hamsym.support.validation import require, require_whole
 
 __all__ = ["FlowMap", "flow_map"]
@@ -33,6 +36,7 @@ _SHARE = 0.6  # of the allowed error, for the expansion
 _ATTEMPTS = 3
 _AIM = 0.4  # of the allowed error, in a further attempt
 _PROBES = 32  # solutions from which the sizes of the components are taken
+_QUERIES = 10_000  # for each core, from which on several are used
 _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 
 
@@ -175,7 +179,8 @@ class FlowMap:
         if is_tensor(t) or any(map(is_tensor, given.values())):
             return self._tensors(t, given, extrapolate)
         times, inputs, shape = self._queries(t, given, extrapolate)
-        return self.map.evaluate(times, inputs).reshape(*shape, self.H.dim)
+        (states,) = self._in_threads(lambda *part: (self.map.evaluate(*part),), times, inputs)
+        return states.reshape(*shape, self.H.dim)
 
     def jacobian(
         self,
@@ -202,7 +207,7 @@ class FlowMap:
                [-1.,  0.]])
         """
         times, inputs, shape = self._queries(t, self.region.inputs_of(z0, parameters), extrapolate)
-        found = self.map.derivatives(times, inputs)[2]
+        found = self._in_threads(self.map.derivatives, times, inputs)[2]
         return np.asarray(found.reshape(*shape, self.H.dim, len(self.inputs)))
 
     def rate(
@@ -216,6 +221,19 @@ class FlowMap:
         """Return dz^/dt, shape (n, dim); arguments as of :meth:`__call__`."""
         times, inputs, shape = self._queries(t, self.region.inputs_of(z0, parameters), extrapolate)
         return np.asarray(self.map.derivatives(times, inputs)[1].reshape(*shape, self.H.dim))
+
+    def _in_threads(
+        self, function: Callable[..., tuple[np.ndarray, ...]], times: np.ndarray, inputs: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """Apply a function to queries, to parts of many queries on all cores."""
+        count = min(available_cores(), len(times) // _QUERIES)
+        if count < 2:
+            return function(times, inputs)
+        ends = np.linspace(0, len(times), count + 1).astype(int).tolist()
+        with ThreadPoolExecutor(count) as pool:
+            parts = [slice(*pair) for pair in itertools.pairwise(ends)]
+            found = list(pool.map(lambda part: function(times[part], inputs[part]), parts))
+        return tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))
 
     def _queries(
         self, t: Any, given: Mapping[str, Any], extrapolate: bool

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.families.solutions import Solutions
+from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.degrees import axis_degrees, further_degrees, margin, points
 from hamsym.flow_maps.domain import Domain
-from hamsym.flow_maps.expansion import Leg, Piece, products, tables
+from hamsym.flow_maps.expansion import Leg, products, tables
 from hamsym.numerics.lower_sets import (
     MOST_DEGREE,
     chebyshev_coefficients,
@@ -349,7 +350,7 @@ class LegBuilder:
             pieces,
         )
 
-    def _piece(self, coefficients: np.ndarray, time: float) -> Piece:
+    def _piece(self, coefficients: np.ndarray, time: float) -> CompiledPiece:
         """Truncate and compress the coefficients of N, shape (n, terms, dim), up to a time."""
         unit = self._allowed * _TRUNCATION / abs(time)
         sizes = np.abs(coefficients / unit).sum(axis=1).max(axis=1)
@@ -362,7 +363,7 @@ class LegBuilder:
         rest = np.sqrt(np.cumsum(values[::-1] ** 2))[::-1]
         rank = max(int(np.sum(rest > 1)), 1)
         columns = right[:rank].reshape(rank, *coefficients.shape[1:]) * unit
-        return Piece(self._degrees[kept], left[:, :rank] * values[:rank], columns)
+        return CompiledPiece(self._degrees[kept], left[:, :rank] * values[:rank], columns)
 
 
 def _terms(straight: np.ndarray, total: np.ndarray) -> np.ndarray:

@@ -10,7 +10,8 @@ import numpy as np
 from hamsym.description import MALFORMED, described, hamiltonian_from
 from hamsym.errors import FileError
 from hamsym.flow_maps.box import Box
-from hamsym.flow_maps.expansion import Chain, Leg, Piece, Split
+from hamsym.flow_maps.compiled_piece import CompiledPiece
+from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement
 from hamsym.numerics.lower_sets import MOST_DEGREE
@@ -191,7 +192,7 @@ def _leg(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int) 
         readouts, columns = piece["readouts"], piece["columns"]
         require_array("readouts", readouts, (len(piece["degrees"]), len(columns)))
         require_array("columns", columns, (len(columns), *columns.shape[1:2], dim))
-        pieces.append(Piece(_degrees(piece["degrees"], d), readouts, columns))
+        pieces.append(CompiledPiece(_degrees(piece["degrees"], d), readouts, columns))
         if not min(*readouts.shape, *columns.shape):
             raise ValueError("a piece of its map is empty")
     begin = checked_number("begin", form["begin"])
