@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from functools import singledispatch
 from typing import Any
 
@@ -13,6 +14,7 @@ from hamsym.dynamics.lyapunov_map import LyapunovMap
 from hamsym.dynamics.sections import Section
 from hamsym.errors import InputError
 from hamsym.fitting.fitted import Fit
+from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.integrators.integrate import Trajectory
 from hamsym.random_features.windows import March
 from hamsym.solution.solution import Solution
@@ -23,15 +25,17 @@ __all__ = ["plot"]
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito
 _SAMPLES = 2_001
 _MAX_LINES = 8
+_MAX_PLANES = 3
 
 
 @singledispatch
 def plot(result: Any, *args: Any, **options: Any) -> Figure:
-    """Draw a solution, trajectory, fit, section, comparison or Lyapunov exponents.
+    """Draw a solution, trajectory, fit, flow map, section, comparison or Lyapunov exponents.
 
     Parameters
     ----------
-    result : Solution, Trajectory, Fit, Section, Comparison, LyapunovExponents or LyapunovMap
+    result : Solution, Trajectory, Fit, FlowMap, Section, Comparison or LyapunovExponents
+        Or LyapunovMap.
     *args, **options
         As in the method ``plot`` of the result.
 
@@ -54,7 +58,7 @@ def plot(result: Any, *args: Any, **options: Any) -> Figure:
     """
     raise InputError(
         f"{type(result).__name__} cannot be plotted; give a solution, a trajectory, a fit, "
-        "a section, a comparison or Lyapunov exponents"
+        "a flow map, a section, a comparison or Lyapunov exponents"
     )
 
 
@@ -103,6 +107,63 @@ def _plot_solution(solution: Solution) -> Figure:
     axes[1, 1].set(title="Loss", xlabel="iteration")
     axes[1, 1].legend(fontsize=8)
     return figure
+
+
+@plot.register
+def _plot_flow_map(flow: FlowMap) -> Figure:
+    """Draw what the box becomes: in each phase plane at six times, or each component over time."""
+    box, names, dof = flow.region, flow.H.names, flow.H.dof
+    random = np.random.default_rng(0)
+    if box.is_whole:
+        shown = min(dof, _MAX_PLANES)
+        figure = Figure(figsize=(4.6 * shown, 4.6), layout="constrained")
+        side = np.linspace(-1, 1, 200)
+        ends = np.ones_like(side)
+        around = np.stack(
+            (
+                np.concatenate((side, ends, -side, -ends)),
+                np.concatenate((-ends, side, ends, -side)),
+            ),
+            axis=1,
+        )
+        for k, axis in enumerate(figure.subplots(1, shown, squeeze=False)[0]):
+            y = np.zeros((len(around), len(box)))
+            y[:, [k, dof + k]] = around
+            for number, t in enumerate(np.linspace(*flow.span, len(_COLORS))):
+                states = flow.map.evaluate(np.full(len(y), t), box.at(y))
+                color = _color(number)
+                axis.fill(states[:, k], states[:, dof + k], color=color, alpha=0.25, linewidth=0)
+                axis.plot(states[:, k], states[:, dof + k], color=color, label=f"t = {t:.4g}")
+            axis.set(xlabel=names[k], ylabel=names[dof + k])
+            if not k:
+                axis.legend(fontsize=8)
+        shape = "box" if dof == 1 and len(box) == 2 else "box, through its centre"
+        figure.suptitle(_wrapped(f"The {shape}, moved by H = {flow.H.formula}"), fontsize=10)
+        return figure
+    shown = min(len(names), _MAX_LINES)
+    rows = (shown + 1) // 2
+    figure = Figure(figsize=(9, 2.2 * rows), layout="constrained")
+    times = np.linspace(*flow.span, 401)
+    inputs = box.at(random.uniform(-1, 1, (200, len(box))))
+    queries = np.tile(times, len(inputs)), inputs.repeat(len(times), axis=0)
+    states = flow.map.evaluate(*queries).reshape(len(inputs), len(times), -1)
+    grid = figure.subplots(rows, 2, squeeze=False, sharex=True)
+    for i, axis in enumerate(grid.ravel()[:shown]):
+        low, high = states[..., i].min(axis=0), states[..., i].max(axis=0)
+        axis.fill_between(times, low, high, color=_color(i), alpha=0.2, linewidth=0)
+        axis.plot(times, states[:8, :, i].T, color=_color(i), linewidth=0.7)
+        axis.set(ylabel=names[i])
+    for axis in grid.ravel()[shown:]:
+        axis.set_axis_off()
+    for axis in grid[-1]:
+        axis.set_xlabel("t")
+    varied = ", ".join(f"{n} from {low:.4g} to {high:.4g}" for n, (low, high) in flow.box.items())
+    figure.suptitle(_wrapped(f"H = {flow.H.formula}, {varied}"), fontsize=10)
+    return figure
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, 90)
 
 
 @plot.register

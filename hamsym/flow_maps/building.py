@@ -22,6 +22,7 @@ from hamsym.flow_maps.legs import FailedError, LegBuilder
 __all__ = ["Builder", "Built"]
 
 _CORNERS, _IMAGE = 1_000, 20_000  # samples of an image: corners, and others
+_DEEPEST = 24  # splits of a domain, one after the other
 _SHORTEST = 0.005  # of the span, of a leg that ends where a solution fails
 _AT_END = 0.3  # probability that an input of a sample is an end of its interval
 
@@ -89,7 +90,7 @@ class Builder:
         except FailedError as error:
             raise InputError(f"there is no flow map over this box: {error}") from None
 
-    def _over(self, domain: Domain, begin: float) -> Built:
+    def _over(self, domain: Domain, begin: float, depth: int = 0) -> Built:
         """Return the expansion over a domain from a time to the end of the span."""
         end, dim = self._span[1], self._box.H.dim
         maps: list[Any] = []
@@ -113,7 +114,7 @@ class Builder:
                 failure = str(error)
                 break
             if trial.splits:
-                part = self._split(domain, starts[-1], trial.widest)
+                part = self._split(domain, starts[-1], trial.widest, depth + 1)
                 maps.append(part.map)
                 edges.extend(part.edges[1:].tolist())
                 failure = part.failure
@@ -139,10 +140,12 @@ class Builder:
         whole = maps[0] if len(maps) == 1 else Chain(maps, np.array(starts[1:]), kept)
         return Built(whole, edges[-1], failure, np.array(edges))
 
-    def _split(self, domain: Domain, begin: float, direction: int) -> Built:
+    def _split(self, domain: Domain, begin: float, direction: int, depth: int) -> Built:
         """Return the expansions over two halves of a domain."""
+        if depth > _DEEPEST:
+            raise FailedError("the solutions depend too strongly on the start for an expansion")
         halves = [half for half in split_domain(domain, direction) if half is not None]
-        parts = [self._over(half, begin) for half in halves]
+        parts = [self._over(half, begin, depth) for half in halves]
         if len(parts) == 1:
             return parts[0]
         threshold = -float(domain.shift[direction])

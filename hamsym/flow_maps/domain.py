@@ -113,22 +113,22 @@ def _with_start(domain: Domain, box: Box) -> Domain:
 def split_domain(domain: Domain, direction: int) -> tuple[Domain | None, Domain | None]:
     """Return the halves of a domain along one of its scaled inputs, the lower one first.
 
-    The halves of an image are fitted to its samples; None for a half without any.
+    The halves of an image are fitted to its samples, if there are many; None without any.
     """
-    if domain.samples is not None:
-        low = (domain.samples @ domain.scaling.T + domain.shift)[:, direction] <= 0
-        parts = [domain.samples[side] for side in (low, ~low)]
-        halves = [
-            image_domain(part, domain.names, domain.scale) if len(part) > _FEWEST else None
-            for part in parts
-        ]
-        return halves[0], halves[1]
-    found = []
+    found: list[Domain | None] = []
     for side in (1.0, -1.0):
         scaling, shift = domain.scaling.copy(), domain.shift.copy()
         scaling[direction] *= 2
         shift[direction] = 2 * shift[direction] + side
-        found.append(replace(domain, scaling=scaling, shift=shift))
+        half = replace(domain, scaling=scaling, shift=shift)
+        if domain.samples is not None:
+            there = side * (domain.samples @ domain.scaling.T + domain.shift)[:, direction] <= 0
+            samples = domain.samples[there]
+            if len(samples) > _FEWEST:
+                half = image_domain(samples, domain.names, domain.scale)
+            else:
+                half = replace(half, samples=samples)
+        found.append(half if half.samples is None or len(half.samples) else None)
     return found[0], found[1]
 
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,12 +20,16 @@ from hamsym.families.many import solve_many
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.box import Box, checked_box
 from hamsym.flow_maps.building import Builder
+from hamsym.flow_maps.export import export_flow_map
 from hamsym.flow_maps.judging import Judgement, judged
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import checked_span
 from hamsym.solution.times import is_tensor
 from hamsym.support.cores import available_cores
 from hamsym.support.validation import require, require_whole
+
+if TYPE_CHECKING:  # slow to import
+    from matplotlib.figure import Figure
 
 __all__ = ["FlowMap", "flow_map"]
 
@@ -296,11 +300,32 @@ class FlowMap:
                 "inside it, or extrapolate=True"
             )
 
+    def plot(self) -> Figure:
+        """Draw what the box becomes; see :func:`hamsym.plot`.
+
+        If all components vary, the box is drawn in each phase plane at six times; otherwise the
+        range of each component over time, with eight trajectories.
+        """
+        return hamsym.plot(self)
+
     # -- files -------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the map to a file that :func:`hamsym.load` reads; see :func:`hamsym.save`."""
         hamsym.save(self, path)
+
+    def export(self, path: str | os.PathLike[str]) -> None:
+        """Write the map as a module of Python that needs only numpy.
+
+        Its functions ``state(t, inputs)`` and ``jacobian(t, inputs)`` take the inputs as columns in
+        the order of ``inputs``; its docstring names them, with the box and the estimated error.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written.
+        """
+        export_flow_map(self, path)
 
 
 def flow_map(
