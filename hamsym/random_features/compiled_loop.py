@@ -124,7 +124,7 @@ def compiled_loops() -> Loops:
     compiled_errors = _compiled(
         types.UniTuple(whole, 2)(
             *(rows, rows, rows, error_tables, actions, actions, error_settings, windows),
-            *(matrix, vector, cube, matrix, vector, counts, whole, whole),
+            *(matrix, vector, vector, cube, matrix, vector, counts, whole, whole),
         ),
         errors.carry_errors,
     )

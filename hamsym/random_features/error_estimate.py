@@ -9,8 +9,8 @@ with the error, one batch at every joint. Its size is measured as the change of 
 change by half a unit in the last place. Numbers of H that float64 cannot represent, for example pi,
 push every window the same way; a perturbation in the direction of the motion represents them.
 
-The estimate is infinite from the time at which the errors reach the size of the motion, or J Hess
-is not finite: the linear equation is not valid there.
+The estimate is infinite from the time at which the errors are so large that their equation is not
+linear, or J Hess is not finite.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ __all__ = [
     "estimate_error",
     "halves",
     "kicks",
+    "largest_ratio",
     "resolution_for",
 ]
 
@@ -134,9 +135,14 @@ class MarchError:
 
     def excess(self, allowed: np.ndarray) -> float:
         """Return the largest ratio of estimate and floor to the allowed error, or infinity."""
-        with np.errstate(all="ignore"):
-            ratios = np.where(self.largest == 0, 0.0, self.largest / allowed)
-        return float(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf).max())
+        return largest_ratio(self.largest, allowed)
+
+
+def largest_ratio(errors: np.ndarray, allowed: np.ndarray) -> float:
+    """Return the largest ratio of errors to the allowed ones, or infinity; without error 0."""
+    with np.errstate(all="ignore"):
+        ratios = np.where(errors == 0, 0.0, errors / allowed)
+    return float(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf).max())
 
 
 class Estimate(NamedTuple):
@@ -147,12 +153,15 @@ class Estimate(NamedTuple):
     error : MarchError
     limit : str
         Reason why the error is infinite in the last windows, "" if it is finite.
+    linear : numpy.ndarray
+        Largest error by the linear equation also where that is not valid, shape (dim,).
     unresolved : list of (float, float)
         Windows whose residual is large relative to the rates: the force may jump there.
     """
 
     error: MarchError
     limit: str
+    linear: np.ndarray
     unresolved: list[tuple[float, float]]
 
 
@@ -182,7 +191,7 @@ def estimate_error(
     actions = halves(flow.entries, settings.scale)
     series = np.full((count, tables.lift.shape[1], dim), np.inf)
     floors, largest = np.full((count, dim), np.inf), np.zeros(dim)
-    joint = np.zeros(dim * (error_loop.PERTURBATIONS + 2))
+    joint, history = np.zeros(dim * (error_loop.PERTURBATIONS + 2)), np.zeros(2)
     marks = np.zeros(count, dtype=np.int64)
     jumps = _jumps(windows, basis)
     parts = Windows(windows.edges, windows.states, windows.readouts)
@@ -197,6 +206,7 @@ def estimate_error(
             parts,
             jumps,
             joint,
+            history,
             series,
             floors,
             largest,
@@ -211,14 +221,23 @@ def estimate_error(
         if outcome != error_loop.DONE or first == count:
             break
         loops = flow.loops
-    limit = ""
+    limit, linear = "", largest
+    bent = np.flatnonzero(marks[:first] & error_loop.BENT)
     if outcome != error_loop.DONE:
         limit = _reason(windows, flow, first)
+        linear = np.full(dim, np.inf)
+    elif len(bent):
+        start = float(windows.origin + windows.edges[bent[0]])
+        limit = f"errors grow too large for an estimate by t = {start:.6g}"
+    if len(bent):
+        series[bent[0] :] = floors[bent[0] :] = np.inf
+    if limit:
         largest = np.full(dim, np.inf)
     ends = (windows.origin + windows.edges).tolist()
     return Estimate(
         MarchError(windows.edges, series, floors, largest, scale, np.array(windows.origin)),
         limit,
+        linear,
         [(ends[w], ends[w + 1]) for w in np.flatnonzero(marks & error_loop.UNRESOLVED)],
     )
 

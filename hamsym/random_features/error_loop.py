@@ -6,6 +6,9 @@ The linear equation of the error (the paper's eq. ell) is solved for the vectors
 the error itself, driven by the residual, and perturbations of the size of round-off. With rows for
 component and vector, a window is a fixed point V = V_a + D + h S A V, with A = J Hess at its nodes
 and D the integral of the residual; it is iterated by halves, as the states were.
+
+An error e obeys e' = F(z^ + e) - F(z^) - r, of which that equation is the linear part. It is valid
+as long as what it lacks, F(z^ + e) - F(z^) - A e, changes e by little.
 """
 
 from __future__ import annotations
@@ -38,18 +41,32 @@ from hamsym.random_features.window_loop import (
     weighted,
 )
 
-__all__ = ["DONE", "LOST", "STUCK", "Actions", "ErrorSettings", "ErrorTables", "carry_errors"]
+__all__ = [
+    "BENT",
+    "DONE",
+    "LOST",
+    "STUCK",
+    "Actions",
+    "ErrorSettings",
+    "ErrorTables",
+    "carry_errors",
+]
 
 # Outcomes of carry_errors: all windows estimated; errors as large as the motion, or not finite; a
 # window whose equation neither iteration nor elimination solves.
 DONE, LOST, STUCK = range(3)
-# Marks of windows: the residual is large relative to the rates, or exceeds its limit.
-UNRESOLVED, EXCESSIVE = 1, 2
+# Marks of windows: the residual is large relative to the rates, or exceeds its limit; the error is
+# so large that its equation is not linear.
+UNRESOLVED, EXCESSIVE, BENT = 1, 2, 4
 
 PERTURBATIONS = 4  # random vectors that represent round-off
 COHERENT = 2.0  # times the round-off of independent places
 RESOLVED = 1e-3  # residual, relative to the rates, that a smooth force leaves at most
-LARGEST = 1.0  # error, in units of the motion, beyond which the linear equation is not valid
+LARGEST = 1.0  # error, in units of the motion, beyond which there is no estimate
+TESTED = 1e-6  # error, in units of the motion, from which the linear equation is tested
+CURVED = 1e-3  # of the error in a window: change by what the linear equation lacks, at most
+PASSING = 10.0  # typical errors: larger ones may pass, so their vectors are solved more accurately
+TIGHTER = 3.0  # excess over the tolerance that errors beyond the linear equation count as, at least
 SLACK = 10.0  # times the residual that the march allows at its own places
 MISSED = 1.1  # times a peak between two of the values that show it
 ITERATIONS = 60
@@ -226,6 +243,23 @@ def join_error(vectors: Array, drift: Array, h: float, scale: Array, out: Array)
     out += drift * h
 
 
+def error_size(vectors: Array) -> float:
+    """Return the largest magnitude of the first vectors; NaN if there is one."""
+    return float(np.abs(vectors[:: PERTURBATIONS + 2]).max())
+
+
+def displace(z: Array, vectors: Array, scale: Array, out: Array) -> None:
+    """Write z with the error added to it."""
+    np.multiply(vectors[:: PERTURBATIONS + 2], scale[:, None], out=out)
+    out += z
+
+
+def curvature(displaced: Array, rates: Array, moved: Array, scale: Array) -> None:
+    """Subtract from the rates at displaced states those at z, and their linear change."""
+    displaced -= rates
+    displaced -= moved[:: PERTURBATIONS + 2] * scale[:, None]
+
+
 # -- one window ------------------------------------------------------------------------------------
 
 
@@ -275,6 +309,7 @@ def carry_errors(
     windows: Windows,
     jumps: Array,
     joint: Array,
+    history: Array,
     series: Array,
     floors: Array,
     largest: Array,
@@ -290,6 +325,9 @@ def carry_errors(
         z - z^ due to the rounding of the state at the end of each window.
     joint : array (dim * vectors,)
         Vectors at the start, in units of the scale; at the end on return.
+    history : array (2,)
+        Integral of the root of the error over the windows before, and the error in the last one,
+        in units of the scale; updated.
     series : array (windows, k, dim)
         Chebyshev series of the error; nothing is written if it has no windows.
     floors : array (windows, dim)
@@ -297,7 +335,7 @@ def carry_errors(
     largest : array (dim,)
         Largest error and round-off so far; updated.
     marks : array (windows,)
-        UNRESOLVED and EXCESSIVE windows.
+        UNRESOLVED, EXCESSIVE and BENT windows; from a BENT one on the error is not reliable.
 
     Returns
     -------
@@ -328,6 +366,11 @@ def carry_errors(
             entries = max(entries, entry + 1)
     second = np.empty((entries, nodes))
     rows = dim * each
+    flow, displaced, lacking = (
+        np.empty((dim, nodes)),
+        np.empty((dim, nodes)),
+        np.empty((dim, nodes)),
+    )
     base, vectors = np.empty((rows, nodes)), np.empty((rows, nodes))
     moved, changes = np.empty((rows, nodes)), np.empty((rows, 8))
     for w in range(first, end):
@@ -385,11 +428,16 @@ def carry_errors(
         fill(base, joint)
         force_error(base, drift, h, scale)
         few = dim * nodes <= ELIMINATED
+        # The mean root is the typical size of the error, also if it has short peaks beside a pole.
+        mean = history[0] / max(abs(edges[w] - edges[0]), TINY)
+        accuracy = settings.accuracy
+        if PASSING * mean * mean < history[1]:
+            accuracy *= PASSING * mean * mean / history[1]
         solved = few and eliminate(
             forces, velocities, second, base, h, tables.integration, vectors, moved
         )
         solved = solved or transport(
-            forces, velocities, tables, second, base, h, settings.accuracy, vectors, moved, changes
+            forces, velocities, tables, second, base, h, accuracy, vectors, moved, changes
         )
         solved = solved or (
             not few
@@ -398,6 +446,20 @@ def carry_errors(
         if not solved:
             joint[:] = before
             return w, STUCK
+        # -- whether the equation is linear
+        size = error_size(vectors)
+        history[0] += length * math.sqrt(size)
+        history[1] = size
+        if not size <= TESTED:
+            displace(at_nodes, vectors, scale, displaced)
+            evaluate(velocity, force, at_nodes, node_times, parameters, flow)
+            evaluate(velocity, force, displaced, node_times, parameters, lacking)
+            curvature(lacking, flow, moved, scale)
+            products(tables.integration, lacking, flow)
+            row_sizes(flow, left)
+            for i in range(dim):
+                if not length * left[i] <= CURVED * size * scale[i]:
+                    marks[w] |= BENT
         weighted(moved, tables.end, tables.none, ends)
         weighted(residual, tables.drift_end, tables.drift_none, through)
         for k in range(len(joint)):

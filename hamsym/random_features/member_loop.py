@@ -14,9 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hamsym.random_features.error_loop import (
+    BENT,
     DONE,
     PERTURBATIONS,
     SLACK,
+    TIGHTER,
     Actions,
     ErrorSettings,
     ErrorTables,
@@ -45,7 +47,7 @@ __all__ = ["ACCEPTED", "LEFT", "NARROW", "Members", "Span", "solve_members"]
 # Verdicts: all checks passed; all but for windows in which H may act briefly, which have the mark
 # SUSPECT; left to the caller.
 ACCEPTED, NARROW, LEFT = range(3)
-SUSPECT = 4
+SUSPECT = 8
 
 ATTEMPTS = 3  # marches of a member, each to a tighter local tolerance
 MARGIN, STEP, MOST, SMALLEST = 0.3, 1e-4, 0.3, 1e-13  # of the local tolerance, from one to the next
@@ -288,6 +290,7 @@ def solve_members(
     clock, counts = np.empty(2), np.empty(3, np.int64)
     sizes, floors, scale = np.empty(dim), np.zeros(dim), np.empty(dim)
     joint, largest = np.empty(dim * (PERTURBATIONS + 2)), np.empty(dim)
+    history = np.empty(2)
     done = 0
     for member in range(first):
         done += members.counts[member]
@@ -341,7 +344,7 @@ def solve_members(
             )
             jumps = np.empty((count, dim))
             joint_errors(solved, tables, jumps)
-            joint[:] = 0.0
+            joint[:], history[:] = 0.0, 0.0
             largest[:] = 0.0
             stored = len(members.series) > 0
             _, outcome = carry_errors(
@@ -355,6 +358,7 @@ def solve_members(
                 solved,
                 jumps,
                 joint,
+                history,
                 members.series[done : done + count] if stored else members.series,
                 members.floors[done : done + count] if stored else members.floors,
                 largest,
@@ -369,6 +373,9 @@ def solve_members(
                 allowed = max(span.absolute[i] + span.tolerance * sizes[i], TINY)
                 if largest[i] != 0.0:
                     excess = max(excess, largest[i] / allowed)
+            for w in range(count):
+                if marks[w] & BENT:
+                    excess = max(excess, TIGHTER)
             if not excess <= 1.0:
                 if local <= SMALLEST or not excess < math.inf:
                     break

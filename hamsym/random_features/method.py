@@ -21,7 +21,13 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.basis import FeatureBasis, feature_basis
-from hamsym.random_features.error_estimate import Estimate, MarchError, estimate_error
+from hamsym.random_features.error_estimate import (
+    Estimate,
+    MarchError,
+    estimate_error,
+    largest_ratio,
+)
+from hamsym.random_features.error_loop import TIGHTER
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import MAX_WINDOWS, march
 from hamsym.random_features.members import MemberSolver
@@ -220,7 +226,7 @@ def solve_by_march(
             )
             if tried.excess <= 1 or at_round_off or local <= _SMALLEST_LOCAL:
                 break
-            local = max(local * min(max(0.3 / tried.excess, _STEP), 0.3), _SMALLEST_LOCAL)
+            local = max(local * min(max(0.3 / tried.too_large, _STEP), 0.3), _SMALLEST_LOCAL)
     if best is None:
         raise InputError(f"no solution beyond t = {windows.reached:.6g}: {windows.reason}")
     windows = best.windows
@@ -254,20 +260,34 @@ class _Attempt:
     def excess(self) -> float:
         return self.estimate.error.excess(self.allowed)
 
+    @property
+    def too_large(self) -> float:
+        """Ratio of the error to the allowed one, of which a tighter march has a smaller one."""
+        linear = largest_ratio(self.estimate.linear, self.allowed)
+        return max(linear, TIGHTER) if self.estimate.limit else linear
+
+    @cached_property
+    def held(self) -> float:
+        """Time until which the error is allowed."""
+        return self.estimate.error.until(self.allowed)
+
     def is_better_than(self, other: _Attempt) -> bool:
-        """Return whether it reached further, or as far with a smaller error."""
+        """Return whether it reached further, or as far with a smaller error or for longer."""
         own, others = (
             abs(float(attempt.windows.edges[-1] - attempt.windows.edges[0]))
             for attempt in (self, other)
         )
-        return own > others or (own == others and self.excess < other.excess)
+        if own != others or self.excess != other.excess:
+            return own > others or (own == others and self.excess < other.excess)
+        start = self.windows.origin + self.windows.edges[0]
+        return bool(abs(self.held - start) > abs(other.held - start))
 
 
 def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
     windows, excess = attempt.windows, attempt.excess
     error, limit = attempt.estimate.error, attempt.estimate.limit
     state = _state(len(windows.readouts), excess)
-    held = error.until(attempt.allowed)
+    held = attempt.held
     if windows.reason:
         until, missing = f"t = {held:.6g}", abs(windows.reached - held)
         if until == f"t = {windows.reached:.6g}":

@@ -25,8 +25,8 @@ MARCH_FUNCTIONS = (
     *("widen", "worst"),
 )
 ERROR_FUNCTIONS = (
-    *("apply", "component_sizes", "deviations", "eliminate", "force_error", "join_error"),
-    "typical_noise",
+    *("apply", "component_sizes", "curvature", "deviations", "displace", "eliminate"),
+    *("error_size", "force_error", "join_error", "typical_noise"),
 )
 
 
@@ -284,3 +284,33 @@ def join_error(vectors, drift, h, scale, out):
     for i in range(drift.shape[0]):
         for node in range(drift.shape[1]):
             out[i, node] = vectors[i * each, node] * scale[i] + drift[i, node] * h
+
+
+@njit(error_model="numpy")
+def error_size(vectors):
+    """Return the largest magnitude of the first vectors; NaN if there is one."""
+    size = 0.0
+    for row in range(0, vectors.shape[0], PERTURBATIONS + 2):
+        for node in range(vectors.shape[1]):
+            value = abs(vectors[row, node])
+            if not value <= size and size == size:
+                size = value
+    return size
+
+
+@njit(error_model="numpy")
+def displace(z, vectors, scale, out):
+    """Write z with the error added to it."""
+    each = PERTURBATIONS + 2
+    for i in range(z.shape[0]):
+        for node in range(z.shape[1]):
+            out[i, node] = vectors[i * each, node] * scale[i] + z[i, node]
+
+
+@njit(error_model="numpy")
+def curvature(displaced, rates, moved, scale):
+    """Subtract from the rates at displaced states those at z, and their linear change."""
+    each = PERTURBATIONS + 2
+    for i in range(rates.shape[0]):
+        for node in range(rates.shape[1]):
+            displaced[i, node] -= rates[i, node] + moved[i * each, node] * scale[i]

@@ -16,12 +16,15 @@ from torch import Tensor
 
 from hamsym.random_features.error_loop import (
     COHERENT,
+    CURVED,
     ITERATIONS,
     LARGEST,
     MISSED,
+    PASSING,
     PERTURBATIONS,
     RESOLVED,
     SLACK,
+    TESTED,
     Actions,
 )
 from hamsym.random_features.member_loop import (
@@ -203,6 +206,8 @@ class Errors(NamedTuple):
         Whether all windows were estimated.
     marked : (members,)
         Whether the residual in a window is large relative to the rates, or exceeds its limit.
+    bent : (members,)
+        Whether the error in a window is so large that its equation is not linear.
     largest : (dim, members)
         Largest error and round-off.
     series, floors : (dim, windows, k), (dim, windows)
@@ -212,6 +217,7 @@ class Errors(NamedTuple):
 
     known: Tensor
     marked: Tensor
+    bent: Tensor
     largest: Tensor
     series: Tensor
     floors: Tensor
@@ -325,6 +331,25 @@ def _transport(
     return out
 
 
+def _second_order(
+    functions: Functions,
+    tables: ErrorTables,
+    z: Tensor,
+    times: Tensor,
+    parameters: Tensor,
+    h: Tensor,
+    error: Tensor,
+    base: Tensor,
+) -> Tensor:
+    """Compute what the linear equation of the error lacks over a window, (dim, n).
+
+    ``base`` is the error without the part that the equation adds.
+    """
+    rates = evaluate(functions, z, times, parameters, torch.empty_like(z))
+    changes = evaluate(functions, z + error, times, parameters, torch.empty_like(z)) - rates
+    return largest_of((changes @ tables.integration) * h - (error - base))
+
+
 def _rounding(starts: Tensor, ends: Tensor, readouts: Tensor, tables: MarchTables) -> Tensor:
     """Compute z - z^ at the end of windows, due to the rounding of the state, (dim, n).
 
@@ -385,8 +410,10 @@ def carry_errors(
     usual /= settings.whole
     accuracy = ACCURACY / path.counts.to(sizes.dtype).clamp(min=FEWEST)
     joint = sizes.new_zeros((dim, _EACH, members))
+    roots, last = torch.zeros_like(tolerances), torch.zeros_like(tolerances)
     errors = Errors(
         path.counts > 0,
+        torch.zeros_like(tolerances, dtype=torch.bool),
         torch.zeros_like(tolerances, dtype=torch.bool),
         torch.zeros_like(sizes),
         sizes.new_empty((dim, windows, tables.lift.shape[1])),
@@ -438,7 +465,29 @@ def carry_errors(
         vectors[:, -1] += settings.rounded * (EPS / 2) * (ends - z)
         base = vectors[..., None].repeat(1, 1, 1, len(tables.nodes))
         base[:, 0] -= drift
-        found = _transport(tables, settings, second, base, h, accuracy[active])
+        # The mean root is the typical size of the error, also if it has short peaks beside a pole.
+        elapsed = (t - path.edges[path.firsts[active] + active]).abs().clamp(min=TINY)
+        typical, before = PASSING * (roots[active] / elapsed).square(), last[active]
+        share = torch.where(typical < before, typical / before, 1.0)
+        found = _transport(tables, settings, second, base, h, accuracy[active] * share)
+        largest = (largest_of(found.error) / units).amax(0)
+        roots[active] += length * largest.sqrt()
+        last[active] = largest
+        # -- whether the equation is linear
+        some = (~(largest <= TESTED)).nonzero()[:, 0]
+        if len(some):
+            lacking = _second_order(
+                functions,
+                tables,
+                take(at_nodes, some),
+                node_times[some],
+                take(own, some),
+                h[some, None],
+                take(found.error, some),
+                take(base[:, 0], some),
+            )
+            limit = CURVED * largest[some] * take(units, some)
+            errors.bent[active[some]] |= ~(lacking <= limit).all(0)
         vectors += h * found.ends
         vectors[:, 0] += _rounding(z, ends, readouts, march_tables)
         vectors[:, 0] -= h * (residual @ tables.drift_end)

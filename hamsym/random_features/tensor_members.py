@@ -30,7 +30,7 @@ from hamsym.random_features.error_estimate import (
     kicks,
     resolution_for,
 )
-from hamsym.random_features.error_loop import PERTURBATIONS
+from hamsym.random_features.error_loop import PERTURBATIONS, TIGHTER
 from hamsym.random_features.flow import has_rounded_numbers
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
 from hamsym.random_features.member_loop import ATTEMPTS, MARGIN, MOST, SMALLEST, STEP
@@ -255,6 +255,7 @@ class TensorSolver(MemberSolver):
             )
             allowed = (self._absolute + self._tol * marched.sizes).clamp(min=TINY)
             ratios = torch.where(errors.largest == 0.0, 0.0, errors.largest / allowed).amax(0)
+            ratios = torch.where(errors.bent, ratios.clamp(min=TIGHTER), ratios)
             known = errors.known
             largest[:, todo] = torch.where(known, errors.largest, largest[:, todo])
             excess[todo] = torch.where(known, ratios, excess[todo])

@@ -22,6 +22,8 @@ from hamsym.random_features.error_estimate import (
     estimate_error,
 )
 from hamsym.random_features.flow import flow_of, has_rounded_numbers
+from hamsym.random_features.march import march
+from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
@@ -93,6 +95,82 @@ def test_estimate_of_chaos_ends_with_the_motion() -> None:
     assert np.isinf(solution.error_estimate(2999.0)).all()
     assert np.isfinite(solution.error_estimate(10.0)).all()
     assert np.isinf(solution.relative_error_estimate)
+
+
+# -- large errors beside a pole --------------------------------------------------------------------
+
+KEPLER = Hamiltonian("(px**2 + py**2)/2 - 1/sqrt(x**2 + y**2)")
+
+
+def _ellipse(e: float, start: float, end: float, turn: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times and exact states of an orbit of semi-major axis 1 between two eccentric anomalies."""
+    anomaly = np.linspace(start, end, 20_001)
+    times = anomaly - e * np.sin(anomaly)
+    r, b = 1 - e * np.cos(anomaly), np.sqrt(1 - e**2)
+    q = np.stack((np.cos(anomaly) - e, b * np.sin(anomaly)))
+    p = np.stack((-np.sin(anomaly), b * np.cos(anomaly))) / r
+    turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return times - times[0], np.concatenate((turned @ q, turned @ p)).T
+
+
+def _share_of_allowed(solution: Any, times: np.ndarray, exact: np.ndarray, tol: float) -> float:
+    return float((np.abs(solution(times) - exact) / np.abs(exact).max(axis=0)).max() / tol)
+
+
+def test_error_is_followed_through_many_close_passages() -> None:
+    """It grows by orders of magnitude and shrinks again in each of them."""
+    times, exact = _ellipse(0.9965, 3.9, 3.9 + 28 * np.pi, 4.75)
+    for tol in (1e-2, 1e-3):
+        solution = hamsym.solve(KEPLER, exact[0], (0, times[-1]), tol=tol, compiled=True)
+        assert solution.success, solution.message
+        errors = np.abs(exact - solution(times)).max(axis=0)
+        estimated = np.abs(solution.error_estimate(times)).max(axis=0)
+        np.testing.assert_allclose(estimated, errors, rtol=0.1)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_success_on_eccentric_orbits_is_true(compiled: bool) -> None:
+    generator, successes = np.random.default_rng(11), 0
+    tols = (1e-2, 1e-3, 1e-4)
+    for case in range(12 if compiled else 3):
+        start, turn = generator.uniform(0, 2 * np.pi, 2)
+        e = 1 - 10 ** generator.uniform(-3, -1)
+        times, exact = _ellipse(e, start, start + generator.uniform(1, 12), turn)
+        tol = tols[case % 3]
+        solution = hamsym.solve(KEPLER, exact[0], (0, times[-1]), tol=tol, compiled=compiled)
+        successes += solution.success
+        if solution.success:
+            assert _share_of_allowed(solution, times, exact, tol) <= 1, (e, start, turn, tol)
+    assert successes > case / 2
+
+
+@pytest.mark.parametrize(
+    ("eccentricity", "end", "local"), [(0.998, 10.0, 1e-3), (0.994, 9.0, 1e-3), (0.99, 9.0, 1e-8)]
+)
+def test_estimate_ends_where_its_equation_is_not_linear(
+    eccentricity: float, end: float, local: float
+) -> None:
+    """An error of the size of the distance from the pole changes the force beyond first order."""
+    times, exact = _ellipse(eccentricity, np.pi, 4 * np.pi, 0.0)
+    times, exact = times[times < end], exact[times < end]
+    flow, basis = flow_of(KEPLER), feature_basis(0, 16)
+    with np.errstate(all="ignore"):
+        windows = march(flow, exact[0], (0.0, end), local, basis, longest=end / 8)
+        found = estimate_error(windows, basis, flow, local)
+    error = np.abs(FeatureTrial.of_march(windows, basis).states_at(times) - exact)
+    if local < 1e-6:
+        assert (error.max(axis=0) <= 1.01 * found.error.largest).all()
+        assert found.limit == ""
+        return
+    assert "errors grow too large for an estimate" in found.limit
+    assert np.isinf(found.error.largest).all()
+    held = found.error.until(np.full(4, np.inf))
+    # Before that time the estimate is right.
+    some = times < 0.999 * held
+    estimated = np.abs(found.error(times[some])) + found.error.floor(times[some])
+    assert 0 < held < end
+    assert (error[some].max(axis=0) <= 1.1 * estimated.max(axis=0)).all()
+    assert np.isfinite(found.linear).all()
 
 
 def test_hessian_that_is_not_finite_ends_the_estimate() -> None:

@@ -19,6 +19,7 @@ from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.members import Batch, MemberSolver
 from hamsym.random_features.method import FeatureOptions, basis_for, checked_accuracy
 from hamsym.random_features.tensor_members import TensorSolver
+from hamsym.random_features.trial import FeatureTrial
 from hamsym.systems import CATALOGUE
 
 HENON_HEILES = CATALOGUE["henon_heiles"]().H
@@ -171,6 +172,34 @@ def test_tightens_where_errors_grow() -> None:
     exact = np.stack([a * np.exp(t) + b * np.exp(-t), a * np.exp(t) - b * np.exp(-t)], -1)
     error = np.abs(_values(loose, basis_for(0, 1e-7), SHARES) - exact).max(axis=1)
     assert (error <= 1e-7 * np.abs(exact).max(axis=1)).all()
+
+
+@pytest.mark.parametrize("solver", [TensorSolver, MemberSolver])
+def test_errors_beside_a_pole_are_within_their_estimate(solver: type[MemberSolver]) -> None:
+    # From the apocentre past two pericentres; where the first march is too coarse for an estimate,
+    # a tighter one follows.
+    e, tol = np.linspace(0.5, 0.9, 30)[:, None], 0.1
+    anomaly = np.pi + np.linspace(0, 4.2 * np.pi, 2001)
+    r, b = 1 - e * np.cos(anomaly), np.sqrt(1 - e**2)
+    exact = np.stack(
+        (np.cos(anomaly) - e, b * np.sin(anomaly), -np.sin(anomaly) / r, b * np.cos(anomaly) / r),
+        axis=-1,
+    )
+    span = (0.0, 3.9 * np.pi)
+    batch = _solved(CATALOGUE["kepler"]().H, exact[:, 0], span, tol=tol, solver=solver)
+    assert batch.accepted.mean() > 0.5
+    allowed = tol * np.abs(exact).max(axis=1)
+    assert (batch.largest[batch.accepted] <= allowed[batch.accepted]).all()
+    series = basis_for(0, tol).series
+    for k, windows in enumerate(_members(batch)):
+        if not batch.accepted[k]:
+            continue
+        times = anomaly - e[k] * np.sin(anomaly) - np.pi
+        some = times <= span[1]
+        path = FeatureTrial(*windows, series, np.array(0.0))
+        errors = np.abs(path.states_at(times[some]) - exact[k, some])
+        assert (errors <= allowed[k]).all()
+        assert (errors.max(axis=0) <= 1.02 * batch.largest[k]).all()
 
 
 def test_bad_members_leave_others_alone() -> None:
