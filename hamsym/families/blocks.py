@@ -162,7 +162,7 @@ class BlockSolver:
         error: Any = solution.error
         table.status[place], table.success[place] = MARCHED, solution.success
         table.counts[place], table.evaluations[place] = len(march.readouts), march.evaluations
-        table.excess[place] = error.excess(accuracy.absolute + accuracy.tol * error.scale)
+        table.excess[place] = error.excess(accuracy.allowed(error.scale))
         table.largest[place], table.sizes[place] = error.largest, march.scale
         return Packed(march.edges, march.states, march.readouts, error.series, error.floors)
 

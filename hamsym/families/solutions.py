@@ -288,7 +288,7 @@ class Solutions:
             basis = basis_of_series(family.seed, family.series)
             flow = flow_of(H, True)
             error = estimate_error(march, basis, flow, accuracy.local).error
-            excess = error.excess(accuracy.absolute + accuracy.tol * error.scale)
+            excess = error.excess(accuracy.allowed(error.scale))
         solution = accepted_solution(H, z0, self.span, march, basis, error, accuracy.tol, excess)
         if not excess <= 1:
             reason = f"the error, estimated again, is {excess:.1e} of the tolerance"

@@ -46,6 +46,7 @@ __all__ = [
     "halves",
     "kicks",
     "largest_ratio",
+    "relative_tolerance",
     "resolution_for",
 ]
 
@@ -240,6 +241,14 @@ def estimate_error(
         linear,
         [(ends[w], ends[w + 1]) for w in np.flatnonzero(marks & error_loop.UNRESOLVED)],
     )
+
+
+def relative_tolerance(tol: float) -> float:
+    """Return the tolerance relative to computed sizes, which differ from the true ones by errors.
+
+    An error of this share of the computed size is at most ``tol`` times the true one.
+    """
+    return tol / (1 + tol)
 
 
 def resolution_for(tolerance: float) -> int:

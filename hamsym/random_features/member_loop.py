@@ -66,7 +66,7 @@ class Span(NamedTuple):
     start, end : float
         Times relative to the origin.
     tolerance, local : float
-        Relative tolerance, and the local one of the first march.
+        Tolerance relative to the computed sizes, and the local one of the first march.
     absolute : array (dim,)
         Absolute tolerance.
     longest, shortest : float

@@ -24,6 +24,7 @@ from hamsym.random_features.error_estimate import (
     error_tables,
     halves,
     kicks,
+    relative_tolerance,
     resolution_for,
 )
 from hamsym.random_features.error_loop import Actions
@@ -126,7 +127,7 @@ class MemberSolver:
             Span(
                 start,
                 end,
-                tol,
+                relative_tolerance(tol),
                 local,
                 atol,
                 longest,

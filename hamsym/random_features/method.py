@@ -26,6 +26,7 @@ from hamsym.random_features.error_estimate import (
     MarchError,
     estimate_error,
     largest_ratio,
+    relative_tolerance,
 )
 from hamsym.random_features.error_loop import TIGHTER
 from hamsym.random_features.flow import flow_of
@@ -96,6 +97,10 @@ class Accuracy:
     absolute: np.ndarray
     longest: float
     stops: list[float]
+
+    def allowed(self, sizes: np.ndarray) -> np.ndarray:
+        """Return the allowed error of components of these computed sizes, shape (dim,)."""
+        return self.absolute + relative_tolerance(self.tol) * sizes
 
 
 def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: int) -> Accuracy:
@@ -215,7 +220,7 @@ def solve_by_march(
                 break
             estimate = estimate_error(windows, basis, flow, local)
             error = estimate.error
-            tried = _Attempt(windows, estimate, accuracy.absolute + tol * error.scale)
+            tried = _Attempt(windows, estimate, accuracy.allowed(error.scale))
             if best is None or tried.is_better_than(best):
                 best = tried
             # A tighter march does not reduce an error that is mostly round-off.

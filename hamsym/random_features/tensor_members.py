@@ -28,6 +28,7 @@ from hamsym.random_features.error_estimate import (
     error_tables,
     halves,
     kicks,
+    relative_tolerance,
     resolution_for,
 )
 from hamsym.random_features.error_loop import PERTURBATIONS, TIGHTER
@@ -108,7 +109,7 @@ class TensorSolver(MemberSolver):
         self.H, self.span, self.basis = H, span, basis
         self.origin = origin_of(H.time is None, span)
         self.device = checked_device(device)
-        self._local, self._tol = local, tol
+        self._local, self._tolerance = local, relative_tolerance(tol)
         self._absolute = self._tensor(atol)[:, None]
         self._start, self._end = (time - self.origin for time in span)
         equations = H.kernels.equations
@@ -253,7 +254,7 @@ class TensorSolver(MemberSolver):
                 own,
                 keep_error,
             )
-            allowed = (self._absolute + self._tol * marched.sizes).clamp(min=TINY)
+            allowed = (self._absolute + self._tolerance * marched.sizes).clamp(min=TINY)
             ratios = torch.where(errors.largest == 0.0, 0.0, errors.largest / allowed).amax(0)
             ratios = torch.where(errors.bent, ratios.clamp(min=TIGHTER), ratios)
             known = errors.known
