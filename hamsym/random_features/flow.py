@@ -14,8 +14,9 @@ from hamsym.codegen.functions import compile_expressions
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import generators
 from hamsym.random_features.compiled_loop import PLAIN, Loops, compiled_loops, compiled_rows
+from hamsym.symbolic.equations import Equations
 
-__all__ = ["Flow", "RowFunctions", "flow_of", "has_rounded_numbers"]
+__all__ = ["Flow", "RowFunctions", "flow_of", "has_rounded_numbers", "upper_entries"]
 
 NarrowArguments: TypeAlias = tuple[np.ndarray, np.ndarray]
 Rows: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
@@ -99,11 +100,10 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
     def energy(z: np.ndarray, t: np.ndarray) -> np.ndarray:
         return np.asarray(system.energy(*system.arguments(z, t)))
 
-    entries = [index for index in H.real_equations.hessian if index[0] <= index[1]]
     plain = Flow(
         RowFunctions(*(system.function(f"{name}_rows") for name in RowFunctions._fields)),
         np.array([H.parameters[name] for name in H.parameter_names], dtype=float),
-        np.array(entries, dtype=np.int64).reshape(-1, 2),
+        upper_entries(H.real_equations),
         H.is_separable,
         vector_field,
         jacobian,
@@ -113,6 +113,12 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
         compile=(lambda: _compiled(H, plain)) if compiled == "auto" else None,
     )
     return _compiled(H, plain) if compiled is True else plain
+
+
+def upper_entries(equations: Equations) -> np.ndarray:
+    """Return row and column of the nonzero second derivatives in the upper triangle, (n, 2)."""
+    entries = [index for index in equations.hessian if index[0] <= index[1]]
+    return np.array(entries, dtype=np.int64).reshape(-1, 2)
 
 
 def _compiled(H: Hamiltonian, plain: Flow) -> Flow:

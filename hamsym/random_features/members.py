@@ -28,7 +28,7 @@ from hamsym.random_features.error_estimate import (
     resolution_for,
 )
 from hamsym.random_features.error_loop import Actions
-from hamsym.random_features.flow import flow_of, has_rounded_numbers
+from hamsym.random_features.flow import flow_of, has_rounded_numbers, upper_entries
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
 from hamsym.random_features.member_loop import Members, Span
 from hamsym.random_features.window_checks import WindowChecks
@@ -278,8 +278,7 @@ def _selected(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
 @functools.lru_cache(maxsize=64)
 def _terms(H: Hamiltonian) -> tuple[Actions, Actions]:
     """Return the terms of J Hess v in the units of H."""
-    entries = [index for index in H.kernels.equations.hessian if index[0] <= index[1]]
-    return halves(np.array(entries, dtype=np.int64).reshape(-1, 2), np.ones(H.dim))
+    return halves(upper_entries(H.kernels.equations), np.ones(H.dim))
 
 
 def march_of(

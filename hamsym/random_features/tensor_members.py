@@ -32,7 +32,7 @@ from hamsym.random_features.error_estimate import (
     resolution_for,
 )
 from hamsym.random_features.error_loop import PERTURBATIONS, TIGHTER
-from hamsym.random_features.flow import has_rounded_numbers
+from hamsym.random_features.flow import has_rounded_numbers, upper_entries
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
 from hamsym.random_features.member_loop import ATTEMPTS, MARGIN, MOST, SMALLEST, STEP
 from hamsym.random_features.members import MAX_WINDOWS, Batch, MemberSolver
@@ -146,9 +146,7 @@ class TensorSolver(MemberSolver):
         self._error_tables = ErrorTables(
             *(self._tensor(getattr(tables, name)) for name in ErrorTables._fields)
         )
-        entries = np.array(
-            [index for index in equations.hessian if index[0] <= index[1]], dtype=np.int64
-        ).reshape(-1, 2)
+        entries = upper_entries(equations)
         forces, velocities = halves(entries, np.ones(H.dim))
         self._error_settings = ErrorSettings(
             forces=Half.of(forces, H.dof, -1.0),
