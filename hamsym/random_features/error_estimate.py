@@ -59,7 +59,6 @@ _LOOSE_TOLERANCE = 1e-8  # local
 _RANDOM, _SETS = 8, 4  # further places of the residual, and how many choices of them
 _PERIOD = 509  # windows after which the signs of the perturbations repeat
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged
-_ACCURACY, _FEWEST = 1e-3, 10  # of the vectors after all windows, and the least number of these
 
 
 @dataclass(frozen=True)
@@ -317,7 +316,7 @@ def error_settings(
         scale=np.where(scale > 0, scale, 1.0),
         sizes=sizes,
         tolerance=tolerance,
-        accuracy=_ACCURACY / max(len(lengths), _FEWEST),
+        accuracy=error_loop.ACCURACY / max(len(lengths), error_loop.FEWEST),
         usual_length=float((lengths**2).sum() / lengths.sum()),
         rounded=float(flow.rounded),
         signs=disturbances(tables.places.shape, dim),

@@ -66,6 +66,7 @@ LARGEST = 1.0  # error, in units of the motion, beyond which there is no estimat
 TESTED = 1e-6  # error, in units of the motion, from which the linear equation is tested
 CURVED = 1e-3  # of the error in a window: change by what the linear equation lacks, at most
 PASSING = 10.0  # typical errors: larger ones may pass, so their vectors are solved more accurately
+ACCURACY, FEWEST = 1e-3, 10.0  # of the vectors after all windows, and the least number of these
 TIGHTER = 3.0  # excess over the tolerance that errors beyond the linear equation count as, at least
 SLACK = 10.0  # times the residual that the march allows at its own places
 MISSED = 1.1  # times a peak between two of the values that show it

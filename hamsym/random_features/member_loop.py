@@ -14,8 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hamsym.random_features.error_loop import (
+    ACCURACY,
     BENT,
     DONE,
+    FEWEST,
     PERTURBATIONS,
     SLACK,
     TIGHTER,
@@ -50,9 +52,10 @@ ACCEPTED, NARROW, LEFT = range(3)
 SUSPECT = 8
 
 ATTEMPTS = 3  # marches of a member, each to a tighter local tolerance
-MARGIN, STEP, MOST, SMALLEST = 0.3, 1e-4, 0.3, 1e-13  # of the local tolerance, from one to the next
-ACCURACY, FEWEST = 1e-3, 10.0  # of the vectors of the error, and the least number of windows
-BRIEF = 0.1  # of a window, within which an argument acts briefly
+# Of the local tolerance from one march to the next: share of the allowed error at which it aims,
+# and limits of the step; below the smallest one residuals are round-off.
+MARGIN, STEP, MOST, SMALLEST = 0.3, 1e-4, 0.3, 1e-13
+BRIEF = 0.1  # of a window, within which an argument acts briefly: the march resolves wider features
 UNSETTLED = 1e-2  # last coefficients of an argument's series, relative to the largest
 FUNCTION = 0  # kind of the arguments that act on the scale of a change by 1
 SPLITTER = 134217729.0  # 2**27 + 1

@@ -31,6 +31,7 @@ from hamsym.random_features.error_estimate import (
 from hamsym.random_features.error_loop import TIGHTER
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import MAX_WINDOWS, march
+from hamsym.random_features.member_loop import MARGIN, MOST, SMALLEST, STEP
 from hamsym.random_features.members import MemberSolver
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
@@ -52,8 +53,6 @@ __all__ = [
 _SMALLEST_TOL = 1e-12  # below it float64 cannot represent the solution
 _SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
 _LOCAL = 0.1  # local tolerance of the first march, relative to the tolerance
-_SMALLEST_LOCAL = 1e-13  # below it residuals are round-off
-_STEP = 1e-4  # of the local tolerance from one march to the next, at most
 _ATTEMPTS = 6
 _JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
 _FEWEST_WINDOWS = 8  # so that a short event in a long rest is sampled
@@ -124,7 +123,7 @@ def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: in
     return Accuracy(
         tol,
         # The cost grows as a root of the accuracy: a margin is cheaper than a second march.
-        max(_LOCAL * tol, _SMALLEST_LOCAL),
+        max(_LOCAL * tol, SMALLEST),
         _checked_atol(options.atol, dim),
         _checked_window(options.max_window, span),
         _checked_breakpoints(options.breakpoints, span),
@@ -229,9 +228,9 @@ def solve_by_march(
                 not estimate.limit
                 and (error.largest <= np.maximum(2 * floors, tried.allowed)).all()
             )
-            if tried.excess <= 1 or at_round_off or local <= _SMALLEST_LOCAL:
+            if tried.excess <= 1 or at_round_off or local <= SMALLEST:
                 break
-            local = max(local * min(max(0.3 / tried.too_large, _STEP), 0.3), _SMALLEST_LOCAL)
+            local = max(local * min(max(MARGIN / tried.too_large, STEP), MOST), SMALLEST)
     if best is None:
         raise InputError(f"no solution beyond t = {windows.reached:.6g}: {windows.reason}")
     windows = best.windows

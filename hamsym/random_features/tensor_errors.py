@@ -15,8 +15,10 @@ import torch
 from torch import Tensor
 
 from hamsym.random_features.error_loop import (
+    ACCURACY,
     COHERENT,
     CURVED,
+    FEWEST,
     ITERATIONS,
     LARGEST,
     MISSED,
@@ -28,9 +30,7 @@ from hamsym.random_features.error_loop import (
     Actions,
 )
 from hamsym.random_features.member_loop import (
-    ACCURACY,
     BRIEF,
-    FEWEST,
     FUNCTION,
     SPLITTER,
     UNSETTLED,

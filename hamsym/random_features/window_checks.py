@@ -26,21 +26,20 @@ import numpy as np
 
 from hamsym.numerics.collocation import collocation
 from hamsym.random_features.basis import FeatureBasis
+from hamsym.random_features.error_loop import SLACK
 from hamsym.random_features.flow import Flow
+from hamsym.random_features.member_loop import BRIEF, UNSETTLED
 from hamsym.random_features.window_loop import EPS, NOISE, ROUND_OFF, TINY, Windows
 from hamsym.symbolic.derivatives import Narrow
 
 __all__ = ["Failure", "WindowChecks"]
 
 _NODES, _DENSE = 32, 400  # places where arguments are sampled, of which the first make a series
-_RESOLVED = 1e-2  # last coefficients of that series, relative to the largest
-_NARROW = 0.1  # of a window: the march resolves wider features
 _ENDS = np.array([0.0, 1e-9, 1e-8, 1e-7, 1e-6])  # before the first node, less for the last
 _AT_ONCE = 1e-7  # of a window
 _AROUND = np.array([-1.5, -0.7, 0.0, 0.7, 1.5])  # places of the residual, in widths
 _LASTING = 200.0  # widths: what is missed adds a tenth of the local tolerance at most
 _RANDOM = 2  # places in each window
-_SLACK = 10.0  # times the residual that the march allows at its own places
 _BISECTIONS = 40
 _SECTIONS, _HALVINGS = 70, 40  # of the interval of a zero or a turning point
 _TOUCHING = 1e-10  # extremum of an argument, relative to its neighbours, that counts as zero
@@ -114,11 +113,11 @@ class WindowChecks:
         largest = np.zeros((count, z.shape[1]))
         np.maximum.at(largest, window, np.abs(dz))
         allowed = self.tolerance * sizes + ROUND_OFF * length * largest[window]
-        excess = _excess(defect, _SLACK * allowed)
+        excess = _excess(defect, SLACK * allowed)
         suspect = np.flatnonzero(excess > 1)
         if len(suspect):
             more = NOISE * length[suspect] * self._round_off(windows, window[suspect])
-            excess[suspect] = _excess(defect[suspect], _SLACK * (allowed[suspect] + more))
+            excess[suspect] = _excess(defect[suspect], SLACK * (allowed[suspect] + more))
         worst = np.zeros(count)
         np.maximum.at(worst, window, excess)
         places: dict[int, list[float]] = {}
@@ -149,7 +148,7 @@ class WindowChecks:
         series = np.abs(to_series @ g[:, inner].transpose(2, 1, 0))  # (argument, degree, window)
         tails = series[:, -4:].max(axis=1)
         # An argument that oscillates within the window is sampled more densely.
-        fast = np.flatnonzero(~(tails <= _RESOLVED * series.max(axis=1)).all(axis=0))
+        fast = np.flatnonzero(~(tails <= UNSETTLED * series.max(axis=1)).all(axis=0))
         found = [
             self._candidates(np.delete(np.arange(count), fast), s, np.delete(g, fast, 0), kinds)
         ]
@@ -167,7 +166,7 @@ class WindowChecks:
         switched = (kinds[which] != Narrow.FUNCTION) & ((turns == 0) | touches)
         lasting = np.where(switched, 1.0, np.minimum(_LASTING * width, 1.0))
         width = np.where(switched, _AT_ONCE, width)
-        narrow = width < _NARROW
+        narrow = width < BRIEF
         place, width, window = place[narrow], width[narrow], window[narrow]
         # Inside the window: at a breakpoint the equations of the next window may hold.
         around = np.clip(place[:, None] + width[:, None] * _AROUND, 1e-9, 1 - 1e-9)
@@ -199,10 +198,10 @@ class WindowChecks:
         # Within a tenth of a window the argument must change by 1, or a base by its size, between
         # two samples or between their neighbours.
         steps = np.diff(s)[:, None]
-        steep = np.abs(changes) * _NARROW > steps
+        steep = np.abs(changes) * BRIEF > steps
         acts = steep | (kinds != Narrow.FUNCTION)
         crosses = (g[:, :-1] * g[:, 1:] <= 0) & acts
-        ratio = np.minimum(_NARROW / (steps[:-1] + steps[1:]), 1.0) ** 2
+        ratio = np.minimum(BRIEF / (steps[:-1] + steps[1:]), 1.0) ** 2
         drop = np.maximum(np.abs(changes[:, :-1]), np.abs(changes[:, 1:])) * 2 * ratio
         unit = np.where(kinds == Narrow.FUNCTION, 1.0, np.abs(g[:, 1:-1]))
         turns = (changes[:, :-1] * changes[:, 1:] <= 0) & (drop > unit)
@@ -272,7 +271,7 @@ class WindowChecks:
         size = np.maximum(np.abs(z[:-1]), np.abs(z[1:]))
         rounding = ROUND_OFF * (np.abs(energies[:-1]) + (slopes * size).sum(axis=1))
         allowed = self.tolerance * (slopes * sizes).sum(axis=1) + rounding
-        return _excess(np.abs(np.diff(energies))[:, None], _SLACK * allowed[:, None])
+        return _excess(np.abs(np.diff(energies))[:, None], SLACK * allowed[:, None])
 
     def _energy_jump(self, windows: Windows, index: int) -> float:
         """Locate the time in a window at which H changes fastest."""
