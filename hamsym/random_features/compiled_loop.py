@@ -136,7 +136,7 @@ def compiled_loops() -> Loops:
     compiled_members = _compiled(
         whole(
             *(rows, rows, rows, rows, rows, tables, error_tables, actions, actions),
-            *(matrix, cube, cube, span, matrix, matrix, whole, results),
+            *(matrix, cube, cube, span, matrix, matrix, results),
         ),
         members.solve_members,
     )

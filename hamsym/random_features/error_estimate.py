@@ -187,7 +187,7 @@ def estimate_error(
     tables = error_tables(basis, resolution_for(tolerance) if resolution is None else resolution)
     count, _, dim = windows.readouts.shape
     scale = _scales(windows, flow)
-    settings = error_settings(flow, tables, windows.edges, scale, scale, tolerance)
+    settings = error_settings(flow, tables, windows.edges, scale, tolerance)
     actions = halves(flow.entries, settings.scale)
     series = np.full((count, tables.lift.shape[1], dim), np.inf)
     floors, largest = np.full((count, dim), np.inf), np.zeros(dim)
@@ -306,14 +306,13 @@ def error_settings(
     flow: Flow,
     tables: ErrorTables,
     edges: np.ndarray,
-    scale: np.ndarray,
     sizes: np.ndarray,
     tolerance: float,
 ) -> ErrorSettings:
     """Make the settings of the estimate of a march with these edges."""
-    lengths, dim = np.abs(np.diff(edges)), len(scale)
+    lengths, dim = np.abs(np.diff(edges)), len(sizes)
     return ErrorSettings(
-        scale=np.where(scale > 0, scale, 1.0),
+        scale=np.where(sizes > 0, sizes, 1.0),
         sizes=sizes,
         tolerance=tolerance,
         accuracy=error_loop.ACCURACY / max(len(lengths), error_loop.FEWEST),

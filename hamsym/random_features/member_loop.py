@@ -267,10 +267,9 @@ def solve_members(
     span: Span,
     starts: Array,
     parameters: Array,
-    first: int,
     members: Members,
 ) -> int:
-    """Solve members from ``first`` on, until the room for windows is full; return the next one.
+    """Solve members until the room for windows is full; return how many were solved.
 
     Parameters
     ----------
@@ -295,9 +294,7 @@ def solve_members(
     joint, largest = np.empty(dim * (PERTURBATIONS + 2)), np.empty(dim)
     history = np.empty(2)
     done = 0
-    for member in range(first):
-        done += members.counts[member]
-    for member in range(first, len(starts)):
+    for member in range(len(starts)):
         z, values = starts[member], parameters[member]
         edges, states = members.edges[done + member :], members.states[done + member :]
         windows = Windows(edges, states, members.readouts[done:])

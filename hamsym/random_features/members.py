@@ -155,7 +155,7 @@ class MemberSolver:
             rest = states[first:], parameters[first:]
             members = self._allocated(len(rest[0]), room, keep_error)
             assert self._loop is not None
-            done = self._loop(*self._constants, *rest, 0, members)
+            done = self._loop(*self._constants, *rest, members)
             if done == 0:  # one member does not fit
                 if room > MAX_WINDOWS:
                     members.counts[0], members.verdicts[0] = 0, member_loop.LEFT
