@@ -126,7 +126,9 @@ class NarrowFeatures:
         if switches.shape[-1] < 2:
             return np.zeros((1, 1))
         changed = (np.sign(switches[:, 1:]) != np.sign(switches[:, :-1])).sum(axis=-1)
-        return np.where(changed > 1, np.inf, 0.0)
+        unknown = np.isnan(switches).any(axis=-1)
+        good = (changed <= 1) & ~unknown[:, 1:] & ~unknown[:, :-1]
+        return np.where(good, 0.0, np.inf)
 
     def _jump(
         self,
@@ -188,6 +190,6 @@ def _base_excess(g: np.ndarray) -> np.ndarray:
     curvature = before - 2 * middle + after
     lowest = middle - (after - before) ** 2 / (8 * curvature)
     found = np.where(lowest > 0, curvature / lowest, np.inf)
-    found = np.where((middle <= before) & (middle <= after) & (curvature > 0), found, 0.0)
+    found = np.where((middle > before) | (middle > after) | (curvature <= 0), 0.0, found)
     excess[:, 1:] = np.maximum(excess[:, 1:], found)
     return excess

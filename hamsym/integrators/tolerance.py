@@ -427,6 +427,7 @@ class _Search:
         again = rows[bad]
         self._lost[again] += ~result.finite[bad]
         narrow, changes = result.narrow[bad], result.changes[bad]
+        narrow = np.where(np.isnan(narrow), np.inf, narrow)
         # Until its features are resolved, the differences of the runs mean nothing.
         excess = np.where(narrow > 1, narrow, np.maximum(worst[bad] / tol, changes))
         better = excess < self._best[again] / 2

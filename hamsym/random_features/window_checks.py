@@ -316,7 +316,8 @@ def _table(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def _excess(values: np.ndarray, allowed: np.ndarray) -> np.ndarray:
-    """Return the largest ratio in each row, infinite where it is NaN."""
+    """Return the largest ratio in each row, infinite where it is NaN or a limit is infinite."""
     with np.errstate(all="ignore"):
-        largest = (values / np.maximum(allowed, TINY)).max(axis=1)
+        ratios = np.where(allowed < np.inf, values / np.maximum(allowed, TINY), np.inf)
+        largest = ratios.max(axis=1)
     return np.where(np.isnan(largest), np.inf, largest)

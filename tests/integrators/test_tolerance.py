@@ -16,6 +16,7 @@ from hamsym import Hamiltonian, InputError
 from hamsym.errors import StepSizeWarning
 from hamsym.integrators import tolerance
 from hamsym.integrators.integrate import reference
+from hamsym.integrators.narrow_features import NarrowFeatures, _base_excess, narrow_features
 from hamsym.integrators.richardson import extrapolate
 from hamsym.systems import kepler as kepler_problem
 
@@ -270,6 +271,34 @@ def test_weak_pole_is_refused() -> None:
     found = hamsym.integrate(H, [1.0, 0.0], (0, 5), tol=1e-6)
     assert found.success is False
     assert "pole" in found.message
+
+
+def test_argument_that_is_not_a_number_is_not_resolved() -> None:
+    # The second value may be a minimum of the first argument.
+    with np.errstate(all="ignore"):
+        excess = _base_excess(np.array([[np.nan, 1.0, 2.0, 3.0], [1.0, 2.0, 3.0, 4.0]]))
+    np.testing.assert_array_equal(excess, [[np.inf, np.inf, 0.0], [0.0, 0.0, 0.0]])
+    features = narrow_features(Hamiltonian("(px**2 + py**2)/2 + abs(x) + abs(y)"))
+    assert features is not None
+    switches = np.array([[[1.0, 1.0], [1.0, np.nan], [1.0, 1.0], [-1.0, 1.0]]])
+    np.testing.assert_array_equal(features._switched_twice(switches), [[np.inf, np.inf, 0.0]])
+
+
+def test_search_that_finds_no_number_ends_the_refinement(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def unknown(
+        self: NarrowFeatures, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        calls.append(len(t))
+        return np.full(len(z), np.nan), np.zeros(len(z), dtype=int)
+
+    monkeypatch.setattr(NarrowFeatures, "unresolved", unknown)
+    found = hamsym.integrate(FORCED, [1.0, 0.0], (0, 10), tol=1e-3)
+    assert found.success is False
+    assert "feature narrower than a step" in found.message
+    # As for a pole, which no number of steps resolves.
+    assert calls[-1] > 100 * calls[0] or len(calls) == 1
 
 
 @pytest.mark.parametrize("width", [0.1, 1e-2, 1e-3])

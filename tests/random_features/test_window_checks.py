@@ -219,3 +219,20 @@ def test_small_pulses_do_not_add_up(steepness: float, push: float, places: list[
     impulse = push * math.sqrt(math.pi) / steepness
     exact = [6 - impulse * sum(20 - place for place in places), 0.3 - 6 * impulse]
     assert (np.abs(solution(20.0) - exact) <= tol * np.array([6.0, 0.3])).all()
+
+
+def test_infinite_limit_allows_nothing() -> None:
+    values, allowed = np.array([[1.0, 0.0], [1.0, 1.0]]), np.array([[np.inf, 1.0], [2.0, 4.0]])
+    np.testing.assert_array_equal(_excess(values, allowed), [np.inf, 0.5])
+
+
+def test_infinite_round_off_hides_no_residual(monkeypatch: pytest.MonkeyPatch) -> None:
+    flow, basis = flow_of(Hamiltonian("p**2/2 + x**2/2")), feature_basis(0)
+    windows = march(flow, np.array([1.0, 0.0]), (0.0, 3.0), 1e-9, basis, longest=1.0)
+    checks = WindowChecks(flow, basis, 1e-9)
+    # Readouts that do not fit the equations.
+    wrong = Windows(windows.edges, windows.states, 1.01 * windows.readouts)
+    monkeypatch.setattr(
+        WindowChecks, "_round_off", lambda *given: np.full((len(given[2]), 2), np.inf)
+    )
+    assert checks._residuals(wrong, windows.scale)[0].max() == np.inf
