@@ -16,10 +16,10 @@ from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.domain import Domain, box_domain, image_domain, split_domain
-from hamsym.flow_maps.expansion import Chain, Leg, Split
+from hamsym.flow_maps.expansion import Chain, Split
 from hamsym.flow_maps.legs import FailedError, LegBuilder
 
-__all__ = ["Builder", "Built"]
+__all__ = ["Builder", "Built", "image_of"]
 
 _CORNERS, _IMAGE = 1_000, 20_000  # samples of an image: corners, and others
 _DEEPEST = 24  # splits of a domain, one after the other
@@ -134,7 +134,9 @@ class Builder:
             horizon = edges[-1] + 2 * (edges[-1] - starts[-1])
             if not abs(horizon - begin) < abs(end - begin):
                 horizon = end
-            domain = self._image(maps[-1], trial.domain, edges[-1])
+            domain = image_of(
+                maps[-1], trial.domain, edges[-1], self._box, self._scale, self._random
+            )
             starts.append(edges[-1])
         kept = np.arange(dim, len(domain))
         whole = maps[0] if len(maps) == 1 else Chain(maps, np.array(starts[1:]), kept)
@@ -158,19 +160,39 @@ class Builder:
             split, reached, failures[0] if failures else "", edges[sign * edges <= sign * reached]
         )
 
-    def _image(self, leg: Leg, domain: Domain, time: float) -> Domain:
-        """Return a domain around the states at the end of a leg."""
-        d, dim = len(domain), self._box.H.dim
-        y = self._random.uniform(-1, 1, (_IMAGE, d))
-        y = np.where(self._random.random(y.shape) < _AT_END, np.sign(y), y)
-        corners = self._random.choice((-1.0, 1.0), (_CORNERS, d))
-        inputs = domain.at(np.concatenate((corners, y)))
-        states = leg.evaluate(np.full(len(inputs), time), inputs)
-        of_H = set(self._box.H.parameter_names)
-        names = tuple(name if name in of_H else "" for name in self._box.parameters)
-        return image_domain(np.column_stack((states, inputs[:, dim:])), names, self._scale)
-
     def _solutions(self, domain: Domain, y: np.ndarray, span: tuple[float, float]) -> Solutions:
         """Return the solutions from scaled inputs of a domain."""
         inputs = domain.at(y)
         return self._solve(domain.states(inputs), domain.values(inputs), span)
+
+
+def image_of(
+    map: Any,
+    domain: Domain,
+    time: float,
+    box: Box,
+    scale: np.ndarray,
+    random: np.random.Generator,
+) -> Domain:
+    """Return a domain around the states of a map over a domain at a time.
+
+    Parameters
+    ----------
+    map : Leg or NetworkMap
+    domain : Domain
+        All components of the state are inputs of it.
+    time : float
+    box : Box
+    scale : numpy.ndarray
+        Sizes of the components, shape (dim,).
+    random : numpy.random.Generator
+    """
+    d, dim = len(domain), box.H.dim
+    y = random.uniform(-1, 1, (_IMAGE, d))
+    y = np.where(random.random(y.shape) < _AT_END, np.sign(y), y)
+    corners = random.choice((-1.0, 1.0), (_CORNERS, d))
+    inputs = domain.at(np.concatenate((corners, y)))
+    states = map.evaluate(np.full(len(inputs), time), inputs)
+    of_H = set(box.H.parameter_names)
+    names = tuple(name if name in of_H else "" for name in box.parameters)
+    return image_domain(np.column_stack((states, inputs[:, dim:])), names, scale)

@@ -149,7 +149,7 @@ def _form(map: Any, numbers: list[np.ndarray]) -> dict[str, Any]:
         arrays = [["normal", _placed(map.normal, numbers)]]
         parts = [_form(part, numbers) for part in (map.low, map.high)]
         return {"form": "split", "threshold": map.threshold, "arrays": arrays, "parts": parts}
-    raise FileError(f"a map of the form {type(map).__name__} cannot be exported")
+    raise FileError("a map by a network has no exported form; write it with save")
 
 
 def _placed(array: np.ndarray, numbers: list[np.ndarray]) -> list[Any]:

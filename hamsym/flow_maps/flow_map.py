@@ -19,17 +19,20 @@ from hamsym.errors import InputError
 from hamsym.families.many import solve_many
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.box import Box, checked_box
-from hamsym.flow_maps.building import Builder
+from hamsym.flow_maps.building import Builder, Built
 from hamsym.flow_maps.export import export_flow_map
 from hamsym.flow_maps.judging import Judgement, judged
+from hamsym.flow_maps.options import FeatureMapOptions, NetworkMapOptions, checked_options
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import checked_span
 from hamsym.solution.times import is_tensor
 from hamsym.support.cores import available_cores
 from hamsym.support.validation import require, require_whole
 
-if TYPE_CHECKING:  # slow to import
+if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from hamsym.flow_maps.workers import Workers
 
 __all__ = ["FlowMap", "flow_map"]
 
@@ -58,14 +61,14 @@ class FlowMap:
         Times for which the map holds; it ends early where solutions fail.
     method : str
         "features" or "network".
-    map : Leg, Chain, Split or network
+    map : Leg, Chain, Split or NetworkMap
         The closed form, in the inputs ``inputs``.
     tol : float
         The tolerance that was asked for.
     success : bool
         Whether the estimated error over the whole box and span is within the tolerance.
     message : str
-        Outcome, with the worst place found.
+        Outcome, with the worst place found and how a training ended.
     error_estimate : numpy.ndarray
         Estimated largest error of each component over the box and the span, shape (dim,); see
         :mod:`hamsym.flow_maps.judging`.
@@ -74,7 +77,7 @@ class FlowMap:
     judgement : Judgement
         How the error was estimated: places, worst place, confidence, symplecticity.
     solutions : int
-        Number of solutions from which the map was made.
+        Number of solutions from which the map was made; a network is made without any.
     seconds : float
         Wall time of the construction, without the judgement.
     """
@@ -338,15 +341,18 @@ def flow_map(
     atol: float | Sequence[float] = 0.0,
     method: str = "features",
     points: int = 2_000,
-    max_solutions: int = 100_000,
     seed: int = 0,
     progress: bool | None = None,
+    **options: Any,
 ) -> FlowMap:
     """Find one closed form of all trajectories that start in a box.
 
     Solutions at the points of a sparse grid in the box, as many as the tolerance needs in each
     direction, are expanded in Chebyshev polynomials of the initial state and the parameters:
     z^ = z0 + (t - t0) N(t, z0, parameters), with columns in time and readouts that are polynomials.
+    With the method "network", a network of sines N(t, z0, parameters) in
+    z^ = z0 + f(t) N is trained instead, on the residual of Hamilton's equations at random points of
+    the box, without any solution.
     The error is estimated over the whole box by comparison with other solutions, by a search for
     the worst place and by the linear equation of the error.
 
@@ -363,17 +369,58 @@ def flow_map(
         Tolerance over the whole box, relative to the largest value of each component there.
     atol : float or sequence
         Absolute tolerance, added to it.
-    method : str
-        "features".
+    method : {"features", "network"}
     points : int
         Random points at which the error is estimated.
-    max_solutions : int
-        Largest number of solutions of which the map may be made.
     seed : int
-        Of the random points and of the basis.
+        Of the random points, and of the basis or the weights.
     progress : bool, optional
         Write lines about the progress, with the number of solutions that is expected, on standard
         error; by default if that is a terminal.
+    **options
+        For ``"features"``:
+
+        max_solutions : int, default 100_000
+            Largest number of solutions of which the map may be made.
+
+        For ``"network"``:
+
+        hidden : sequence of int, default (40, 40)
+            Neurons of each hidden layer.
+        envelope : {"exponential", "linear"}
+            f = 1 - exp(-(t - t0) / tau) or f = (t - t0) / tau.
+        tau : float
+            Unit of time of the envelope; by default the length of a window.
+        frequency : float, default 2
+            Weights of the first layer start uniform within +- this; its inputs are within +- 1.
+        windows : int, default 1
+            Networks, one after the other in time; each starts from the states in which the one
+            before it ends. More than one need intervals for all components of z0.
+        optimizer : {"levenberg-marquardt", "adam"}
+        collocation_points : int
+            Fresh random points of each iteration, in each process; by default so many that there
+            are two residuals for each weight.
+        stages : int, default 4
+            Sequential training: number of spans in each window, each longer by an equal part, with
+            the weights carried over.
+        iterations : int, default 1_000
+            Largest number of iterations for each window.
+        patience : int, optional
+            End a window after this number of iterations without a lower residual at held-out
+            points.
+        learning_rate : float, default 3e-3
+            Of Adam, at the start; it falls to zero along half a cosine.
+        time_limit : float, optional
+            Seconds after which the training ends, shared among the windows.
+        checkpoint : path, optional
+            A file that is written every ``checkpoint_every`` (20) iterations and at the end. If it
+            exists, the training is resumed from it.
+        device : {"cpu", "cuda"}
+
+        A training converges when its error by the linear equation, at held-out starts, is within
+        the tolerance. It ends early, with what there is, at the time limit and at Ctrl-C. Under
+        ``torchrun`` it is data-parallel: each process has its own points, and all return the same
+        map; the first one writes the checkpoint and lines about the progress.
 
     Returns
     -------
@@ -382,8 +429,10 @@ def flow_map(
     Raises
     ------
     InputError
-        If an argument is invalid, a solution fails at the start of the span, or more solutions are
-        needed than ``max_solutions``.
+        If an argument or option is invalid, a solution fails at the start of the span, or more
+        solutions are needed than ``max_solutions``.
+    FileError
+        If a checkpoint cannot be read or written, or belongs to another training.
 
     Examples
     --------
@@ -403,20 +452,26 @@ def flow_map(
         tol,
         f"a number from {_SMALLEST_TOL:g} to below 1",
     )
-    for name, value, least in (("points", points, 100), ("max_solutions", max_solutions, 1)):
-        require_whole(name, value, least)
+    require_whole("points", points, 100)
     require_whole("seed", seed, 0)
-    require(method == "features", "method", method, '"features"')
+    chosen = checked_options(method, options)
     absolute = np.broadcast_to(np.asarray(atol, dtype=float), box.H.dim)
     show = sys.stderr.isatty() if progress is None else progress
+    workers = None
+    if isinstance(chosen, NetworkMapOptions):
+        from hamsym.flow_maps.workers import Workers  # imports torch, which is slow
+
+        workers = Workers(chosen.device)
 
     def note(text: str) -> None:
-        if show:
+        if show and not (workers and workers.rank):
             print(f"flow map: {text}", file=sys.stderr, flush=True)
 
-    return _Construction(
-        box, times, float(tol), absolute, points, max_solutions, seed, note
-    ).found()
+    construction = _Construction(box, times, float(tol), absolute, points, seed, note)
+    if workers is not None and isinstance(chosen, NetworkMapOptions):
+        return construction.trained(chosen, workers)
+    assert isinstance(chosen, FeatureMapOptions)
+    return construction.expanded(chosen.max_solutions)
 
 
 class _Construction:
@@ -429,22 +484,43 @@ class _Construction:
         tol: float,
         absolute: np.ndarray,
         points: int,
-        most: int,
         seed: int,
         note: Callable[[str], None],
     ) -> None:
         self._box, self._span, self._tol, self._absolute = box, span, tol, absolute
-        self._points, self._most, self._seed, self._note = points, most, seed, note
-        self._solved = 0
+        self._points, self._seed, self._note = points, seed, note
+        self._solved, self._most = 0, 0
+        self._began = time.perf_counter()
+        self._random = np.random.default_rng(seed)
 
-    def found(self) -> FlowMap:
-        began = time.perf_counter()
-        random = np.random.default_rng(self._seed)
-        y = random.uniform(-1, 1, (_PROBES, len(self._box)))
+    def _sizes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return size and allowed error of each component."""
+        y = self._random.uniform(-1, 1, (_PROBES, len(self._box)))
         inputs = self._box.at(y)
         probes = self._solve(self._box.states(inputs), self._box.values(inputs), self._span)
         scale = probes.table.sizes.max(axis=0)
-        allowed = self._absolute + self._tol * scale
+        return scale, self._absolute + self._tol * scale
+
+    def trained(self, options: NetworkMapOptions, workers: Workers) -> FlowMap:
+        """Return a map by a network; the first process judges it."""
+        from hamsym.flow_maps.network_building import NetworkBuilder  # imports torch
+
+        scale, allowed = self._sizes()
+        built, training = NetworkBuilder(
+            *(self._box, self._span, allowed, scale, options, self._seed, workers, self._note)
+        ).build()
+        seconds = time.perf_counter() - self._began
+        self._note(f"{training} in {seconds:.3g} s; estimating the error")
+        judgement = workers.of_first(lambda: self._judged(built, allowed, scale))
+        return self._result(
+            "network", built, judgement, allowed, training, workers.of_first(lambda: seconds)
+        )
+
+    def expanded(self, most: int) -> FlowMap:
+        """Return a map by expansion of at most so many solutions."""
+        self._most = most
+        random, began = self._random, self._began
+        scale, allowed = self._sizes()
         share = _SHARE
         for attempt in range(_ATTEMPTS):
             self._solved = 0
@@ -453,27 +529,44 @@ class _Construction:
             )
             built = builder.build()
             seconds = time.perf_counter() - began
-            span = (self._span[0], built.reached)
             self._note(f"{self._solved:,} solutions in {seconds:.3g} s; estimating the error")
-            judgement = judged(
-                *(built.map, self._box, span, built.edges, self._solve, allowed, scale, random),
-                self._points,
-            )
+            judgement = self._judged(built, allowed, scale)
             excess = float((judgement.error / allowed).max())
             if excess <= 1 or not math.isfinite(excess) or attempt == _ATTEMPTS - 1:
                 break
             share *= _AIM / excess
             self._note(f"the error is {excess:.2g} of the tolerance; again with a smaller share")
+        return self._result("features", built, judgement, allowed, "", seconds)
+
+    def _judged(self, built: Built, allowed: np.ndarray, scale: np.ndarray) -> Judgement:
+        span = (self._span[0], built.reached)
+        return judged(
+            *(built.map, self._box, span, built.edges, self._solve, allowed, scale, self._random),
+            self._points,
+        )
+
+    def _result(
+        self,
+        method: str,
+        built: Built,
+        judgement: Judgement,
+        allowed: np.ndarray,
+        training: str,
+        seconds: float,
+    ) -> FlowMap:
+        span = (self._span[0], built.reached)
+        excess = float((judgement.error / allowed).max())
         failure = built.failure or judgement.failure
         success = not failure and excess <= 1 and span == self._span
+        message = self._message(built.failure, span, excess, judgement)
         return FlowMap(
             self._box,
             span,
-            "features",
+            method,
             built.map,
             self._tol,
             bool(success),
-            self._message(built.failure, span, excess, judgement),
+            f"{message}; {training}" if training else message,
             judgement.error,
             excess,
             judgement,

@@ -22,6 +22,8 @@ from numpy.polynomial import chebyshev
 
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.box import Box
+from hamsym.flow_maps.domain import Domain
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import generators
 
 __all__ = ["Judgement", "judged", "linear_error"]
@@ -115,7 +117,7 @@ def judged(
     order = np.argsort(-search.ratios)
     chosen = np.concatenate((order[:_LINEAR], np.arange(_LINEAR)))
     inputs = box.at(search.y[chosen])
-    linear = linear_error(map, box, edges, inputs)
+    linear = linear_error(map, box.H, box, edges, inputs)
     largest = np.fmax(search.largest, linear) if np.isfinite(linear).all() else linear
     error = _MARGIN * largest + search.of_solutions
     worst = int(order[0]) if len(order) else 0
@@ -174,7 +176,9 @@ class _Search:
         self.of_solutions = np.maximum(self.of_solutions, solutions.error_estimate.max(axis=0))
 
 
-def linear_error(map: Any, box: Box, edges: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+def linear_error(
+    map: Any, H: Hamiltonian, box: Box | Domain, edges: np.ndarray, inputs: np.ndarray
+) -> np.ndarray:
     """Return the largest error by the linear equation of the error, shape (dim,).
 
     With the residual r = dz^/dt - J grad H(z^), the error obeys delta' = J Hess(z^) delta - r, by
@@ -183,14 +187,16 @@ def linear_error(map: Any, box: Box, edges: np.ndarray, inputs: np.ndarray) -> n
     Parameters
     ----------
     map : Leg, Chain, Split or network
-    box : Box
+    H : Hamiltonian
+    box : Box or Domain
+        Where the inputs are; it gives the parameters that vary.
     edges : numpy.ndarray
         Ends of the pieces, in order.
     inputs : numpy.ndarray
         Shape (n, d).
     """
-    dim, count = box.H.dim, len(inputs)
-    system = box.H.compile("numpy")
+    dim, count = H.dim, len(inputs)
+    system = H.compile("numpy")
     given = box.values(inputs)
     values = {name: np.repeat(value, _NODES) for name, value in given.items()}
     nodes = chebyshev.chebpts1(_NODES)

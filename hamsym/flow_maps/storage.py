@@ -14,6 +14,7 @@ from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement
+from hamsym.flow_maps.network_map import ENVELOPES, NetworkMap
 from hamsym.numerics.lower_sets import MOST_DEGREE
 from hamsym.support.checked_data import (
     arrays_of,
@@ -146,6 +147,10 @@ def _map(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int, 
     if kind == "leg":
         require_names("leg", form, {"form", "begin", "pieces"})
         return _leg(form, arrays, d, dim)
+    if kind == "network":
+        names = {"form", "begin", "length", "tau", "envelope", "layers"}
+        require_names("network", form, names)
+        return _network(form, arrays, d, dim)
     if kind == "chain":
         require_names("chain", form, {"form", "maps"})
         forms = checked_list("maps", form["maps"])
@@ -179,12 +184,7 @@ def _leg(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int) 
     steps = np.diff(edges)
     if count < 1 or edges[0] != 0 or not ((steps > 0).all() or (steps < 0).all()):
         raise ValueError("the pieces of its time are not in order")
-    own = {name: arrays.pop(name) for name in ("scaling", "shift", "selection", "offset", "start")}
-    shapes = {"scaling": (d, d), "shift": (d,), "selection": (dim, d), "offset": (dim,)}
-    for name, shape in shapes.items():
-        require_array(name, own[name], shape)
-    degrees = arrays.pop("start_degrees")
-    require_array("start", own["start"], (len(degrees), dim))
+    own = _domain(arrays, d, dim)
     pieces = []
     for number in range(count):
         piece = _taken(arrays, f"{number}.")
@@ -195,9 +195,41 @@ def _leg(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int) 
         pieces.append(CompiledPiece(_degrees(piece["degrees"], d), readouts, columns))
         if not min(*readouts.shape, *columns.shape):
             raise ValueError("a piece of its map is empty")
-    begin = checked_number("begin", form["begin"])
-    start, start_degrees = own.pop("start"), _degrees(degrees, d)
-    return Leg(begin, edges, start_degrees=start_degrees, start=start, pieces=pieces, **own)
+    return Leg(checked_number("begin", form["begin"]), edges, pieces=pieces, **own)
+
+
+def _network(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int) -> NetworkMap:
+    count = checked_type("layers", form["layers"], "int")
+    begin, length, tau = (checked_number(name, form[name]) for name in ("begin", "length", "tau"))
+    if not (length and tau and (length > 0) == (tau > 0)):
+        raise ValueError("the length or tau of its network is zero, or their signs differ")
+    if form["envelope"] not in ENVELOPES:
+        raise ValueError("the envelope of its network is unknown")
+    if not 2 <= count <= len(arrays):
+        raise ValueError("its network has no hidden layer")
+    own = _domain(arrays, d, dim)
+    layers, width = [], 1 + d
+    for number in range(count):
+        layer = _taken(arrays, f"{number}.")
+        require_names("layer", layer, {"matrix", "bias"})
+        matrix, bias = layer["matrix"], layer["bias"]
+        outputs = dim if number == count - 1 else len(bias)
+        require_array("bias", bias, (outputs,))
+        require_array("matrix", matrix, (outputs, width))
+        layers.append((matrix, bias))
+        width = outputs
+    return NetworkMap(begin, length, tau, form["envelope"], layers=layers, **own)
+
+
+def _domain(arrays: dict[str, np.ndarray], d: int, dim: int) -> dict[str, np.ndarray]:
+    """Remove and return the arrays of scaling and start."""
+    shapes = {"scaling": (d, d), "shift": (d,), "selection": (dim, d), "offset": (dim,)}
+    own = {name: arrays.pop(name) for name in (*shapes, "start", "start_degrees")}
+    for name, shape in shapes.items():
+        require_array(name, own[name], shape)
+    own["start_degrees"] = _degrees(own["start_degrees"], d)
+    require_array("start", own["start"], (len(own["start_degrees"]), dim))
+    return own
 
 
 def _degrees(array: np.ndarray, d: int) -> np.ndarray:

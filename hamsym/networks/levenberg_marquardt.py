@@ -14,16 +14,16 @@ one more solve with the same factor and saves most of the iterations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from hamsym.errors import InputError
-from hamsym.networks.network import ACTIVATIONS, Network
+from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.points import fresh_points, points_between
+from hamsym.networks.sensitivities import Layer, backward, forward
 from hamsym.networks.trial import TrialSolution
 from hamsym.support.validation import is_positive, require_whole
 
@@ -171,21 +171,6 @@ def _norm(parts: list[Tensor]) -> float:
     return float(torch.cat(parts).norm())
 
 
-@dataclass(frozen=True)
-class _Layer:
-    """A layer at K points: its matrix, its input x, and the input's derivative xd.
-
-    ``slope`` is the activation's derivative f'(a), ``bend`` f''(a) a', both (K, neurons); both None
-    for the last layer, which is linear.
-    """
-
-    matrix: Tensor
-    x: Tensor
-    xd: Tensor
-    slope: Tensor | None
-    bend: Tensor | None
-
-
 class _Linearised:
     """Products with the derivative J of the rows (component, point) in the weights."""
 
@@ -202,7 +187,10 @@ class _Linearised:
         in_z, in_dz = in_z.transpose(0, 1), in_dz.transpose(0, 1)
         self._to_value = f * in_z + f_dot / trial.tau * in_dz
         self._to_rate = f / trial.tau * in_dz
-        self._layers = [_forward(network, s) for network in networks]
+        ones = torch.ones_like(s)
+        self._layers = [
+            forward(network.layers, network.activation, s, ones) for network in networks
+        ]
         outputs = torch.tensor([network.sizes[-1] for network in networks])
         ends = outputs.cumsum(0).tolist()
         self._columns = [slice(e - n, e) for e, n in zip(ends, outputs.tolist(), strict=True)]
@@ -212,7 +200,7 @@ class _Linearised:
         m, count, _ = self._to_value.shape
         gram = self._to_value.new_zeros(m * count, m * count)
         for layers, columns in zip(self._layers, self._columns, strict=True):
-            sensitivities = _backward(
+            sensitivities = backward(
                 layers, self._to_value[..., columns], self._to_rate[..., columns]
             )
             for layer, u, v in sensitivities:
@@ -226,37 +214,13 @@ class _Linearised:
         result = []
         for layers, columns in zip(self._layers, self._columns, strict=True):
             parts = []
-            for layer, u, v in _backward(layers, value[:, columns], rate[:, columns]):
+            for layer, u, v in backward(layers, value[:, columns], rate[:, columns]):
                 parts += [u.sum(0), (u.T @ layer.x + v.T @ layer.xd).reshape(-1)]
             result.append(torch.cat(parts[::-1]))
         return result
 
 
-def _forward(network: Network, s: Tensor) -> list[_Layer]:
-    activation = ACTIVATIONS[network.activation]
-    *hidden, (last, _) = network.layers
-    x, xd, layers = s, torch.ones_like(s), []
-    for matrix, bias in hidden:
-        a, a_dot = x @ matrix.T + bias, xd @ matrix.T
-        h = activation.value(a)
-        slope = activation.slope(a, h)
-        layers.append(_Layer(matrix, x, xd, slope, activation.curvature(h, slope) * a_dot))
-        x, xd = h, slope * a_dot
-    return [*layers, _Layer(last, x, xd, None, None)]
-
-
-def _backward(layers: list[_Layer], u: Tensor, v: Tensor) -> list[tuple[_Layer, Tensor, Tensor]]:
-    """Return sensitivities to pre-activations and their derivatives, last layer first."""
-    found = []
-    for layer in reversed(layers):
-        if layer.slope is not None and layer.bend is not None:
-            u, v = u * layer.slope + v * layer.bend, v * layer.slope
-        found.append((layer, u, v))
-        u, v = u @ layer.matrix, v @ layer.matrix
-    return found
-
-
-def _add_gram(gram: Tensor, layer: _Layer, u: Tensor, v: Tensor) -> None:
+def _add_gram(gram: Tensor, layer: Layer, u: Tensor, v: Tensor) -> None:
     blocks, count, _ = u.shape
     views = gram.view(blocks, count, blocks, count)
     if layer.x.shape[1] == 1:

@@ -22,6 +22,7 @@ __all__ = [
     "Network",
     "chosen",
     "has_explicit_gradient",
+    "layers_of",
     "weights_of",
 ]
 
@@ -59,7 +60,7 @@ class _Jet(torch.autograd.Function):
         ctx: Any, activation: _Activation, sizes: tuple[int, ...], s: Tensor, theta: Tensor
     ) -> Any:
         count = s.shape[0]
-        (first, bias), *layers = _layers(theta, sizes)
+        (first, bias), *layers = layers_of(theta, sizes)
         a = torch.addcmul(bias, s.unsqueeze(1), first.T)
         a_dot = first.T.expand_as(a)
         saved = []
@@ -87,7 +88,7 @@ class _Jet(torch.autograd.Function):
         s, theta = ctx.saved_tensors
         count = s.shape[0]
         gradient = torch.empty_like(theta)
-        (first, first_bias), *layers = _layers(gradient, ctx.sizes)
+        (first, first_bias), *layers = layers_of(gradient, ctx.sizes)
         upstream = torch.cat((grad_value, grad_rate))
         for (into, into_bias), matrix, (x, slope, a_dot) in zip(
             reversed(layers), reversed(ctx.matrices), reversed(ctx.saved), strict=True
@@ -107,7 +108,7 @@ class _Jet(torch.autograd.Function):
         return None, None, None, gradient
 
 
-def _layers(theta: Tensor, sizes: tuple[int, ...]) -> list[tuple[Tensor, Tensor]]:
+def layers_of(theta: Tensor, sizes: tuple[int, ...]) -> list[tuple[Tensor, Tensor]]:
     """Return (matrix, bias) of each layer, as views into the flat vector of all weights."""
     layers, start = [], 0
     for inputs, neurons in pairwise(sizes):
@@ -190,7 +191,7 @@ class Network(torch.nn.Module):
     @property
     def layers(self) -> list[tuple[Tensor, Tensor]]:
         """(matrix, bias) of each layer, shapes (neurons, inputs) and (neurons,)."""
-        return _layers(self.theta, self.sizes)
+        return layers_of(self.theta, self.sizes)
 
     def forward(self, s: Tensor) -> tuple[Tensor, Tensor]:
         """Return N(s) and dN/ds for s of shape (K,); each of shape (K, outputs)."""

@@ -1,0 +1,81 @@
+"""Layers of a network with the derivative of their inputs along one direction, and sensitivities.
+
+With x the input of a layer and xd its derivative, and u, v the sensitivities of a row of residuals
+to the layer's pre-activations and to their derivatives, the derivative of the row is u x^T + v xd^T
+in the layer's matrix and u in its bias.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from hamsym.networks.network import ACTIVATIONS
+
+__all__ = ["Layer", "backward", "forward"]
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A layer at K points: its matrix, its input x, and the input's derivative xd.
+
+    ``slope`` is the activation's derivative f'(a), ``bend`` f''(a) a', both (K, neurons); both None
+    for the last layer, which is linear.
+    """
+
+    matrix: Tensor
+    x: Tensor
+    xd: Tensor
+    slope: Tensor | None
+    bend: Tensor | None
+
+    def at(self, points: slice) -> Layer:
+        """Return the layer at some of the points."""
+        if self.slope is None or self.bend is None:
+            return Layer(self.matrix, self.x[points], self.xd[points], None, None)
+        return Layer(
+            *(self.matrix, self.x[points], self.xd[points]), self.slope[points], self.bend[points]
+        )
+
+
+def forward(
+    layers: Sequence[tuple[Tensor, Tensor]], activation: str, x: Tensor, xd: Tensor
+) -> list[Layer]:
+    """Return the layers at inputs x of the network, with their derivative xd; shapes (K, inputs).
+
+    Parameters
+    ----------
+    layers : sequence of (matrix, bias)
+    activation : str
+    x, xd : Tensor
+    """
+    function = ACTIVATIONS[activation]
+    *hidden, (last, _) = layers
+    found = []
+    for matrix, bias in hidden:
+        a, a_dot = x @ matrix.T + bias, xd @ matrix.T
+        h = function.value(a)
+        slope = function.slope(a, h)
+        found.append(Layer(matrix, x, xd, slope, function.curvature(h, slope) * a_dot))
+        x, xd = h, slope * a_dot
+    return [*found, Layer(last, x, xd, None, None)]
+
+
+def backward(layers: Sequence[Layer], u: Tensor, v: Tensor) -> list[tuple[Layer, Tensor, Tensor]]:
+    """Return sensitivities to pre-activations and their derivatives, last layer first.
+
+    Parameters
+    ----------
+    layers : sequence of Layer
+    u, v : Tensor
+        Those to the outputs and to their derivatives, shape (..., K, outputs).
+    """
+    found = []
+    for layer in reversed(layers):
+        if layer.slope is not None and layer.bend is not None:
+            u, v = u * layer.slope + v * layer.bend, v * layer.slope
+        found.append((layer, u, v))
+        u, v = u @ layer.matrix, v @ layer.matrix
+    return found
