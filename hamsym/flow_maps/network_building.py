@@ -22,6 +22,7 @@ from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.building import Built, image_of
 from hamsym.flow_maps.domain import box_domain
 from hamsym.flow_maps.expansion import Chain
+from hamsym.flow_maps.network_map import NetworkMap
 from hamsym.flow_maps.network_residual import Window
 from hamsym.flow_maps.network_training import Budget, WindowTraining, pieces
 from hamsym.flow_maps.options import NetworkMapOptions
@@ -156,12 +157,39 @@ class NetworkBuilder:
         self._trainings.append(
             WindowTraining(
                 number,
-                Window(domain, begin, end, tuple(options.hidden), options.envelope, tau),
+                Window(
+                    *(domain, self._sample(number, begin), begin, end),
+                    *(tuple(options.hidden), options.envelope, tau),
+                ),
                 self._box.H,
                 _SHARE / options.windows * self._allowed,
                 *(self._scale, options, self._seed, self._workers, self._note),
             )
         )
+
+    def _sample(self, number: int, begin: float) -> Callable[[np.ndarray], np.ndarray]:
+        """Return scaled inputs of the box -> inputs of a window.
+
+        The states of the box at its begin fill a small part of the domain around them, and the
+        network is needed only there.
+        """
+        box, dim = self._box, self._box.H.dim
+        if not number:
+            return box.at
+        map = self._joined(number)
+
+        def sample(y: np.ndarray) -> np.ndarray:
+            inputs = box.at(y)
+            states = map.evaluate(np.full(len(y), begin), inputs)
+            return np.concatenate((states, inputs[:, dim:]), axis=1)
+
+        return sample
+
+    def _joined(self, count: int) -> NetworkMap | Chain:
+        """Return the map of the first windows."""
+        maps = [training.map for training in self._trainings[:count]]
+        kept = np.arange(self._box.H.dim, len(self._box))
+        return maps[0] if count == 1 else Chain(maps, self._edges[1:count], kept)
 
     def _built(self) -> Built:
         maps = [training.map for training in self._trainings]
@@ -173,8 +201,7 @@ class NetworkBuilder:
                 + (pieces(map)[1:] - training.window.begin)
                 * ((training.end - training.window.begin) / map.length)
             )
-        kept = np.arange(self._box.H.dim, len(self._box))
-        whole = maps[0] if len(maps) == 1 else Chain(maps, self._edges[1 : len(maps)], kept)
+        whole = self._joined(len(maps))
         failure = "" if reached == self._span[1] else f"the training ended there: {self._message()}"
         return Built(whole, reached, failure, np.concatenate(edges))
 

@@ -9,10 +9,11 @@ through the layers.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import torch
+from scipy.linalg.blas import dsyrk
 from scipy.stats import qmc
 from torch import Tensor
 
@@ -33,6 +34,8 @@ class Window:
     Parameters
     ----------
     domain : Domain
+    sample : callable
+        Scaled inputs of the whole box, in [-1, 1], -> inputs of this window, shape (n, d).
     begin, end : float
     hidden : tuple of int
     envelope : {"exponential", "linear"}
@@ -43,13 +46,14 @@ class Window:
     def __init__(
         self,
         domain: Domain,
+        sample: Callable[[np.ndarray], np.ndarray],
         begin: float,
         end: float,
         hidden: tuple[int, ...],
         envelope: str,
         tau: float,
     ) -> None:
-        self.domain, self.begin, self.end = domain, begin, end
+        self.domain, self.sample, self.begin, self.end = domain, sample, begin, end
         self.envelope, self.tau = envelope, math.copysign(tau, end - begin)
         self.sizes = (1 + len(domain), *hidden, len(domain.offset))
 
@@ -114,10 +118,10 @@ class Points:
         domain = window.domain
         length = window.end - window.begin
         uniform = qmc.LatinHypercube(1 + len(domain), rng=np.random.default_rng(seed)).random(count)
-        # Denser towards the faces of the domain, where polynomials and networks are least certain.
-        y = np.sin(np.pi * (uniform[:, 1:] - 0.5))
+        # Denser towards the faces of the box, where networks are least certain.
+        inputs = window.sample(np.sin(np.pi * (uniform[:, 1:] - 0.5)))
+        y = inputs @ domain.scaling.T + domain.shift
         times = share * uniform[:, 0] * length
-        inputs = domain.at(y)
         x = np.column_stack((2 * times / length - 1, y))
         xd = np.zeros_like(x)
         xd[:, 0] = 2 / length
@@ -198,11 +202,17 @@ class Derivative:
         self._count = len(theta)
 
     def gram(self) -> Tensor:
-        """Return J^T J, shape (weights, weights)."""
+        """Return J^T J, shape (weights, weights); only on and below its diagonal."""
+        if self._to_value.device.type == "cpu":
+            # Half of the products: torch has no symmetric product.
+            total = np.zeros((self._count, self._count), order="F")
+            for rows in self._blocks():
+                total = dsyrk(1.0, rows.numpy().T, beta=1.0, c=total, overwrite_c=True)
+            return torch.from_numpy(total.T)
         gram = self._to_value.new_zeros(self._count, self._count)
         for rows in self._blocks():
             gram.addmm_(rows.T, rows)
-        return gram
+        return gram.tril()
 
     def _blocks(self) -> Iterator[Tensor]:
         """Yield J in blocks of rows."""

@@ -121,7 +121,7 @@ class WindowTraining:
         y = np.random.default_rng([*self._seed, _HELD_OUT_SEED]).uniform(
             -1, 1, (_STARTS, len(window.domain))
         )
-        self._starts = window.domain.at(y)
+        self._starts = window.sample(y)
         self.reason: Stopped | None = None
         self.error = math.inf  # of the allowed error, at the held-out starts
 

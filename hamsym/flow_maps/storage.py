@@ -206,14 +206,14 @@ def _network(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: i
     if form["envelope"] not in ENVELOPES:
         raise ValueError("the envelope of its network is unknown")
     if not 2 <= count <= len(arrays):
-        raise ValueError("its network has no hidden layer")
+        raise ValueError("its network has no hidden layer, or too many")
     own = _domain(arrays, d, dim)
     layers, width = [], 1 + d
     for number in range(count):
         layer = _taken(arrays, f"{number}.")
         require_names("layer", layer, {"matrix", "bias"})
         matrix, bias = layer["matrix"], layer["bias"]
-        outputs = dim if number == count - 1 else len(bias)
+        outputs = dim if number == count - 1 else max(1, bias.size)
         require_array("bias", bias, (outputs,))
         require_array("matrix", matrix, (outputs, width))
         layers.append((matrix, bias))
