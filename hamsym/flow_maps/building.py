@@ -22,7 +22,7 @@ from hamsym.flow_maps.legs import FailedError, LegBuilder
 __all__ = ["Builder", "Built", "image_of"]
 
 _CORNERS, _IMAGE = 1_000, 20_000  # samples of an image: corners, and others
-_DEEPEST = 24  # splits of a domain, one after the other
+_DEEPEST = 10  # splits of a domain, one after the other
 _SHORTEST = 0.005  # of the span, of a leg that ends where a solution fails
 _AT_END = 0.3  # probability that an input of a sample is an end of its interval
 
@@ -126,7 +126,7 @@ class Builder:
                 break
             failure = trial.failure
             short = not abs(edges[-1] - starts[-1]) > _SHORTEST * abs(end - begin)
-            if failure and (short or not self._box.is_whole):
+            if failure and (short or domain.samples is None):
                 break
             # The image may contain less than what failed: a further leg may reach the end.
             failure = ""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
+from hamsym.cluster import require_client
 from hamsym.errors import InputError
 from hamsym.families.many import solve_many
 from hamsym.families.solutions import Solutions
@@ -30,6 +31,7 @@ from hamsym.support.cores import available_cores
 from hamsym.support.validation import require, require_whole
 
 if TYPE_CHECKING:
+    from distributed import Client
     from matplotlib.figure import Figure
 
     from hamsym.flow_maps.workers import Workers
@@ -38,7 +40,7 @@ __all__ = ["FlowMap", "flow_map"]
 
 _SMALLEST_TOL = 1e-11  # the solutions of which a map is made are exact to 1e-12
 _SOLUTIONS = 0.02  # tolerance of these solutions, relative to that of the map
-_SMALLEST_SOLUTIONS = 1e-12
+_SMALLEST_SOLUTIONS, _LARGEST_SOLUTIONS = 1e-12, 1e-7  # looser ones are not faster
 _SHARE = 0.6  # of the allowed error, for the expansion
 _ATTEMPTS = 3
 _AIM = 0.4  # of the allowed error, in a further attempt
@@ -343,6 +345,7 @@ def flow_map(
     points: int = 2_000,
     seed: int = 0,
     progress: bool | None = None,
+    client: Client | None = None,
     **options: Any,
 ) -> FlowMap:
     """Find one closed form of all trajectories that start in a box.
@@ -377,6 +380,8 @@ def flow_map(
     progress : bool, optional
         Write lines about the progress, with the number of solutions that is expected, on standard
         error; by default if that is a terminal.
+    client : dask.distributed.Client, optional
+        Solve on the workers of this cluster; see :func:`hamsym.solve_many`. The map is the same.
     **options
         For ``"features"``:
 
@@ -467,7 +472,9 @@ def flow_map(
         if show and not (workers and workers.rank):
             print(f"flow map: {text}", file=sys.stderr, flush=True)
 
-    construction = _Construction(box, times, float(tol), absolute, points, seed, note)
+    if client is not None:
+        require_client(client)
+    construction = _Construction(box, times, float(tol), absolute, points, seed, note, client)
     if workers is not None and isinstance(chosen, NetworkMapOptions):
         return construction.trained(chosen, workers)
     assert isinstance(chosen, FeatureMapOptions)
@@ -486,10 +493,14 @@ class _Construction:
         points: int,
         seed: int,
         note: Callable[[str], None],
+        client: Client | None,
     ) -> None:
         self._box, self._span, self._tol, self._absolute = box, span, tol, absolute
-        self._points, self._seed, self._note = points, seed, note
+        self._points, self._seed, self._note, self._client = points, seed, note, client
         self._solved, self._most = 0, 0
+        smallest = max(_SOLUTIONS * tol, _SMALLEST_SOLUTIONS)
+        self._solution_tol = min(smallest, _LARGEST_SOLUTIONS)
+        self._of_solutions = _SOLUTIONS * absolute
         self._began = time.perf_counter()
         self._random = np.random.default_rng(seed)
 
@@ -499,6 +510,8 @@ class _Construction:
         inputs = self._box.at(y)
         probes = self._solve(self._box.states(inputs), self._box.values(inputs), self._span)
         scale = probes.table.sizes.max(axis=0)
+        # A component may be small for some members, and its tolerance is that of the box.
+        self._of_solutions = self._of_solutions + self._solution_tol * scale
         return scale, self._absolute + self._tol * scale
 
     def trained(self, options: NetworkMapOptions, workers: Workers) -> FlowMap:
@@ -523,7 +536,6 @@ class _Construction:
         scale, allowed = self._sizes()
         share = _SHARE
         for attempt in range(_ATTEMPTS):
-            self._solved = 0
             builder = Builder(
                 self._box, self._span, self._counted, share * allowed, scale, random, self._note
             )
@@ -606,13 +618,17 @@ class _Construction:
     def _solve(
         self, states: np.ndarray, values: Mapping[str, np.ndarray], span: tuple[float, float]
     ) -> Solutions:
-        return solve_many(
+        found = solve_many(
             self._box.H,
             states,
             span,
-            tol=max(_SOLUTIONS * self._tol, _SMALLEST_SOLUTIONS),
-            atol=(_SOLUTIONS * self._absolute).tolist(),
+            tol=self._solution_tol,
+            atol=self._of_solutions.tolist(),
             parameters=values or None,
             seed=self._seed,
             progress=False,
+            client=self._client,
         )
+        if found.table.stopped == "interrupted":
+            raise KeyboardInterrupt
+        return found

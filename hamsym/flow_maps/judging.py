@@ -36,7 +36,7 @@ _TIMES = 48  # of each comparison
 _ELITE, _CHILDREN, _SEARCHES = 12, 8, 6
 _WIDTHS = (0.2, 0.1, 0.05, 0.02, 0.01, 0.004)  # of the search, in scaled inputs
 _LINEAR = 8  # places of each kind at which the linear equation is solved
-_NODES = 16  # in each piece of the time, for the linear equation
+_NODES = 24  # in each piece of the time, for the linear equation
 _INSIDE = 1e-8  # of half a piece; the square is round-off
 
 

@@ -160,7 +160,7 @@ def test_linear_equation_estimates_the_error(oscillator: FlowMap) -> None:
         *(getattr(damaged.map.pieces[2], name) for name in ("degrees", "readouts", "columns"))
     )
     inputs = oscillator.region.at(np.random.default_rng(6).uniform(-1, 1, (40, 2)))
-    found = linear_error(damaged.map, oscillator.region, oscillator.map.edges, inputs)
+    found = linear_error(damaged.map, oscillator.H, oscillator.region, oscillator.map.edges, inputs)
     times = np.linspace(0, 4, 200)
     true = [damaged.map.evaluate(np.full(40, t), inputs) - oscillator(t, inputs) for t in times]
     np.testing.assert_allclose(found, np.abs(true).max(axis=(0, 1)), rtol=0.1)
