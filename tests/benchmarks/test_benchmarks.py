@@ -19,9 +19,9 @@ from .registry import BENCHMARKS
 from .results import read, replace_section
 from .tables import PAGE, filled
 
-_SUBPROCESS = {"clusters", "first-call"}
+_SLOW = {"clusters", "first-call", "flow-map-estimates", "flow-map-peers", "flow-map-queries"}
 _CASES = [
-    pytest.param(name, marks=pytest.mark.slow if name in _SUBPROCESS else ()) for name in BENCHMARKS
+    pytest.param(name, marks=pytest.mark.slow if name in _SLOW else ()) for name in BENCHMARKS
 ]
 
 
