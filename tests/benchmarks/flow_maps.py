@@ -27,11 +27,12 @@ _HENON_HEILES = (0.3, -0.3, 0.3, 0.15)
 _KEPLER = "Kepler, e from 0 to 0.6"
 
 
-def _henon_heiles(width: float) -> MapCase:
+def _henon_heiles(width: float, turns: int) -> MapCase:
     H = systems.henon_heiles().H
     box = [(value - width, value + width) for value in _HENON_HEILES]
     most = {"max_solutions": 400_000}
-    return MapCase(f"Henon-Heiles, +-{width:g}", H, box, (0.0, 6 * np.pi), 1e-6, options=most)
+    name = f"Henon-Heiles, +-{width:g}, {2 * turns} pi"
+    return MapCase(name, H, box, (0.0, 2 * turns * np.pi), 1e-6, options=most)
 
 
 def _cases() -> list[MapCase]:
@@ -45,8 +46,8 @@ def _cases() -> list[MapCase]:
             5e-7,
             {"k": (0.5, 2.0)},
         ),
-        _henon_heiles(0.02),
-        _henon_heiles(0.05),
+        _henon_heiles(0.02, 3),
+        _henon_heiles(0.05, 1),
         MapCase(
             _KEPLER,
             "(px**2 + py**2)/2 - 1/sqrt(x**2 + y**2)",
