@@ -128,7 +128,7 @@ def cases() -> list[MapCase]:
 
 def measure(quick: bool) -> Section:
     chosen = [case for case in cases() if not quick or case.label in _QUICK]
-    return measured(chosen, 2_000 if quick else 100_000, 10)
+    return measured(chosen, 500 if quick else 100_000, 10)
 
 
 def measured(chosen: Sequence[MapCase], starts: int, times: int) -> Section:
