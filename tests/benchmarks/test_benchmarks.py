@@ -52,7 +52,7 @@ def test_quick_run_fills_its_section(
 
 
 #: Benchmarks of ten minutes and more, which the page may lack.
-_LONG = {"clusters", "flow-map-estimates", "flow-map-peers"}
+_LONG = {"clusters", "flow-map-estimates", "flow-map-peers", "flow-map-queries"}
 
 
 def test_page_shows_the_stored_results() -> None:
