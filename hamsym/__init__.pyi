@@ -23,6 +23,7 @@ from .integrators.integrate import Trajectory as Trajectory
 from .integrators.integrate import integrate as integrate
 from .networks.objective import Regularizer as Regularizer
 from .plotting import plot as plot
+from .proof.box_certificate import BoxCertificate as BoxCertificate
 from .proof.certificate import Certificate as Certificate
 from .proof.prove import certify as certify
 from .proof.prove import verify as verify

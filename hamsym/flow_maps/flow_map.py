@@ -313,6 +313,50 @@ class FlowMap:
         """
         return hamsym.plot(self)
 
+    # -- proofs ------------------------------------------------------------------------------
+
+    def certify(
+        self,
+        box: Mapping[str, tuple[float, float]] | None = None,
+        time_limit: float | None = None,
+        max_parts: int = 4_096,
+    ) -> hamsym.BoxCertificate:
+        """Compute a rigorous bound on the error for all starts and parameters in a box.
+
+        The defect of the map is enclosed over the whole box by Taylor models, and what becomes of
+        it by the linear equation of the error with a bound on the second order
+        (:mod:`hamsym.proof.tube`); every rounding is included. It reaches as far as the map is
+        much more accurate than the distance over which H is nonlinear, with up to four or so
+        inputs.
+
+        Parameters
+        ----------
+        box : mapping, optional
+            Intervals (low, high) of some inputs, within those of the map; by default all of it.
+        time_limit : float, optional
+            Seconds.
+        max_parts : int
+            Largest number of parts into which the box is cut.
+
+        Returns
+        -------
+        BoxCertificate
+
+        Raises
+        ------
+        CertificationError
+            If there is no bound: errors grow too fast, H is not smooth somewhere in the box, or a
+            limit is reached. The message gives the place and a remedy.
+
+        Examples
+        --------
+        >>> flow = flow_map("p**2/2 + x**2/2", {"x": (1, 2), "p": (-1, 1)}, (0, 3), tol=1e-8)
+        >>> certificate = flow.certify()
+        >>> len(certificate.bound), max(certificate.bound) < 1e-8
+        (2, True)
+        """
+        return hamsym.certify(self, box=box, time_limit=time_limit, max_parts=max_parts)
+
     # -- files -------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> None:

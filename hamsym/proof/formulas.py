@@ -9,6 +9,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
+from functools import partial
 
 import sympy
 from flint import arb, ctx, fmpq
@@ -81,13 +82,17 @@ class Formulas:
         self._variables = len(variables)
         self._constants: dict[int, list[Enclosed]] = {}  # registers by precision
 
-    def __call__(self, arguments: Sequence[Enclosed]) -> list[Enclosed]:
+    def __call__(
+        self, arguments: Sequence[Enclosed], apply: Callable[..., Enclosed] | None = None
+    ) -> list[Enclosed]:
         """The values of the expressions, in their order.
 
         Parameters
         ----------
         arguments : sequence of arb or of arb_series
-            One for each variable.
+            One for each variable; anything else if ``apply`` is given.
+        apply : callable, optional
+            (function, *arguments) -> result, in place of ``function(*arguments)``.
 
         Raises
         ------
@@ -98,7 +103,10 @@ class Formulas:
             self._constants[ctx.prec] = self._program.constants()
         registers = self._constants[ctx.prec].copy()
         registers[: self._variables] = arguments
-        self._program.run(self._program.steps, registers)
+        steps = self._program.steps
+        if apply is not None:
+            steps = [(partial(apply, function), *rest) for function, *rest in steps]  # type: ignore[misc]
+        self._program.run(steps, registers)
         return [registers[place] for place in self._results]
 
 

@@ -22,17 +22,20 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, overload
 
 import numpy as np
 
 from hamsym.archive import load_solution
 from hamsym.errors import CertificationError, FileError, InputError
+from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.proof.balls import SMALLEST, at_least, at_most
+from hamsym.proof.box_certificate import BoxCertificate
+from hamsym.proof.box_proof import certify_box
 from hamsym.proof.certificate import (
     FEWEST_BITS,
     FLOOR,
@@ -81,14 +84,47 @@ _Found = TypeVar("_Found")
 # -- proving ------------------------------------------------------------------------------------
 
 
+@overload
 def certify(
     solution: Solution,
+    rtol: float = ...,
+    time_limit: float | None = ...,
+    bits: int | None = ...,
+    progress: bool | None = ...,
+) -> Certificate: ...
+
+
+@overload
+def certify(
+    solution: FlowMap,
+    *,
+    box: Mapping[str, tuple[float, float]] | None = ...,
+    time_limit: float | None = ...,
+    max_parts: int = ...,
+) -> BoxCertificate: ...
+
+
+def certify(
+    solution: Solution | FlowMap,
     rtol: float = 0.02,
     time_limit: float | None = None,
     bits: int | None = None,
     progress: bool | None = None,
-) -> Certificate:
-    """Compute rigorous bounds on the error of a solution; see :meth:`hamsym.Solution.certify`."""
+    **options: Any,
+) -> Certificate | BoxCertificate:
+    """Compute rigorous bounds on the error of a solution, or of a flow map over a box.
+
+    See :meth:`hamsym.Solution.certify` and :meth:`hamsym.FlowMap.certify` for the arguments.
+    """
+    if isinstance(solution, FlowMap):
+        if (rtol, bits, progress) != (0.02, None, None):
+            raise InputError(
+                "rtol, bits and progress are not options for a flow map; give box, time_limit or "
+                "max_parts"
+            )
+        return certify_box(solution, time_limit=time_limit, **options)
+    if options:
+        raise InputError(f"'{min(options)}' is not an option for a solution; leave it out")
     require_number("rtol", rtol, LEAST_RTOL)
     require(rtol <= MOST_RTOL, "rtol", rtol, "a number such as 0.02")
     if time_limit is not None:

@@ -1,0 +1,203 @@
+"""Proofs of the error of flow maps over boxes."""
+
+import copy
+import dataclasses
+import json
+
+import mpmath
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym.errors import CertificationError, FileError, InputError
+from hamsym.flow_maps.box import checked_box
+from hamsym.flow_maps.expansion import Chain, Split
+from hamsym.proof.box_certificate import BoxCertificate
+from hamsym.proof.tube import Flow
+
+QUARTIC = "p**2/2 + x**2/2 + x**4/4"
+HENON = "(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3"
+
+
+@pytest.fixture(scope="module")
+def harmonic():
+    return hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 2), "p": (-1, 1)}, (0, 3), tol=1e-8)
+
+
+@pytest.fixture(scope="module")
+def quartic():
+    box = {"x": (1.29, 1.31), "p": (0.99, 1.01)}
+    return hamsym.flow_map(QUARTIC, box, (0, 1), tol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def certificate(quartic):
+    return quartic.certify()
+
+
+def turned(starts, times):
+    """The exact motion of the harmonic oscillator."""
+    x, p = np.asarray(starts).T
+    cosine, sine = np.cos(times), np.sin(times)
+    return np.stack((x * cosine + p * sine, p * cosine - x * sine), axis=-1)
+
+
+def corrupted(flow, amount):
+    """A map with one readout changed."""
+    changed = copy.deepcopy(flow.map)
+    changed.pieces[0].readouts[0, 0] += amount
+    return dataclasses.replace(flow, map=changed)
+
+
+def test_bound_contains_error_of_harmonic_map(harmonic):
+    found = harmonic.certify()
+    random = np.random.default_rng(1)
+    starts, times = random.uniform((1, -1), (2, 1), (1_000, 2)), random.uniform(0, 3, 1_000)
+    error = np.abs(harmonic(times, starts) - turned(starts, times)).max(axis=0)
+    assert (error <= np.array(found.bound) + 4e-15).all()
+    assert max(found.bound) < 1e-9
+
+
+def test_bound_contains_error_at_random_points(quartic, certificate):
+    random = np.random.default_rng(2)
+    starts = random.uniform((1.29, 0.99), (1.31, 1.01), (20, 2))
+    times = np.linspace(0, 1, 51)[1:]
+    largest = np.zeros(2)
+    with mpmath.workdps(25):
+        for start in starts:
+            exact = mpmath.odefun(
+                lambda _, z: [z[1], -z[0] - z[0] ** 3], 0, [mpmath.mpf(v) for v in start], tol=1e-18
+            )
+            states = np.array([[float(value) for value in exact(float(t))] for t in times])
+            largest = np.maximum(largest, np.abs(quartic(times, start) - states).max(axis=0))
+    bound = np.array(certificate.bound)
+    assert (largest <= bound).all()
+    assert (bound <= 20 * np.maximum(largest, 1e-8)).all()
+
+
+def test_bound_is_near_the_estimate(quartic, certificate):
+    assert (np.array(certificate.bound) <= 3 * quartic.error_estimate + 3e-8).all()
+
+
+def test_corrupted_map_has_a_larger_bound(quartic, certificate):
+    wrong = corrupted(quartic, 1e-3 * np.abs(quartic.map.pieces[0].readouts).max())
+    random = np.random.default_rng(3)
+    starts, times = random.uniform((1.29, 0.99), (1.31, 1.01), (500, 2)), random.uniform(0, 1, 500)
+    change = np.abs(wrong(times, starts) - quartic(times, starts)).max(axis=0)
+    bound = np.array(wrong.certify().bound)
+    assert (bound > 2 * np.array(certificate.bound)).any()
+    assert (bound >= change - np.array(certificate.bound)).all()
+
+
+def test_map_far_from_the_solution_is_refused(quartic):
+    wrong = corrupted(quartic, 1e3 * np.abs(quartic.map.pieces[0].readouts).max())
+    with pytest.raises(CertificationError, match=r"no bound beyond t = .*; give a smaller box"):
+        wrong.certify(max_parts=4)
+
+
+def test_henon_heiles_box_of_four_inputs():
+    box = dict.fromkeys(("x", "y", "p_x", "p_y"), (0.1, 0.11))
+    flow = hamsym.flow_map(HENON, box, (0, 0.5), tol=1e-6)
+    bound = np.array(flow.certify().bound)
+    random = np.random.default_rng(4)
+    starts = random.uniform(0.1, 0.11, (20, 4))
+    exact = hamsym.solve_many(HENON, starts, (0, 0.5), tol=1e-11, progress=False)
+    times = np.linspace(0, 0.5, 20)
+    for start, states in zip(starts, exact(times), strict=True):
+        assert (np.abs(flow(times, start) - states).max(axis=0) <= bound + 1e-10).all()
+    assert bound.max() < 1e-6
+
+
+def test_parameters_are_inputs():
+    H, box = "p**2/2 + k*x**2/2", {"x": (1, 1.1), "p": 0}
+    flow = hamsym.flow_map(H, box, (0, 1), {"k": (1, 1.2)}, tol=1e-7)
+    found = flow.certify()
+    random = np.random.default_rng(5)
+    x, k, t = random.uniform((1, 1, 0), (1.1, 1.2, 1), (1_000, 3)).T
+    omega = np.sqrt(k)
+    exact = np.stack((x * np.cos(omega * t), -x * omega * np.sin(omega * t)), axis=-1)
+    error = np.abs(flow(t, {"x": x}, {"k": k}) - exact).max(axis=0)
+    assert (error <= np.array(found.bound) + 4e-15).all()
+    assert max(found.bound) < 1e-7
+
+
+def test_expressions_time_and_roots_have_models():
+    z0 = {"x": "1 - e", "y": 0, "p_x": 0, "p_y": "sqrt((1 + e)/(1 - e))"}
+    H = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
+    flow = hamsym.flow_map(H, z0, (0, 0.5), {"e": (0.1, 0.12)}, tol=1e-7)
+    found = flow.certify()
+    assert max(found.bound) < 1e-7
+    assert "p_y = sqrt((1 + e)/(1 - e))" in found.statement
+    driven = hamsym.flow_map("p**2/2 - cos(x) - x*sin(t)", {"x": (0, 0.1), "p": 0}, (1, 0.5))
+    assert max(driven.certify().bound) < 1e-5
+
+
+def test_split_maps_are_proven_part_by_part(harmonic):
+    split = Split(np.array([-2.0, 0.0]), -3.0, harmonic.map, harmonic.map)
+    whole = harmonic.certify().bound
+    halves = dataclasses.replace(harmonic, map=split).certify()
+    assert halves.parts == 2
+    assert np.allclose(halves.bound, whole, rtol=0, atol=1e-10)
+    plane = Split(np.array([1.0, 1.0]), 0.0, split.low, split.high)
+    slanted = dataclasses.replace(harmonic, map=plane)
+    with pytest.raises(CertificationError, match="slanted plane"):
+        slanted.certify()
+
+
+def test_chains_of_legs_are_proven():
+    first = hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 1.1), "p": (0, 0.1)}, (0, 1), tol=1e-7)
+    image = {"x": (0.5, 0.7), "p": (-1, -0.7)}
+    second = hamsym.flow_map("p**2/2 + x**2/2", image, (1, 2), tol=1e-7)
+    legs = Chain([first.map, second.map], np.array([1.0]), np.array([], dtype=int))
+    flow = dataclasses.replace(first, map=legs, span=(0.0, 2.0))
+    found = flow.certify()
+    random = np.random.default_rng(6)
+    starts, times = random.uniform((1, 0), (1.1, 0.1), (1_000, 2)), random.uniform(0, 2, 1_000)
+    error = np.abs(flow(times, starts) - turned(starts, times)).max(axis=0)
+    assert (error <= np.array(found.bound) + 4e-15).all()
+    assert max(found.bound) < 1e-7
+
+
+def test_part_of_the_box_can_be_certified(quartic, certificate):
+    part = quartic.certify(box={"x": (1.3, 1.301)})
+    assert part.box == {"x": (1.3, 1.301), "p": (0.99, 1.01)}
+    assert (np.array(part.bound) <= np.array(certificate.bound) + 1e-8).all()
+
+
+def test_certificate_survives_json(certificate):
+    text = certificate.to_json()
+    assert BoxCertificate.from_json(text) == certificate
+    values = json.loads(text)
+    for name, value in (("bound", [0.0, 0.0]), ("digest", "0"), ("kind", "x"), ("span", [0.0])):
+        with pytest.raises(FileError, match="not a certificate of a flow map"):
+            BoxCertificate.from_json(json.dumps({**values, name: value}))
+
+
+def test_statement_names_box_span_and_bound(certificate):
+    assert certificate.statement.startswith(
+        "Proven: for every x from 1.29 to 1.31 and every p from 0.99 to 1.01 and every t from 0.0 "
+        "to 1.0, |x^(t) - x(t)| <= "
+    )
+
+
+def test_unusable_arguments_are_rejected(quartic):
+    for box, text in (
+        ({"x": (1.2, 1.3)}, "within that of the map"),
+        ({"y": (0, 1)}, "'y' does not vary"),
+        ({"x": 1.3}, r"give an interval \(low, high\)"),
+        (3, "not a mapping"),
+    ):
+        with pytest.raises(InputError, match=text):
+            quartic.certify(box=box)
+    with pytest.raises(InputError, match="max_parts"):
+        quartic.certify(max_parts=0)
+    with pytest.raises(InputError, match="not options for a flow map"):
+        hamsym.certify(quartic, bits=128)
+    with pytest.raises(CertificationError, match="time limit"):
+        quartic.certify(time_limit=1e-3)
+
+
+def test_kinks_are_refused():
+    box = checked_box("p**2/2 + abs(x)", {"x": (2, 2.1), "p": 0}, None)
+    with pytest.raises(CertificationError, match="'abs'"):
+        Flow(box)
