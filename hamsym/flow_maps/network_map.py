@@ -6,7 +6,7 @@ modules: it imports nothing else but numpy. The protocol of maps is described th
 
 import numpy as np
 
-from hamsym.flow_maps.expansion import affine, array_of, products
+from hamsym.flow_maps.expansion import affine, array_of, products, products_and_slopes, tables
 
 ENVELOPES = ("exponential", "linear")
 QUERIES = 4_096  # through the network at once, to stay in the cache
@@ -73,7 +73,8 @@ class NetworkMap:
         y = affine(inputs, self.scaling, self.shift, xp)
         states = affine(inputs, self.selection, self.offset, xp)
         if len(self.start):
-            states = states + products(self.start_degrees, y, xp).T @ array_of(self.start, y, xp)
+            values = products(self.start_degrees, tables(self.start_degrees, y, xp))
+            states = states + values.T @ array_of(self.start, y, xp)
         times = t - self.begin
         h = xp.concatenate((self.scaled_time(times)[:, None], y), 1)
         *hidden, (matrix, bias) = self.layers
@@ -94,11 +95,10 @@ class NetworkMap:
         states = affine(inputs, self.selection, self.offset)
         jacobian = np.repeat(self.selection[None], len(y), axis=0)
         if len(self.start):
-            states += products(self.start_degrees, y).T @ self.start
-            of_start = [
-                products(self.start_degrees, y, slope=k).T @ self.start for k in range(y.shape[1])
-            ]
-            jacobian += np.stack(of_start, axis=-1) @ self.scaling
+            values, *slopes = products_and_slopes(self.start_degrees, y)
+            states += values.T @ self.start
+            of_start = np.stack([slope.T @ self.start for slope in slopes], axis=-1)
+            jacobian += of_start @ self.scaling
         times = t - self.begin
         h = np.concatenate((self.scaled_time(times)[:, None], y), axis=1)
         # The derivatives in s and in y are along the first axis.

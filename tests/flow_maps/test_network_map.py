@@ -88,7 +88,7 @@ def test_any_weights_start_exactly() -> None:
 
 def test_many_queries_equal_single_ones(flow: FlowMap) -> None:
     y = np.random.default_rng(0).uniform(-1, 1, (9_000, 2))
-    inputs, times = flow.box.at(y), np.linspace(0, 1, 9_000)
+    inputs, times = flow.region.at(y), np.linspace(0, 1, 9_000)
     found = flow.map.evaluate(times, inputs)
     few = [0, 4_095, 4_096, 8_999]
     assert np.allclose(found[few], flow.map.evaluate(times[few], inputs[few]), rtol=0, atol=1e-14)
@@ -252,7 +252,7 @@ def test_saved_map_is_the_same(flow: FlowMap, tmp_path: Path) -> None:
     again = hamsym.load(tmp_path / "map")
     assert isinstance(again.map, NetworkMap)
     assert (again.method, again.message) == ("network", flow.message)
-    queries = np.linspace(0, 1, 7), flow.box.at(np.random.default_rng(0).uniform(-1, 1, (7, 2)))
+    queries = np.linspace(0, 1, 7), flow.region.at(np.random.default_rng(0).uniform(-1, 1, (7, 2)))
     assert np.array_equal(again(*queries), flow(*queries))
 
 
