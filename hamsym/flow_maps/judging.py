@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.domain import Domain
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.collocation import collocation
 from hamsym.numerics.symplectic import generators
 
 __all__ = ["Judgement", "judged", "linear_error"]
@@ -37,7 +37,7 @@ _ELITE, _CHILDREN, _SEARCHES = 12, 8, 6
 _WIDTHS = (0.2, 0.1, 0.05, 0.02, 0.01, 0.004)  # of the search, in scaled inputs
 _LINEAR = 8  # places of each kind at which the linear equation is solved
 _NODES = 24  # in each piece of the time, for the linear equation
-_INSIDE = 1e-8  # of half a piece; the square is round-off
+_INSIDE = 5e-9  # of a piece; the square is round-off
 
 
 @dataclass(frozen=True)
@@ -199,21 +199,12 @@ def linear_error(
     system = H.compile("numpy")
     given = box.values(inputs)
     values = {name: np.repeat(value, _NODES) for name, value in given.items()}
-    nodes = chebyshev.chebpts1(_NODES)
-    table = chebyshev.chebvander(nodes, _NODES - 1)
-    # delta(s) = delta(-1) + integral from -1 of its rate, by the series of the rate.
-    integral = np.stack(
-        [
-            chebyshev.chebval(np.append(nodes, 1.0), chebyshev.chebint(row, lbnd=-1))
-            for row in np.linalg.inv(table).T
-        ],
-        axis=1,
-    )
+    table = collocation(_NODES)
     delta, largest = np.zeros((count, dim)), np.zeros(dim)
     before = None
     for low, high in itertools.pairwise(edges):
-        half = 0.5 * (high - low)
-        times = 0.5 * (low + high) + half * nodes
+        length = high - low
+        times = low + length * table.nodes
         repeated = inputs.repeat(_NODES, axis=0)
         with np.errstate(all="ignore"):
             states, rates, _ = map.derivatives(np.tile(times, count), repeated)
@@ -221,21 +212,21 @@ def linear_error(
             residual = rates - system.vector_field(*arguments, **values)
             matrices = generators(system.hessian(*arguments, **values))
             # From inside the piece, whatever the side to which its ends belong.
-            first = _continued(map, inputs, low, half)
-            last = _continued(map, inputs, high, -half)
+            first = _continued(map, inputs, low, length)
+            last = _continued(map, inputs, high, -length)
             if before is not None:
                 delta = delta + before - first
             residual = residual.reshape(count, _NODES, dim)
             matrices = matrices.reshape(count, _NODES, dim, dim)
-            # rate = A (delta + half I rate) - r at the nodes.
-            coupling = half * np.einsum("ab,naij->naibj", integral[:_NODES], matrices)
+            # rate = A (delta + length I rate) - r at the nodes.
+            coupling = length * np.einsum("ab,naij->naibj", table.integration[:_NODES], matrices)
             system_matrix = np.eye(_NODES * dim) - coupling.reshape(count, _NODES * dim, -1)
             forced = np.einsum("naij,nj->nai", matrices, delta) - residual
             if not (np.isfinite(system_matrix).all() and np.isfinite(forced).all()):
                 return np.full(dim, np.inf)
             solved = np.linalg.solve(system_matrix, forced.reshape(count, -1, 1))
         rate = solved.reshape(count, _NODES, dim)
-        path = delta[:, None] + half * np.einsum("ab,nbi->nai", integral, rate)
+        path = delta[:, None] + length * np.einsum("ab,nbi->nai", table.integration, rate)
         delta, before = path[:, -1], last
         largest = np.maximum(largest, np.abs(path).max(axis=(0, 1)))
     return largest
