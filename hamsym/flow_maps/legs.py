@@ -15,13 +15,13 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.degrees import axis_degrees, further_degrees, margin, points
 from hamsym.flow_maps.domain import Domain
 from hamsym.flow_maps.expansion import Leg, products, tables
+from hamsym.numerics.collocation import collocation
 from hamsym.numerics.lower_sets import (
     MOST_DEGREE,
     chebyshev_coefficients,
@@ -48,7 +48,7 @@ _SMALLEST_PIECE = 1e-7  # of the span
 _WORTHWHILE = 0.4  # of a span that is twice the last leg
 _SHORTEST = 1e-3  # of the span of a leg, before a solution fails
 _MONITORS = 2  # times in each piece at which surpluses are computed
-_PLACES = np.array([-0.97, -0.71, -0.13, 0.43, 0.89, 0.99])  # at which a piece is compared
+_PLACES = np.array([0.015, 0.145, 0.435, 0.715, 0.945, 0.995])  # at which a piece is compared
 # Cost of a further leg relative to that of a leg. Images that depend on parameters are large.
 _WITH_PARAMETERS = 8.0
 _SPARE = 1.2  # times the largest number of terms, until a leg ends
@@ -190,8 +190,8 @@ class LegBuilder:
 
     def _pieces(self, sample: Solutions) -> np.ndarray:
         """Return the ends of pieces in which the series in time has enough terms, from 0."""
-        nodes = chebyshev.chebpts1(_TERMS)
-        matrix = chebyshev.chebvander(_PLACES, _TERMS - 1) @ _time_matrix()
+        table = collocation(_TERMS)
+        matrix = table.interpolation(_PLACES)
         edges, step = [0.0], 1 / 16
         while edges[-1] < 1:
             left = math.ceil((1 - edges[-1]) / step)
@@ -200,7 +200,7 @@ class LegBuilder:
                 self.failure = "the solutions change too fast for an expansion in time"
                 self.is_complete = False
                 break
-            places = edges[-1] + 0.5 * step * (1 + np.concatenate((nodes, _PLACES)))
+            places = edges[-1] + step * np.concatenate((table.nodes, _PLACES))
             times = self._length * places
             found = (sample(self._begin + times) - sample.z0[:, None]) / times[:, None]
             misses = found[:, _TERMS:] - np.einsum("pn,snc->spc", matrix, found[:, :_TERMS])
@@ -331,12 +331,13 @@ class LegBuilder:
         """Return the expansion."""
         domain = self.domain
         starts = domain.start_states(domain.at(points(self._degrees)))
+        table = collocation(_TERMS)
         pieces = []
         for low, high in zip(self._edges[:-1], self._edges[1:], strict=True):
-            times = 0.5 * (low + high) + 0.5 * (high - low) * chebyshev.chebpts1(_TERMS)
+            times = low + (high - low) * table.nodes
             states = np.concatenate([part(self._begin + times) for part in self._solutions])
             network = (states - starts[:, None]) / times[:, None]
-            series = np.einsum("mn,snc->smc", _time_matrix(), network)
+            series = np.einsum("mn,snc->smc", table.to_series, network)
             pieces.append(self._piece(chebyshev_coefficients(self._degrees, series), high))
         return Leg(
             self._begin,
@@ -381,8 +382,3 @@ def _terms(straight: np.ndarray, total: np.ndarray) -> np.ndarray:
     places = np.random.default_rng(0).random((4_096, d))
     within = places @ straight <= np.maximum(total, straight.max(axis=0))
     return within.mean(axis=0) * np.prod(straight + 1, axis=0)
-
-
-def _time_matrix() -> np.ndarray:
-    """Return the matrix from values at Chebyshev points to the series in time."""
-    return np.linalg.inv(chebyshev.chebvander(chebyshev.chebpts1(_TERMS), _TERMS - 1))
