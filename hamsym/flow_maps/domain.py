@@ -10,7 +10,7 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.degrees import interpolated
-from hamsym.flow_maps.expansion import products, tables
+from hamsym.flow_maps.expansion import affine, starts
 from hamsym.numerics.lower_sets import chebyshev_coefficients
 
 __all__ = ["Domain", "box_domain", "image_domain", "split_domain"]
@@ -63,11 +63,7 @@ class Domain:
 
     def start_states(self, inputs: np.ndarray) -> np.ndarray:
         """Return the starts as they are expanded, shape (n, dim)."""
-        found = inputs @ self.selection.T + self.offset
-        if len(self.start):
-            y = inputs @ self.scaling.T + self.shift
-            found += products(self.start_degrees, tables(self.start_degrees, y)).T @ self.start
-        return found
+        return starts(self, inputs, affine(inputs, self.scaling, self.shift))
 
 
 def box_domain(box: Box) -> Domain:

@@ -77,11 +77,7 @@ class Leg:
 
     def evaluate(self, t, inputs, xp=np):
         y = affine(inputs, self.scaling, self.shift, xp)
-        states = affine(inputs, self.selection, self.offset, xp)
-        if len(self.start):
-            start = array_of(self.start, y, xp)
-            values = products(self.start_degrees, tables(self.start_degrees, y, xp))
-            states = states + values.T @ start
+        states = starts(self, inputs, y, xp)
         times = t - self.begin
         found = xp.zeros_like(states)
         for number, chosen in self.parts(times):
@@ -91,13 +87,7 @@ class Leg:
 
     def derivatives(self, t, inputs):
         y = affine(inputs, self.scaling, self.shift)
-        states = affine(inputs, self.selection, self.offset)
-        jacobian = np.repeat(self.selection[None], len(y), axis=0)
-        if len(self.start):
-            values, *slopes = products_and_slopes(self.start_degrees, y)
-            states += values.T @ self.start
-            slopes = np.stack([slope.T @ self.start for slope in slopes], axis=-1)
-            jacobian += slopes @ self.scaling
+        states, jacobian = starts_and_slopes(self, inputs, y)
         times, rates = t - self.begin, np.zeros_like(states)
         for number, chosen in self.parts(times):
             time = times[chosen]
@@ -222,6 +212,26 @@ class Split:
 def affine(inputs, matrix, shift, xp=np):
     """Return matrix @ inputs + shift for each query."""
     return inputs @ array_of(matrix, inputs, xp).T + array_of(shift, inputs, xp)
+
+
+def starts(map, inputs, y, xp=np):
+    """Return z_a of a leg, a network or a domain, for inputs and their scaled values y."""
+    states = affine(inputs, map.selection, map.offset, xp)
+    if len(map.start):
+        values = products(map.start_degrees, tables(map.start_degrees, y, xp))
+        states = states + values.T @ array_of(map.start, y, xp)
+    return states
+
+
+def starts_and_slopes(map, inputs, y):
+    """Return z_a and its derivatives in the inputs, of shapes (n, dim) and (n, dim, d)."""
+    states = affine(inputs, map.selection, map.offset)
+    jacobian = np.repeat(map.selection[None], len(y), axis=0)
+    if len(map.start):
+        values, *slopes = products_and_slopes(map.start_degrees, y)
+        states += values.T @ map.start
+        jacobian += np.stack([slope.T @ map.start for slope in slopes], axis=-1) @ map.scaling
+    return states, jacobian
 
 
 def tables(degrees, y, xp=np):

@@ -6,7 +6,7 @@ modules: it imports nothing else but numpy. The protocol of maps is described th
 
 import numpy as np
 
-from hamsym.flow_maps.expansion import affine, array_of, products, products_and_slopes, tables
+from hamsym.flow_maps.expansion import affine, starts, starts_and_slopes
 
 ENVELOPES = ("exponential", "linear")
 QUERIES = 4_096  # through the network at once, to stay in the cache
@@ -71,10 +71,7 @@ class NetworkMap:
     def states(self, t, inputs, xp):
         """Return z^ for a few queries."""
         y = affine(inputs, self.scaling, self.shift, xp)
-        states = affine(inputs, self.selection, self.offset, xp)
-        if len(self.start):
-            values = products(self.start_degrees, tables(self.start_degrees, y, xp))
-            states = states + values.T @ array_of(self.start, y, xp)
+        states = starts(self, inputs, y, xp)
         times = t - self.begin
         h = xp.concatenate((self.scaled_time(times)[:, None], y), 1)
         *hidden, (matrix, bias) = self.layers
@@ -92,13 +89,7 @@ class NetworkMap:
     def slopes(self, t, inputs):
         """Return z^ and its derivatives for a few queries."""
         y = affine(inputs, self.scaling, self.shift)
-        states = affine(inputs, self.selection, self.offset)
-        jacobian = np.repeat(self.selection[None], len(y), axis=0)
-        if len(self.start):
-            values, *slopes = products_and_slopes(self.start_degrees, y)
-            states += values.T @ self.start
-            of_start = np.stack([slope.T @ self.start for slope in slopes], axis=-1)
-            jacobian += of_start @ self.scaling
+        states, jacobian = starts_and_slopes(self, inputs, y)
         times = t - self.begin
         h = np.concatenate((self.scaled_time(times)[:, None], y), axis=1)
         # The derivatives in s and in y are along the first axis.
