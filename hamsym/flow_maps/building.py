@@ -15,7 +15,7 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.box import Box
-from hamsym.flow_maps.domain import Domain, box_domain, image_domain, split_domain
+from hamsym.flow_maps.domain import Domain, box_domain, image_domain, random_places, split_domain
 from hamsym.flow_maps.expansion import Chain, Split
 from hamsym.flow_maps.legs import FailedError, LegBuilder
 
@@ -188,8 +188,7 @@ def image_of(
     random : numpy.random.Generator
     """
     d, dim = len(domain), box.H.dim
-    y = random.uniform(-1, 1, (_IMAGE, d))
-    y = np.where(random.random(y.shape) < _AT_END, np.sign(y), y)
+    y = random_places(random, _IMAGE, d, _AT_END)
     corners = random.choice((-1.0, 1.0), (_CORNERS, d))
     inputs = domain.at(np.concatenate((corners, y)))
     states = map.evaluate(np.full(len(inputs), time), inputs)

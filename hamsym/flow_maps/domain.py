@@ -13,7 +13,7 @@ from hamsym.flow_maps.degrees import interpolated
 from hamsym.flow_maps.expansion import affine, starts
 from hamsym.numerics.lower_sets import chebyshev_coefficients
 
-__all__ = ["Domain", "box_domain", "image_domain", "split_domain"]
+__all__ = ["Domain", "box_domain", "image_domain", "random_places", "split_domain"]
 
 _MARGIN = 0.02  # of a half-width, around the samples of an image
 _ROUND_OFF = 4e-15  # of expressions in z0, relative
@@ -104,6 +104,15 @@ def _with_start(domain: Domain, box: Box) -> Domain:
             "shorter intervals"
         ) from None
     return replace(domain, start_degrees=degrees, start=chebyshev_coefficients(degrees, values))
+
+
+def random_places(random: np.random.Generator, count: int, d: int, at_end: float) -> np.ndarray:
+    """Return random scaled inputs, shape (count, d).
+
+    Each is uniform in [-1, 1], or with the probability ``at_end`` an end of it.
+    """
+    y = random.uniform(-1, 1, (count, d))
+    return np.where(random.random(y.shape) < at_end, np.sign(y), y)
 
 
 def split_domain(domain: Domain, direction: int) -> tuple[Domain | None, Domain | None]:

@@ -21,7 +21,7 @@ import numpy as np
 
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.box import Box
-from hamsym.flow_maps.domain import Domain
+from hamsym.flow_maps.domain import Domain, random_places
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.symplectic import generators
@@ -104,8 +104,7 @@ def judged(
     search = _Search(map, box, span, solve, allowed, random)
     d = len(box)
     uniform = random.uniform(-1, 1, (points, d))
-    faces = random.uniform(-1, 1, (points // 2, d))
-    faces = np.where(random.random(faces.shape) < _AT_END, np.sign(faces), faces)
+    faces = random_places(random, points // 2, d, _AT_END)
     corners = random.choice((-1.0, 1.0), (min(_CORNERS, 2**d), d))
     search.compare(uniform)
     search.compare(np.concatenate((faces, corners)))

@@ -19,7 +19,7 @@ import numpy as np
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.degrees import axis_degrees, further_degrees, margin, points
-from hamsym.flow_maps.domain import Domain
+from hamsym.flow_maps.domain import Domain, random_places
 from hamsym.flow_maps.expansion import Leg, products, tables
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.lower_sets import (
@@ -273,9 +273,7 @@ class LegBuilder:
     def _worst_at_random(self) -> float:
         """Return the largest difference from solutions at random points, of the allowed error."""
         count, d = max(_FEWEST_RANDOM, len(self._degrees) // 8), len(self.domain)
-        y = self._random.uniform(-1, 1, (count, d))
-        at_end = self._random.random((count, d)) < _AT_END
-        y = np.where(at_end, np.sign(y), y)
+        y = random_places(self._random, count, d, _AT_END)
         exact = self._monitored(self._solved(y))
         kept = self._values[:, : exact.shape[1]]
         coefficients = chebyshev_coefficients(self._degrees, kept)
