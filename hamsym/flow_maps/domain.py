@@ -166,9 +166,8 @@ def image_domain(samples: np.ndarray, names: tuple[str, ...], scale: np.ndarray)
     width = (1 + _MARGIN) * 0.5 * np.ptp(along, axis=0) + _THIN
     d = dim + kept.shape[1]
     scaling, shift = np.zeros((d, d)), np.zeros(d)
-    turn = (
-        axes / width[:, None]
-    )  # y_state = turn @ (z / scale - linear @ (1, theta)) - middle / width
+    # The scaled states are turn @ (z / scale - linear @ (1, theta)) - middle / width.
+    turn = axes / width[:, None]
     scaling[:dim, :dim] = turn / scale
     scaling[:dim, dim:] = -turn @ linear[:, 1:] / half
     scaling[dim:, dim:] = np.diag(1 / half)

@@ -94,8 +94,6 @@ class LegBuilder:
         Why the leg ends before the span; empty if it does not, or ends because of its degrees.
     is_complete : bool
         Whether the leg has the whole span.
-    predicted : int
-        Number of solutions that the leg was expected to need.
 
     Raises
     ------
@@ -119,8 +117,9 @@ class LegBuilder:
         self._each = _WITH_PARAMETERS if len(domain) > len(allowed) else 1.0
         self._begin, self._length = span[0], span[1] - span[0]
         self._whole = abs(self._length)
-        self.failure, self.splits, self.widest, self.predicted = "", False, 0, 0
+        self.failure, self.splits, self.widest = "", False, 0
         self.is_complete = True
+        self._edges = np.empty(0)  # of the pieces, once they are chosen
         self._solutions: list[Solutions] = []
         try:
             self._probe()
@@ -153,8 +152,8 @@ class LegBuilder:
         self.widest = int(np.argmax(straight[:, -1]))
         if not fine.all() and not self._end_after(int(np.argmin(fine)), numbers[-1]):
             return
-        self.predicted = int(numbers[len(self._edges) - 2])
-        self._note(f"t = {self._begin + self._edges[-1]:.6g}: about {self.predicted:,} solutions")
+        predicted = int(numbers[len(self._edges) - 2])
+        self._note(f"t = {self._begin + self._edges[-1]:.6g}: about {predicted:,} solutions")
 
     def _signs(self, d: int) -> np.ndarray:
         """Return directions of diagonals, shape (lines, d)."""
@@ -296,7 +295,6 @@ class LegBuilder:
             if not len(failed):
                 return found
             member = int(failed[0])
-            self.failure = str(found.message[member])
             inputs = self.domain.at(y[member : member + 1])
             state = ", ".join(f"{value:.6g}" for value in self.domain.states(inputs)[0])
             self.failure = f"from z = ({state}) at t = {self._begin:.6g}: {found.message[member]}"
@@ -308,7 +306,7 @@ class LegBuilder:
 
     def _shorten(self, length: float) -> None:
         """End the leg earlier; raises FailedError if nothing is left of it."""
-        if hasattr(self, "_edges"):
+        if len(self._edges):
             self._keep(int(np.sum(np.abs(self._edges[1:]) <= abs(length))))
         else:
             self._length, self.is_complete = length, False

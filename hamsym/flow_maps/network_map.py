@@ -1,7 +1,6 @@
 """Evaluation of networks z^ = z_a + f(t) N(t, y) over a box, with numpy or torch.
 
-The text of this module, behind that of :mod:`hamsym.flow_maps.expansion`, is a part of exported
-modules: it imports nothing else but numpy. The protocol of maps is described there.
+The protocol of maps is described in :mod:`hamsym.flow_maps.expansion`.
 """
 
 import numpy as np
