@@ -35,6 +35,7 @@ from hamsym.support.checked_data import (
     numbers_of,
     require_array,
     require_names,
+    taken,
 )
 from hamsym.support.tensor_files import kind_of, one_line, read_tensors, write_tensors
 
@@ -168,18 +169,18 @@ def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution
     dim = len(checked_list("q", formula["q"])) + len(checked_list("p", formula["p"]))
     # The numbers of components and names are compared before anything is built from them.
     require_array("z0", z0, (dim,))
-    form, own = checked_mapping("trial", values["trial"]), _taken(given, "trial")
+    form, own = checked_mapping("trial", values["trial"]), taken(given, "trial")
     if form["form"] == "features":
         trial: Any = FeatureTrial.from_description(form, own, dim)
     else:
         trial = _network_trial(form, own, dim)
     error = None
     if has_error:
-        error = checked_record(MarchError, values["error"], _taken(given, "error"))
+        error = checked_record(MarchError, values["error"], taken(given, "error"))
     if record_name == "training":
-        record: Any = _training(values["training"], _taken(given, "history"))
+        record: Any = _training(values["training"], taken(given, "history"))
     else:
-        march = {name: own[name] for name in _IN_TRIAL} | _taken(given, "march")
+        march = {name: own[name] for name in _IN_TRIAL} | taken(given, "march")
         record = checked_record(March, values["march"], march)
     if given:
         raise ValueError(f"'{min(given)[:40]}' is not a part of a solution")
@@ -208,13 +209,6 @@ def _training(numbers: Any, history: dict[str, np.ndarray]) -> Any:
     from hamsym.networks.record import History, Training
 
     return checked_record(Training, numbers, {"history": checked_record(History, {}, history)})
-
-
-def _taken(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """Remove and return the arrays with a prefix, by the rest of their names."""
-    start = prefix + "."
-    names = [name for name in arrays if name.startswith(start)]
-    return {name.removeprefix(start): arrays.pop(name) for name in names}
 
 
 def _check(solution: Solution) -> None:

@@ -26,6 +26,7 @@ from hamsym.support.checked_data import (
     numbers_of,
     require_array,
     require_names,
+    taken,
 )
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
@@ -119,15 +120,11 @@ def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> FlowMap
     box.states(box.at(np.zeros((1, d))))  # raises for expressions of other symbols
     error = arrays.pop("error_estimate")
     require_array("error_estimate", error, (dim,), finite=plain["success"])
-    judged = {
-        name.removeprefix("judgement."): arrays.pop(name)
-        for name in [name for name in arrays if name.startswith("judgement.")]
-    }
-    judgement = checked_record(Judgement, values["judgement"], judged)
+    judgement = checked_record(Judgement, values["judgement"], taken(arrays, "judgement"))
     for name, shape in (("error", (dim,)), ("linear", (dim,)), ("worst_inputs", (d,))):
         require_array(name, getattr(judgement, name), shape, finite=name == "worst_inputs")
-    given = {name.removeprefix("map."): array for name, array in arrays.items()}
-    if len(given) > _PIECES or not all(name.startswith("map.") for name in arrays):
+    given = taken(arrays, "map")
+    if arrays or len(given) > _PIECES:
         raise ValueError("it has an array that is not a part of a flow map")
     map = _map(checked_mapping("map", values["map"]), given, d, dim, _DEEPEST)
     if given:
@@ -159,7 +156,7 @@ def _map(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int, 
         if not np.array_equal(kept, np.arange(dim, d)) or len(forms) < 2:
             raise ValueError("its legs do not fit each other")
         maps = [
-            _map(checked_mapping("map", part), _taken(arrays, f"{k}."), d, dim, depth - 1)
+            _map(checked_mapping("map", part), taken(arrays, str(k)), d, dim, depth - 1)
             for k, part in enumerate(forms)
         ]
         if [part.begin for part in maps[1:]] != joints.tolist():
@@ -170,7 +167,7 @@ def _map(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int, 
         normal = arrays.pop("normal")
         require_array("normal", normal, (d,))
         sides = [
-            _map(checked_mapping(side, form[side]), _taken(arrays, f"{side}."), d, dim, depth - 1)
+            _map(checked_mapping(side, form[side]), taken(arrays, side), d, dim, depth - 1)
             for side in ("low", "high")
         ]
         return Split(normal, checked_number("threshold", form["threshold"]), *sides)
@@ -187,7 +184,7 @@ def _leg(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int) 
     own = _domain(arrays, d, dim)
     pieces = []
     for number in range(count):
-        piece = _taken(arrays, f"{number}.")
+        piece = taken(arrays, str(number))
         require_names("piece", piece, {"degrees", "readouts", "columns"})
         readouts, columns = piece["readouts"], piece["columns"]
         require_array("readouts", readouts, (len(piece["degrees"]), len(columns)))
@@ -210,7 +207,7 @@ def _network(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: i
     own = _domain(arrays, d, dim)
     layers, width = [], 1 + d
     for number in range(count):
-        layer = _taken(arrays, f"{number}.")
+        layer = taken(arrays, str(number))
         require_names("layer", layer, {"matrix", "bias"})
         matrix, bias = layer["matrix"], layer["bias"]
         outputs = dim if number == count - 1 else max(1, bias.size)
@@ -242,9 +239,3 @@ def _degrees(array: np.ndarray, d: int) -> np.ndarray:
 def _stored(array: np.ndarray) -> np.ndarray:
     """Return whole numbers, which are small, as bytes."""
     return array.astype(np.uint8) if array.dtype.kind == "i" else array
-
-
-def _taken(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """Remove and return the arrays with a prefix, by the rest of their names."""
-    names = [name for name in arrays if name.startswith(prefix)]
-    return {name.removeprefix(prefix): arrays.pop(name) for name in names}

@@ -23,6 +23,7 @@ __all__ = [
     "require_array",
     "require_counts",
     "require_names",
+    "taken",
 ]
 
 _MOST_ENTRIES = 10_000  # of a list; a formula has no more parts
@@ -115,6 +116,20 @@ def numbers_of(record: Any) -> dict[str, Any]:
     values = {field.name: getattr(record, field.name) for field in fields(record)}
     plain = {n: v.item() if isinstance(v, np.generic) else v for n, v in values.items()}
     return {n: v for n, v in plain.items() if isinstance(v, (bool, int, float, str, type(None)))}
+
+
+def taken(arrays: dict[str, Any], prefix: str) -> dict[str, Any]:
+    """Remove and return the arrays with names ``prefix.name``, by ``name``.
+
+    Examples
+    --------
+    >>> arrays = {"trial.edges": 1, "trial.0.bias": 2, "z0": 3}
+    >>> taken(arrays, "trial"), arrays
+    ({'edges': 1, '0.bias': 2}, {'z0': 3})
+    """
+    start = prefix + "."
+    names = [name for name in arrays if name.startswith(start)]
+    return {name.removeprefix(start): arrays.pop(name) for name in names}
 
 
 def arrays_of(prefix: str, record: Any) -> dict[str, np.ndarray]:
