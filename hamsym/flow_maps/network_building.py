@@ -36,6 +36,7 @@ from hamsym.support.checked_data import (
     checked_number,
     checked_record,
     require_names,
+    taken,
 )
 from hamsym.support.tensor_files import one_line
 
@@ -258,23 +259,20 @@ class NetworkBuilder:
         """Restore the state that :meth:`_state` returned."""
         require_names("state", values, {"settings", "seconds", "progress", "reasons", "optimizer"})
         self._budget.seconds = max(checked_number("seconds", values["seconds"]), 0.0)
-        given = checked_list("progress", values["progress"])
-        reasons = checked_list("reasons", values["reasons"], len(given))
-        if not 1 <= len(given) <= self._options.windows or None in reasons[:-1]:
+        windows = checked_list("progress", values["progress"])
+        reasons = checked_list("reasons", values["reasons"], len(windows))
+        if not 1 <= len(windows) <= self._options.windows or None in reasons[:-1]:
             raise ValueError("its windows are not those of this training")
-        for number, (progress, reason) in enumerate(zip(given, reasons, strict=True)):
+        given = dict(tensors)
+        for number, (progress, reason) in enumerate(zip(windows, reasons, strict=True)):
             self._begin()
             self._trainings[-1].restore(
-                tensors[f"best.{number}"],
+                given.pop(f"best.{number}"),
                 checked_record(Progress, checked_mapping("progress", progress), {}),
                 None if reason is None else Stopped(reason),
             )
-        now = {
-            name.removeprefix("now."): tensor
-            for name, tensor in tensors.items()
-            if name.startswith("now.")
-        }
-        if len(now) + len(given) != len(tensors):
+        now = taken(given, "now")
+        if given:
             raise ValueError("its weights are those of another network")
         self._trainings[-1].restore_optimizer(
             now, checked_mapping("optimizer", values["optimizer"])
