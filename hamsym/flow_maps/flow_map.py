@@ -187,9 +187,7 @@ class FlowMap:
         given = self.region.inputs_of(z0, parameters)
         if is_tensor(t) or any(map(is_tensor, given.values())):
             return self._tensors(t, given, extrapolate)
-        times, inputs, shape = self._queries(t, given, extrapolate)
-        (states,) = self._in_threads(lambda *part: (self.map.evaluate(*part),), times, inputs)
-        return states.reshape(*shape, self.H.dim)
+        return self._values(self.map.evaluate, t, given, extrapolate)
 
     def jacobian(
         self,
@@ -215,9 +213,8 @@ class FlowMap:
         array([[ 0.,  1.],
                [-1.,  0.]])
         """
-        times, inputs, shape = self._queries(t, self.region.inputs_of(z0, parameters), extrapolate)
-        found = self._in_threads(self.map.derivatives, times, inputs)[2]
-        return np.asarray(found.reshape(*shape, self.H.dim, len(self.inputs)))
+        given = self.region.inputs_of(z0, parameters)
+        return self._values(lambda *part: self.map.derivatives(*part)[2], t, given, extrapolate)
 
     def rate(
         self,
@@ -228,21 +225,27 @@ class FlowMap:
         extrapolate: bool = False,
     ) -> np.ndarray:
         """Return dz^/dt, shape (n, dim); arguments as of :meth:`__call__`."""
-        times, inputs, shape = self._queries(t, self.region.inputs_of(z0, parameters), extrapolate)
-        return np.asarray(self.map.derivatives(times, inputs)[1].reshape(*shape, self.H.dim))
+        given = self.region.inputs_of(z0, parameters)
+        return self._values(lambda *part: self.map.derivatives(*part)[1], t, given, extrapolate)
 
-    def _in_threads(
-        self, function: Callable[..., tuple[np.ndarray, ...]], times: np.ndarray, inputs: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
-        """Apply a function to queries, to parts of many queries on all cores."""
-        count = min(available_cores(), len(times) // _QUERIES)
-        if count < 2:
-            return function(times, inputs)
+    def _values(
+        self,
+        function: Callable[[np.ndarray, np.ndarray], np.ndarray],
+        t: Any,
+        given: Mapping[str, Any],
+        extrapolate: bool,
+    ) -> np.ndarray:
+        """Return a function of times and inputs at queries; many are divided among all cores."""
+        times, inputs, shape = self._queries(t, given, extrapolate)
+        count = max(1, min(available_cores(), len(times) // _QUERIES))
         ends = np.linspace(0, len(times), count + 1).astype(int).tolist()
-        with ThreadPoolExecutor(count) as pool:
-            parts = [slice(*pair) for pair in itertools.pairwise(ends)]
-            found = list(pool.map(lambda part: function(times[part], inputs[part]), parts))
-        return tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))
+        parts = [(times[i:j], inputs[i:j]) for i, j in itertools.pairwise(ends)]
+        if count == 1:
+            found = function(*parts[0])
+        else:
+            with ThreadPoolExecutor(count) as pool:
+                found = np.concatenate(list(pool.map(lambda part: function(*part), parts)))
+        return found.reshape(*shape, *found.shape[1:])
 
     def _queries(
         self, t: Any, given: Mapping[str, Any], extrapolate: bool
