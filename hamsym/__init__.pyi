@@ -16,8 +16,8 @@ from .families.many import solve_many as solve_many
 from .families.solutions import Solutions as Solutions
 from .fitting.fit import fit as fit
 from .fitting.fitted import Fit as Fit
+from .flow_maps.construction import flow_map as flow_map
 from .flow_maps.flow_map import FlowMap as FlowMap
-from .flow_maps.flow_map import flow_map as flow_map
 from .hamiltonian import Hamiltonian as Hamiltonian
 from .integrators.integrate import Trajectory as Trajectory
 from .integrators.integrate import integrate as integrate

@@ -1,0 +1,340 @@
+"""Construction of flow maps, by expansion or by training: attempts, each with its judgement."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hamsym.cluster import require_client
+from hamsym.errors import InputError
+from hamsym.families.many import solve_many
+from hamsym.families.solutions import Solutions
+from hamsym.flow_maps.box import Box, checked_box
+from hamsym.flow_maps.building import Builder, Built
+from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.flow_maps.judging import Judgement, judged
+from hamsym.flow_maps.options import FeatureMapOptions, NetworkMapOptions, checked_options
+from hamsym.hamiltonian import HamiltonianLike
+from hamsym.problem import checked_span
+from hamsym.support.validation import require, require_whole
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from hamsym.flow_maps.workers import Workers
+
+__all__ = ["flow_map"]
+
+_SMALLEST_TOL = 1e-11  # the solutions of which a map is made are exact to 1e-12
+_SOLUTIONS = 0.02  # tolerance of these solutions, relative to that of the map
+_SMALLEST_SOLUTIONS, _LARGEST_SOLUTIONS = 1e-12, 1e-7  # looser ones are not faster
+_SHARE = 0.6  # of the allowed error, for the expansion
+_ATTEMPTS = 3
+_AIM = 0.4  # of the allowed error, in a further attempt
+_PROBES = 32  # solutions from which the sizes of the components are taken
+
+
+def flow_map(
+    H: HamiltonianLike,
+    z0: Mapping[Any, Any] | Sequence[Any],
+    span: tuple[float, float],
+    parameters: Mapping[Any, Any] | None = None,
+    *,
+    tol: float = 1e-6,
+    atol: float | Sequence[float] = 0.0,
+    method: str = "features",
+    points: int = 2_000,
+    seed: int = 0,
+    progress: bool | None = None,
+    client: Client | None = None,
+    **options: Any,
+) -> FlowMap:
+    """Find one closed form of all trajectories that start in a box.
+
+    Solutions at the points of a sparse grid in the box, as many as the tolerance needs in each
+    direction, are expanded in Chebyshev polynomials of the initial state and the parameters:
+    z^ = z0 + (t - t0) N(t, z0, parameters), with columns in time and readouts that are polynomials.
+    With the method "network", a network of sines N(t, z0, parameters) in
+    z^ = z0 + f(t) N is trained instead, on the residual of Hamilton's equations at random points of
+    the box, without any solution.
+    The error is estimated over the whole box by comparison with other solutions, by a search for
+    the worst place and by the linear equation of the error.
+
+    Parameters
+    ----------
+    H : Hamiltonian, str or sympy.Expr
+    z0 : mapping or sequence
+        For each component an interval (low, high), a number, or an expression of parameters, for
+        example ``"sqrt((1 + e)/(1 - e))"``.
+    span : (float, float)
+    parameters : mapping, optional
+        Intervals or numbers for parameters of H and for symbols in the expressions of z0.
+    tol : float
+        Tolerance over the whole box, relative to the largest value of each component there.
+    atol : float or sequence
+        Absolute tolerance, added to it.
+    method : {"features", "network"}
+    points : int
+        Random points at which the error is estimated.
+    seed : int
+        Of the random points, and of the basis or the weights.
+    progress : bool, optional
+        Write lines about the progress, with the number of solutions that is expected, on standard
+        error; by default if that is a terminal.
+    client : dask.distributed.Client, optional
+        Solve on the workers of this cluster; see :func:`hamsym.solve_many`. The map is the same.
+    **options
+        For ``"features"``:
+
+        max_solutions : int, default 100_000
+            Largest number of solutions of which the map may be made.
+
+        For ``"network"``:
+
+        hidden : sequence of int, default (40, 40)
+            Neurons of each hidden layer.
+        envelope : {"exponential", "linear"}
+            f = 1 - exp(-(t - t0) / tau) or f = (t - t0) / tau.
+        tau : float
+            Unit of time of the envelope; by default the length of a window.
+        frequency : float, default 2
+            Weights of the first layer start uniform within +- this; its inputs are within +- 1.
+        windows : int, default 1
+            Networks, one after the other in time; each starts from the states in which the one
+            before it ends. More than one need intervals for all components of z0.
+        optimizer : {"levenberg-marquardt", "adam"}
+        collocation_points : int
+            Fresh random points of each iteration, in each process; by default so many that there
+            are two residuals for each weight.
+        stages : int, default 4
+            Sequential training: number of spans in each window, each longer by an equal part, with
+            the weights carried over.
+        iterations : int, default 1_000
+            Largest number of iterations for each window.
+        patience : int, optional
+            End a window after this number of iterations without a lower residual at held-out
+            points.
+        learning_rate : float, default 3e-3
+            Of Adam, at the start; it falls to zero along half a cosine.
+        time_limit : float, optional
+            Seconds after which the training ends, shared among the windows.
+        checkpoint : path, optional
+            A file that is written every ``checkpoint_every`` (20) iterations and at the end. If it
+            exists, the training is resumed from it.
+        device : {"cpu", "cuda"}
+
+        A training converges when its error by the linear equation, at held-out starts, is within
+        the tolerance. It ends early, with what there is, at the time limit and at Ctrl-C. Under
+        ``torchrun`` it is data-parallel: each process has its own points, and all return the same
+        map; the first one writes the checkpoint and lines about the progress.
+
+    Returns
+    -------
+    FlowMap
+
+    Raises
+    ------
+    InputError
+        If an argument or option is invalid, a solution fails at the start of the span, or more
+        solutions are needed than ``max_solutions``.
+    FileError
+        If a checkpoint cannot be read or written, or belongs to another training.
+
+    Examples
+    --------
+    >>> box = {"x": (1.0, 1.6), "p": (0.7, 1.3)}
+    >>> flow = flow_map("p**2/2 + x**2/2 + x**4/4", box, (0, 2), tol=1e-6)
+    >>> flow.success, flow.inputs
+    (True, ('x', 'p'))
+    >>> starts = np.random.default_rng(1).uniform([1, 0.7], [1.6, 1.3], (5, 2))
+    >>> flow(1.0, starts).shape
+    (5, 2)
+    """
+    box, times = checked_box(H, z0, parameters), checked_span(span)
+    number = isinstance(tol, (int, float, np.floating)) and not isinstance(tol, bool)
+    require(
+        number and _SMALLEST_TOL <= tol < 1,
+        "tol",
+        tol,
+        f"a number from {_SMALLEST_TOL:g} to below 1",
+    )
+    require_whole("points", points, 100)
+    require_whole("seed", seed, 0)
+    chosen = checked_options(method, options)
+    absolute = np.broadcast_to(np.asarray(atol, dtype=float), box.H.dim)
+    show = sys.stderr.isatty() if progress is None else progress
+    workers = None
+    if isinstance(chosen, NetworkMapOptions):
+        from hamsym.flow_maps.workers import Workers  # imports torch, which is slow
+
+        workers = Workers(chosen.device)
+
+    def note(text: str) -> None:
+        if show and not (workers and workers.rank):
+            print(f"flow map: {text}", file=sys.stderr, flush=True)
+
+    if client is not None:
+        require_client(client)
+    construction = _Construction(box, times, float(tol), absolute, points, seed, note, client)
+    if workers is not None and isinstance(chosen, NetworkMapOptions):
+        return construction.trained(chosen, workers)
+    assert isinstance(chosen, FeatureMapOptions)
+    return construction.expanded(chosen.max_solutions)
+
+
+class _Construction:
+    """Construction of one map: attempts, each with its judgement."""
+
+    def __init__(
+        self,
+        box: Box,
+        span: tuple[float, float],
+        tol: float,
+        absolute: np.ndarray,
+        points: int,
+        seed: int,
+        note: Callable[[str], None],
+        client: Client | None,
+    ) -> None:
+        self._box, self._span, self._tol, self._absolute = box, span, tol, absolute
+        self._points, self._seed, self._note, self._client = points, seed, note, client
+        self._solved, self._most = 0, 0
+        smallest = max(_SOLUTIONS * tol, _SMALLEST_SOLUTIONS)
+        self._solution_tol = min(smallest, _LARGEST_SOLUTIONS)
+        self._of_solutions = _SOLUTIONS * absolute
+        self._began = time.perf_counter()
+        self._random = np.random.default_rng(seed)
+
+    def _sizes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return size and allowed error of each component."""
+        y = self._random.uniform(-1, 1, (_PROBES, len(self._box)))
+        inputs = self._box.at(y)
+        probes = self._solve(self._box.states(inputs), self._box.values(inputs), self._span)
+        scale = probes.table.sizes.max(axis=0)
+        # A component may be small for some members, and its tolerance is that of the box.
+        self._of_solutions = self._of_solutions + self._solution_tol * scale
+        return scale, self._absolute + self._tol * scale
+
+    def trained(self, options: NetworkMapOptions, workers: Workers) -> FlowMap:
+        """Return a map by a network; the first process judges it."""
+        from hamsym.flow_maps.network_building import NetworkBuilder  # imports torch
+
+        scale, allowed = self._sizes()
+        built, training = NetworkBuilder(
+            *(self._box, self._span, allowed, scale, options, self._seed, workers, self._note)
+        ).build()
+        seconds = time.perf_counter() - self._began
+        self._note(f"{training} in {seconds:.3g} s; estimating the error")
+        judgement = workers.of_first(lambda: self._judged(built, allowed, scale))
+        return self._result(
+            "network", built, judgement, allowed, training, workers.of_first(lambda: seconds)
+        )
+
+    def expanded(self, most: int) -> FlowMap:
+        """Return a map by expansion of at most so many solutions."""
+        self._most = most
+        random, began = self._random, self._began
+        scale, allowed = self._sizes()
+        share = _SHARE
+        for attempt in range(_ATTEMPTS):
+            builder = Builder(
+                self._box, self._span, self._counted, share * allowed, scale, random, self._note
+            )
+            built = builder.build()
+            seconds = time.perf_counter() - began
+            self._note(f"{self._solved:,} solutions in {seconds:.3g} s; estimating the error")
+            judgement = self._judged(built, allowed, scale)
+            excess = float((judgement.error / allowed).max())
+            if excess <= 1 or not math.isfinite(excess) or attempt == _ATTEMPTS - 1:
+                break
+            share *= _AIM / excess
+            self._note(f"the error is {excess:.2g} of the tolerance; again with a smaller share")
+        return self._result("features", built, judgement, allowed, "", seconds)
+
+    def _judged(self, built: Built, allowed: np.ndarray, scale: np.ndarray) -> Judgement:
+        span = (self._span[0], built.reached)
+        return judged(
+            *(built.map, self._box, span, built.edges, self._solve, allowed, scale, self._random),
+            self._points,
+        )
+
+    def _result(
+        self,
+        method: str,
+        built: Built,
+        judgement: Judgement,
+        allowed: np.ndarray,
+        training: str,
+        seconds: float,
+    ) -> FlowMap:
+        span = (self._span[0], built.reached)
+        excess = float((judgement.error / allowed).max())
+        failure = built.failure or judgement.failure
+        success = not failure and excess <= 1 and span == self._span
+        message = self._message(built.failure, span, excess, judgement)
+        return FlowMap(
+            self._box,
+            span,
+            method,
+            built.map,
+            self._tol,
+            bool(success),
+            f"{message}; {training}" if training else message,
+            judgement.error,
+            excess,
+            judgement,
+            self._solved,
+            seconds,
+        )
+
+    def _message(
+        self, failure: str, span: tuple[float, float], excess: float, judgement: Judgement
+    ) -> str:
+        place = self._box.described(judgement.worst_inputs)
+        worst = f"worst found at t = {judgement.worst_time:.6g}, {place}"
+        if failure:
+            return f"the map ends at t = {span[1]:.6g}: {failure}"
+        if judgement.failure:
+            return f"the error cannot be estimated everywhere: {judgement.failure}"
+        if excess <= 1:
+            return (
+                f"estimated error {excess:.2g} of the tolerance over the box; {worst}; "
+                f"{judgement.points:,} random starts bound it, with 95 % confidence, except in "
+                f"{judgement.share:.2%} of the box"
+            )
+        return f"estimated error {excess:.2g} of the tolerance; {worst}"
+
+    def _counted(
+        self, states: np.ndarray, values: Mapping[str, np.ndarray], span: tuple[float, float]
+    ) -> Solutions:
+        """Solve for the expansion, up to the largest number of solutions."""
+        self._solved += len(states)
+        if self._solved > self._most:
+            raise InputError(
+                f"the flow map needs more than max_solutions={self._most:,} solutions; give "
+                "smaller intervals, a shorter span, a larger tol or a larger max_solutions"
+            )
+        return self._solve(states, values, span)
+
+    def _solve(
+        self, states: np.ndarray, values: Mapping[str, np.ndarray], span: tuple[float, float]
+    ) -> Solutions:
+        found = solve_many(
+            self._box.H,
+            states,
+            span,
+            tol=self._solution_tol,
+            atol=self._of_solutions.tolist(),
+            parameters=values or None,
+            seed=self._seed,
+            progress=False,
+            client=self._client,
+        )
+        if found.table.stopped == "interrupted":
+            raise KeyboardInterrupt
+        return found
