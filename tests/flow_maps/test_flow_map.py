@@ -14,6 +14,7 @@ import torch
 import hamsym
 from hamsym import FlowMap, flow_map, solve_many
 from hamsym.errors import FileError, InputError
+from hamsym.flow_maps import flow_map as flow_map_module
 from hamsym.flow_maps import legs
 from hamsym.flow_maps.box import checked_box
 from hamsym.flow_maps.expansion import Chain, Leg, Split
@@ -84,6 +85,20 @@ def test_map_is_exact_at_the_start(oscillator: FlowMap) -> None:
     starts = np.random.default_rng(2).uniform([1, 0.7], [1.6, 1.3], (50, 2))
     np.testing.assert_array_equal(oscillator(0.0, starts), starts)
     np.testing.assert_array_equal(oscillator.jacobian(0.0, starts[0]), np.eye(2))
+
+
+def test_queries_on_several_cores_have_the_same_bits(
+    with_parameter: FlowMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random = np.random.default_rng(4)
+    t, x, k = (random.uniform(*ends, (10, 7)) for ends in ((0, 2), (1, 2), (1, 2)))
+    functions = with_parameter, with_parameter.jacobian, with_parameter.rate
+    alone = [function(t, {"x": x}, {"k": k}) for function in functions]
+    assert [found.shape for found in alone] == [(10, 7, 2), (10, 7, 2, 2), (10, 7, 2)]
+    monkeypatch.setattr(flow_map_module, "_QUERIES", 20)
+    monkeypatch.setattr(flow_map_module, "available_cores", lambda: 3)
+    for function, expected in zip(functions, alone, strict=True):
+        np.testing.assert_array_equal(function(t, {"x": x}, {"k": k}), expected)
 
 
 def test_curve_of_starts() -> None:
