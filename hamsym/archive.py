@@ -147,6 +147,9 @@ def parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         values["march"] = numbers_of(record)
         own = arrays_of("march", record)
         arrays |= {n: a for n, a in own.items() if n.partition(".")[2] not in _IN_TRIAL}
+    elif record.history is record:
+        values["chain"] = numbers_of(record)
+        arrays |= arrays_of("chain", record)
     else:
         values["training"] = numbers_of(record)
         arrays |= arrays_of("history", record.history)
@@ -158,7 +161,7 @@ def parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution:
     """Build a solution from its :func:`parts`."""
-    record_name = "training" if "training" in values else "march"
+    record_name = next((name for name in ("training", "chain") if name in values), "march")
     names = {"H", "span", "method", "energy_weight", "success", "message", "trial", record_name}
     has_error = "error" in values
     require_names("values", values, names | {"error"} if has_error else names)
@@ -176,9 +179,12 @@ def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution
         trial = _network_trial(form, own, dim)
     error = None
     if has_error:
-        error = checked_record(MarchError, values["error"], taken(given, "error"))
+        kind = _error_of_chain() if record_name == "chain" else MarchError
+        error = checked_record(kind, values["error"], taken(given, "error"))
     if record_name == "training":
         record: Any = _training(values["training"], taken(given, "history"))
+    elif record_name == "chain":
+        record = _training_of_chain(values["chain"], taken(given, "chain"))
     else:
         march = {name: own[name] for name in _IN_TRIAL} | taken(given, "march")
         record = checked_record(March, values["march"], march)
@@ -200,15 +206,29 @@ def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution
 
 def _network_trial(form: dict[str, Any], arrays: dict[str, np.ndarray], dim: int) -> Any:
     # Imports torch, which marches do not need.
+    from hamsym.networks.chain import Chain
     from hamsym.networks.trial import TrialSolution
 
-    return TrialSolution.from_description(form, arrays, dim)
+    kind = Chain if form["form"] == "chain" else TrialSolution
+    return kind.from_description(form, arrays, dim)
 
 
 def _training(numbers: Any, history: dict[str, np.ndarray]) -> Any:
     from hamsym.networks.record import History, Training
 
     return checked_record(Training, numbers, {"history": checked_record(History, {}, history)})
+
+
+def _training_of_chain(numbers: Any, arrays: dict[str, np.ndarray]) -> Any:
+    from hamsym.networks.chain import ChainTraining
+
+    return checked_record(ChainTraining, numbers, arrays)
+
+
+def _error_of_chain() -> type:
+    from hamsym.networks.chain_error import ChainError
+
+    return ChainError
 
 
 def _check(solution: Solution) -> None:
@@ -226,11 +246,12 @@ def _check(solution: Solution) -> None:
     if method is None or method.marches != marched:
         raise ValueError(f"method '{solution.method}' does not return such a trial solution")
     record.check(trial)
+    windows = record.edges is not None
     if error is not None:
-        if not marched:
-            raise ValueError("it is a network with the error estimate of a march")
+        if not windows or marched != isinstance(error, MarchError):
+            raise ValueError("its error estimate is that of another method")
         error.check(trial, finite=solution.success)
-    elif marched and solution.success:
+    elif windows and solution.success:
         raise ValueError("its error estimate is missing")
     if solution.success:
         for part in (record, error):

@@ -16,7 +16,6 @@ from hamsym.errors import InputError
 from hamsym.fitting.fitted import Fit
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.integrators.integrate import Trajectory
-from hamsym.random_features.windows import March
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Comparison, Row
 
@@ -90,7 +89,7 @@ def _plot_solution(solution: Solution) -> Figure:
     axes[1, 0].legend(fontsize=8)
 
     history = solution.history
-    if isinstance(history, March):
+    if solution.record.edges is not None:
         lengths = np.abs(np.diff(history.edges))
         axes[1, 1].step(history.edges[:-1], lengths, where="post", color=_color(0))
         axes[1, 1].set(title=f"Length of the {len(lengths):,} windows", xlabel="t")

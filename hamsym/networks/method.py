@@ -18,6 +18,7 @@ from torch import Tensor
 from hamsym.description import settings_text
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.networks.chain_method import solve_by_chain
 from hamsym.networks.checkpoint import Checkpoint
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.network import ComponentNetworks, Network
@@ -59,7 +60,9 @@ _REASONS = {
 
 
 def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Solution:
-    """Train a deep network; options as in :func:`hamsym.solve`."""
+    """Train a deep network, or a chain of them; options as in :func:`hamsym.solve`."""
+    if isinstance(options, LevenbergMarquardtOptions) and not options.joint:
+        return solve_by_chain(problem, options)
     H, (start, end) = problem.H, problem.span
     if not (
         isinstance(options.regularizers, Sequence)

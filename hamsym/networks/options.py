@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
@@ -27,6 +29,7 @@ __all__ = [
     "precision_name",
 ]
 
+_OF_CHAINS = ("tol", "atol", "breakpoints", "max_window", "windows", "train_hidden")
 _FREQUENCY = 3.0  # of the first layer at the start, for methods of second order
 
 
@@ -121,8 +124,21 @@ class LBFGSOptions(DeepOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class LevenbergMarquardtOptions(DeepOptions):
-    """Options of the method "levenberg-marquardt"."""
+    """Options of the method "levenberg-marquardt".
 
+    Without an option of joint training, a chain of networks is trained to a tolerance.
+    """
+
+    tol: float = option(1e-9, "Tolerance, relative to the largest value of each component.")
+    atol: float | Sequence[float] = option(
+        0.0, "Absolute tolerance, one or one for each component.", unit="NUMBERS"
+    )
+    breakpoints: Sequence[float] = option((), "Times at which a window ends.", unit="TIMES")
+    max_window: float | None = option(None, "Longest window.", default_text="span/4", unit="TIME")
+    windows: int | None = option(
+        None, "Number of equal windows.", default_text="as the motion needs"
+    )
+    train_hidden: bool = option(True, "Train the hidden layers, or the readouts only.")
     iterations: int = option(1_000, "Largest number of iterations.")
     restarts: int = option(10, "Largest number of restarts with new weights.")
     patience: int | None = 200
@@ -133,12 +149,44 @@ class LevenbergMarquardtOptions(DeepOptions):
     def total(self) -> int:
         return self.iterations
 
+    @property
+    def joint(self) -> tuple[str, ...]:
+        """Options given that belong to the joint training of all weights of one network."""
+        return self._given(
+            {field.name for field in fields(self)}
+            - {"hidden", "activation", "envelope"}
+            - {"frequency", "time_limit", *_OF_CHAINS}
+        )
+
+    @property
+    def of_chain(self) -> tuple[str, ...]:
+        """Options given that belong to the training of a chain."""
+        return self._given({*_OF_CHAINS})
+
+    def _given(self, names: set[str]) -> tuple[str, ...]:
+        return tuple(
+            field.name
+            for field in fields(self)
+            if field.name in names and not _same(getattr(self, field.name), field.default)
+        )
+
+
+def _same(value: Any, default: Any) -> bool:
+    if isinstance(default, (tuple, str)) or default is None or isinstance(value, str):
+        return value is default or (type(value) is type(default) and value == default)
+    return bool(np.all(value == default))
+
 
 def check_options(H: Hamiltonian, options: DeepOptions) -> None:
     """Raise InputError if an option is invalid; checks that need a network are left to it."""
     energy_weight = options.energy_weight
     if options.frequency is not None:
         require_positive("frequency", options.frequency)
+    if isinstance(options, LevenbergMarquardtOptions) and options.joint and options.of_chain:
+        raise InputError(
+            f"{options.of_chain[0]} belongs to a chain of networks and {options.joint[0]} to the "
+            "joint training of one network; leave one of them out"
+        )
     if energy_weight != 0 and not is_positive(energy_weight):
         raise InputError(f"energy_weight={energy_weight!r} cannot be used; give 0 or more")
     if energy_weight and H.time is not None:

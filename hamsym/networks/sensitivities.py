@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from hamsym.networks.network import ACTIVATIONS
 
-__all__ = ["Layer", "backward", "forward"]
+__all__ = ["Layer", "backward", "forward", "weight_rows"]
 
 
 @dataclass(frozen=True)
@@ -79,3 +80,18 @@ def backward(layers: Sequence[Layer], u: Tensor, v: Tensor) -> list[tuple[Layer,
         found.append((layer, u, v))
         u, v = u @ layer.matrix, v @ layer.matrix
     return found
+
+
+def weight_rows(sensitivities: Sequence[tuple[Layer, Tensor, Tensor]]) -> Tensor:
+    """Return the derivatives of rows in all weights, shape (..., K, weights), in their order.
+
+    Parameters
+    ----------
+    sensitivities : sequence of (Layer, Tensor, Tensor)
+        As :func:`backward` returns them.
+    """
+    parts = []
+    for layer, u, v in sensitivities:
+        matrix = u.unsqueeze(-1) * layer.x.unsqueeze(-2) + v.unsqueeze(-1) * layer.xd.unsqueeze(-2)
+        parts += [u, matrix.flatten(-2)]
+    return torch.cat(parts[::-1], -1)

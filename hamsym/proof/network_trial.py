@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
@@ -9,13 +10,14 @@ from fractions import Fraction
 from flint import arb, arb_mat, arb_series, ctx
 
 from hamsym.errors import CertificationError
+from hamsym.networks.chain import Chain
 from hamsym.networks.network import weights_of
 from hamsym.networks.trial import TrialSolution
 from hamsym.proof.balls import ball, interval, working
 from hamsym.proof.functions import hyperbolic_tangent
 from hamsym.proof.segments import Segment, exact_balls, exact_matrix, exponential
 
-__all__ = ["network_fits", "network_segments"]
+__all__ = ["networks_fit", "networks_segments"]
 
 
 def network_fits(trial: TrialSolution, dim: int) -> bool:
@@ -39,12 +41,32 @@ def network_fits(trial: TrialSolution, dim: int) -> bool:
     return True
 
 
-def network_segments(
-    trial: TrialSolution, start: Fraction, total: Fraction, direction: int
+def networks_fit(trial: TrialSolution | Chain, dim: int) -> bool:
+    """Whether all networks of a trial solution fit, as :func:`network_fits` says."""
+    pieces = trial.pieces if isinstance(trial, Chain) else (trial,)
+    return bool(pieces) and all(network_fits(piece, dim) for piece in pieces)
+
+
+def networks_segments(
+    trial: TrialSolution | Chain, start: Fraction, total: Fraction, direction: int
 ) -> list[Segment]:
-    """The whole span as one smooth piece."""
-    network = _DeepNetwork(trial, start, direction)
-    return [Segment(Fraction(0), total, network.series)]
+    """The whole span as one smooth piece, or one for each window of a chain.
+
+    Raises
+    ------
+    CertificationError
+        If the windows of a chain do not cover the span.
+    """
+    if isinstance(trial, TrialSolution):
+        network = _DeepNetwork(trial, start, direction)
+        return [Segment(Fraction(0), total, network.series)]
+    edges = [direction * (Fraction(edge) - start) for edge in trial.edges.tolist()]
+    if edges[0] != 0 or edges[-1] != total or any(a >= b for a, b in itertools.pairwise(edges)):
+        raise CertificationError("the windows of the chain do not cover the span; solve again")
+    return [
+        Segment(low, high, _DeepNetwork(piece, start, direction).series)
+        for piece, (low, high) in zip(trial.pieces, itertools.pairwise(edges), strict=True)
+    ]
 
 
 def _sigmoid(a: arb_series) -> arb_series:

@@ -6,6 +6,8 @@ The enclosed function is that of a real t given by the formulas below, with ever
 * a deep network (:class:`~hamsym.networks.trial.TrialSolution`), z^(t) = z0 + f(s) N(s) with
   s = (t - t0)/tau, f(s) = 1 - exp(-s) or s, and N the layers W h + b with sin, tanh or
   1/(1 + exp(-a)) between them; the numbers are z0, t0, tau and all W and b;
+* a chain of networks (:class:`~hamsym.networks.chain.Chain`): on each closed window [t_a, t_b] the
+  deep network of its piece, with the edges t_a, t_b as further numbers;
 * features (:class:`~hamsym.random_features.trial.FeatureTrial`), on each closed window [t_a, t_b]
 
       z^(t) = z_a + (1 - exp(-s)) sum_l T_l(2 s - 1) sum_m S_lm C_m,   s = (t - t_a)/(t_b - t_a),
@@ -55,7 +57,7 @@ def require_exact(trial: Any, dim: int) -> None:
             )
         if not np.isfinite(array).all():
             raise CertificationError(f"'{name}' of the solution is not finite; solve again")
-    fits = features_fit if isinstance(trial, FeatureTrial) else _of_networks().network_fits
+    fits = features_fit if isinstance(trial, FeatureTrial) else _of_networks().networks_fit
     if not fits(trial, dim):
         raise CertificationError("the arrays of the solution do not fit together; solve again")
 
@@ -71,15 +73,16 @@ def segments(trial: Any, span: tuple[float, float]) -> list[Segment]:
     start, end = (Fraction(float(time)) for time in span)
     direction = 1 if end > start else -1
     pieces = (
-        feature_segments if isinstance(trial, FeatureTrial) else _of_networks().network_segments
+        feature_segments if isinstance(trial, FeatureTrial) else _of_networks().networks_segments
     )
     return pieces(trial, start, abs(end - start), direction)
 
 
 def _is_network(trial: Any) -> bool:
     # Only where torch is imported already can there be one.
-    module = sys.modules.get("hamsym.networks.trial")
-    return module is not None and isinstance(trial, module.TrialSolution)
+    modules = (("hamsym.networks.trial", "TrialSolution"), ("hamsym.networks.chain", "Chain"))
+    kinds = [getattr(sys.modules[name], kind) for name, kind in modules if name in sys.modules]
+    return isinstance(trial, tuple(kinds))
 
 
 def _of_networks() -> Any:

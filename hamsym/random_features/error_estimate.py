@@ -17,16 +17,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
-from hamsym.numerics.windows import locate
 from hamsym.random_features import error_loop
 from hamsym.random_features.basis import FeatureBasis, basis_of_series
 from hamsym.random_features.compiled_loop import PLAIN
@@ -34,7 +31,7 @@ from hamsym.random_features.error_loop import Actions, ErrorSettings, ErrorTable
 from hamsym.random_features.flow import Flow, flow_of
 from hamsym.random_features.window_loop import Windows
 from hamsym.random_features.windows import March
-from hamsym.support.checked_data import require_array
+from hamsym.solution.window_error import WindowError
 
 __all__ = [
     "RESOLUTIONS",
@@ -45,8 +42,6 @@ __all__ = [
     "estimate_error",
     "halves",
     "kicks",
-    "largest_ratio",
-    "relative_tolerance",
     "resolution_for",
 ]
 
@@ -61,88 +56,22 @@ _PERIOD = 509  # windows after which the signs of the perturbations repeat
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged
 
 
-@dataclass(frozen=True)
-class MarchError:
-    """Estimated error of a march: z - z^ and the round-off floor, as functions of time.
-
-    Attributes
-    ----------
-    edges : numpy.ndarray
-        Ends of the windows, shape (n + 1,).
-    series : numpy.ndarray
-        Chebyshev series of z - z^ on each window, shape (n, degree + 1, dim).
-    floors : numpy.ndarray
-        Size of the accumulated round-off in each window, shape (n, dim).
-    largest : numpy.ndarray
-        Largest magnitude of both together, shape (dim,).
-    scale : numpy.ndarray
-        Sizes of the components to which tolerances are relative, shape (dim,): the largest |z^_i|,
-        or 1e-8 of its coupled size (:mod:`hamsym.numerics.scales`).
-    origin : numpy.ndarray
-        Time from which the edges are counted, shape ().
-    """
-
-    edges: np.ndarray = field(repr=False)
-    series: np.ndarray = field(repr=False)
-    floors: np.ndarray = field(repr=False)
-    largest: np.ndarray
-    scale: np.ndarray
-    origin: np.ndarray = field(repr=False)
+class MarchError(WindowError):
+    """Estimated error of a march."""
 
     def check(self, trial: Any, *, finite: bool) -> None:
         """Raise ValueError unless it is the error of the trial solution."""
         count, _, dim = trial.readouts.shape
-        require_array("edges of the error", self.edges, (count + 1,))
+        self.check_shapes(count, dim, finite=finite)
         if not np.array_equal(self.edges, trial.edges):
             raise ValueError("the windows of its error differ from those of its trial solution")
-        if not self.series.size:
-            raise ValueError("its error has no series")
-        shape = (count, self.series.size // (count * dim), dim)
-        require_array("series of the error", self.series, shape, finite=finite)
-        require_array("floors of the error", self.floors, (count, dim), finite=finite)
-        require_array("largest error", self.largest, (dim,), finite=finite)
-        require_array("scale of the error", self.scale, (dim,))
-        require_array("origin of the error", self.origin, ())
         if self.origin != trial.origin:
             raise ValueError("the origin of its error differs from that of its trial solution")
-        if any((sizes < 0).any() for sizes in (self.floors, self.largest, self.scale)):
-            raise ValueError("its error has a negative size")
 
     def refined(self, path: Any) -> MarchError:
         """Estimate the error of the same march with half as many nodes again."""
         basis = basis_of_series(path.record.seed, path.trial.series)
         return estimate_error(path.record, basis, flow_of(path.H), resolution=_FINE).error
-
-    def __call__(self, t: np.ndarray) -> np.ndarray:
-        """Estimated z - z^ at times t, shape (*t.shape, dim)."""
-        window, s = locate(self.edges, t - self.origin)
-        basis = chebyshev_values(np.clip(2 * s - 1, -1, 1), self.series.shape[1])
-        with np.errstate(invalid="ignore"):
-            values = np.einsum("...l,...ld->...d", basis, self.series[window])
-        return np.nan_to_num(values, nan=np.inf, posinf=np.inf, neginf=np.inf)
-
-    def floor(self, t: np.ndarray) -> np.ndarray:
-        """Estimated size of the accumulated round-off at times t, shape (*t.shape, dim)."""
-        return self.floors[locate(self.edges, t - self.origin)[0]]
-
-    def until(self, allowed: np.ndarray) -> float:
-        """Return the end of the last window before estimate and floor exceed the allowed error."""
-        with np.errstate(invalid="ignore"):
-            peaks = np.abs(_dense(self.series.shape[1]) @ self.series).max(axis=1)
-        good = (peaks + self.floors <= allowed).all(axis=1)
-        end = self.edges[-1] if good.all() else self.edges[int(np.argmin(good))]
-        return float(self.origin + end)
-
-    def excess(self, allowed: np.ndarray) -> float:
-        """Return the largest ratio of estimate and floor to the allowed error, or infinity."""
-        return largest_ratio(self.largest, allowed)
-
-
-def largest_ratio(errors: np.ndarray, allowed: np.ndarray) -> float:
-    """Return the largest ratio of errors to the allowed ones, or infinity; without error 0."""
-    with np.errstate(all="ignore"):
-        ratios = np.where(errors == 0, 0.0, errors / allowed)
-    return float(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf).max())
 
 
 class Estimate(NamedTuple):
@@ -240,14 +169,6 @@ def estimate_error(
         linear,
         [(ends[w], ends[w + 1]) for w in np.flatnonzero(marks & error_loop.UNRESOLVED)],
     )
-
-
-def relative_tolerance(tol: float) -> float:
-    """Return the tolerance relative to computed sizes, which differ from the true ones by errors.
-
-    An error of this share of the computed size is at most ``tol`` times the true one.
-    """
-    return tol / (1 + tol)
 
 
 def resolution_for(tolerance: float) -> int:
@@ -392,9 +313,3 @@ def _scales(windows: March, flow: Flow) -> np.ndarray:
     mean = np.einsum("k,kij->ij", shares, coupling)
     coupled = coupled_sizes(windows.scale, mean, abs(float(windows.edges[-1] - windows.edges[0])))
     return np.asarray(np.maximum(windows.scale, SMALLEST * coupled))
-
-
-@functools.cache
-def _dense(count: int) -> np.ndarray:
-    """Return the matrix from Chebyshev series of ``count`` terms to values that show peaks."""
-    return chebyshev.chebvander(np.linspace(-1, 1, 4 * count), count - 1)

@@ -24,7 +24,6 @@ from hamsym.random_features.error_estimate import (
     error_tables,
     halves,
     kicks,
-    relative_tolerance,
     resolution_for,
 )
 from hamsym.random_features.error_loop import Actions
@@ -35,6 +34,7 @@ from hamsym.random_features.window_checks import WindowChecks
 from hamsym.random_features.window_loop import Windows
 from hamsym.random_features.windows import March
 from hamsym.solution.discontinuities import has_switches
+from hamsym.solution.window_error import relative_tolerance
 
 __all__ = ["Batch", "MemberSolver"]
 

@@ -8,7 +8,6 @@ Stage 3  If both together exceed the tolerance, march again with a tighter local
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,8 +24,6 @@ from hamsym.random_features.error_estimate import (
     Estimate,
     MarchError,
     estimate_error,
-    largest_ratio,
-    relative_tolerance,
 )
 from hamsym.random_features.error_loop import TIGHTER
 from hamsym.random_features.flow import flow_of
@@ -35,8 +32,15 @@ from hamsym.random_features.member_loop import MARGIN, MOST, SMALLEST, STEP
 from hamsym.random_features.members import MemberSolver
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
+from hamsym.solution.accuracy import (
+    checked_atol,
+    checked_breakpoints,
+    checked_tol,
+    checked_window,
+)
 from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.solution import Solution
+from hamsym.solution.window_error import largest_ratio, relative_tolerance
 from hamsym.support.option_fields import option
 
 __all__ = [
@@ -50,7 +54,6 @@ __all__ = [
     "success_message",
 ]
 
-_SMALLEST_TOL = 1e-12  # below it float64 cannot represent the solution
 _SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
 _LOCAL = 0.1  # local tolerance of the first march, relative to the tolerance
 _ATTEMPTS = 6
@@ -111,11 +114,7 @@ def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: in
     InputError
         If one cannot be used.
     """
-    tol = options.tol
-    if not (isinstance(tol, (int, float, np.floating)) and _SMALLEST_TOL <= tol < 1):
-        raise InputError(
-            f"tol={tol!r} cannot be used; give a number from {_SMALLEST_TOL:g} to below 1"
-        )
+    tol = checked_tol(options.tol)
     # 1 equals True, but flow_of distinguishes them.
     if not (isinstance(options.compiled, bool) or options.compiled == "auto"):
         raise InputError(
@@ -125,9 +124,11 @@ def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: in
         tol,
         # The cost grows as a root of the accuracy: a margin is cheaper than a second march.
         max(_LOCAL * tol, SMALLEST),
-        _checked_atol(options.atol, dim),
-        _checked_window(options.max_window, span),
-        _checked_breakpoints(options.breakpoints, span),
+        checked_atol(options.atol, dim),
+        checked_window(
+            options.max_window, span, abs(span[1] - span[0]) / _FEWEST_WINDOWS, MAX_WINDOWS
+        ),
+        checked_breakpoints(options.breakpoints, span),
     )
 
 
@@ -327,43 +328,3 @@ def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
         else "the march could not be made accurate enough"
     )
     return False, f"tol {tol:.1e} met only until t = {held:.6g}: {cause}; {state}"
-
-
-def _checked_atol(atol: float | Sequence[float], dim: int) -> np.ndarray:
-    try:
-        values = np.broadcast_to(np.asarray(atol, dtype=float), (dim,)).copy()
-    except (TypeError, ValueError):
-        values = np.array([math.nan])
-    if not (np.all(np.isfinite(values)) and np.all(values >= 0)):
-        raise InputError(f"atol={atol!r} cannot be used; give a number from 0, or a list of {dim}")
-    return values
-
-
-def _checked_window(max_window: float | None, span: tuple[float, float]) -> float:
-    if max_window is None:
-        return abs(span[1] - span[0]) / _FEWEST_WINDOWS
-    if not (isinstance(max_window, (int, float)) and max_window > 0):
-        raise InputError(f"max_window={max_window!r} cannot be used; give a time above 0")
-    if (shortest := abs(span[1] - span[0]) / MAX_WINDOWS) > max_window:
-        raise InputError(
-            f"max_window={max_window!r} needs more than {MAX_WINDOWS:,} windows; give "
-            f"{shortest:.3g} or more, or a shorter span"
-        )
-    return float(max_window)
-
-
-def _checked_breakpoints(breakpoints: Sequence[float], span: tuple[float, float]) -> list[float]:
-    """Return the breakpoints in the direction of the span, without repetitions."""
-    try:
-        times = sorted({float(stop) for stop in breakpoints})
-    except (TypeError, ValueError):
-        raise InputError(
-            f"breakpoints={breakpoints!r} is not a list of times; give a list of numbers"
-        ) from None
-    for stop in times:
-        if not min(span) < stop < max(span):
-            raise InputError(
-                f"breakpoint {stop:.6g} is not inside the span from {min(span):.6g} to "
-                f"{max(span):.6g}; leave it out"
-            )
-    return times if span[0] < span[1] else times[::-1]

@@ -28,7 +28,6 @@ from hamsym.random_features.error_estimate import (
     error_tables,
     halves,
     kicks,
-    relative_tolerance,
     resolution_for,
 )
 from hamsym.random_features.error_loop import PERTURBATIONS, TIGHTER
@@ -56,6 +55,7 @@ from hamsym.random_features.tensor_march import (
     take,
 )
 from hamsym.random_features.window_loop import TINY, Windows
+from hamsym.solution.window_error import relative_tolerance
 
 __all__ = ["TensorSolver", "checked_device"]
 

@@ -49,13 +49,14 @@ class Solution:
     z0 : numpy.ndarray
         Initial state, shape (dim,), reproduced exactly.
     span : (float, float)
-    trial : FeatureTrial or TrialSolution
+    trial : FeatureTrial, Chain or TrialSolution
         The trial solution with its weights.
     method : str
-    record : March or Training
+    record : March, ChainTraining or Training
         Course and cost of the search for the weights.
-    error : MarchError or None
-        Estimated error of a march; None for a network, whose error is integrated on first use.
+    error : WindowError or None
+        Estimated error of a march or a chain of networks; None for one network that was trained
+        jointly, whose error is integrated on first use.
     energy_weight : float
         Weight of the energy penalty in the loss of a network.
     success : bool

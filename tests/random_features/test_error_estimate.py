@@ -17,7 +17,6 @@ from hamsym.random_features import error_loop
 from hamsym.random_features.basis import FeatureBasis, feature_basis
 from hamsym.random_features.error_estimate import (
     MarchError,
-    _dense,
     error_tables,
     estimate_error,
 )
@@ -26,6 +25,7 @@ from hamsym.random_features.march import march
 from hamsym.random_features.method import FeatureOptions, checked_accuracy
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
+from hamsym.solution.window_error import _dense
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
 

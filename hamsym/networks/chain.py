@@ -1,0 +1,207 @@
+"""A chain of networks: z^(t) = z_a + f(s) N_a(s) on each window, joined exactly, and its record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hamsym.networks.trial import TrialSolution
+from hamsym.numerics.windows import locate
+from hamsym.support.checked_data import (
+    checked_list,
+    checked_mapping,
+    checked_number,
+    require_array,
+    require_counts,
+    require_names,
+)
+
+__all__ = ["Chain", "ChainTraining"]
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """One trial solution for each window; each starts at the end of the one before.
+
+    Attributes
+    ----------
+    pieces : tuple of TrialSolution
+        In the order of the span. Piece k is used from its own ``t0`` to that of the next.
+    end : float
+        End of the last window.
+    """
+
+    pieces: tuple[TrialSolution, ...] = field(repr=False)
+    end: float
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Ends of the windows, shape (n + 1,)."""
+        return np.array([*(piece.t0 for piece in self.pieces), self.end])
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of the weights and of z0."""
+        return self.pieces[0].dtype
+
+    def states_and_rates(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
+        times = torch.from_numpy(np.ascontiguousarray(t, dtype=float))
+        with torch.no_grad():
+            z, dz = self.tensors(times)
+        return z.numpy(), dz.numpy()
+
+    def states_at(self, t: np.ndarray) -> np.ndarray:
+        """Return z^ at times t of shape (K,), shape (K, dim)."""
+        return self.states_and_rates(t)[0]
+
+    def tensors(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        """Return z^ and dz^/dt at times t of shape (K,), differentiable in t."""
+        window, _ = locate(self.edges, t.detach().cpu().numpy())
+        order = np.argsort(window, kind="stable")
+        used, first = np.unique(window[order], return_index=True)
+        parts = [
+            self.pieces[k].tensors(t[torch.from_numpy(places)])
+            for k, places in zip(used, np.split(order, first[1:]), strict=True)
+        ]
+        back = torch.from_numpy(np.argsort(order, kind="stable"))
+        z, dz = (torch.cat(columns)[back] for columns in zip(*parts, strict=True))
+        return z, dz
+
+    # -- as data -------------------------------------------------------------------------------
+
+    def describe(self) -> dict[str, Any]:
+        """Return form and settings as JSON values."""
+        return {
+            "form": "chain",
+            "end": float(self.end),
+            "pieces": [piece.describe() for piece in self.pieces],
+        }
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the weights and starts of all pieces by name."""
+        return {
+            f"{k}.{name}": array
+            for k, piece in enumerate(self.pieces)
+            for name, array in piece.arrays().items()
+        }
+
+    @classmethod
+    def from_description(
+        cls, values: Mapping[str, Any], arrays: Mapping[str, np.ndarray], dim: int
+    ) -> Chain:
+        """Build a chain from the results of :meth:`describe` and :meth:`arrays`.
+
+        Raises
+        ------
+        ValueError
+            If they do not describe a chain with ``dim`` components.
+        """
+        require_names("trial solution", values, {"form", "end", "pieces"})
+        forms = checked_list("pieces", values["pieces"])
+        groups: list[dict[str, np.ndarray]] = [{} for _ in forms]
+        for name, array in arrays.items():
+            number, _, rest = name.partition(".")
+            if not number.isdecimal() or str(int(number)) != number or int(number) >= len(forms):
+                raise ValueError(f"'{name[:40]}' does not belong to a piece of its chain")
+            groups[int(number)][rest] = array
+        pieces = tuple(
+            TrialSolution.from_description(checked_mapping("piece", form), own, dim)
+            for form, own in zip(forms, groups, strict=True)
+        )
+        return cls(pieces, checked_number("end", values["end"]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Chain.from_description, (self.describe(), self.arrays(), len(self.pieces[0].z0))
+
+    def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
+        """Raise ValueError unless this is a chain from z0 over the span."""
+        if not self.pieces:
+            raise ValueError("its chain has no pieces")
+        start = z0
+        edges = self.edges
+        if not np.isfinite(edges).all() or edges[0] != span[0] or edges[-1] != span[1]:
+            raise ValueError("its span differs from that of its windows")
+        steps = np.diff(edges)
+        if not ((steps > 0).all() or (steps < 0).all()):
+            raise ValueError("its windows are not in order")
+        for piece, low, high in zip(self.pieces, edges[:-1], edges[1:], strict=True):
+            piece.check(start, (float(low), float(high)))
+            start = piece.states_at(np.array([high]))[0]
+
+
+@dataclass(frozen=True)
+class ChainTraining:
+    """Record of the training of a chain.
+
+    Attributes
+    ----------
+    edges : numpy.ndarray
+        Ends of the windows, shape (n + 1,).
+    steps : numpy.ndarray
+        Least-squares steps of each window, shape (n,).
+    hidden_steps : numpy.ndarray
+        Those of them that changed the hidden layers.
+    residuals : numpy.ndarray
+        Largest residual between the points in each window, relative to the size of the motion.
+    points : int
+        Collocation points of all windows.
+    point_evaluations : int
+        Evaluations of the vector field, each at one point, those of rejected windows included.
+    rejected : int
+        Windows that were trained in vain and tried again, shorter.
+    passes : int
+        Chains trained until one met the tolerance.
+    seconds, cpu_seconds : float
+    """
+
+    edges: np.ndarray = field(repr=False)
+    steps: np.ndarray = field(repr=False)
+    hidden_steps: np.ndarray = field(repr=False)
+    residuals: np.ndarray = field(repr=False)
+    points: int
+    point_evaluations: int
+    rejected: int
+    passes: int
+    seconds: float
+    cpu_seconds: float
+    origin: float = 0.0
+
+    @property
+    def history(self) -> ChainTraining:
+        """The windows themselves."""
+        return self
+
+    @property
+    def iterations(self) -> int:
+        """Least-squares steps of all windows that were kept."""
+        return int(self.steps.sum())
+
+    def times(self, span: tuple[float, float], count: int) -> np.ndarray:
+        """Return about ``count`` times: at least nine per window, its start first, and the end."""
+        inside = np.linspace(0, 1, max(9, count // len(self.edges)), endpoint=False)
+        within = self.edges[:-1, None] + np.diff(self.edges)[:, None] * inside
+        return np.append(within.ravel(), self.edges[-1])
+
+    def check(self, trial: Any) -> None:
+        """Raise ValueError if this is not the record of a chain."""
+        if not isinstance(trial, Chain) or not np.array_equal(self.edges, trial.edges):
+            raise ValueError("the windows of its training differ from those of its chain")
+        count = len(trial.pieces)
+        if self.origin != 0:
+            raise ValueError("its windows are not counted from zero")
+        for name, dtype in (
+            ("steps", np.int64),
+            ("hidden_steps", np.int64),
+            ("residuals", np.float64),
+        ):
+            array = getattr(self, name)
+            require_array(name, array, (count,), dtype)
+            if (array < 0).any():
+                raise ValueError(f"its {name} are negative")
+        require_counts(self)

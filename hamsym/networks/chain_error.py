@@ -1,0 +1,177 @@
+"""Error estimate of a chain of networks: truncation and round-off.
+
+The error delta = z - z^ obeys delta' = F(z^ + delta) - F(z^) - r with r the residual. With
+A = J Hess along z^ it is delta' = A delta + q - r, q the terms of higher order, which are found by
+iteration. Each window of the chain is divided until the residual, which oscillates about as often
+as the network has collocation points, is resolved. In each part the equation is solved by
+collocation (:mod:`hamsym.numerics.tangent_maps`), and the parts are joined by their tangent maps.
+
+Round-off is moved with the error: at each joint a perturbation of the size of one unit in the last
+place of the state and of the change that such a unit causes in F, with random signs.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.networks.chain import Chain, ChainTraining
+from hamsym.numerics.collocation import collocation
+from hamsym.numerics.scales import SMALLEST, coupled_sizes
+from hamsym.numerics.symplectic import generators
+from hamsym.numerics.tangent_maps import TangentMaps
+from hamsym.solution.window_error import WindowError
+
+__all__ = ["ChainError", "ErrorOfChain", "estimate_chain_error"]
+
+_NODES, _FINE_NODES = 32, 48  # of a part: for the estimate, and for its check
+_POINTS_PER_PART = 24  # collocation points of the network
+_SETS = 4  # of random perturbations
+_ROUND_OFF = 2.0  # size of a perturbation, in units in the last place
+_EPS = float(np.finfo(float).eps)
+_CORRECTIONS = 6  # iterations of the terms of higher order
+_SETTLED = 0.01  # last change of the error by them, relative
+_SMALL = 1e-6  # errors, relative to the motion, below which these terms are round-off
+_TOO_LARGE = 0.1  # and above which there is no estimate
+
+
+class ChainError(WindowError):
+    """Estimated error of a chain of networks, on parts of its windows."""
+
+    def check(self, trial: Any, *, finite: bool) -> None:
+        """Raise ValueError unless it is the error of the trial solution."""
+        if not isinstance(trial, Chain):
+            raise ValueError("it is not a chain, but has the error estimate of one")
+        self.check_shapes(len(self.floors), len(self.scale), finite=finite)
+        if len(self.scale) != len(trial.pieces[0].z0) or self.origin != 0:
+            raise ValueError("its error belongs to another chain")
+        if not np.isin(trial.edges, self.edges).all() or not np.array_equal(
+            trial.edges[[0, -1]], self.edges[[0, -1]]
+        ):
+            raise ValueError("the windows of its error differ from those of its chain")
+
+    def refined(self, path: Any) -> ChainError:
+        """Estimate the error of the same chain with more nodes."""
+        return estimate_chain_error(path.H, path.trial, path.record, nodes=_FINE_NODES).error
+
+
+class ErrorOfChain(NamedTuple):
+    """The error of a chain, and the reason where it has no estimate, "" if it has one."""
+
+    error: ChainError
+    limit: str
+
+
+def estimate_chain_error(
+    H: Hamiltonian, chain: Chain, training: ChainTraining, *, nodes: int = _NODES
+) -> ErrorOfChain:
+    """Estimate the error of a chain from its residual.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+    chain : Chain
+    training : ChainTraining
+    nodes : int
+        Of each part of a window.
+    """
+    system, rule = H.compile("numpy"), collocation(nodes)
+    edges = _parts(chain, training)
+    lengths, dim = np.diff(edges), H.dim
+    count = len(lengths)
+    # Times inside a part belong to its window also where they round to its end.
+    t = (edges[:-1, None] + lengths[:, None] * rule.nodes).ravel()
+
+    def flow(z: np.ndarray) -> np.ndarray:
+        return np.asarray(system.vector_field(*system.arguments(z, t)))
+
+    with np.errstate(all="ignore"):
+        z, dz = chain.states_and_rates(t)
+        rates = flow(z)
+        jacobians = generators(system.hessian(*system.arguments(z, t)))
+        scale = _scales(z, jacobians, edges)
+        unit = np.where(scale > 0, scale, 1.0)
+        signs = np.random.default_rng(0).choice((-1.0, 1.0), size=(_SETS, count, dim))
+        disturbed = z * (1 + _EPS * np.repeat(signs[0], nodes, axis=0))
+        noise = np.abs(flow(disturbed) - rates).reshape(count, nodes, dim).max(axis=1)
+        kicks = _EPS * np.abs(z).reshape(count, nodes, dim).max(axis=1)
+        kicks = _ROUND_OFF * (kicks + np.abs(lengths)[:, None] * noise) / unit
+        forcing, error = rates - dz, np.zeros((count * nodes, dim))
+        for _ in range(_CORRECTIONS):
+            maps = TangentMaps(
+                np.concatenate((jacobians, forcing[..., None]), -1).reshape(
+                    count, nodes, dim, dim + 1
+                ),
+                lengths,
+                unit,
+            )
+            ends = _joined(maps.ends)
+            inside = np.einsum("inkw,wk->wni", maps.inside[:, :, :dim], ends[:-1])
+            inside += maps.inside[:, :, dim].transpose(2, 1, 0)
+            found = (inside * unit).reshape(count * nodes, dim)
+            size = np.abs(inside).max()
+            change = np.abs((found - error) / unit).max()
+            if not size <= _TOO_LARGE or size <= _SMALL or change <= _SETTLED * size:
+                break
+            error = found
+            forcing = flow(z + error) - dz - np.einsum("nij,nj->ni", jacobians, error)
+        floors = _floors(maps.ends[:, :, :dim], maps.inside[:, :, :dim], kicks, signs) * unit
+    series = np.einsum("ln,wnd->wld", rule.to_series, found.reshape(count, nodes, dim))
+    peaks = np.maximum(
+        np.abs(found.reshape(count, nodes, dim)).max(axis=1),
+        np.abs(ends[1:] * unit),
+    )
+    largest = (peaks + floors).max(axis=0)
+    limit = ""
+    if not np.isfinite(largest).all():
+        limit = "the Hessian of H is not finite on the way"
+    elif not (size <= _SMALL or change <= _SETTLED * size) or not size <= _TOO_LARGE:
+        limit = "errors grow too large for an estimate"
+    if limit:
+        largest = np.full(dim, np.inf)
+        series, floors = np.full(series.shape, np.inf), np.full(floors.shape, np.inf)
+    return ErrorOfChain(ChainError(edges, series, floors, largest, scale, np.zeros(())), limit)
+
+
+def _parts(chain: Chain, training: ChainTraining) -> np.ndarray:
+    """Return the edges of parts of windows in which the residual is resolved."""
+    edges = chain.edges
+    points = training.points / len(chain.pieces)
+    count = max(2, round(points / _POINTS_PER_PART))
+    shares = np.arange(count) / count
+    inside = edges[:-1, None] + np.diff(edges)[:, None] * shares
+    return np.append(inside.ravel(), edges[-1])
+
+
+def _scales(z: np.ndarray, jacobians: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return the size of each component in its own units, shape (dim,)."""
+    sizes = np.maximum(np.abs(z).max(axis=0), 0.0)
+    mean = np.abs(jacobians).mean(axis=0)
+    coupled = coupled_sizes(sizes, mean, abs(float(edges[-1] - edges[0])))
+    return np.asarray(np.maximum(sizes, SMALLEST * coupled))
+
+
+def _joined(maps: np.ndarray) -> np.ndarray:
+    """Return the errors at the edges from maps and forced solutions (windows, dim, dim + 1)."""
+    count, dim, _ = maps.shape
+    ends = np.zeros((count + 1, dim))
+    for k in range(count):
+        ends[k + 1] = maps[k, :, :dim] @ ends[k] + maps[k, :, dim]
+    return ends
+
+
+def _floors(
+    maps: np.ndarray, inside: np.ndarray, kicks: np.ndarray, signs: np.ndarray
+) -> np.ndarray:
+    """Return the size of accumulated round-off in each window, shape (windows, dim)."""
+    count, dim, _ = maps.shape
+    moved = np.zeros((_SETS, dim))
+    floors = np.empty((count, dim))
+    for k in range(count):
+        now = moved + signs[:, k] * kicks[k]
+        within = np.abs(np.einsum("ink,sk->sni", inside[..., k], now)).max(axis=(0, 1))
+        moved = now @ maps[k].T
+        floors[k] = np.maximum(within, np.abs(moved).max(axis=0))
+    return floors

@@ -1,0 +1,465 @@
+"""Training of a chain of networks over a span, window by window.
+
+A window's length follows from the motion: it grows while readouts converge quickly, and a window
+whose network does not reach the tolerance is trained again, shorter. Networks take their hidden
+layers from the window before. Their inputs cover the same range in every window, so that weights
+depend on the units neither of time nor of the components.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.networks.chain import Chain, ChainTraining
+from hamsym.networks.network import Network
+from hamsym.networks.trial import TrialSolution
+from hamsym.networks.window_training import Equations, Fit, Settings, train_window
+from hamsym.numerics.scales import coupled_sizes
+from hamsym.numerics.symplectic import generators
+
+__all__ = [
+    "MAX_WINDOWS",
+    "ChainSettings",
+    "Layout",
+    "TrainedChain",
+    "train_chain",
+    "train_windows",
+]
+
+#: Most windows of a span.
+MAX_WINDOWS = 200_000
+
+_REACH = 3.0  # largest input of the network of a window whose length is free
+_POINTS = 48  # of such a window
+_TIME = 2.0  # length of the first window, in units of the fastest time of the motion
+_SHRINK = 0.5
+_GROWTH = 1.5
+_ORDER = 10  # of the residual in the length of a window, roughly
+_SHORTEST = 1e-11  # length of a window, relative to the span
+_SAMPLES = 65  # times at which the motion in a given window is looked at
+_PER_REACH = 16  # neurons of the last layer, and points, for each unit of the input's range
+_QUICK = 40  # fixed-point passes of readouts that converge quickly
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Form of the networks of a chain.
+
+    Attributes
+    ----------
+    hidden : sequence of int
+    activation, envelope : str
+    frequency : float or None
+    device : torch.device
+    """
+
+    hidden: Sequence[int]
+    activation: str
+    envelope: str
+    frequency: float | None
+    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
+
+    def network(self, dim: int, generator: torch.Generator) -> Network:
+        """Return a network with random hidden layers."""
+        network = Network(
+            dim, self.hidden, self.activation, frequency=self.frequency, generator=generator
+        )
+        network.requires_grad_(False)
+        _rest(network)
+        return network.to(self.device)
+
+
+@dataclass(frozen=True)
+class ChainSettings:
+    """Settings of the training of a chain.
+
+    Attributes
+    ----------
+    tolerance : float
+        Largest residual in a window, relative to the size of the motion.
+    hidden_steps : int
+        Largest number of steps of the hidden layers in a window.
+    stops : sequence of float
+        Times at which a window must end, in the order of the span.
+    longest : float
+        Length of the longest window.
+    deadline : float, optional
+        Of :func:`time.perf_counter`.
+    """
+
+    tolerance: float
+    hidden_steps: int
+    stops: Sequence[float]
+    longest: float
+    deadline: float | None = None
+
+
+@dataclass(frozen=True)
+class TrainedChain:
+    """A chain and its record; ``reason`` says why it ends before the span does, "" if not."""
+
+    chain: Chain | None
+    training: ChainTraining | None
+    reason: str
+    reached: float
+
+
+class _Flow:
+    """Hamilton's equations of H in dimensionless variables."""
+
+    def __init__(self, H: Hamiltonian, device: torch.device) -> None:
+        self.H, self.device = H, device
+        self.numpy, self.torch = H.compile("numpy"), H.compile("torch")
+        self.half = H.dof
+
+    def equations(self, z: np.ndarray, t: float, h: float, size: np.ndarray) -> Equations:
+        """Return the equations in y = (z - z_a)/S and u = (t - t_a)/h."""
+        system, half = self.torch, self.half
+        start, unit = (torch.from_numpy(x).to(self.device) for x in (z, size))
+        ratio = unit / unit.unsqueeze(1)
+
+        def arguments(u: Tensor, y: Tensor) -> tuple[Tensor, ...]:
+            return tuple(system.arguments(start + unit * y, t + h * u))
+
+        def rates(u: Tensor, y: Tensor) -> Tensor:
+            return h * (system.vector_field(*arguments(u, y)) / unit)
+
+        def jacobian(u: Tensor, y: Tensor) -> Tensor:
+            hessian = system.hessian(*arguments(u, y))
+            turned = torch.cat((hessian[..., half:, :], -hessian[..., :half, :]), -2)
+            return h * ratio * turned
+
+        return Equations(rates, jacobian)
+
+    def rates(self, z: np.ndarray, t: float) -> np.ndarray:
+        return np.asarray(self.numpy.vector_field(*self.numpy.arguments(z, t)), dtype=float)
+
+    def generator(self, z: np.ndarray, t: float) -> np.ndarray:
+        """Return J Hess at a state."""
+        return np.asarray(generators(self.numpy.hessian(*self.numpy.arguments(z, t))), dtype=float)
+
+
+def train_chain(
+    H: Hamiltonian,
+    z0: np.ndarray,
+    span: tuple[float, float],
+    layout: Layout,
+    settings: ChainSettings,
+    generator: torch.Generator,
+    *,
+    advance: Callable[[float], None] = lambda _: None,
+) -> TrainedChain:
+    """Train a chain of networks whose windows follow the motion.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+    z0 : numpy.ndarray
+        Shape (dim,).
+    span : (float, float)
+    layout : Layout
+    settings : ChainSettings
+    generator : torch.Generator
+        Source of the initial weights.
+    advance : callable
+        Called with the share of the span that each window adds.
+    """
+    run = _Run(H, z0, span, layout, settings, generator)
+    with np.errstate(all="ignore"):
+        while run.time != span[1] and not run.reason:
+            before = run.time
+            run.step()
+            advance(abs(run.time - before) / abs(span[1] - span[0]))
+    return run.result()
+
+
+class _Run:
+    """The state of a chain in training."""
+
+    def __init__(
+        self,
+        H: Hamiltonian,
+        z0: np.ndarray,
+        span: tuple[float, float],
+        layout: Layout,
+        settings: ChainSettings,
+        generator: torch.Generator,
+    ) -> None:
+        self.flow, self.span, self.layout, self.settings = (
+            _Flow(H, layout.device),
+            span,
+            layout,
+            settings,
+        )
+        self.random = generator
+        self.began = time.perf_counter(), time.process_time()
+        self.z, self.time = np.array(z0, dtype=float), float(span[0])
+        self.sizes = np.abs(self.z)
+        self.direction = math.copysign(1.0, span[1] - span[0])
+        self.network = layout.network(H.dim, generator)
+        self.stops = list(settings.stops)
+        self.pieces: list[TrialSolution] = []
+        self.counts: list[tuple[int, int, float]] = []
+        self.points = self.evaluations = self.rejected = 0
+        self.reason = ""
+        self.longest = settings.longest
+        self.length = self._first_length()
+
+    def _first_length(self) -> float:
+        matrix = self.flow.generator(self.z, self.time)
+        if not np.isfinite(matrix).all():
+            self.reason = "H has no finite second derivatives at the initial state"
+            return self.longest
+        fastest = float(np.abs(np.linalg.eigvals(matrix)).max())
+        return min(self.longest, _TIME / fastest) if fastest > 0 else self.longest
+
+    def step(self) -> None:
+        """Train the next window, shorter as often as needed."""
+        span = abs(self.span[1] - self.span[0])
+        failed = ""
+        while True:
+            if self.settings.deadline is not None and time.perf_counter() > self.settings.deadline:
+                self.reason = "the time limit was reached"
+                return
+            if len(self.pieces) >= MAX_WINDOWS:
+                self.reason = f"it needs more than {MAX_WINDOWS:,} windows"
+                return
+            end, h = self._end()
+            if not abs(h) > _SHORTEST * span or self.time + h / 2 in (self.time, end):
+                self.reason = failed or "the windows became too short"
+                return
+            trained = self._trained(end, h)
+            if isinstance(trained, str):
+                failed = trained
+                continue
+            self._keep(*trained, end)
+            return
+
+    def _end(self) -> tuple[float, float]:
+        """Return the end of the next window, and its length with its sign."""
+        stop = self.stops[0] if self.stops else self.span[1]
+        left = abs(stop - self.time)
+        # No short window is left over at the end.
+        count = math.ceil(left / self.length * (1 - 1e-12))
+        if count <= 1:
+            return float(stop), float(stop - self.time)
+        length = left / count if count <= 3 else self.length
+        end = self.time + self.direction * length
+        return end, end - self.time
+
+    def _trained(self, end: float, h: float) -> tuple[TrialSolution, Fit, np.ndarray] | str:
+        """Train a window of this length; return the piece, or why it failed."""
+        size = self._size(h)
+        equations = self.flow.equations(self.z, self.time, h, size)
+        network = self.layout.network(len(self.z), self.random)
+        network.theta.copy_(self.network.theta)
+        _rest(network)
+        settings = Settings(
+            self.settings.tolerance, self.settings.hidden_steps, self.layout.envelope
+        )
+        fit = train_window(equations, network, _REACH, _POINTS, settings)
+        self.evaluations += fit.evaluations
+        if not fit.residual <= self.settings.tolerance:
+            self.rejected += 1
+            ratio = self.settings.tolerance / fit.residual if fit.residual > 0 else 0.0
+            power = ratio ** (1 / _ORDER) if fit.residual < 1 else 0.0
+            self.length = abs(h) * min(max(power, _SHRINK), 0.8)
+            if self.rejected % 5 == 0:
+                # Hidden layers that fail repeatedly may be the reason.
+                self.network = self.layout.network(len(self.z), self.random)
+            return (
+                f"the residual stays at {fit.residual:.1e} of the motion in windows of "
+                f"length {abs(h):.2g}"
+            )
+        piece = piece_of(network, self.z, size, self.time, h, self.layout, _REACH)
+        state = piece.states_at(np.array([end]))[0]
+        if not np.isfinite(state).all():
+            self.length = abs(h) * _SHRINK
+            return "the state is not finite"
+        room = self.settings.tolerance / max(fit.residual, 1e-300)
+        factor = min(max(0.9 * room ** (1 / _ORDER), 1.0), _GROWTH)
+        if fit.hidden_steps or fit.passes > _QUICK:
+            factor = 1.0
+        self.length = min(abs(h) * factor if h == end - self.time else self.length, self.longest)
+        return piece, fit, state
+
+    def _size(self, h: float) -> np.ndarray:
+        """Return the sizes of the components from here on, shape (dim,)."""
+        rates = np.abs(self.flow.rates(self.z, self.time))
+        own = np.maximum(self.sizes, np.abs(h) * np.where(np.isfinite(rates), rates, 0.0))
+        sizes = coupled_sizes(own, np.abs(self.flow.generator(self.z, self.time)), abs(h))
+        sizes = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
+        return np.asarray(sizes)
+
+    def _keep(self, piece: TrialSolution, fit: Fit, state: np.ndarray, end: float) -> None:
+        self.pieces.append(piece)
+        self.counts.append((fit.steps, fit.hidden_steps, fit.residual))
+        self.points += len(fit.values)
+        self.z, self.time = state, end
+        self.sizes = np.maximum(self.sizes, np.abs(state))
+        if self.stops and end == self.stops[0]:
+            self.stops.pop(0)
+
+    def result(self) -> TrainedChain:
+        if not self.pieces:
+            return TrainedChain(None, None, self.reason, self.time)
+        chain = Chain(tuple(self.pieces), self.time)
+        steps, hidden, residuals = zip(*self.counts, strict=True)
+        wall, cpu = self.began
+        training = ChainTraining(
+            chain.edges,
+            np.array(steps, dtype=np.int64),
+            np.array(hidden, dtype=np.int64),
+            np.array(residuals, dtype=float),
+            self.points,
+            self.evaluations,
+            self.rejected,
+            1,
+            time.perf_counter() - wall,
+            time.process_time() - cpu,
+        )
+        return TrainedChain(chain, training, self.reason, self.time)
+
+
+def piece_of(
+    network: Network,
+    z: np.ndarray,
+    size: np.ndarray,
+    start: float,
+    h: float,
+    layout: Layout,
+    reach: float,
+) -> TrialSolution:
+    """Return the trial solution of a trained window; its readouts get the units of z."""
+    copy = Network(
+        len(z), layout.hidden, layout.activation, frequency=layout.frequency
+    ).requires_grad_(False)
+    copy.theta.copy_(network.theta)
+    matrix, bias = copy.layers[-1]
+    unit = torch.from_numpy(size)
+    matrix.mul_(unit.unsqueeze(1))
+    bias.mul_(unit)
+    return TrialSolution(
+        copy, torch.from_numpy(z.copy()), t0=start, tau=h / reach, envelope=layout.envelope
+    )
+
+
+@torch.no_grad()
+def train_windows(
+    H: Hamiltonian,
+    guess: TrainedChain,
+    count: int,
+    layout: Layout,
+    settings: ChainSettings,
+    generator: torch.Generator,
+    *,
+    widen: bool = False,
+) -> TrainedChain:
+    """Train networks on a given number of equal windows; a chain gives the first guess.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+    guess : TrainedChain
+        A chain over the whole span.
+    count : int
+    layout : Layout
+    settings : ChainSettings
+    generator : torch.Generator
+    widen : bool
+        Make the last layer as wide as the motion in a window needs.
+    """
+    chain, training = guess.chain, guess.training
+    assert chain is not None
+    assert training is not None
+    began = time.perf_counter(), time.process_time()
+    flow = _Flow(H, layout.device)
+    edges = np.linspace(chain.edges[0], chain.edges[-1], count + 1)
+    z, pieces, counts = np.array(chain.pieces[0].z0), [], []
+    points = evaluations = 0
+    reason = ""
+    for start, end in itertools.pairwise(edges.tolist()):
+        h = end - start
+        samples = chain.states_at(np.linspace(start, end, _SAMPLES))
+        reach = max(_REACH, abs(h) * _fastest(flow, samples, np.linspace(start, end, _SAMPLES)) / 2)
+        width = math.ceil(_PER_REACH * reach)
+        own = layout
+        if widen:
+            own = replace(layout, hidden=(*layout.hidden[:-1], max(layout.hidden[-1], width)))
+        size = np.abs(samples).max(axis=0)
+        size = np.where(size > 0, size, 1.0)
+        network = own.network(H.dim, generator)
+
+        fit = train_window(
+            flow.equations(z, start, h, size),
+            network,
+            reach,
+            max(_POINTS, width),
+            Settings(settings.tolerance, settings.hidden_steps, layout.envelope),
+            guess=_states(chain, z, size, start, h),
+        )
+        evaluations += fit.evaluations
+        points += len(fit.values)
+        counts.append((fit.steps, fit.hidden_steps, fit.residual))
+        piece = piece_of(network, z, size, start, h, own, reach)
+        state = piece.states_at(np.array([end]))[0]
+        if not np.isfinite(state).all():
+            reason = "the state is not finite"
+            break
+        pieces.append(piece)
+        z = state
+        if settings.deadline is not None and time.perf_counter() > settings.deadline:
+            reason = "the time limit was reached" if end != edges[-1] else ""
+            break
+    if not pieces:
+        return TrainedChain(None, None, reason, float(edges[0]))
+    found = Chain(tuple(pieces), float(edges[len(pieces)]))
+    steps, hidden, residuals = zip(*counts[: len(pieces)], strict=True)
+    record = ChainTraining(
+        found.edges,
+        np.array(steps, dtype=np.int64),
+        np.array(hidden, dtype=np.int64),
+        np.array(residuals, dtype=float),
+        points,
+        evaluations + training.point_evaluations,
+        training.rejected,
+        1,
+        time.perf_counter() - began[0],
+        time.process_time() - began[1],
+    )
+    return TrainedChain(found, record, reason, found.end)
+
+
+def _states(
+    chain: Chain, z: np.ndarray, size: np.ndarray, start: float, h: float
+) -> Callable[[Tensor], Tensor]:
+    """Return y = (z^ - z)/S of a chain as a function of u = (t - start)/h."""
+    origin, unit = torch.from_numpy(z), torch.from_numpy(size)
+
+    def states(u: Tensor) -> Tensor:
+        return ((chain.tensors(start + h * u.cpu())[0] - origin) / unit).to(u.device)
+
+    return states
+
+
+def _fastest(flow: _Flow, z: np.ndarray, t: np.ndarray) -> float:
+    """Return the mean of the fastest rate of small changes along states."""
+    matrices = [flow.generator(state, float(time)) for state, time in zip(z, t, strict=True)]
+    rates = [float(np.abs(np.linalg.eigvals(a)).max()) for a in matrices if np.isfinite(a).all()]
+    return float(np.mean(rates)) if rates else 0.0
+
+
+def _rest(network: Network) -> None:
+    """Set the readouts to zero."""
+    matrix, bias = network.layers[-1]
+    matrix.zero_()
+    bias.zero_()

@@ -1,0 +1,103 @@
+"""Estimated errors as functions of time: Chebyshev series on windows, and the round-off floor."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from hamsym.numerics.chebyshev import chebyshev_values
+from hamsym.numerics.windows import locate
+from hamsym.support.checked_data import require_array
+
+__all__ = ["WindowError", "largest_ratio", "relative_tolerance"]
+
+
+@dataclass(frozen=True)
+class WindowError:
+    """Estimated error on windows: z - z^ and the round-off floor, as functions of time.
+
+    Attributes
+    ----------
+    edges : numpy.ndarray
+        Ends of the windows, shape (n + 1,).
+    series : numpy.ndarray
+        Chebyshev series of z - z^ on each window, shape (n, degree + 1, dim).
+    floors : numpy.ndarray
+        Size of the accumulated round-off in each window, shape (n, dim).
+    largest : numpy.ndarray
+        Largest magnitude of both together, shape (dim,).
+    scale : numpy.ndarray
+        Sizes of the components to which tolerances are relative, shape (dim,): the largest |z^_i|,
+        or 1e-8 of its coupled size (:mod:`hamsym.numerics.scales`).
+    origin : numpy.ndarray
+        Time from which the edges are counted, shape ().
+    """
+
+    edges: np.ndarray = field(repr=False)
+    series: np.ndarray = field(repr=False)
+    floors: np.ndarray = field(repr=False)
+    largest: np.ndarray
+    scale: np.ndarray
+    origin: np.ndarray = field(repr=False)
+
+    def check_shapes(self, count: int, dim: int, *, finite: bool) -> None:
+        """Raise ValueError unless the arrays belong to ``count`` windows of ``dim`` components."""
+        require_array("edges of the error", self.edges, (count + 1,))
+        if not self.series.size:
+            raise ValueError("its error has no series")
+        shape = (count, self.series.size // (count * dim), dim)
+        require_array("series of the error", self.series, shape, finite=finite)
+        require_array("floors of the error", self.floors, (count, dim), finite=finite)
+        require_array("largest error", self.largest, (dim,), finite=finite)
+        require_array("scale of the error", self.scale, (dim,))
+        require_array("origin of the error", self.origin, ())
+        if any((sizes < 0).any() for sizes in (self.floors, self.largest, self.scale)):
+            raise ValueError("its error has a negative size")
+
+    def __call__(self, t: np.ndarray) -> np.ndarray:
+        """Estimated z - z^ at times t, shape (*t.shape, dim)."""
+        window, s = locate(self.edges, t - self.origin)
+        basis = chebyshev_values(np.clip(2 * s - 1, -1, 1), self.series.shape[1])
+        with np.errstate(invalid="ignore"):
+            values = np.einsum("...l,...ld->...d", basis, self.series[window])
+        return np.nan_to_num(values, nan=np.inf, posinf=np.inf, neginf=np.inf)
+
+    def floor(self, t: np.ndarray) -> np.ndarray:
+        """Estimated size of the accumulated round-off at times t, shape (*t.shape, dim)."""
+        return self.floors[locate(self.edges, t - self.origin)[0]]
+
+    def until(self, allowed: np.ndarray) -> float:
+        """Return the end of the last window before estimate and floor exceed the allowed error."""
+        with np.errstate(invalid="ignore"):
+            peaks = np.abs(_dense(self.series.shape[1]) @ self.series).max(axis=1)
+        good = (peaks + self.floors <= allowed).all(axis=1)
+        end = self.edges[-1] if good.all() else self.edges[int(np.argmin(good))]
+        return float(self.origin + end)
+
+    def excess(self, allowed: np.ndarray) -> float:
+        """Return the largest ratio of estimate and floor to the allowed error, or infinity."""
+        return largest_ratio(self.largest, allowed)
+
+
+def largest_ratio(errors: np.ndarray, allowed: np.ndarray) -> float:
+    """Return the largest ratio of errors to the allowed ones, or infinity; without error 0."""
+    with np.errstate(all="ignore"):
+        ratios = np.where(errors == 0, 0.0, errors / allowed)
+    return float(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf).max())
+
+
+def relative_tolerance(tol: float) -> float:
+    """Return the tolerance relative to computed sizes, which differ from the true ones by errors.
+
+    An error of this share of the computed size is at most ``tol`` times the true one.
+    """
+    return tol / (1 + tol)
+
+
+@functools.cache
+def _dense(count: int) -> np.ndarray:
+    """Return the matrix from Chebyshev series of ``count`` terms to values that show peaks."""
+    return chebyshev.chebvander(np.linspace(-1, 1, 4 * count), count - 1)
