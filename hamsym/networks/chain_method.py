@@ -44,6 +44,7 @@ _PASSES = 3
 _MARGIN = 0.3  # share of the allowed error at which a tighter chain aims
 _HIDDEN_STEPS = 20
 _FEWEST_WINDOWS = 4  # of a span
+_JUMP_SAMPLES = 33  # in each window
 _PERCENT = 1_000  # steps of the progress bar
 
 
@@ -156,9 +157,15 @@ def _verdict(
             f"stopped at t = {trained.reached:.6g}: {trained.reason}; tol {tol:.1e} held until "
             f"t = {held:.6g}"
         )
-    jump = first_jump(solution, solution.scan_times, unresolved(solution))
+    jump = first_jump(
+        solution,
+        record.times(solution.span, _JUMP_SAMPLES * len(record.edges)),
+        unresolved(solution),
+    )
     if jump is not None:
         return False, f"{jump} ({state})"
+    if trained.doubt:
+        return False, f"{trained.doubt}: a narrow pulse, a step or a jump; {state}"
     if excess <= 1:
         return True, f"tol {tol:.1e} met: {state}"
     if found.estimate.limit:

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain import Chain, ChainTraining
+from hamsym.networks.chain_checks import ChainChecks
 from hamsym.networks.network import Network
 from hamsym.networks.trial import TrialSolution
 from hamsym.networks.window_training import Equations, Fit, Settings, train_window
@@ -36,15 +37,18 @@ __all__ = [
 ]
 
 #: Most windows of a span.
-MAX_WINDOWS = 200_000
+MAX_WINDOWS = 50_000
 
-_REACH = 3.0  # largest input of the network of a window whose length is free
+# Largest input of the network of a window whose length is free: narrower layers, with fewer
+# functions, represent shorter windows.
+_REACH, _WIDTH = 3.0, 50
 _POINTS = 48  # of such a window
 _TIME = 2.0  # length of the first window, in units of the fastest time of the motion
 _SHRINK = 0.5
 _GROWTH = 1.5
 _ORDER = 10  # of the residual in the length of a window, roughly
 _SHORTEST = 1e-11  # length of a window, relative to the span
+_SETTLED = 50  # windows after which their length says how many are needed
 _SAMPLES = 65  # times at which the motion in a given window is looked at
 _PER_REACH = 16  # neurons of the last layer, and points, for each unit of the input's range
 _QUICK = 40  # fixed-point passes of readouts that converge quickly
@@ -105,12 +109,25 @@ class ChainSettings:
 
 @dataclass(frozen=True)
 class TrainedChain:
-    """A chain and its record; ``reason`` says why it ends before the span does, "" if not."""
+    """A chain and its record.
+
+    Attributes
+    ----------
+    chain : Chain or None
+    training : ChainTraining or None
+    reason : str
+        Why it ends before the span does, "" if not.
+    reached : float
+        End of its last window.
+    doubt : str
+        What a window misses between its points, "" if nothing is known.
+    """
 
     chain: Chain | None
     training: ChainTraining | None
     reason: str
     reached: float
+    doubt: str = ""
 
 
 class _Flow:
@@ -175,10 +192,13 @@ def train_chain(
     """
     run = _Run(H, z0, span, layout, settings, generator)
     with np.errstate(all="ignore"):
-        while run.time != span[1] and not run.reason:
-            before = run.time
-            run.step()
-            advance(abs(run.time - before) / abs(span[1] - span[0]))
+        try:
+            while run.time != span[1] and not run.reason:
+                before = run.time
+                run.step()
+                advance(abs(run.time - before) / abs(span[1] - span[0]))
+        except KeyboardInterrupt:
+            run.reason = "interrupted"
     return run.result()
 
 
@@ -201,12 +221,14 @@ class _Run:
             settings,
         )
         self.random = generator
+        self.checks = ChainChecks(H, generator.initial_seed(), settings.tolerance)
         self.began = time.perf_counter(), time.process_time()
         self.z, self.time = np.array(z0, dtype=float), float(span[0])
         self.sizes = np.abs(self.z)
         self.direction = math.copysign(1.0, span[1] - span[0])
         self.network = layout.network(H.dim, generator)
         self.stops = list(settings.stops)
+        self.reach = _REACH * min(1.0, layout.hidden[-1] / _WIDTH)
         self.pieces: list[TrialSolution] = []
         self.counts: list[tuple[int, int, float]] = []
         self.points = self.evaluations = self.rejected = 0
@@ -230,8 +252,12 @@ class _Run:
             if self.settings.deadline is not None and time.perf_counter() > self.settings.deadline:
                 self.reason = "the time limit was reached"
                 return
-            if len(self.pieces) >= MAX_WINDOWS:
-                self.reason = f"it needs more than {MAX_WINDOWS:,} windows"
+            needed = len(self.pieces) + abs(self.span[1] - self.time) / self.length
+            if len(self.pieces) >= _SETTLED and not needed <= MAX_WINDOWS:
+                self.reason = (
+                    f"it needs more than {MAX_WINDOWS:,} windows, now of length "
+                    f"{self.length:.1e}; give wider layers, a larger tol or a shorter span"
+                )
                 return
             end, h = self._end()
             if not abs(h) > _SHORTEST * span or self.time + h / 2 in (self.time, end):
@@ -266,7 +292,7 @@ class _Run:
         settings = Settings(
             self.settings.tolerance, self.settings.hidden_steps, self.layout.envelope
         )
-        fit = train_window(equations, network, _REACH, _POINTS, settings)
+        fit = train_window(equations, network, self.reach, _POINTS, settings)
         self.evaluations += fit.evaluations
         if not fit.residual <= self.settings.tolerance:
             self.rejected += 1
@@ -280,11 +306,15 @@ class _Run:
                 f"the residual stays at {fit.residual:.1e} of the motion in windows of "
                 f"length {abs(h):.2g}"
             )
-        piece = piece_of(network, self.z, size, self.time, h, self.layout, _REACH)
+        piece = piece_of(network, self.z, size, self.time, h, self.layout, self.reach)
         state = piece.states_at(np.array([end]))[0]
         if not np.isfinite(state).all():
             self.length = abs(h) * _SHRINK
             return "the state is not finite"
+        if missed := self.checks.failure(piece, end, np.maximum(size, np.abs(state))):
+            self.rejected += 1
+            self.length = abs(h) * _SHRINK
+            return missed
         room = self.settings.tolerance / max(fit.residual, 1e-300)
         factor = min(max(0.9 * room ** (1 / _ORDER), 1.0), _GROWTH)
         if fit.hidden_steps or fit.passes > _QUICK:
@@ -386,7 +416,8 @@ def train_windows(
     edges = np.linspace(chain.edges[0], chain.edges[-1], count + 1)
     z, pieces, counts = np.array(chain.pieces[0].z0), [], []
     points = evaluations = 0
-    reason = ""
+    reason = doubt = ""
+    checks = ChainChecks(H, generator.initial_seed(), settings.tolerance)
     for start, end in itertools.pairwise(edges.tolist()):
         h = end - start
         samples = chain.states_at(np.linspace(start, end, _SAMPLES))
@@ -416,6 +447,7 @@ def train_windows(
             reason = "the state is not finite"
             break
         pieces.append(piece)
+        doubt = doubt or checks.failure(piece, end, size)
         z = state
         if settings.deadline is not None and time.perf_counter() > settings.deadline:
             reason = "the time limit was reached" if end != edges[-1] else ""
@@ -436,7 +468,7 @@ def train_windows(
         time.perf_counter() - began[0],
         time.process_time() - began[1],
     )
-    return TrainedChain(found, record, reason, found.end)
+    return TrainedChain(found, record, reason, found.end, doubt)
 
 
 def _states(

@@ -95,7 +95,7 @@ class WindowChecks:
         self, windows: Windows, sizes: np.ndarray
     ) -> tuple[np.ndarray, dict[int, list[float]]]:
         """Return the largest residual of each window, in units of the limit, and its times."""
-        count = len(windows.readouts)
+        count = len(windows.edges) - 1
         lengths = np.abs(np.diff(windows.edges))
         window = np.repeat(np.arange(count), _RANDOM)
         s = self._generator.random(len(window))
@@ -141,11 +141,13 @@ class WindowChecks:
 
     def _narrow_places(self, windows: Windows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Locate possible narrow features: windows, places s and widths, in window lengths."""
-        count = len(windows.readouts)
-        s, values, to_series = _table(self.basis, _NODES)
-        g, kinds = self._arguments(windows, np.arange(count), s, values)
+        count = len(windows.edges) - 1
+        s = _places(_NODES)
+        g, kinds = self._arguments(windows, np.arange(count), s)
         inner = slice(len(_ENDS), -len(_ENDS))
-        series = np.abs(to_series @ g[:, inner].transpose(2, 1, 0))  # (argument, degree, window)
+        series = np.abs(
+            collocation(_NODES).to_series @ g[:, inner].transpose(2, 1, 0)
+        )  # (argument, degree, window)
         tails = series[:, -4:].max(axis=1)
         # An argument that oscillates within the window is sampled more densely.
         fast = np.flatnonzero(~(tails <= UNSETTLED * series.max(axis=1)).all(axis=0))
@@ -153,8 +155,8 @@ class WindowChecks:
             self._candidates(np.delete(np.arange(count), fast), s, np.delete(g, fast, 0), kinds)
         ]
         if len(fast):
-            s, values, _ = _table(self.basis, _DENSE)
-            dense, _ = self._arguments(windows, fast, s, values)
+            s = _places(_DENSE)
+            dense, _ = self._arguments(windows, fast, s)
             found.append(self._candidates(fast, s, dense, kinds))
         low, high, window, which, turns = (
             np.concatenate(parts) for parts in zip(*found, strict=True)
@@ -174,11 +176,11 @@ class WindowChecks:
         return np.repeat(window, len(_AROUND)), around.ravel(), lasting
 
     def _arguments(
-        self, windows: Windows, window: np.ndarray, s: np.ndarray, values: np.ndarray
+        self, windows: Windows, window: np.ndarray, s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the arguments at places s of windows, shape (windows, places, arguments)."""
         assert self.flow.narrow_arguments is not None
-        z = windows.states[window, None] + values @ windows.readouts[window]
+        z = self._sampled(windows, window, s)
         t = windows.edges[window, None] + np.diff(windows.edges)[window, None] * s
         arguments, kinds = self.flow.narrow_arguments(z.reshape(-1, z.shape[-1]), t.ravel())
         return arguments.reshape(*t.shape, -1), kinds
@@ -296,6 +298,11 @@ class WindowChecks:
         start, end = windows.edges[index : index + 2]
         return float(start + (end - start) * (low + high) / 2)
 
+    def _sampled(self, windows: Windows, window: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Evaluate z^ at the same places s of windows, shape (windows, places, dim)."""
+        values = _columns(self.basis, len(s))
+        return np.asarray(windows.states[window, None] + values @ windows.readouts[window])
+
     def _at(
         self, windows: Windows, window: np.ndarray, s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -307,12 +314,15 @@ class WindowChecks:
         return z, dz, windows.edges[window] + lengths * s
 
 
+def _places(count: int) -> np.ndarray:
+    """Return nodes of a rule and places near both ends of a window."""
+    return np.concatenate((_ENDS, collocation(count).nodes, 1 - _ENDS[::-1]))
+
+
 @functools.lru_cache(maxsize=16)
-def _table(basis: FeatureBasis, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return nodes of a rule and places near both ends, Q there, and the rule's ``to_series``."""
-    rule = collocation(count)
-    s = np.concatenate((_ENDS, rule.nodes, 1 - _ENDS[::-1]))
-    return s, basis.columns(s)[0], rule.to_series
+def _columns(basis: FeatureBasis, places: int) -> np.ndarray:
+    """Return the columns at the places of a rule."""
+    return basis.columns(_places(places - 2 * len(_ENDS)))[0]
 
 
 def _excess(values: np.ndarray, allowed: np.ndarray) -> np.ndarray:
