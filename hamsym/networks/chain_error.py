@@ -12,6 +12,7 @@ place of the state and of the change that such a unit causes in F, with random s
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ from hamsym.solution.window_error import WindowError
 __all__ = ["ChainError", "ErrorOfChain", "estimate_chain_error"]
 
 _NODES, _FINE_NODES = 32, 48  # of a part: for the estimate, and for its check
-_POINTS_PER_PART = 24  # collocation points of the network
+_POINTS_PER_PART = 16  # collocation points of the network
 _SETS = 4  # of random perturbations
 _ROUND_OFF = 2.0  # size of a perturbation, in units in the last place
 _EPS = float(np.finfo(float).eps)
@@ -84,54 +85,58 @@ def estimate_chain_error(
     # Times inside a part belong to its window also where they round to its end.
     t = (edges[:-1, None] + lengths[:, None] * rule.nodes).ravel()
 
-    def flow(z: np.ndarray) -> np.ndarray:
-        return np.asarray(system.vector_field(*system.arguments(z, t)))
-
     with np.errstate(all="ignore"):
         z, dz = chain.states_and_rates(t)
-        rates = flow(z)
+        rates = np.asarray(system.vector_field(*system.arguments(z, t)))
         jacobians = generators(system.hessian(*system.arguments(z, t)))
         scale = _scales(z, jacobians, edges)
         unit = np.where(scale > 0, scale, 1.0)
         signs = np.random.default_rng(0).choice((-1.0, 1.0), size=(_SETS, count, dim))
         disturbed = z * (1 + _EPS * np.repeat(signs[0], nodes, axis=0))
-        noise = np.abs(flow(disturbed) - rates).reshape(count, nodes, dim).max(axis=1)
+        nearby = np.asarray(system.vector_field(*system.arguments(disturbed, t)))
+        noise = np.abs(nearby - rates).reshape(count, nodes, dim).max(axis=1)
         kicks = _EPS * np.abs(z).reshape(count, nodes, dim).max(axis=1)
         kicks = _ROUND_OFF * (kicks + np.abs(lengths)[:, None] * noise) / unit
-        forcing, error = rates - dz, np.zeros((count * nodes, dim))
+        residual = (rates - dz).reshape(count, nodes, dim)
+        jacobians = jacobians.reshape(count, nodes, dim, dim)
+        forcing, error = residual, np.zeros((count, nodes, dim))
+        good, settled = count, False
         for _ in range(_CORRECTIONS):
-            maps = TangentMaps(
-                np.concatenate((jacobians, forcing[..., None]), -1).reshape(
-                    count, nodes, dim, dim + 1
-                ),
-                lengths,
-                unit,
-            )
-            ends = _joined(maps.ends)
-            inside = np.einsum("inkw,wk->wni", maps.inside[:, :, :dim], ends[:-1])
-            inside += maps.inside[:, :, dim].transpose(2, 1, 0)
-            found = (inside * unit).reshape(count * nodes, dim)
-            size = np.abs(inside).max()
-            change = np.abs((found - error) / unit).max()
-            if not size <= _TOO_LARGE or size <= _SMALL or change <= _SETTLED * size:
+            columns = np.concatenate((jacobians[:good], forcing[:good, :, :, None]), -1)
+            maps = TangentMaps(columns, lengths[:good], unit)
+            inside, ends = _joined(maps)
+            sizes = np.abs(inside).max(axis=(1, 2))
+            large = np.flatnonzero(~(sizes <= _TOO_LARGE))
+            if len(large):
+                good = int(large[0])
+                if not good:
+                    break
+                continue
+            change = np.abs(inside - error[:good] / unit).max()
+            error = inside * unit
+            if sizes.max() <= _SMALL or change <= _SETTLED * sizes.max():
+                settled = True
                 break
-            error = found
-            forcing = flow(z + error) - dz - np.einsum("nij,nj->ni", jacobians, error)
-        floors = _floors(maps.ends[:, :, :dim], maps.inside[:, :, :dim], kicks, signs) * unit
-    series = np.einsum("ln,wnd->wld", rule.to_series, found.reshape(count, nodes, dim))
-    peaks = np.maximum(
-        np.abs(found.reshape(count, nodes, dim)).max(axis=1),
-        np.abs(ends[1:] * unit),
-    )
-    largest = (peaks + floors).max(axis=0)
+            moved = (z[: good * nodes] + error.reshape(-1, dim), t[: good * nodes])
+            higher = np.asarray(system.vector_field(*system.arguments(*moved)))
+            higher = higher.reshape(good, nodes, dim) - rates.reshape(count, nodes, dim)[:good]
+            linear = np.einsum("wnij,wnj->wni", jacobians[:good], error)
+            forcing = residual[:good] + higher - linear
+        good = good if settled else 0
+        series = np.full((count, nodes, dim), np.inf)
+        floors, largest = np.full((count, dim), np.inf), np.full(dim, np.inf)
+        if good:
+            series[:good] = np.einsum("ln,wnd->wld", rule.to_series, error)
+            floors[:good] = _floors(maps, kicks, signs) * unit
+        if good == count:
+            peaks = np.maximum(np.abs(error).max(axis=1), np.abs(ends[1:] * unit))
+            largest = (peaks + floors).max(axis=0)
     limit = ""
     if not np.isfinite(largest).all():
-        limit = "the Hessian of H is not finite on the way"
-    elif not (size <= _SMALL or change <= _SETTLED * size) or not size <= _TOO_LARGE:
-        limit = "errors grow too large for an estimate"
-    if limit:
+        limit = f"errors grow too large for an estimate by t = {edges[good]:.6g}"
+        if not np.isfinite(jacobians[good]).all():
+            limit = f"the Hessian of H is not finite near t = {edges[good]:.6g}"
         largest = np.full(dim, np.inf)
-        series, floors = np.full(series.shape, np.inf), np.full(floors.shape, np.inf)
     return ErrorOfChain(ChainError(edges, series, floors, largest, scale, np.zeros(())), limit)
 
 
@@ -139,7 +144,7 @@ def _parts(chain: Chain, training: ChainTraining) -> np.ndarray:
     """Return the edges of parts of windows in which the residual is resolved."""
     edges = chain.edges
     points = training.points / len(chain.pieces)
-    count = max(2, round(points / _POINTS_PER_PART))
+    count = math.ceil(points / _POINTS_PER_PART)
     shares = np.arange(count) / count
     inside = edges[:-1, None] + np.diff(edges)[:, None] * shares
     return np.append(inside.ravel(), edges[-1])
@@ -147,31 +152,29 @@ def _parts(chain: Chain, training: ChainTraining) -> np.ndarray:
 
 def _scales(z: np.ndarray, jacobians: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Return the size of each component in its own units, shape (dim,)."""
-    sizes = np.maximum(np.abs(z).max(axis=0), 0.0)
+    sizes = np.abs(z).max(axis=0)
     mean = np.abs(jacobians).mean(axis=0)
     coupled = coupled_sizes(sizes, mean, abs(float(edges[-1] - edges[0])))
     return np.asarray(np.maximum(sizes, SMALLEST * coupled))
 
 
-def _joined(maps: np.ndarray) -> np.ndarray:
-    """Return the errors at the edges from maps and forced solutions (windows, dim, dim + 1)."""
-    count, dim, _ = maps.shape
+def _joined(maps: TangentMaps) -> tuple[np.ndarray, np.ndarray]:
+    """Return errors inside the parts (parts, nodes, dim) and at their edges (parts + 1, dim)."""
+    count, dim, _ = maps.ends.shape
     ends = np.zeros((count + 1, dim))
     for k in range(count):
-        ends[k + 1] = maps[k, :, :dim] @ ends[k] + maps[k, :, dim]
-    return ends
+        ends[k + 1] = maps.ends[k, :, :dim] @ ends[k] + maps.ends[k, :, dim]
+    inside = np.einsum("inkw,wk->wni", maps.inside[:, :, :dim], ends[:-1])
+    return inside + maps.inside[:, :, dim].transpose(2, 1, 0), ends
 
 
-def _floors(
-    maps: np.ndarray, inside: np.ndarray, kicks: np.ndarray, signs: np.ndarray
-) -> np.ndarray:
-    """Return the size of accumulated round-off in each window, shape (windows, dim)."""
-    count, dim, _ = maps.shape
-    moved = np.zeros((_SETS, dim))
-    floors = np.empty((count, dim))
+def _floors(maps: TangentMaps, kicks: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """Return the size of accumulated round-off in each part, shape (parts, dim)."""
+    count, dim, _ = maps.ends.shape
+    moved, floors = np.zeros((_SETS, dim)), np.empty((count, dim))
     for k in range(count):
         now = moved + signs[:, k] * kicks[k]
-        within = np.abs(np.einsum("ink,sk->sni", inside[..., k], now)).max(axis=(0, 1))
-        moved = now @ maps[k].T
-        floors[k] = np.maximum(within, np.abs(moved).max(axis=0))
+        within = np.einsum("ink,sk->sni", maps.inside[:, :, :dim, k], now)
+        moved = now @ maps.ends[k, :, :dim].T
+        floors[k] = np.maximum(np.abs(within).max(axis=(0, 1)), np.abs(moved).max(axis=0))
     return floors
