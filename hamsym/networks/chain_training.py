@@ -50,7 +50,7 @@ _ORDER = 10  # of the residual in the length of a window, roughly
 _SHORTEST = 1e-11  # length of a window, relative to the span
 _SETTLED = 50  # windows after which their length says how many are needed
 _SAMPLES = 65  # times at which the motion in a given window is looked at
-_PER_REACH = 16  # neurons of the last layer, and points, for each unit of the input's range
+_PER_REACH = 20  # neurons of the last layer, and points, for each unit of the input's range
 _QUICK = 40  # fixed-point passes of readouts that converge quickly
 
 
