@@ -15,6 +15,7 @@ from hamsym.networks.options import (
     DeepOptions,
     LBFGSOptions,
     LevenbergMarquardtOptions,
+    SelfScaledBroydenOptions,
     check_options,
 )
 from hamsym.problem import InitialValueProblem
@@ -58,6 +59,7 @@ def _train(problem: InitialValueProblem, options: DeepOptions) -> Solution:
 METHODS: dict[str, Method] = {
     "features": Method(FeatureOptions, solve_by_features, marches=True),
     "levenberg-marquardt": Method(LevenbergMarquardtOptions, _train),
+    "ssbroyden": Method(SelfScaledBroydenOptions, _train),
     "lbfgs": Method(LBFGSOptions, _train),
     "adam": Method(AdamOptions, _train),
 }
@@ -83,9 +85,10 @@ def solve(
         Initial state, in the order of H.z or by name.
     span : (float, float)
         Start and end time; the end may be the earlier one.
-    method : {"features", "levenberg-marquardt", "lbfgs", "adam"}
+    method : {"features", "levenberg-marquardt", "ssbroyden", "lbfgs", "adam"}
         Random sine features marched to a tolerance, or a deep network trained by the optimizer of
-        this name ("adam" as in the paper).
+        this name ("adam" as in the paper; "ssbroyden" is the self-scaled Broyden method of Urban,
+        Stefanou & Pons 2025, whose time per iteration grows with the square of the weights).
     seed : int
         Seed of all random numbers: same seed, same machine, same result.
     progress : bool or callable, optional
@@ -158,8 +161,9 @@ def solve(
             default depends on the span, should be the same.
 
         For ``"levenberg-marquardt"``: ``iterations`` (1,000) and ``restarts`` (10), the largest
-        number of times that new weights are drawn when the training stalls. For ``"lbfgs"``:
-        ``iterations`` (5,000). For both float64 is the only dtype.
+        number of times that new weights are drawn when the training stalls. For ``"ssbroyden"``:
+        ``iterations`` (3,000), and at most 20,000 weights. For ``"lbfgs"``: ``iterations``
+        (5,000). For all three float64 is the only dtype.
 
         For ``"adam"``:
 

@@ -37,6 +37,7 @@ METHODS = {
     "features": {},
     "adam": {"epochs": 30, "points": 10, "energy_weight": 0.5},
     "lbfgs": {"iterations": 20, "points": 10, "shared_weights": False},
+    "ssbroyden": {"iterations": 20, "points": 10, "hidden": (8,)},
     "levenberg-marquardt": {"iterations": 10, "points": 20, "hidden": (8,), "activation": "tanh"},
     "float32": {"method": "adam", "epochs": 20, "points": 10, "dtype": "float32"},
 }

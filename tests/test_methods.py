@@ -18,6 +18,7 @@ from hamsym.solving import METHODS, Method
 _BRIEF = {
     "adam": {"epochs": 40, "hidden": (6,)},
     "lbfgs": {"iterations": 10, "hidden": (6,)},
+    "ssbroyden": {"iterations": 10, "hidden": (6,)},
     "levenberg-marquardt": {"iterations": 10, "hidden": (6,)},
 }
 

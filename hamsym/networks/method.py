@@ -1,4 +1,4 @@
-"""The methods "adam", "lbfgs" and "levenberg-marquardt": a deep network, all weights trained.
+"""The methods that train all weights of a deep network, each by the optimizer of its name.
 
 Stage 1  A network and the envelope make a trial solution that starts at z0.
 Stage 2  The generated residual and loss are the objective of the trainer, which does not depend on
@@ -29,11 +29,13 @@ from hamsym.networks.options import (
     DeepOptions,
     LBFGSOptions,
     LevenbergMarquardtOptions,
+    SelfScaledBroydenOptions,
     precision_name,
 )
 from hamsym.networks.progress import training_progress
 from hamsym.networks.record import Stopped, Training
 from hamsym.networks.rules import Criterion, Stages, Stopping
+from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
 from hamsym.networks.training import Optimizer, train
 from hamsym.networks.trial import TrialSolution
 from hamsym.problem import InitialValueProblem
@@ -306,6 +308,8 @@ def _optimizer(options: DeepOptions) -> Optimizer:
             )
         case LBFGSOptions():
             return LBFGS(points=options.points)
+        case SelfScaledBroydenOptions():
+            return SelfScaledBroyden(points=options.points)
         case _:
             return LevenbergMarquardt(points=options.points)
 

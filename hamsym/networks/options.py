@@ -25,6 +25,7 @@ __all__ = [
     "DeepOptions",
     "LBFGSOptions",
     "LevenbergMarquardtOptions",
+    "SelfScaledBroydenOptions",
     "check_options",
     "precision_name",
 ]
@@ -116,6 +117,19 @@ class LBFGSOptions(DeepOptions):
     iterations: int = option(5_000, "Largest number of iterations.")
 
     method = "lbfgs"
+
+    @property
+    def total(self) -> int:
+        return self.iterations
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelfScaledBroydenOptions(DeepOptions):
+    """Options of the method "ssbroyden"."""
+
+    iterations: int = option(3_000, "Largest number of iterations.")
+
+    method = "ssbroyden"
 
     @property
     def total(self) -> int:

@@ -2,7 +2,8 @@
 
 Input:  a trial solution t -> (z, dz/dt), an :class:`Objective` made of a residual function, a
         loss and regularizers, a time span, an optimizer (:mod:`hamsym.networks.optimizers`,
-        :mod:`hamsym.networks.levenberg_marquardt`) and rules for stopping.
+        :mod:`hamsym.networks.self_scaled_broyden`, :mod:`hamsym.networks.levenberg_marquardt`)
+        and rules for stopping.
 Output: the weights with the lowest loss at fixed points (left in the trial solution), and a
         :class:`~hamsym.networks.record.Training`.
 """

@@ -121,6 +121,7 @@ def test_time_dependent_and_penalised_by_least_squares() -> None:
         ("levenberg-marquardt", "target_ell_max", 0.1),
         ("levenberg-marquardt", "target_error", 0.01),
         ("levenberg-marquardt", "accuracy", 0.1),
+        ("ssbroyden", "target_loss", 1e-3),
         ("lbfgs", "target_loss", 1e-3),
         ("adam", "target_loss", 1e-3),
     ],
@@ -193,6 +194,9 @@ def test_restarts_are_counted_in_the_message() -> None:
     [
         ({"method": "lbfgs", "iterations": 0}, "iterations=0"),
         ({"method": "lbfgs", "stages": 0}, "stages=0"),
+        ({"method": "ssbroyden", "iterations": 0}, "iterations=0"),
+        ({"method": "ssbroyden", "dtype": "float32"}, "too coarse for ssbroyden"),
+        ({"method": "ssbroyden", "hidden": (200, 200)}, "weights, more than the 20,000"),
         ({"method": "lbfgs", "target_error": 0.0}, "target_error=0.0"),
         ({"method": "lbfgs", "accuracy": math.inf}, "accuracy=inf"),
         ({"method": "lbfgs", "frequency": -1.0}, "frequency=-1.0"),
@@ -243,6 +247,7 @@ def _train_and_save(folder: Path, name: str, method: str, options: dict[str, obj
     [
         ("adam", {"epochs": 400}, (0.0, 0.05, 0.15)),
         ("lbfgs", {"iterations": 100}, (0.05,)),
+        ("ssbroyden", {"iterations": 100}, (0.05,)),
         ("levenberg-marquardt", {"iterations": 60, "patience": None}, (0.05,)),
     ],
 )

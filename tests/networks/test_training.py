@@ -18,6 +18,7 @@ from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.optimizers import LBFGS, Adam
 from hamsym.networks.record import Training, TrainingState
 from hamsym.networks.rules import Criterion, Stages, Stopping
+from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
 from hamsym.networks.training import train
 from hamsym.networks.trial import TrialSolution
 from hamsym.support.tensor_files import read_tensors, write_tensors
@@ -212,6 +213,8 @@ def test_cosine_schedule_ends_at_rate_zero() -> None:
         (LBFGS, {"points": 1}),
         (LBFGS, {"memory": 0}),
         (LBFGS, {"refresh": 0}),
+        (SelfScaledBroyden, {"points": 1}),
+        (SelfScaledBroyden, {"refresh": 0}),
         (LevenbergMarquardt, {"points": True}),
     ],
 )
@@ -227,6 +230,7 @@ def test_unusable_settings_are_rejected(kind: type, settings: dict[str, object])
 OPTIMIZERS = {
     "adam": lambda: Adam(points=20, learning_rate=0.01, noise=0.02),
     "lbfgs": lambda: LBFGS(points=20, memory=5, refresh=15),
+    "ssbroyden": lambda: SelfScaledBroyden(points=20, refresh=15),
     "levenberg-marquardt": lambda: LevenbergMarquardt(points=20),
 }
 
@@ -243,7 +247,8 @@ def test_each_optimizer_solves_another_equation(optimizer) -> None:
     t = torch.linspace(0, 2, 101, dtype=torch.float64)
     with torch.no_grad():
         error = (trial(t)[0][:, 0] - torch.exp(-t)).abs().max()
-    assert error < {Adam: 0.02, LBFGS: 1e-4, LevenbergMarquardt: 1e-7}[type(optimizer())]
+    largest = {Adam: 0.02, LBFGS: 1e-4, SelfScaledBroyden: 1e-6, LevenbergMarquardt: 1e-7}
+    assert error < largest[type(optimizer())]
     assert math.isfinite(training.best_loss)
 
 
@@ -488,7 +493,7 @@ def test_foreign_and_damaged_checkpoints_are_rejected(tmp_path: Path) -> None:
         run(1)
 
 
-@pytest.mark.parametrize("optimizer", [Adam, LBFGS, LevenbergMarquardt])
+@pytest.mark.parametrize("optimizer", [Adam, LBFGS, SelfScaledBroyden, LevenbergMarquardt])
 def test_edited_checkpoints_are_rejected(optimizer, tmp_path: Path) -> None:
     path = tmp_path / "run"
     settings = {"seed": 1}

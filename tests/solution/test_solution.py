@@ -259,7 +259,8 @@ def test_times_outside_the_span_are_rejected(solution: Solution) -> None:
     [
         (
             {"method": "newton"},
-            "'newton' is not a method; choose one of features, levenberg-marquardt, lbfgs, adam",
+            "'newton' is not a method; choose one of features, levenberg-marquardt, ssbroyden, "
+            "lbfgs, adam",
         ),
         ({"method": None}, "None is not a method"),
         ({"epochs": 5}, "'epochs' is not an option of method 'features'; it has tol, atol"),
