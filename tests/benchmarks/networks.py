@@ -21,9 +21,9 @@ from .measuring import cpu, median
 from .problems import Case, henon_heiles, oscillator
 from .results import Section
 
-__all__ = ["measure", "table"]
+__all__ = ["PROBLEMS", "measure", "table"]
 
-_PROBLEMS = (
+PROBLEMS = (
     ("oscillator, 4 pi", "nonlinear_oscillator", oscillator),
     ("Henon-Heiles, 6 pi", "henon_heiles", henon_heiles),
 )
@@ -42,7 +42,7 @@ def measure(quick: bool) -> Section:
     ]
     epochs = [usual(50 if quick else 300, torch.float64)]
     rows, by_seed = [], []
-    for label, name, field in _PROBLEMS[:1] if quick else _PROBLEMS:
+    for label, name, field in PROBLEMS[:1] if quick else PROBLEMS:
         problem = systems.CATALOGUE[name]()
         case = Case.of(label, name, problem.span[1], field, 4_001)
         for method, options in methods:

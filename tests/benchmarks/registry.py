@@ -24,6 +24,8 @@ from . import (
     networks,
     pyhamsys_steps,
     span,
+    training_optimisers,
+    training_peers,
     work_precision,
 )
 from .results import Section
@@ -62,6 +64,8 @@ BENCHMARKS: dict[str, Benchmark] = {
     "flow-map-estimates": flow_map_estimates,
     "flow-map-peers": flow_map_peers,
     "networks": networks,
+    "training-optimisers": training_optimisers,
+    "training-peers": training_peers,
     "epoch": epoch,
     "derivation": derivation,
     "certificates": certificates,

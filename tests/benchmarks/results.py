@@ -21,7 +21,7 @@ FILE = Path(__file__).with_name("results.json")
 
 _PACKAGES = (
     *("hamsym", "numpy", "scipy", "numba", "torch", "sympy", "python-flint"),
-    *("heyoka", "numbalsoda", "CyRK", "diffrax", "pyhamsys", "neurodiffeq"),
+    *("heyoka", "numbalsoda", "CyRK", "diffrax", "pyhamsys", "neurodiffeq", "deepxde"),
 )
 
 

@@ -19,7 +19,10 @@ from .registry import BENCHMARKS
 from .results import read, replace_section
 from .tables import PAGE, filled
 
-_SLOW = {"clusters", "first-call", "flow-map-estimates", "flow-map-peers", "flow-map-queries"}
+_SLOW = {
+    *("clusters", "first-call", "flow-map-estimates", "flow-map-peers", "flow-map-queries"),
+    *("training-optimisers", "training-peers"),
+}
 _CASES = [
     pytest.param(name, marks=pytest.mark.slow if name in _SLOW else ()) for name in BENCHMARKS
 ]
@@ -52,7 +55,10 @@ def test_quick_run_fills_its_section(
 
 
 #: Benchmarks of ten minutes and more, which the page may lack.
-_LONG = {"clusters", "flow-map-estimates", "flow-map-peers", "flow-map-queries"}
+_LONG = {
+    *("clusters", "flow-map-estimates", "flow-map-peers", "flow-map-queries"),
+    *("training-optimisers", "training-peers"),
+}
 
 
 def test_page_shows_the_stored_results() -> None:
