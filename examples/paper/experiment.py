@@ -95,12 +95,13 @@ class Experiment:
 
     # -- tables --------------------------------------------------------------------------------
 
-    def add_networks(self, found, begun=None):
+    def add_networks(self, found, begun=None, truth=None):
         """Add a row to the table for each of the settings of a sweep, over its seeds.
 
-        ``begun`` maps names of settings to their initial solutions, whose cost is added.
+        ``begun`` maps names of settings to their initial solutions, whose cost is added. ``truth``
+        is the reference of another problem than the experiment's.
         """
-        rows, all_measured = [], found.rows(self.truth)
+        rows, all_measured = [], found.rows(truth or self.truth)
         for name, solutions in found.solutions.items():
             measured = all_measured[name]
             costs = [Cost.of(solution) for solution in solutions]
@@ -168,6 +169,7 @@ class Experiment:
             "as written": rows.get("written"),
             "authors' settings": rows.get("authors"),
             "cosine": rows.get("cosine"),
+            "SSBroyden": rows.get("ssbroyden"),
             "Levenberg-Marquardt": "Levenberg-Marquardt",
             "features": rows.get("features"),
         }
@@ -230,15 +232,16 @@ def parse(description, arguments=None):
 
 
 def limit(settings, epochs):
-    """Limit the number of epochs of settings, for a quick run."""
+    """Limit the number of epochs or iterations of settings, for a quick run."""
     if epochs is None:
         return settings
     if callable(settings):
         return lambda seed: limit(settings(seed), epochs)
     if settings["method"] == "adam":
         return settings | {"epochs": min(settings["epochs"], epochs)}
-    if settings["method"] == "levenberg-marquardt":
-        return settings | {"iterations": max(1, epochs // 10)}
+    if settings["method"] != "features":
+        given = settings.get("iterations", epochs)
+        return settings | {"iterations": max(1, min(given, epochs // 10))}
     return settings
 
 

@@ -31,6 +31,7 @@ SETTINGS = {
     **{f"as written: {name}": WRITTEN | options for name, options in ARCHITECTURES.items()},
     **{f"authors' code: {name}": PUBLISHED | options for name, options in ARCHITECTURES.items()},
     "cosine": COSINE | NETWORK | {"tau": 0.5},
+    "SSBroyden": {"method": "ssbroyden"},
     "Levenberg-Marquardt": {"method": "levenberg-marquardt", "target_error": 2e-7},
     "features, tol = 1e-6": {"method": "features", "tol": 1e-6},
     "features, tol = 1e-12": {"method": "features", "tol": 1e-12},
@@ -67,6 +68,7 @@ def main(arguments=None):
         written="as written: sin, 1 - exp(-t)",
         authors=PAPERS,
         cosine="cosine",
+        ssbroyden="SSBroyden",
         features="features, tol = 1e-12",
     )
     experiment.write()

@@ -33,6 +33,7 @@ SETTINGS = {
     **{f"authors' code: {name}": PUBLISHED | options for name, options in ARCHITECTURES.items()},
     "authors' code, lambda = 1": PUBLISHED | {"energy_weight": 1.0},
     "cosine, lambda = 1": COSINE | NETWORK | {"tau": 0.25, "energy_weight": 1.0, "epochs": 30_000},
+    "SSBroyden": {"method": "ssbroyden"},
     "Levenberg-Marquardt": {"method": "levenberg-marquardt", "target_error": 2e-7},
     "features, tol = 1e-6": {"method": "features", "tol": 1e-6},
     "features, tol = 1e-12": {"method": "features", "tol": 1e-12},
@@ -67,6 +68,7 @@ def main(arguments=None):
         4.2e-3,
         written="as written: sin, 1 - exp(-t)",
         authors=PAPERS,
+        ssbroyden="SSBroyden",
         features="features, tol = 1e-12",
     )
     experiment.beside(
@@ -75,6 +77,7 @@ def main(arguments=None):
         written="as written, lambda = 1",
         authors="authors' code, lambda = 1",
         cosine="cosine, lambda = 1",
+        ssbroyden="SSBroyden",
         features="features, tol = 1e-12",
     )
     experiment.write()

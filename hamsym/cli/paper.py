@@ -10,7 +10,7 @@ import click
 
 __all__ = ["reproduce"]
 
-_EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long")
+_EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long", "accuracy")
 
 
 @click.command()
@@ -39,7 +39,7 @@ def reproduce(
     Each experiment writes its table, figures and results; page.md summarises them. Existing runs
     are reused, and interrupted ones are resumed. With --quick the output directory is its
     subdirectory "quick". EXPERIMENTS are oscillator, oscillator-long, henon-heiles,
-    henon-heiles-long or all, the default.
+    henon-heiles-long, accuracy (error against CPU time of every way to train) or all, the default.
     """
     from hamsym.support.locking import exclusive
     from hamsym.support.validation import require_whole

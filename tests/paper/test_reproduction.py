@@ -11,7 +11,9 @@ import pytest
 import hamsym
 from hamsym.cli.commands import main
 from hamsym.paper import (
+    accuracy,
     claims,
+    drawing,
     henon_heiles,
     henon_heiles_long,
     oscillator,
@@ -22,7 +24,7 @@ from hamsym.paper.experiment import ARCHITECTURES, limit, parse
 from hamsym.paper.judging import euler, judge_architectures, judge_steps
 from hamsym.paper.tables import lower, markdown_table, short, spread
 
-SCRIPTS = (oscillator, oscillator_long, henon_heiles, henon_heiles_long, claims)
+SCRIPTS = (oscillator, oscillator_long, henon_heiles, henon_heiles_long, accuracy, claims)
 
 
 def _written(folder, scripts):
@@ -47,6 +49,49 @@ def test_script_writes_table_figures_and_page(tmp_path, monkeypatch):
     monkeypatch.setattr(oscillator, "SPAN", (0.0, 1.0))
     everything = _written(tmp_path, [oscillator])
     _check_files(tmp_path, [oscillator], everything)
+
+
+@pytest.mark.slow
+def test_accuracy_draws_every_method(tmp_path, monkeypatch):
+    """On a short span, with small networks and two amounts of training."""
+    (title, methods), *_ = accuracy.COURSES.items()
+    small = {
+        name: [o if o["method"] == "features" else o | {"hidden": (4,)} for o in several[:2]]
+        for name, several in methods.items()
+    }
+    drawn = {}
+    monkeypatch.setattr(oscillator, "SPAN", (0.0, 1.0))
+    monkeypatch.setattr(accuracy, "COURSES", {title: small})
+    monkeypatch.setattr(accuracy, "draw", lambda axis, values: drawn.update(values))
+    miniature = ["--epochs=20", "--seeds=2", "--certify=0", "--workers=1", f"--out={tmp_path}"]
+    accuracy.main(miniature)
+    rows = json.loads((tmp_path / "accuracy" / "results.json").read_text())["rows"]
+    assert list(drawn) == list(methods)
+    assert len(rows) == 2 * len(methods)
+    for (name, points), first in zip(drawn.items(), rows[::2], strict=True):
+        assert points.shape == (2, 2, 2)
+        assert (points > 0).all()
+        assert name.removesuffix(", one network") in first["method"]
+        for column, shown in ((0, "CPU seconds"), (1, "error")):
+            assert points[0, :, column].min() == pytest.approx(first[shown][1])
+            assert points[0, :, column].max() == pytest.approx(first[shown][2])
+
+
+def test_accuracy_draws_seeds_thin_and_the_median_thick():
+    points = np.array([[[1, 3.0], [2, 1.0], [3, 2.0]], [[20, 0.3], [10, 0.1], [30, 0.2]]])
+    _, axes = drawing.figure(1, 1)
+    accuracy.draw(axes[0, 0], {"SSBroyden": points})
+    *thin, thick = axes[0, 0].lines
+    assert [line.get_xydata().tolist() for line in thin] == points.swapaxes(0, 1).tolist()
+    assert thick.get_xydata().tolist() == [[2, 2.0], [20, 0.2]]
+    assert thick.get_linewidth() > 2 * thin[0].get_linewidth()
+
+
+def test_accuracy_tells_methods_apart_by_colour_and_by_marker():
+    for methods in accuracy.COURSES.values():
+        assert {*methods} <= {*accuracy.STYLES}
+    colors, markers, _ = zip(*accuracy.STYLES.values(), strict=True)
+    assert len({*colors}) == len({*markers}) == len(accuracy.STYLES)
 
 
 @pytest.mark.slow
@@ -123,6 +168,8 @@ def test_limit_shortens_trainings_only():
     assert limit(adam, 20) == {"method": "adam", "epochs": 20, "points": 3}
     assert limit(lambda seed: adam, 20)(1)["epochs"] == 20
     assert limit({"method": "levenberg-marquardt"}, 300)["iterations"] == 30
+    assert limit({"method": "ssbroyden"}, 300)["iterations"] == 30
+    assert limit({"method": "lbfgs", "iterations": 5}, 300)["iterations"] == 5
     assert limit({"method": "features"}, 20) == {"method": "features"}
 
 
