@@ -17,6 +17,7 @@ from hamsym.archive import load_solution
 from hamsym.description import settings_text
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.networks.options import LevenbergMarquardtOptions
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.digest import digest
@@ -107,10 +108,10 @@ class Run:
     def _solve(self, progress: Callable[[TrainingState], None]) -> None:
         options = dict(self.options)
         checkpoint = self._beside(".checkpoint")
-        if not METHODS[options.get("method", "features")].marches:
-            options["checkpoint"] = checkpoint
         if self.initial is not None:
             options["initial"] = load_solution(self.initial)
+        if _has_checkpoints(options):
+            options["checkpoint"] = checkpoint
         resumed = checkpoint.exists()
 
         def solved() -> Solution:
@@ -132,6 +133,16 @@ class Run:
 
     def _beside(self, ending: str) -> Path:
         return self.base.with_name(self.base.name + ending)
+
+
+def _has_checkpoints(options: Mapping[str, Any]) -> bool:
+    """Return whether these options train one network, which can be resumed."""
+    given = dict(options)
+    method = METHODS[given.pop("method", "features")]
+    if method.options is LevenbergMarquardtOptions:
+        # A checkpoint is an option of joint training: with it no chain is trained.
+        return bool(method.options(**given).joint)
+    return not method.marches
 
 
 def planned_run(

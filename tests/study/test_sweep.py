@@ -31,7 +31,8 @@ def _files(folder):
 
 
 def test_runs_in_other_processes_equal_solve(tmp_path):
-    settings = {"Adam": ADAM, "to 1e-8": {"tol": 1e-8}}
+    chain = {"method": "levenberg-marquardt"}
+    settings = {"Adam": ADAM, "chain": chain, "to 1e-8": {"tol": 1e-8}}
     found = _sweep(tmp_path / "a" / "b", settings, workers=2, seeds=[3])
     assert found.seeds == (3,)
     for name, options in settings.items():
