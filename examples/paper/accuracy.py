@@ -10,7 +10,7 @@ import hamsym
 from hamsym.integrators.integrate import reference
 from hamsym.paper import henon_heiles, oscillator
 from hamsym.paper.drawing import BLUE, GREEN, ORANGE, PINK, RED, SKY, figure
-from hamsym.paper.experiment import COSINE, Cost, Experiment, parse
+from hamsym.paper.experiment import CHAIN, COSINE, Cost, Experiment, parse
 
 EPOCHS = (500, 2_500, 10_000, 50_000)
 ITERATIONS = (100, 300, 1_000, 3_000)
@@ -36,6 +36,7 @@ def courses(script, tau):
             name: [{"method": method, "iterations": n} for n in numbers]
             for name, (method, numbers) in second_order.items()
         },
+        "Levenberg-Marquardt, chain": [CHAIN],
         "features": [{"method": "features", "tol": tol} for tol in TOLERANCES],
     }
 
@@ -77,7 +78,7 @@ def main(arguments=None):
         problem = make()
         truth = problem.exact or reference(problem.H, problem.z0, script.SPAN)
         names = {
-            name: [f"{title[0]}: {short_name(name)}, {amount(options)}" for options in several]
+            name: [f"{title[0]}: {short_name(name)}{amount(options)}" for options in several]
             for name, several in methods.items()
         }
         settings = {
@@ -97,7 +98,8 @@ def main(arguments=None):
         drawn,
         "One network, any accuracy: largest error over CPU time of the training. Thin lines are "
         "single seeds and thick lines their medians; every point is a run of its own. Networks "
-        "have two layers of 50 sines; features are marched in windows.",
+        "have two layers of 50 sines, one network or a chain of them; features are marched in "
+        "windows.",
     )
     experiment.write()
 
@@ -108,11 +110,11 @@ def short_name(method):
 
 
 def amount(options):
-    """Epochs, iterations or tolerance of settings as text."""
+    """Epochs, iterations or tolerance of settings as the end of a label, if they are given."""
     for name in ("epochs", "iterations"):
         if name in options:
-            return f"{options[name]:,} {name}"
-    return f"tol = {options['tol']:.0e}"
+            return f", {options[name]:,} {name}"
+    return f", tol = {options['tol']:.0e}" if "tol" in options else ""
 
 
 def measured(found, names, truth):
@@ -137,7 +139,15 @@ def draw(axis, values):
     for method, points in values.items():
         color, marker, style = STYLES[method]
         for seed in range(points.shape[1]):
-            axis.plot(*points[:, seed].T, style, color=color, linewidth=0.7, alpha=0.6)
+            axis.plot(
+                *points[:, seed].T,
+                style,
+                color=color,
+                linewidth=0.7,
+                alpha=0.6,
+                marker=marker,
+                markersize=3,
+            )
         middle = np.sort(points, axis=1)[:, (points.shape[1] - 1) // 2]
         axis.plot(
             *middle.T, style, color=color, marker=marker, markersize=7, linewidth=2.2, label=method

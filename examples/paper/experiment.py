@@ -38,6 +38,10 @@ AUTHORS = AS_WRITTEN | {"betas": (0.999, 0.9999)}
 # Third, with hamsym's schedule: the rate decreases along half a cosine.
 COSINE = {"method": "adam", "schedule": "cosine", "learning_rate": 8e-3, "betas": (0.99, 0.999)}
 
+# Levenberg-Marquardt on a chain of networks, to its default tolerance; other options of training
+# make it train one network.
+CHAIN = {"method": "levenberg-marquardt"}
+
 
 class Experiment:
     """One problem, its runs and their results.
@@ -171,6 +175,7 @@ class Experiment:
             "cosine": rows.get("cosine"),
             "SSBroyden": rows.get("ssbroyden"),
             "Levenberg-Marquardt": "Levenberg-Marquardt",
+            "Levenberg-Marquardt, chain": "Levenberg-Marquardt, chain",
             "features": rows.get("features"),
         }
         line = {"what": what, "published": published, "rows": names}
@@ -239,7 +244,7 @@ def limit(settings, epochs):
         return lambda seed: limit(settings(seed), epochs)
     if settings["method"] == "adam":
         return settings | {"epochs": min(settings["epochs"], epochs)}
-    if settings["method"] != "features":
+    if settings["method"] != "features" and settings != CHAIN:
         given = settings.get("iterations", epochs)
         return settings | {"iterations": max(1, min(given, epochs // 10))}
     return settings

@@ -10,7 +10,15 @@ import numpy as np
 
 import hamsym
 from hamsym.paper.drawing import BLUE, GREEN, RED, draw_architectures, figure
-from hamsym.paper.experiment import ARCHITECTURES, AS_WRITTEN, AUTHORS, COSINE, Experiment, parse
+from hamsym.paper.experiment import (
+    ARCHITECTURES,
+    AS_WRITTEN,
+    AUTHORS,
+    CHAIN,
+    COSINE,
+    Experiment,
+    parse,
+)
 from hamsym.paper.judging import (
     euler,
     judge_architectures,
@@ -33,6 +41,7 @@ SETTINGS = {
     "cosine": COSINE | NETWORK | {"tau": 0.5},
     "SSBroyden": {"method": "ssbroyden"},
     "Levenberg-Marquardt": {"method": "levenberg-marquardt", "target_error": 2e-7},
+    "Levenberg-Marquardt, chain": CHAIN,
     "features, tol = 1e-6": {"method": "features", "tol": 1e-6},
     "features, tol = 1e-12": {"method": "features", "tol": 1e-12},
 }

@@ -13,7 +13,7 @@ import numpy as np
 
 import hamsym
 from hamsym.paper.drawing import BLUE, GREEN, RED, draw_losses, figure
-from hamsym.paper.experiment import AS_WRITTEN, AUTHORS, COSINE, Experiment, parse
+from hamsym.paper.experiment import AS_WRITTEN, AUTHORS, CHAIN, COSINE, Experiment, parse
 from hamsym.paper.judging import euler, judge_integrators
 from hamsym.paper.tables import lower, short
 
@@ -66,6 +66,7 @@ def main(arguments=None):
             "stages": 24,
             "target_error": 2e-7,
         },
+        "Levenberg-Marquardt, chain": CHAIN,
         "features, tol = 1e-6": {"method": "features", "tol": 1e-6},
         "features, tol = 1e-12": {"method": "features", "tol": 1e-12},
     }

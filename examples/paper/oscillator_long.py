@@ -11,7 +11,7 @@ import numpy as np
 
 import hamsym
 from hamsym.paper.drawing import BLUE, GREEN, RED, draw_losses, figure
-from hamsym.paper.experiment import AS_WRITTEN, AUTHORS, COSINE, Experiment, parse
+from hamsym.paper.experiment import AS_WRITTEN, AUTHORS, CHAIN, COSINE, Experiment, parse
 from hamsym.paper.judging import euler, judge_bound, judge_integrators
 from hamsym.paper.tables import lower, short, spread
 
@@ -32,6 +32,7 @@ SETTINGS = {
         "tau": 2.0,
         "target_error": 1e-6,
     },
+    "Levenberg-Marquardt, chain": CHAIN,
     "features, tol = 1e-6": {"method": "features", "tol": 1e-6},
     "features, tol = 1e-11": {"method": "features", "tol": 1e-11},
 }

@@ -17,7 +17,7 @@ EXPERIMENTS = (
 _FLOOR = 5e-13  # error below which the reference is not more accurate than the solution
 _COLUMNS = (
     *("as written", "authors' settings", "cosine", "SSBroyden", "Levenberg-Marquardt"),
-    "features",
+    *("Levenberg-Marquardt, chain", "features"),
 )
 
 

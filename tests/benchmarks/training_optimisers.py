@@ -47,6 +47,7 @@ def _methods(problem: str) -> dict[str, dict[str, Any]]:
             "method": "levenberg-marquardt",
             "iterations": _ENDLESS,
         },
+        "Levenberg-Marquardt, chain": {"method": "levenberg-marquardt"},
         "features": {"method": "features", "tol": 1e-12},
     }
 
@@ -62,7 +63,7 @@ def measure(quick: bool) -> Section:
             end = hamsym.systems.CATALOGUE[name]().span[1]
             case = Case.of(label, name, end, field, 4_001)
             for method, options in _methods(name).items():
-                if options["method"] != "features":
+                if {"epochs", "iterations", "betas"} & {*options}:  # one network
                     options |= small
                 for seed in range(seeds):
                     course = _course(case, limits, {**options, "seed": seed})
