@@ -414,7 +414,7 @@ def train_windows(
     began = time.perf_counter(), time.process_time()
     flow = _Flow(H, layout.device)
     edges = np.linspace(chain.edges[0], chain.edges[-1], count + 1)
-    z, pieces, counts = np.array(chain.pieces[0].z0), [], []
+    z, pieces, counts = chain.pieces[0].z0.numpy().copy(), [], []
     points = evaluations = 0
     reason = doubt = ""
     checks = ChainChecks(H, generator.initial_seed(), settings.tolerance)
