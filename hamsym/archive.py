@@ -59,6 +59,8 @@ def save(solution: Solution | Solutions | FlowMap, path: str | os.PathLike[str])
     ------
     FileError
         If the file cannot be written, or the solution is invalid.
+    InputError
+        If its network is a module of the caller's, whose code is not data.
 
     Examples
     --------

@@ -159,6 +159,13 @@ def solve(
             A trained solution with the initial weights: on another span, of another H, or with
             other settings, as in the paper's sequential training. The network and ``tau``, whose
             default depends on the span, should be the same.
+        trial : torch.nn.Module, optional
+            A network N of your own in place of hidden, activation, frequency and shared_weights:
+            it takes s = |t - t_start| / tau of shape (K, 1), from 0 to span / tau, and returns
+            shape (K, dim); z^ = z0 + f(s) N(s) starts exactly at z0. A copy is trained, from the
+            module's own weights, with dN/ds in forward mode; the copy is
+            ``solution.trial.network``. Restarts call ``reset_parameters`` of its layers; without
+            any there are no restarts. Such a solution cannot be saved or certified.
 
         For ``"levenberg-marquardt"``: ``iterations`` (1,000) and ``restarts`` (10), the largest
         number of times that new weights are drawn when the training stalls. For ``"ssbroyden"``:

@@ -20,6 +20,8 @@ import torch
 from torch import Tensor
 
 from hamsym.errors import InputError
+from hamsym.networks.module_rates import ModuleRates
+from hamsym.networks.module_trial import ModuleTrial
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.points import fresh_points, points_between
@@ -47,8 +49,8 @@ class LevenbergMarquardt:
     Raises
     ------
     InputError
-        If a trial solution has weights outside of a :class:`~hamsym.networks.trial.Network`, or the
-        objective has regularizers, which have no least-squares form.
+        If a trial solution has no known derivative in its weights, or the objective has
+        regularizers, which have no least-squares form.
     """
 
     check_every = 5
@@ -69,11 +71,10 @@ class LevenbergMarquardt:
             raise InputError(
                 "regularizers have no least-squares form; use method 'adam' or 'lbfgs' with them"
             )
-        if not isinstance(trial, TrialSolution):
+        if not isinstance(trial, (TrialSolution, ModuleTrial)):
             raise InputError("the trial solution is not a TrialSolution; use Adam or LBFGS")
-        self._networks = trial.parts
+        self._weights, self._dtype = trial.weights, trial.z0.dtype
         self._trial, self._objective, self._generator = trial, objective, generator
-        self._dtype = self._networks[0].theta.dtype
         self.reset()
 
     def reset(self) -> None:
@@ -89,12 +90,12 @@ class LevenbergMarquardt:
         t = fresh_points(span, count, self._dtype, self._generator)
         z, dz = self._trial(t)
         rows = self._rows(t, z, dz)
-        rates = _Linearised(self._trial, self._networks, t, *self._slopes(t, z, dz))
+        rates = self._linearised(t, *self._slopes(t, z, dz))
         gram = rates.gram()
         # Rows in the order (component, point), as in the Gram matrix.
         residual = rows.T.reshape(-1)
         square = float(residual @ residual)
-        before = [network.theta.clone() for network in self._networks]
+        before = [weights.clone() for weights in self._weights]
         diagonal = gram.diagonal().clone()
         unit = float(diagonal.mean())
         for _ in range(_ATTEMPTS):
@@ -124,9 +125,14 @@ class LevenbergMarquardt:
                 break
             self._mu *= 3
         else:
-            self._move(before, [torch.zeros_like(theta) for theta in before], 0.0)
+            self._move(before, before, 0.0)
             self._failures += 1
         return square / count, float(dz.square().sum(-1).mean())
+
+    def _linearised(self, t: Tensor, in_z: Tensor, in_dz: Tensor) -> _Linearised | ModuleRates:
+        if isinstance(self._trial, ModuleTrial):
+            return ModuleRates(self._trial, t, in_z, in_dz)
+        return _Linearised(self._trial, self._trial.parts, t, in_z, in_dz)
 
     def _rows(self, t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
         return (self._objective.rows or self._objective.residual)(t, z, dz)
@@ -150,8 +156,8 @@ class LevenbergMarquardt:
         return self._rows(t, *self._trial(t)).T.reshape(-1)
 
     def _move(self, start: list[Tensor], step: list[Tensor], length: float) -> None:
-        for network, theta, part in zip(self._networks, start, step, strict=True):
-            network.theta.copy_(theta + length * part)
+        for weights, first, part in zip(self._weights, start, step, strict=True):
+            weights.copy_(first + length * part)
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         return {}, {"mu": self._mu, "failures": self._failures}
@@ -168,7 +174,7 @@ def _solved(factor: Tensor, right: Tensor) -> Tensor:
 
 
 def _norm(parts: list[Tensor]) -> float:
-    return float(torch.cat(parts).norm())
+    return float(torch.cat([part.reshape(-1) for part in parts]).norm())
 
 
 class _Linearised:
@@ -182,11 +188,8 @@ class _Linearised:
         in_z: Tensor,
         in_dz: Tensor,
     ) -> None:
-        s, f, f_dot = (part.unsqueeze(1) for part in trial.envelope_at(t))
-        # z = z0 + f N and dz = (f' N + f dN/ds) / tau; shapes (m, K, dim).
-        in_z, in_dz = in_z.transpose(0, 1), in_dz.transpose(0, 1)
-        self._to_value = f * in_z + f_dot / trial.tau * in_dz
-        self._to_rate = f / trial.tau * in_dz
+        self._to_value, self._to_rate = trial.to_network(t, in_z, in_dz)
+        s = trial.envelope_at(t)[0].unsqueeze(1)
         ones = torch.ones_like(s)
         self._layers = [
             forward(network.layers, network.activation, s, ones) for network in networks

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -21,6 +22,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain_method import solve_by_chain
 from hamsym.networks.checkpoint import Checkpoint
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
+from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
 from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.optimizers import LBFGS, Adam
@@ -77,14 +79,18 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
     tau = abs(end - start) / _INPUT_RANGE if options.tau is None else options.tau
     precision = _DTYPES[precision_name(options.dtype)]
     generator = torch.Generator().manual_seed(problem.seed)
-    trial = TrialSolution(
-        _network(H.dim, options, generator, precision),
-        torch.tensor(problem.z0, dtype=precision),
-        t0=start,
-        tau=math.copysign(tau, end - start),
-        envelope=options.envelope,
-    )
-
+    form: dict[str, Any] = {
+        "z0": torch.tensor(problem.z0, dtype=precision, device="cpu"),
+        "t0": start,
+        "tau": math.copysign(tau, end - start),
+        "envelope": options.envelope,
+    }
+    trial: TrialSolution | ModuleTrial
+    if options.trial is None:
+        trial = TrialSolution(_network(H.dim, options, generator, precision), **form)
+    else:
+        longest = abs(end - start) / tau
+        trial = ModuleTrial(checked_copy(options.trial, H.dim, longest, precision), **form)
     if options.initial is not None:
         _take_over(options.initial, trial)
 
@@ -108,7 +114,7 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
             _optimizer(options),
             stopping,
             generator=generator,
-            stages=_stages(options),
+            stages=_stages(options, trial),
             callbacks=callbacks,
             checkpoint=_checkpoint(problem, options),
         )
@@ -230,12 +236,21 @@ def _network(
 
 
 @torch.no_grad()
-def _take_over(initial: Solution, trial: TrialSolution) -> None:
+def _take_over(initial: Solution, trial: TrialSolution | ModuleTrial) -> None:
     """Copy the weights of a trained solution into the trial solution."""
-    if not isinstance(initial, Solution) or not isinstance(initial.trial, TrialSolution):
+    kinds = (TrialSolution, ModuleTrial)
+    if not isinstance(initial, Solution) or not isinstance(initial.trial, kinds):
         raise InputError(
             "initial is not a trained network; give a Solution of a method that trains one"
         )
+    own, other = (isinstance(part, ModuleTrial) for part in (trial, initial.trial))
+    if own != other or (own and _shapes(initial.trial) != _shapes(trial)):
+        raise InputError(
+            "initial has another network than this training; give the same trial to both"
+        )
+    if isinstance(trial, ModuleTrial) or isinstance(initial.trial, ModuleTrial):
+        trial.network.load_state_dict(initial.trial.network.state_dict())
+        return
     given, expected = _layout(initial.trial), _layout(trial)
     if given != expected:
         raise InputError(
@@ -243,6 +258,10 @@ def _take_over(initial: Solution, trial: TrialSolution) -> None:
             "give the same hidden, activation and shared_weights"
         )
     trial.network.load_state_dict(initial.trial.network.state_dict())
+
+
+def _shapes(trial: TrialSolution | ModuleTrial) -> dict[str, torch.Size]:
+    return {name: tensor.shape for name, tensor in trial.network.state_dict().items()}
 
 
 def _layout(trial: TrialSolution) -> str:
@@ -258,6 +277,11 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
         done += f" with {training.restarts} restart{'s' if training.restarts > 1 else ''}"
     if training.stopped == Stopped.DIVERGED:
         return False, f"the loss was not finite after {done}; reduce the learning rate"
+    if isinstance(solution.trial, ModuleTrial) and not _rates_agree(solution, solution.trial):
+        return False, (
+            f"no error can be estimated after {done}: the derivative of the trained network in "
+            "forward mode is not that of its values; give another trial"
+        )
     relative = solution.relative_error_estimate
     state = (
         f"loss {training.best_loss:.2e}, ell_max {solution.ell_max:.2e}, "
@@ -283,6 +307,13 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
     if relative <= _CONVERGED:
         return True, f"error below {_CONVERGED:.0%} of the motion after {done}: {state}{reason}"
     return False, f"not converged after {done}: {state}, more than {_CONVERGED:g}{reason}"
+
+
+def _rates_agree(solution: Solution, trial: ModuleTrial) -> bool:
+    """Return whether dz^/dt, from which errors are estimated, is the derivative of z^."""
+    round_off = 1e-8 if trial.dtype == np.float64 else 1e-4
+    allowed = 0.1 * solution.largest_error + round_off * np.abs(solution(solution.scan_times)).max()
+    return bool((rate_defect(trial, solution.span) <= allowed).all())
 
 
 def _targets(options: DeepOptions) -> dict[str, float]:
@@ -314,7 +345,9 @@ def _optimizer(options: DeepOptions) -> Optimizer:
             return LevenbergMarquardt(points=options.points)
 
 
-def _stages(options: DeepOptions) -> Stages:
-    if isinstance(options, LevenbergMarquardtOptions):
+def _stages(options: DeepOptions, trial: TrialSolution | ModuleTrial) -> Stages:
+    # Without new weights a training cannot restart.
+    drawn = not isinstance(trial, ModuleTrial) or trial.can_be_drawn
+    if isinstance(options, LevenbergMarquardtOptions) and drawn:
         return Stages(options.stages, restart_after=_STALLED_AFTER, restarts=options.restarts)
     return Stages(options.stages)

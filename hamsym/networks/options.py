@@ -70,6 +70,7 @@ class DeepOptions:
         "float64", "Precision of the weights.", choices=("float64", "float32")
     )
     initial: Solution | None = option(None, "Saved solution with the initial weights.")
+    trial: torch.nn.Module | None = None
 
     method: ClassVar[str]
     unit: ClassVar[str] = "iterations"
@@ -208,10 +209,28 @@ def check_options(H: Hamiltonian, options: DeepOptions) -> None:
             f"energy_weight={energy_weight!r} penalises changes of an energy that is not "
             "conserved, because H depends on t; leave it at 0"
         )
+    if options.trial is not None:
+        _check_own_network(options)
     if options.tau is not None and not is_positive(options.tau):
         raise InputError(f"tau={options.tau!r} cannot be used; give a time above 0")
     if precision_name(options.dtype) != "float64" and options.method != "adam":
         raise InputError(f"dtype={options.dtype!r} is too coarse for {options.method}; use float64")
+
+
+def _check_own_network(options: DeepOptions) -> None:
+    """Raise InputError if an option has no meaning for a network of the user's own."""
+    defaults = {field.name: field.default for field in fields(options)}
+    for name in ("hidden", "activation", "frequency", "shared_weights"):
+        if getattr(options, name) != defaults[name]:
+            raise InputError(
+                f"{name} describes a network of hamsym, and trial is one of your own; "
+                "leave out one of them"
+            )
+    if options.checkpoint is not None:
+        raise InputError(
+            "a checkpoint holds networks of hamsym only, and trial is one of your own; train "
+            "without checkpoint, and save solution.trial.network.state_dict() with torch.save"
+        )
 
 
 def precision_name(dtype: str | torch.dtype) -> str:

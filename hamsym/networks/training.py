@@ -23,6 +23,7 @@ from torch import Tensor
 from hamsym.errors import FileError
 from hamsym.networks.best_weights import BestWeights
 from hamsym.networks.checkpoint import Checkpoint
+from hamsym.networks.module_trial import ModuleTrial
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.record import History, Stopped, Training, TrainingState
@@ -300,7 +301,7 @@ class _Run:
         if not self.schedule.can_restart():
             return reason
         for module in self.trial.modules():
-            if isinstance(module, Network):
+            if isinstance(module, (Network, ModuleTrial)):
                 module.draw(self.generator)
         self.optimizer.reset()
         self.schedule.restart()

@@ -29,7 +29,7 @@ from hamsym.support.checked_data import (
     require_names,
 )
 
-__all__ = ["ENVELOPES", "TrialSolution"]
+__all__ = ["ENVELOPES", "EnvelopedNetwork", "TrialSolution"]
 
 
 def _exponential(s: Tensor) -> tuple[Tensor, Tensor]:
@@ -63,12 +63,12 @@ class _Envelope(torch.autograd.Function):
         return None, None, None, None, (f * grad_z).addcmul_(g, grad_dz), scaled * grad_dz
 
 
-class TrialSolution(torch.nn.Module):
-    """z^(t) = z0 + f(s) N(s) with s = |t - t0| / tau, in the direction of the span.
+class EnvelopedNetwork(torch.nn.Module):
+    """z^(t) = z0 + f(s) N(s) with s = (t - t0) / tau, for a network N of any kind.
 
     Parameters
     ----------
-    network : Network or ComponentNetworks
+    network : torch.nn.Module
         Its outputs are the components of z0.
     z0 : Tensor
         Initial state, shape (dim,).
@@ -84,7 +84,7 @@ class TrialSolution(torch.nn.Module):
 
     def __init__(
         self,
-        network: Network | ComponentNetworks,
+        network: torch.nn.Module,
         z0: Tensor,
         *,
         t0: float = 0.0,
@@ -102,17 +102,41 @@ class TrialSolution(torch.nn.Module):
         s = (t - self.t0) / self.tau
         return s, *self._envelope(s)
 
+    def network_at(self, s: Tensor) -> tuple[Tensor, Tensor]:
+        """Return N(s) and dN/ds at s of shape (K,); each of shape (K, dim)."""
+        raise NotImplementedError
+
     def forward(self, t: Tensor) -> tuple[Tensor, Tensor]:
         """Return z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
         s, *envelope = self.envelope_at(t)
-        value, rate = self.network(s)
+        value, rate = self.network_at(s)
         f, f_dot = (part.unsqueeze(-1) for part in envelope)
         if has_explicit_gradient(value, s):
             z, dz = _Envelope.apply(self.z0, f, f_dot / self.tau, self.tau, value, rate)
             return z, dz
         return self.z0 + f * value, (f_dot * value + f * rate) / self.tau
 
+    def to_network(self, t: Tensor, in_z: Tensor, in_dz: Tensor) -> tuple[Tensor, Tensor]:
+        """Return derivatives of rows in N and in dN/ds from those in z and in dz.
+
+        Parameters
+        ----------
+        t : Tensor
+            Times, shape (K,).
+        in_z, in_dz : Tensor
+            Shape (K, m, dim); the results have shape (m, K, dim).
+        """
+        _, f, f_dot = (part.unsqueeze(1) for part in self.envelope_at(t))
+        # z = z0 + f N and dz = (f' N + f dN/ds) / tau.
+        in_z, in_dz = in_z.transpose(0, 1), in_dz.transpose(0, 1)
+        return f * in_z + f_dot / self.tau * in_dz, f / self.tau * in_dz
+
     # -- as a part of a solution ---------------------------------------------------------------
+
+    @property
+    def weights(self) -> list[torch.nn.Parameter]:
+        """The parameters that a training changes."""
+        return [weights for weights in self.parameters() if weights.requires_grad]
 
     @property
     def dtype(self) -> np.dtype:
@@ -122,8 +146,8 @@ class TrialSolution(torch.nn.Module):
     @torch.no_grad()
     def states_and_rates(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
-        z, dz = self(torch.from_numpy(np.ascontiguousarray(t)).to(self.z0.dtype))
-        return z.numpy(), dz.numpy()
+        z, dz = self(self._own(torch.from_numpy(np.ascontiguousarray(t))))
+        return z.cpu().numpy(), dz.cpu().numpy()
 
     def states_at(self, t: np.ndarray) -> np.ndarray:
         """Return z^ at times t of shape (K,), shape (K, dim)."""
@@ -131,8 +155,53 @@ class TrialSolution(torch.nn.Module):
 
     def tensors(self, t: Tensor) -> tuple[Tensor, Tensor]:
         """Return z^ and dz^/dt at times t of shape (K,), differentiable in t."""
-        z, dz = self(t.to(self.z0.dtype))
+        z, dz = self(self._own(t))
         return z, dz
+
+    def _own(self, t: Tensor) -> Tensor:
+        """Return times in the type and on the device of the weights."""
+        # The type first: a device may lack that of the times.
+        return t.to(self.z0.dtype).to(self.z0.device)
+
+    def check_start(self, z0: np.ndarray, span: tuple[float, float]) -> None:
+        """Raise ValueError unless z^ starts at z0 at the start of the span."""
+        own = self.z0.numpy()
+        if own.dtype not in (np.float32, np.float64):
+            raise ValueError(f"its weights are of type {own.dtype}, not float32 or float64")
+        require_array("z0 of the network", own, z0.shape, own.dtype)
+        if not (math.isfinite(self.t0) and math.isfinite(self.tau)):
+            raise ValueError("its t0 or tau is not finite")
+        start, end = span
+        if self.t0 != start or not math.copysign(1.0, end - start) * self.tau > 0:
+            raise ValueError("its span is not that of its network")
+        with np.errstate(over="ignore"):
+            if own.tobytes() != z0.astype(own.dtype).tobytes():
+                raise ValueError("its network does not start at its z0")
+
+
+class TrialSolution(EnvelopedNetwork):
+    """z^(t) = z0 + f(s) N(s) with a fully connected network N of hamsym.
+
+    Parameters
+    ----------
+    network : Network or ComponentNetworks
+        Its outputs are the components of z0.
+    z0 : Tensor
+        Initial state, shape (dim,).
+    t0 : float
+        Initial time, in the units of the Hamiltonian.
+    tau : float
+        Unit of the network's input; negative for a span that runs backwards.
+    envelope : {"exponential", "linear"}
+        f(s) = 1 - exp(-s) or f(s) = s.
+    """
+
+    network: Network | ComponentNetworks
+
+    def network_at(self, s: Tensor) -> tuple[Tensor, Tensor]:
+        """Return N(s) and dN/ds at s of shape (K,); each of shape (K, dim)."""
+        value, rate = self.network(s)
+        return value, rate
 
     @property
     def parts(self) -> list[Network]:
@@ -229,18 +298,8 @@ class TrialSolution(torch.nn.Module):
             (parts[0].sizes[:-1], parts[0].activation, parts[0].frequency)
         }:
             raise ValueError("its networks differ in layers, activation or frequency")
+        self.check_start(z0, span)
         own = self.z0.numpy()
-        if own.dtype not in (np.float32, np.float64):
-            raise ValueError(f"its weights are of type {own.dtype}, not float32 or float64")
-        require_array("z0 of the network", own, (dim,), own.dtype)
         for part in parts:
             theta = part.theta.detach().numpy()
             require_array("theta", theta, (weights_of(part.sizes),), own.dtype)
-        if not (math.isfinite(self.t0) and math.isfinite(self.tau)):
-            raise ValueError("its t0 or tau is not finite")
-        start, end = span
-        if self.t0 != start or not math.copysign(1.0, end - start) * self.tau > 0:
-            raise ValueError("its span is not that of its network")
-        with np.errstate(over="ignore"):
-            if own.tobytes() != z0.astype(own.dtype).tobytes():
-                raise ValueError("its network does not start at its z0")

@@ -46,8 +46,8 @@ def require_exact(trial: Any, dim: int) -> None:
     """
     if not isinstance(trial, FeatureTrial) and not _is_network(trial):
         raise CertificationError(
-            f"the trial solution is a {type(trial).__name__}, which has no enclosure; solve with "
-            "features or networks"
+            f"the trial solution is a {type(trial).__name__}, which has no enclosure; solve by "
+            "'features', or with a network of hamsym"
         )
     for name, array in trial.arrays().items():
         if array.dtype not in (np.float64, np.float32):

@@ -163,6 +163,8 @@ def planned_run(
     for reserved in ("seed", "progress", "checkpoint"):
         if reserved in options:
             raise InputError(f"'{reserved}' in the settings {name!r} is set by sweep; remove it")
+    if options.get("trial") is not None:
+        raise InputError("trial cannot be serialised; call solve for each run")
     if options.get("regularizers"):
         raise InputError("regularizers cannot be serialised; call solve for each run")
     checked = checked_options(
