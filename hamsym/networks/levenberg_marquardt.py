@@ -22,7 +22,7 @@ from torch import Tensor
 from hamsym.errors import InputError
 from hamsym.networks.module_rates import ModuleRates
 from hamsym.networks.module_trial import ModuleTrial
-from hamsym.networks.network import Network
+from hamsym.networks.network import Network, layers_of
 from hamsym.networks.objective import Objective
 from hamsym.networks.points import fresh_points, points_between
 from hamsym.networks.sensitivities import Layer, backward, forward
@@ -192,7 +192,9 @@ class _Linearised:
         s = trial.envelope_at(t)[0].unsqueeze(1)
         ones = torch.ones_like(s)
         self._layers = [
-            forward(network.layers, network.activation, s, ones) for network in networks
+            # Copies: the weights are moved before the last product.
+            forward(layers_of(network.theta.clone(), network.sizes), network.activation, s, ones)
+            for network in networks
         ]
         outputs = torch.tensor([network.sizes[-1] for network in networks])
         ends = outputs.cumsum(0).tolist()

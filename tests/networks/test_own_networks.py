@@ -65,7 +65,7 @@ def test_module_trains_as_the_network_that_it_copies(optimizer: type) -> None:
             Objective(lambda t, z, dz: dz - torch.stack((z[:, 1], -z[:, 0]), 1)),
             (0, 2),
             optimizer(points=20),
-            Stopping(4),
+            Stopping(5),
             generator=torch.Generator().manual_seed(0),
         )
         losses.append(training.history.loss)
