@@ -159,6 +159,12 @@ def solve(
             A trained solution with the initial weights: on another span, of another H, or with
             other settings, as in the paper's sequential training. The network and ``tau``, whose
             default depends on the span, should be the same.
+        dtype : {"float64", "float32"}
+            Precision of the training and of the weights. The solution is evaluated in float64: it
+            is the function that the weights define.
+        device : str or torch.device, default "cpu"
+            Device of the training, e.g. ``"cuda"`` or ``"mps"`` (float32 only). The result is on
+            the CPU. Random numbers are drawn there, so that a seed starts alike on every device.
         trial : torch.nn.Module, optional
             A network N of your own in place of hidden, activation, frequency and shared_weights:
             it takes s = |t - t_start| / tau of shape (K, 1), from 0 to span / tau, and returns
@@ -168,16 +174,15 @@ def solve(
             any there are no restarts. Such a solution cannot be saved or certified.
 
         For ``"levenberg-marquardt"``: ``iterations`` (1,000) and ``restarts`` (10), the largest
-        number of times that new weights are drawn when the training stalls. For ``"ssbroyden"``:
-        ``iterations`` (3,000), and at most 20,000 weights. For ``"lbfgs"``: ``iterations``
-        (5,000). For all three float64 is the only dtype.
+        number of times that new weights are drawn when the training stalls. For ``"ssbroyden"``,
+        in float64 on the CPU only: ``iterations`` (3,000), and at most 20,000 weights. For
+        ``"lbfgs"``: ``iterations`` (5,000).
 
         For ``"adam"``:
 
         epochs, learning_rate, betas, schedule, noise
             50,000, 8e-3, (0.9, 0.999), "cosine" and three spacings of the points; see
             :class:`~hamsym.networks.optimizers.Adam`.
-        dtype : {"float64", "float32"}
 
     Returns
     -------

@@ -90,6 +90,7 @@ _TYPES: dict[str, Any] = {
     "Sequence[float]": _Parsed("numbers", numbers),
     "float | Sequence[float]": _Parsed("numbers", numbers),
     "str | os.PathLike[str]": click.Path(),
+    "str | torch.device": click.STRING,
     "Solution": _Parsed("file", saved_solution),
 }
 

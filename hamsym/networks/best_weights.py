@@ -51,4 +51,4 @@ class BestWeights:
         """Restore weights that :meth:`tensors` returned."""
         count = range(len(self.parameters))
         self.put([tensors[f"weights.{k}"] for k in count])
-        self.best = [tensors[f"best.{k}"] for k in count]
+        self.best = [tensors[f"best.{k}"].to(self.parameters[k].device) for k in count]

@@ -72,5 +72,5 @@ class Checkpoint:
         FileError
             If the file cannot be written.
         """
-        arrays = {name: tensor.detach().numpy() for name, tensor in tensors.items()}
+        arrays = {name: tensor.detach().cpu().numpy() for name, tensor in tensors.items()}
         write_tensors(self.path, "checkpoint", arrays, {"settings": dict(self.settings), **values})

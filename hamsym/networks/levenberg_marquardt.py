@@ -14,6 +14,7 @@ one more solve with the same factor and saves most of the iterations.
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import Any
 
 import torch
@@ -31,7 +32,9 @@ from hamsym.support.validation import is_positive, require_whole
 
 __all__ = ["LevenbergMarquardt"]
 
-_MU_FIRST, _MU_LEAST = 1e-3, 1e-14  # relative to the mean diagonal of J J^T
+# Damping relative to the mean diagonal of J J^T; the least in units of the type's precision,
+# 1e-14 in float64.
+_MU_FIRST, _MU_LEAST = 1e-3, 1e-14 / torch.finfo(torch.float64).eps
 _ATTEMPTS = 10
 _FAILURES = 3  # iterations in a row without an acceptable step that count as a stall
 _FEWEST_POINTS = 60
@@ -73,7 +76,8 @@ class LevenbergMarquardt:
             )
         if not isinstance(trial, (TrialSolution, ModuleTrial)):
             raise InputError("the trial solution is not a TrialSolution; use Adam or LBFGS")
-        self._weights, self._dtype = trial.weights, trial.z0.dtype
+        self._weights, self._dtype, self._device = trial.weights, trial.z0.dtype, trial.z0.device
+        self._mu_least = _MU_LEAST * torch.finfo(self._dtype).eps
         self._trial, self._objective, self._generator = trial, objective, generator
         self.reset()
 
@@ -82,12 +86,12 @@ class LevenbergMarquardt:
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Return midpoints between twice as many points of the same density."""
-        return points_between(span, self.points, self._dtype)
+        return points_between(span, self.points, self._dtype).to(self._device)
 
     @torch.no_grad()
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         count = max(min(_FEWEST_POINTS, self.points), round(share * self.points))
-        t = fresh_points(span, count, self._dtype, self._generator)
+        t = fresh_points(span, count, self._dtype, self._generator).to(self._device)
         z, dz = self._trial(t)
         rows = self._rows(t, z, dz)
         rates = self._linearised(t, *self._slopes(t, z, dz))
@@ -120,7 +124,7 @@ class LevenbergMarquardt:
             if left < square:
                 predicted = square - damping**2 * float(y @ y)
                 good = square - left > 0.25 * predicted
-                self._mu = max(self._mu / 4, _MU_LEAST) if good else 2 * self._mu
+                self._mu = max(self._mu / 4, self._mu_least) if good else 2 * self._mu
                 self._failures = 0
                 break
             self._mu *= 3
@@ -196,9 +200,9 @@ class _Linearised:
             forward(layers_of(network.theta.clone(), network.sizes), network.activation, s, ones)
             for network in networks
         ]
-        outputs = torch.tensor([network.sizes[-1] for network in networks])
-        ends = outputs.cumsum(0).tolist()
-        self._columns = [slice(e - n, e) for e, n in zip(ends, outputs.tolist(), strict=True)]
+        outputs = [network.sizes[-1] for network in networks]
+        ends = accumulate(outputs)
+        self._columns = [slice(e - n, e) for e, n in zip(ends, outputs, strict=True)]
 
     def gram(self) -> Tensor:
         """Return J J^T; only the blocks on and below the diagonal are filled."""
@@ -235,7 +239,7 @@ def _add_gram(gram: Tensor, layer: Layer, u: Tensor, v: Tensor) -> None:
             for j in range(i + 1):
                 views[i, :, j].addmm_(rows[i], rows[j].T)
         return
-    values = torch.addmm(torch.ones(1, 1, dtype=u.dtype), layer.x, layer.x.T)
+    values = torch.addmm(u.new_ones(1, 1), layer.x, layer.x.T)
     mixed, rates = layer.x @ layer.xd.T, layer.xd @ layer.xd.T
     for i in range(blocks):
         for j in range(i + 1):

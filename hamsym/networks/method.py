@@ -21,6 +21,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain_method import solve_by_chain
 from hamsym.networks.checkpoint import Checkpoint
+from hamsym.networks.devices import available_device
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
 from hamsym.networks.network import ComponentNetworks, Network
@@ -78,7 +79,9 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
         )
     tau = abs(end - start) / _INPUT_RANGE if options.tau is None else options.tau
     precision = _DTYPES[precision_name(options.dtype)]
-    generator = torch.Generator().manual_seed(problem.seed)
+    device = available_device(options.device, precision)
+    # Random numbers are drawn on the CPU, so that a seed means the same on every device.
+    generator = torch.Generator("cpu").manual_seed(problem.seed)
     form: dict[str, Any] = {
         "z0": torch.tensor(problem.z0, dtype=precision, device="cpu"),
         "t0": start,
@@ -93,6 +96,9 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
         trial = ModuleTrial(checked_copy(options.trial, H.dim, longest, precision), **form)
     if options.initial is not None:
         _take_over(options.initial, trial)
+    trial.to(device)
+    if isinstance(trial, ModuleTrial):
+        trial.check_evaluation()
 
     def solution(training: Training) -> Solution:
         return Solution(
@@ -118,7 +124,7 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
             callbacks=callbacks,
             checkpoint=_checkpoint(problem, options),
         )
-    trial.requires_grad_(False)
+    trial.requires_grad_(False).to("cpu")
     found = solution(training)
     return found.judged(*_verdict(found, training, options))
 
@@ -172,7 +178,7 @@ def _checkpoint(problem: InitialValueProblem, options: DeepOptions) -> Checkpoin
         problem.H, problem.z0, problem.span, problem.seed, options, without=without
     )
     settings["initial"] = "None" if options.initial is None else digest(options.initial)
-    settings["dtype"] = precision_name(options.dtype)
+    settings |= {"dtype": precision_name(options.dtype), "device": str(options.device)}
     settings |= {"method": options.method, "torch": torch.__version__}
     return Checkpoint(options.checkpoint, settings, options.checkpoint_every)
 
@@ -207,7 +213,7 @@ def _objective(
     def slopes(t: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
         hessian = system.hessian(*arguments(z, t))
         in_z = torch.cat((-hessian[:, half:], hessian[:, :half]), 1)
-        in_dz = torch.eye(2 * half, dtype=z.dtype).expand_as(in_z)
+        in_dz = torch.eye(2 * half, dtype=z.dtype, device=z.device).expand_as(in_z)
         if energy_weight:
             slope = math.sqrt(energy_weight) * system.gradient(*arguments(z, t))
             in_z = torch.cat((in_z, slope.unsqueeze(1)), 1)
@@ -311,8 +317,7 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
 
 def _rates_agree(solution: Solution, trial: ModuleTrial) -> bool:
     """Return whether dz^/dt, from which errors are estimated, is the derivative of z^."""
-    round_off = 1e-8 if trial.dtype == np.float64 else 1e-4
-    allowed = 0.1 * solution.largest_error + round_off * np.abs(solution(solution.scan_times)).max()
+    allowed = 0.1 * solution.largest_error + 1e-8 * np.abs(solution(solution.scan_times)).max()
     return bool((rate_defect(trial, solution.span) <= allowed).all())
 
 

@@ -63,11 +63,18 @@ class ModuleTrial(EnvelopedNetwork):
         return _with_rate(self.network, s)
 
     @torch.no_grad()
-    def states_at(self, t: np.ndarray) -> np.ndarray:
-        """Return z^ at times t of shape (K,), shape (K, dim)."""
-        s, f, _ = self.envelope_at(self._own(torch.from_numpy(np.ascontiguousarray(t))))
-        z = self.z0 + f.unsqueeze(-1) * self.network(s.unsqueeze(-1))
-        return np.asarray(z.cpu().numpy())
+    def check_evaluation(self) -> None:
+        """Raise InputError unless the module works on its device, and in float64 on the CPU."""
+        where = f"on device {self.z0.device}"
+        try:
+            self.network_at(self.z0.new_zeros(3))
+            where = "with weights in float64"
+            self.states_and_rates(np.full(3, self.t0))
+        except Exception as error:  # whatever the module's own code raises
+            raise InputError(
+                f"trial cannot be evaluated {where}: {one_line(error)}; "
+                "register its constant tensors as buffers"
+            ) from error
 
     @property
     def can_be_drawn(self) -> bool:

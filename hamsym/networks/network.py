@@ -167,7 +167,7 @@ class Network(torch.nn.Module):
         self.sizes = (1, *widths, outputs)
         count = weights_of(self.sizes)
         #: All weights as one vector, layer by layer, each matrix before its bias.
-        self.theta = torch.nn.Parameter(torch.empty(count, dtype=dtype))
+        self.theta = torch.nn.Parameter(torch.empty(count, dtype=dtype, device="cpu"))
         self.draw(generator)
 
     @torch.no_grad()
@@ -182,7 +182,7 @@ class Network(torch.nn.Module):
             elif self.frequency is not None and position < last:
                 within[0] = math.sqrt(6 / inputs)
             uniform = torch.rand(
-                (inputs + 1) * neurons, generator=generator, dtype=self.theta.dtype
+                (inputs + 1) * neurons, generator=generator, dtype=self.theta.dtype, device="cpu"
             )
             uniform = 2 * uniform - 1
             matrix.copy_(within[0] * uniform[: inputs * neurons].view_as(matrix))

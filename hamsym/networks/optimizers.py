@@ -23,6 +23,7 @@ class _TorchOptimizer:
     ) -> None:
         self._trial, self._objective, self._generator = trial, objective, generator
         self._parameters = list(trial.parameters())
+        self._dtype, self._device = self._parameters[0].dtype, self._parameters[0].device
         self.reset()
 
     def reset(self) -> None:
@@ -78,18 +79,21 @@ class Adam(_TorchOptimizer):
 
     def reset(self) -> None:
         self._adam = torch.optim.Adam(
-            self._parameters, lr=self.learning_rate, betas=self.betas, fused=True
+            self._parameters,
+            lr=self.learning_rate,
+            betas=self.betas,
+            fused=self._device.type in ("cpu", "cuda") or None,
         )
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Return the midpoints of a grid twice as fine."""
-        return midpoints(span, 2 * self.points, self._parameters[0].dtype)
+        return midpoints(span, 2 * self.points, self._dtype).to(self._device)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         if self.schedule == "cosine":
             rate = self.learning_rate * (1 + math.cos(math.pi * done)) / 2
             self._adam.param_groups[0]["lr"] = rate
-        t = self._noisy_points(min(span), max(span))
+        t = self._noisy_points(min(span), max(span)).to(self._device)
         self._adam.zero_grad(set_to_none=True)
         z, dz = self._trial(t)
         loss = self._objective(t, z, dz)
@@ -99,12 +103,12 @@ class Adam(_TorchOptimizer):
         return loss.item(), motion
 
     def _noisy_points(self, start: float, end: float) -> Tensor:
-        length, dtype = end - start, self._parameters[0].dtype
-        grid = torch.linspace(start, end, self.points, dtype=dtype)
+        length, dtype = end - start, self._dtype
+        grid = torch.linspace(start, end, self.points, dtype=dtype, device="cpu")
         noise = 3 * length / (self.points - 1) if self.noise is None else self.noise
         if not noise:
             return grid
-        moved = torch.randn(grid.shape, generator=self._generator, dtype=dtype)
+        moved = torch.randn(grid.shape, generator=self._generator, dtype=dtype, device="cpu")
         moved.mul_(noise).add_(grid).sub_(start)
         # Reflection at both ends, as often as needed.
         return end - moved.remainder_(2 * length).sub_(length).abs_()
@@ -174,13 +178,14 @@ class LBFGS(_TorchOptimizer):
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Return midpoints between twice as many points of the same density."""
-        return points_between(span, self.points, self._parameters[0].dtype)
+        return points_between(span, self.points, self._dtype).to(self._device)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         if self._t is None or self._age >= self.refresh or share != self._share:
             failures = self._failures
             self.reset()
-            self._t = fresh_points(span, self.points, self._parameters[0].dtype, self._generator)
+            t = fresh_points(span, self.points, self._dtype, self._generator)
+            self._t = t.to(self._device)
             self._failures, self._share = failures, share
         t, motion = self._t, 0.0
 
@@ -231,7 +236,8 @@ class LBFGS(_TorchOptimizer):
         self._age, self._failures, self._share = (
             values[name] for name in ("age", "failures", "share")
         )
-        self._t = tensors.get("points")
+        points = tensors.get("points")
+        self._t = None if points is None else points.to(self._device)
         state: dict[str, Any] = dict(values["numbers"])
         for name, length in values["lists"].items():
             state[name] = [tensors[f"state.{name}.{i}"] for i in range(length)]
@@ -242,7 +248,7 @@ class LBFGS(_TorchOptimizer):
         total = sum(parameter.numel() for parameter in self._parameters)
         for key, tensor in tensors.items():
             shapes = [(self.points,)] if key == "points" else [(), (total,)]
-            if tensor.shape not in shapes or tensor.dtype != self._parameters[0].dtype:
+            if tensor.shape not in shapes or tensor.dtype != self._dtype:
                 raise ValueError(f"its {key} has another shape or type")
         groups = self._lbfgs.state_dict()["param_groups"]
         states = {0: state} if state else {}

@@ -71,6 +71,9 @@ class DeepOptions:
     )
     initial: Solution | None = option(None, "Saved solution with the initial weights.")
     trial: torch.nn.Module | None = None
+    device: str | torch.device = option(
+        "cpu", "Device of the training: cpu, cuda, cuda:1, mps.", unit="DEVICE"
+    )
 
     method: ClassVar[str]
     unit: ClassVar[str] = "iterations"
@@ -213,8 +216,7 @@ def check_options(H: Hamiltonian, options: DeepOptions) -> None:
         _check_own_network(options)
     if options.tau is not None and not is_positive(options.tau):
         raise InputError(f"tau={options.tau!r} cannot be used; give a time above 0")
-    if precision_name(options.dtype) != "float64" and options.method != "adam":
-        raise InputError(f"dtype={options.dtype!r} is too coarse for {options.method}; use float64")
+    precision_name(options.dtype)
 
 
 def _check_own_network(options: DeepOptions) -> None:

@@ -1,4 +1,4 @@
-"""Collocation points of a training."""
+"""Collocation points of a training, on the CPU."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def fresh_points(
 ) -> Tensor:
     """Return random times, one in each of ``count`` cells of a span, and both its ends."""
     u = (
-        torch.arange(count, dtype=dtype) + torch.rand(count, generator=generator, dtype=dtype)
+        torch.arange(count, dtype=dtype, device="cpu")
+        + torch.rand(count, generator=generator, dtype=dtype, device="cpu")
     ) / count
     u[0], u[-1] = 0.0, 1.0
     return spread(span, u)
@@ -42,4 +43,4 @@ def spread(span: tuple[float, float], u: Tensor) -> Tensor:
 
 
 def _cells(count: int, dtype: torch.dtype) -> Tensor:
-    return (torch.arange(count, dtype=dtype) + 0.5) / count
+    return (torch.arange(count, dtype=dtype, device="cpu") + 0.5) / count

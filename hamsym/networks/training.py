@@ -314,8 +314,8 @@ class _Run:
     def write(self, checkpoint: Checkpoint) -> None:
         """Write the complete state to a file."""
         tensors = {
-            "losses": torch.tensor(self.losses, dtype=torch.float64),
-            "checks": torch.tensor(self.checks, dtype=torch.float64).reshape(-1, 4),
+            "losses": torch.tensor(self.losses, dtype=torch.float64, device="cpu"),
+            "checks": torch.tensor(self.checks, dtype=torch.float64, device="cpu").reshape(-1, 4),
             "generator": self.generator.get_state(),
             **self.weights.tensors(),
         }
@@ -350,8 +350,8 @@ class _Run:
             raise ValueError("its iterations, stages and losses are inconsistent")
         own = {name: t for name, t in tensors.items() if not name.startswith("optimizer.")}
         expected = {
-            "losses": torch.empty(len(losses), dtype=torch.float64),
-            "checks": torch.empty(len(tensors["checks"]), 4, dtype=torch.float64),
+            "losses": torch.empty(len(losses), dtype=torch.float64, device="cpu"),
+            "checks": torch.empty(len(tensors["checks"]), 4, dtype=torch.float64, device="cpu"),
             "generator": self.generator.get_state(),
             **self.weights.tensors(),
         }

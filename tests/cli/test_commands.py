@@ -404,7 +404,7 @@ BAD = [
     ),
     (["solve", *SOLVE, "--method", "lbfgs", "--iterations", "0"], "iterations=0"),
     (["solve", *SOLVE, "--method", "lbfgs", "--accuracy", "-1"], "accuracy=-1.0"),
-    (["solve", *SOLVE, "--method", "lbfgs", "--dtype", "float32"], "too coarse for lbfgs"),
+    (["solve", *SOLVE, "--method", "lbfgs", "--device", "nowhere"], "is not a device of torch"),
     (["solve", *SOLVE, "--epochs", "0"], "epochs=0"),
     (["solve", *SOLVE, "--hidden", "50,x"], "--hidden: 'x' is not a whole number"),
     (["solve", *SOLVE, "--seed", "-1"], "seed=-1"),
@@ -467,7 +467,7 @@ def test_every_option_of_solve_is_offered(capsys: Captured) -> None:
     names = {
         field.name for entry in METHODS.values() for field in dataclasses.fields(entry.options)
     }
-    assert {f"--{name.replace('_', '-')}" for name in names - {"regularizers"}} <= offered
+    assert {f"--{name.replace('_', '-')}" for name in names - {"regularizers", "trial"}} <= offered
 
 
 def test_options_of_solve_are_passed_on(capsys: Captured, tmp_path: Path) -> None:

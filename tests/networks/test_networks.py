@@ -200,7 +200,7 @@ def test_restarts_are_counted_in_the_message() -> None:
         ({"method": "lbfgs", "target_error": 0.0}, "target_error=0.0"),
         ({"method": "lbfgs", "accuracy": math.inf}, "accuracy=inf"),
         ({"method": "lbfgs", "frequency": -1.0}, "frequency=-1.0"),
-        ({"method": "lbfgs", "dtype": "float32"}, "too coarse for lbfgs"),
+        ({"method": "lbfgs", "dtype": "float16"}, "choose float64 or float32"),
         ({"method": "levenberg-marquardt", "restarts": -1}, "restarts=-1"),
         ({"method": "levenberg-marquardt", "epochs": 5}, "'epochs' is not an option"),
         (
