@@ -129,8 +129,10 @@ def solve(
             default of ``"adam"``, is torch's usual start.
         shared_weights : bool, default True
             One network with dim outputs; otherwise one network for each component.
-        points : int, default 200
-            Collocation points K.
+        points : int or sequence of float, default 200
+            Collocation points K; or an increasing list of times in the span, at exactly which the
+            loss is trained (``"adam"``: without noise, unless ``noise`` is given). Weights are
+            always judged at other points.
         stages : int, default 12, and 1 for ``"adam"``
             Sequential training: number of spans, each longer by an equal part, with the weights
             carried over.

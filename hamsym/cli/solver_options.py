@@ -83,6 +83,7 @@ class _NamedChoice(click.Choice):
 #: Types of options by the annotation of their field, without "| None".
 _TYPES: dict[str, Any] = {
     "int": click.INT,
+    "int | Sequence[float] | np.ndarray": click.INT,
     "bool": click.BOOL,
     "float": _Parsed("number", number),
     "tuple[float, float]": (click.FLOAT, click.FLOAT),

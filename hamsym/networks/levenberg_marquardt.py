@@ -17,6 +17,7 @@ from __future__ import annotations
 from itertools import accumulate
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -25,10 +26,11 @@ from hamsym.networks.module_rates import ModuleRates
 from hamsym.networks.module_trial import ModuleTrial
 from hamsym.networks.network import Network, layers_of
 from hamsym.networks.objective import Objective
-from hamsym.networks.points import fresh_points, points_between
+from hamsym.networks.points import points_between
+from hamsym.networks.sampling import Collocation
 from hamsym.networks.sensitivities import Layer, backward, forward
 from hamsym.networks.trial import TrialSolution
-from hamsym.support.validation import is_positive, require_whole
+from hamsym.support.validation import is_positive
 
 __all__ = ["LevenbergMarquardt"]
 
@@ -46,8 +48,11 @@ class LevenbergMarquardt:
 
     Parameters
     ----------
-    points : int
-        Collocation points K on the whole span; short spans of sequential training have fewer.
+    points : int or numpy.ndarray
+        Collocation points K on the whole span; short spans of sequential training have fewer. Or
+        times, from the start of the span on, in place of random ones.
+    sampling : {"uniform", "residual"}
+        Density of the random points; see :class:`~hamsym.networks.sampling.Collocation`.
 
     Raises
     ------
@@ -58,9 +63,9 @@ class LevenbergMarquardt:
 
     check_every = 5
 
-    def __init__(self, *, points: int = 200) -> None:
-        require_whole("points", points, 2)
-        self.points = points
+    def __init__(self, *, points: int | np.ndarray = 200, sampling: str = "uniform") -> None:
+        self._collocation = Collocation(points, sampling)
+        self.points = self._collocation.count
 
     @property
     def stalled(self) -> bool:
@@ -77,8 +82,9 @@ class LevenbergMarquardt:
         if not isinstance(trial, (TrialSolution, ModuleTrial)):
             raise InputError("the trial solution is not a TrialSolution; use Adam or LBFGS")
         self._weights, self._dtype, self._device = trial.weights, trial.z0.dtype, trial.z0.device
+        self._collocation.bind(trial, objective, generator)
         self._mu_least = _MU_LEAST * torch.finfo(self._dtype).eps
-        self._trial, self._objective, self._generator = trial, objective, generator
+        self._trial, self._objective = trial, objective
         self.reset()
 
     def reset(self) -> None:
@@ -86,12 +92,13 @@ class LevenbergMarquardt:
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Return midpoints between twice as many points of the same density."""
-        return points_between(span, self.points, self._dtype).to(self._device)
+        return points_between(span, self._collocation.judging, self._dtype).to(self._device)
 
     @torch.no_grad()
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         count = max(min(_FEWEST_POINTS, self.points), round(share * self.points))
-        t = fresh_points(span, count, self._dtype, self._generator).to(self._device)
+        t = self._collocation.draw(span, count)
+        count = len(t)
         z, dz = self._trial(t)
         rows = self._rows(t, z, dz)
         rates = self._linearised(t, *self._slopes(t, z, dz))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ from hamsym.networks.options import (
     SelfScaledBroydenOptions,
     precision_name,
 )
+from hamsym.networks.points import checked_points
 from hamsym.networks.progress import training_progress
 from hamsym.networks.record import Stopped, Training
 from hamsym.networks.rules import Criterion, Stages, Stopping
@@ -77,6 +79,8 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
             "regularizers is not a list of Regularizer objects; give e.g. "
             "[Regularizer(weight, function)]"
         )
+    points = checked_points(options.points, problem.span)
+    options = replace(options, points=points)
     tau = abs(end - start) / _INPUT_RANGE if options.tau is None else options.tau
     precision = _DTYPES[precision_name(options.dtype)]
     device = available_device(options.device, precision)
@@ -117,7 +121,7 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
             trial,
             _objective(H, problem.energy_0, options.energy_weight, tuple(options.regularizers)),
             problem.span,
-            _optimizer(options),
+            _optimizer(options, points),
             stopping,
             generator=generator,
             stages=_stages(options, trial),
@@ -332,22 +336,23 @@ def _targets(options: DeepOptions) -> dict[str, float]:
     return {name: value for name, value in targets.items() if value is not None}
 
 
-def _optimizer(options: DeepOptions) -> Optimizer:
+def _optimizer(options: DeepOptions, points: int | np.ndarray) -> Optimizer:
     match options:
         case AdamOptions():
             return Adam(
                 learning_rate=options.learning_rate,
                 betas=options.betas,
                 schedule=options.schedule,
-                points=options.points,
+                points=points,
                 noise=options.noise,
+                sampling=options.sampling,
             )
         case LBFGSOptions():
-            return LBFGS(points=options.points)
+            return LBFGS(points=points, sampling=options.sampling)
         case SelfScaledBroydenOptions():
-            return SelfScaledBroyden(points=options.points)
+            return SelfScaledBroyden(points=points, sampling=options.sampling)
         case _:
-            return LevenbergMarquardt(points=options.points)
+            return LevenbergMarquardt(points=points, sampling=options.sampling)
 
 
 def _stages(options: DeepOptions, trial: TrialSolution | ModuleTrial) -> Stages:

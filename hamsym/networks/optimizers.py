@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from hamsym.networks.objective import Objective
-from hamsym.networks.points import fresh_points, midpoints, points_between
+from hamsym.networks.points import midpoints, points_between, points_within
+from hamsym.networks.sampling import Collocation, cumulative_density, drawn_points
 from hamsym.support.validation import is_positive, require, require_positive, require_whole
 
 __all__ = ["LBFGS", "Adam"]
@@ -18,10 +20,13 @@ __all__ = ["LBFGS", "Adam"]
 class _TorchOptimizer:
     """Common part of the optimizers that torch provides."""
 
+    _collocation: Collocation
+
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
     ) -> None:
         self._trial, self._objective, self._generator = trial, objective, generator
+        self._collocation.bind(trial, objective, generator)
         self._parameters = list(trial.parameters())
         self._dtype, self._device = self._parameters[0].dtype, self._parameters[0].device
         self.reset()
@@ -43,11 +48,14 @@ class Adam(_TorchOptimizer):
         Decay rates of the moment estimates.
     schedule : {"constant", "cosine"}
         Constant learning rate, as in the paper, or decay to zero along half a cosine.
-    points : int
-        Collocation points K, equally spaced over the span.
+    points : int or numpy.ndarray
+        Collocation points K, equally spaced over the span; or times, from the start of the span on.
     noise : float, optional
         Standard deviation of the noise, in units of time; by default three times the spacing of
-        the points, as in the paper.
+        the points, as in the paper, and no noise of given times or of ``sampling="residual"``.
+    sampling : {"uniform", "residual"}
+        ``"residual"`` draws the points of each epoch, one in each cell of equal probability, with
+        a density proportional to 1 + |residual| / mean |residual|, of the last fifty epochs.
     """
 
     check_every = 50
@@ -59,10 +67,11 @@ class Adam(_TorchOptimizer):
         learning_rate: float = 8e-3,
         betas: tuple[float, float] = (0.9, 0.999),
         schedule: str = "cosine",
-        points: int = 200,
+        points: int | np.ndarray = 200,
         noise: float | None = None,
+        sampling: str = "uniform",
     ) -> None:
-        require_whole("points", points, 2)
+        self._collocation = Collocation(points, sampling)
         require_positive("learning_rate", learning_rate)
         require(noise is None or noise == 0 or is_positive(noise), "noise", noise, "0 or more")
         require(
@@ -75,9 +84,11 @@ class Adam(_TorchOptimizer):
         )
         require(schedule in ("constant", "cosine"), "schedule", schedule, "'constant' or 'cosine'")
         self.learning_rate, self.betas, self.schedule = learning_rate, betas, schedule
-        self.points, self.noise = points, noise
+        self.points, self.noise = self._collocation.count, noise
 
     def reset(self) -> None:
+        self._density: np.ndarray | None = None
+        self._age, self._share = 0, 0.0
         self._adam = torch.optim.Adam(
             self._parameters,
             lr=self.learning_rate,
@@ -87,13 +98,14 @@ class Adam(_TorchOptimizer):
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Return the midpoints of a grid twice as fine."""
-        return midpoints(span, 2 * self.points, self._dtype).to(self._device)
+        count = 2 * self._collocation.judging
+        return midpoints(span, count, self._dtype).to(self._device)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         if self.schedule == "cosine":
             rate = self.learning_rate * (1 + math.cos(math.pi * done)) / 2
             self._adam.param_groups[0]["lr"] = rate
-        t = self._noisy_points(min(span), max(span)).to(self._device)
+        t = self._noisy(self._base_points(span, share), min(span), max(span)).to(self._device)
         self._adam.zero_grad(set_to_none=True)
         z, dz = self._trial(t)
         loss = self._objective(t, z, dz)
@@ -102,23 +114,56 @@ class Adam(_TorchOptimizer):
         motion = 0.0 if share == 1 else float(dz.detach().square().sum(-1).mean())
         return loss.item(), motion
 
-    def _noisy_points(self, start: float, end: float) -> Tensor:
-        length, dtype = end - start, self._dtype
-        grid = torch.linspace(start, end, self.points, dtype=dtype, device="cpu")
-        noise = 3 * length / (self.points - 1) if self.noise is None else self.noise
+    def _base_points(self, span: tuple[float, float], share: float) -> Tensor:
+        """Return the points of an epoch before noise is added, on the CPU."""
+        start, end = span
+        if self._collocation.times is not None:
+            return points_within(self._collocation.times, span, self._dtype)
+        if not self._collocation.by_residual:
+            return torch.linspace(
+                min(span), max(span), self.points, dtype=self._dtype, device="cpu"
+            )
+
+        def place(u: Tensor) -> Tensor:
+            return (start + u * (end - start)).to(self._dtype)
+
+        if self._density is None or self._age >= self.check_every or share != self._share:
+            self._density = cumulative_density(
+                self._trial, self._objective, lambda u: place(u).to(self._device), self.points
+            )
+            self._age, self._share = 0, share
+        self._age += 1
+        return place(drawn_points(self._density, self.points, self._generator))
+
+    def _noisy(self, points: Tensor, start: float, end: float) -> Tensor:
+        length = end - start
+        noise = self.noise
+        if noise is None:
+            equal = self._collocation.times is None and not self._collocation.by_residual
+            noise = 3 * length / (self.points - 1) if equal else 0.0
         if not noise:
-            return grid
-        moved = torch.randn(grid.shape, generator=self._generator, dtype=dtype, device="cpu")
-        moved.mul_(noise).add_(grid).sub_(start)
+            return points
+        moved = torch.randn(
+            points.shape, generator=self._generator, dtype=self._dtype, device="cpu"
+        )
+        moved.mul_(noise).add_(points).sub_(start)
         # Reflection at both ends, as often as needed.
         return end - moved.remainder_(2 * length).sub_(length).abs_()
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         states = self._adam.state_dict()["state"]
-        return {f"{i}.{name}": v for i, state in states.items() for name, v in state.items()}, {}
+        found = {f"{i}.{name}": v for i, state in states.items() for name, v in state.items()}
+        if self._density is None:
+            return found, {}
+        found["density"] = torch.from_numpy(self._density)
+        return found, {"age": self._age, "share": self._share}
 
     def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
         states: dict[int, dict[str, Tensor]] = {}
+        tensors = dict(tensors)
+        if (density := tensors.pop("density", None)) is not None:
+            self._restore_density(density.numpy(), values)
+            values = {}
         for key, tensor in tensors.items():
             index, name = key.split(".", 1)
             states.setdefault(int(index), {})[name] = tensor
@@ -132,6 +177,21 @@ class Adam(_TorchOptimizer):
         groups = self._adam.state_dict()["param_groups"]
         self._adam.load_state_dict({"state": states, "param_groups": groups})
 
+    def _restore_density(self, density: np.ndarray, values: dict[str, Any]) -> None:
+        age, share = values["age"], values["share"]
+        if not (
+            {*values} == {"age", "share"}
+            and isinstance(age, int)
+            and isinstance(share, float)
+            and density.ndim == 1
+            and density.dtype == float
+            and len(density) >= 2
+            and (density[0], density[-1]) == (0, 1)
+            and bool(np.all(np.diff(density) > 0))
+        ):
+            raise ValueError("its density of points is not one")
+        self._density, self._age, self._share = density, age, share
+
 
 class LBFGS(_TorchOptimizer):
     """L-BFGS with a strong Wolfe line search (Liu & Nocedal 1989), of torch.
@@ -141,22 +201,31 @@ class LBFGS(_TorchOptimizer):
 
     Parameters
     ----------
-    points : int
-        Collocation points K.
+    points : int or numpy.ndarray
+        Collocation points K; or times, from the start of the span on.
     memory : int
         Number of pairs of steps and gradient changes.
     refresh : int
         Iterations after which new points are drawn.
+    sampling : {"uniform", "residual"}
+        Density of the points that are drawn; see :class:`~hamsym.networks.sampling.Collocation`.
     """
 
     check_every = 10
     _PATIENCE = 5  # restarts in a row without a step that count as a stall
 
-    def __init__(self, *, points: int = 200, memory: int = 50, refresh: int = 200) -> None:
-        require_whole("points", points, 2)
+    def __init__(
+        self,
+        *,
+        points: int | np.ndarray = 200,
+        memory: int = 50,
+        refresh: int = 200,
+        sampling: str = "uniform",
+    ) -> None:
+        self._collocation = Collocation(points, sampling)
         require_whole("memory", memory, 1)
         require_whole("refresh", refresh, 1)
-        self.points, self.memory, self.refresh = points, memory, refresh
+        self.points, self.memory, self.refresh = self._collocation.count, memory, refresh
 
     @property
     def stalled(self) -> bool:
@@ -178,14 +247,13 @@ class LBFGS(_TorchOptimizer):
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Return midpoints between twice as many points of the same density."""
-        return points_between(span, self.points, self._dtype).to(self._device)
+        return points_between(span, self._collocation.judging, self._dtype).to(self._device)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         if self._t is None or self._age >= self.refresh or share != self._share:
             failures = self._failures
             self.reset()
-            t = fresh_points(span, self.points, self._dtype, self._generator)
-            self._t = t.to(self._device)
+            self._t = self._collocation.draw(span, self.points)
             self._failures, self._share = failures, share
         t, motion = self._t, 0.0
 
@@ -247,7 +315,12 @@ class LBFGS(_TorchOptimizer):
                 state[name] = tensor
         total = sum(parameter.numel() for parameter in self._parameters)
         for key, tensor in tensors.items():
-            shapes = [(self.points,)] if key == "points" else [(), (total,)]
+            shapes = [(), (total,)]
+            if key == "points":
+                most = self.points
+                # Of given times only those inside the span of a stage are used.
+                fewest = most if self._collocation.times is None else 2
+                shapes = [(k,) for k in range(fewest, most + 1)]
             if tensor.shape not in shapes or tensor.dtype != self._dtype:
                 raise ValueError(f"its {key} has another shape or type")
         groups = self._lbfgs.state_dict()["param_groups"]

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+import numpy as np
+
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.solution import Solution
@@ -52,7 +54,8 @@ class DeepOptions:
         default_text="torch's initialisation",
     )
     shared_weights: bool = option(True, "One network for all components, or one for each.")
-    points: int = option(200, "Collocation points K.")
+    points: int | Sequence[float] | np.ndarray = option(200, "Collocation points K.")
+    sampling: str = option("uniform", "Density of the points.", choices=("uniform", "residual"))
     stages: int = option(12, "Spans of sequential training.")
     energy_weight: float = option(0.0, "Weight of the energy penalty.")
     regularizers: Sequence[Regularizer] = ()
@@ -211,6 +214,11 @@ def check_options(H: Hamiltonian, options: DeepOptions) -> None:
         raise InputError(
             f"energy_weight={energy_weight!r} penalises changes of an energy that is not "
             "conserved, because H depends on t; leave it at 0"
+        )
+    if options.sampling != "uniform" and not isinstance(options.points, int):
+        raise InputError(
+            f"sampling={options.sampling!r} draws points, and points are times of your own; "
+            "leave out one of them"
         )
     if options.trial is not None:
         _check_own_network(options)
