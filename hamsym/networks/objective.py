@@ -7,15 +7,56 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from hamsym.support.validation import require, require_number
+
 __all__ = ["Objective", "Regularizer"]
 
 
 @dataclass(frozen=True)
 class Regularizer:
-    """A term weight * mean(function(t, z, dz)) of the loss; the function returns shape (K,)."""
+    """A term weight * mean(function(t, z, dz)) of the loss, for methods "adam" and "lbfgs".
+
+    Parameters
+    ----------
+    weight : float
+        From 0; it carries the units that make the term comparable with the squared residual.
+    function : callable
+        Of the collocation points t, shape (K,), in the order in which they were drawn, and of z^
+        and dz^/dt there, shape (K, dim), in the units of H. It returns a tensor, usually of shape
+        (K,), of which the mean is taken, and through which gradients flow.
+
+    Raises
+    ------
+    InputError
+        If the weight is not a number from 0, or the function cannot be called.
+
+    Examples
+    --------
+    The angular momentum of an orbit that starts with x p_y - y p_x = 1:
+
+    >>> import hamsym
+    >>> def change(t, z, dz):
+    ...     x, y, p_x, p_y = z.unbind(-1)
+    ...     return (x * p_y - y * p_x - 1) ** 2
+    >>> orbit = hamsym.solve(
+    ...     "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)",
+    ...     [1, 0, 0, 1],
+    ...     (0, 1),
+    ...     method="adam",
+    ...     regularizers=[hamsym.Regularizer(0.5, change)],
+    ...     epochs=20,
+    ...     points=20,
+    ... )
+    >>> orbit(1.0).shape
+    (4,)
+    """
 
     weight: float
     function: Callable[[Tensor, Tensor, Tensor], Tensor]
+
+    def __post_init__(self) -> None:
+        require_number("weight", self.weight, 0)
+        require(callable(self.function), "function", self.function, "a function of t, z and dz")
 
 
 @dataclass(frozen=True)

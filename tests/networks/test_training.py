@@ -115,6 +115,21 @@ def test_loss_is_the_weighted_sum_of_its_terms() -> None:
     torch.testing.assert_close(replaced(t, z, dz), z.sum())
 
 
+@pytest.mark.parametrize(
+    ("weight", "function", "name"),
+    [
+        (-1.0, abs, "weight"),
+        (math.nan, abs, "weight"),
+        (math.inf, abs, "weight"),
+        ("1", abs, "weight"),
+        (1.0, 3, "function"),
+    ],
+)
+def test_unusable_regularizers_are_rejected(weight: object, function: object, name: str) -> None:
+    with pytest.raises(InputError, match=f"{name}=.* cannot be used; give"):
+        Regularizer(weight, function)
+
+
 def test_divergence_restores_the_best_weights() -> None:
     calls = 0
 
