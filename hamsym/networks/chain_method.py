@@ -21,6 +21,7 @@ from hamsym.networks.chain_training import (
     train_chain,
     train_windows,
 )
+from hamsym.networks.devices import available_device
 from hamsym.networks.options import LevenbergMarquardtOptions
 from hamsym.networks.record import TrainingState
 from hamsym.problem import InitialValueProblem
@@ -77,7 +78,13 @@ def solve_by_chain(problem: InitialValueProblem, options: LevenbergMarquardtOpti
         checked_window(options.max_window, span, whole / _FEWEST_WINDOWS, MAX_WINDOWS),
         None if options.time_limit is None else time.perf_counter() + options.time_limit,
     )
-    layout = Layout(options.hidden, options.activation, options.envelope, options.frequency)
+    layout = Layout(
+        options.hidden,
+        options.activation,
+        options.envelope,
+        options.frequency,
+        available_device(options.device, torch.float64),
+    )
     wall, cpu = time.perf_counter(), time.process_time()
     best, passes, evaluations, rejected = None, 0, 0, 0
     with _one_thread():

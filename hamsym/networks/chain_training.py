@@ -48,6 +48,7 @@ _SHRINK = 0.5
 _GROWTH = 1.5
 _ORDER = 10  # of the residual in the length of a window, roughly
 _SHORTEST = 1e-11  # length of a window, relative to the span
+_MOST_FAILURES = 4  # of one window, while its hidden layers are trained
 _SETTLED = 50  # windows after which their length says how many are needed
 _SAMPLES = 65  # times at which the motion in a given window is looked at
 _PER_REACH = 20  # neurons of the last layer, and points, for each unit of the input's range
@@ -231,7 +232,7 @@ class _Run:
         self.reach = _REACH * min(1.0, layout.hidden[-1] / _WIDTH)
         self.pieces: list[TrialSolution] = []
         self.counts: list[tuple[int, int, float]] = []
-        self.points = self.evaluations = self.rejected = 0
+        self.points = self.evaluations = self.rejected = self.failures = 0
         self.reason = ""
         self.longest = settings.longest
         self.length = self._first_length()
@@ -247,7 +248,7 @@ class _Run:
     def step(self) -> None:
         """Train the next window, shorter as often as needed."""
         span = abs(self.span[1] - self.span[0])
-        failed = ""
+        failed, self.failures = "", 0
         while True:
             if self.settings.deadline is not None and time.perf_counter() > self.settings.deadline:
                 self.reason = "the time limit was reached"
@@ -266,6 +267,7 @@ class _Run:
             trained = self._trained(end, h)
             if isinstance(trained, str):
                 failed = trained
+                self.failures += 1
                 continue
             self._keep(*trained, end)
             return
@@ -289,9 +291,9 @@ class _Run:
         network = self.layout.network(len(self.z), self.random)
         network.theta.copy_(self.network.theta)
         _rest(network)
-        settings = Settings(
-            self.settings.tolerance, self.settings.hidden_steps, self.layout.envelope
-        )
+        # Where several windows in a row failed, for example at a jump, training is in vain.
+        hidden_steps = self.settings.hidden_steps if self.failures < _MOST_FAILURES else 0
+        settings = Settings(self.settings.tolerance, hidden_steps, self.layout.envelope)
         fit = train_window(equations, network, self.reach, _POINTS, settings)
         self.evaluations += fit.evaluations
         if not fit.residual <= self.settings.tolerance:

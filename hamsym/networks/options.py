@@ -7,10 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-
-import numpy as np
-
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.solution import Solution
@@ -18,6 +14,7 @@ from hamsym.support.option_fields import option
 from hamsym.support.validation import is_positive, require_positive, require_whole
 
 if TYPE_CHECKING:
+    import numpy as np
     import torch
 
     from hamsym.networks.objective import Regularizer
@@ -33,6 +30,7 @@ __all__ = [
 ]
 
 _OF_CHAINS = ("tol", "atol", "breakpoints", "max_window", "windows", "train_hidden")
+_OF_BOTH = ("hidden", "activation", "envelope", "frequency", "time_limit", "device")
 _FREQUENCY = 3.0  # of the first layer at the start, for methods of second order
 
 
@@ -173,11 +171,7 @@ class LevenbergMarquardtOptions(DeepOptions):
     @property
     def joint(self) -> tuple[str, ...]:
         """Options given that belong to the joint training of all weights of one network."""
-        return self._given(
-            {field.name for field in fields(self)}
-            - {"hidden", "activation", "envelope"}
-            - {"frequency", "time_limit", *_OF_CHAINS}
-        )
+        return self._given({field.name for field in fields(self)} - {*_OF_BOTH, *_OF_CHAINS})
 
     @property
     def of_chain(self) -> tuple[str, ...]:
@@ -193,9 +187,9 @@ class LevenbergMarquardtOptions(DeepOptions):
 
 
 def _same(value: Any, default: Any) -> bool:
-    if isinstance(default, (tuple, str)) or default is None or isinstance(value, str):
-        return value is default or (type(value) is type(default) and value == default)
-    return bool(np.all(value == default))
+    if isinstance(default, str):  # a type or a device of torch may stand for its name
+        return str(value).removeprefix("torch.") == default
+    return type(value) is type(default) and bool(value == default)
 
 
 def check_options(H: Hamiltonian, options: DeepOptions) -> None:

@@ -24,7 +24,8 @@ from torch.nn.utils import parameters_to_vector
 
 from hamsym.errors import InputError
 from hamsym.networks.objective import Objective
-from hamsym.networks.points import fresh_points, points_between
+from hamsym.networks.points import points_between
+from hamsym.networks.sampling import Collocation
 from hamsym.support.validation import require_whole
 
 __all__ = ["InverseHessian", "SelfScaledBroyden"]
@@ -116,10 +117,12 @@ class SelfScaledBroyden:
 
     Parameters
     ----------
-    points : int
-        Collocation points K.
+    points : int or numpy.ndarray
+        Collocation points K; or times, from the start of the span on.
     refresh : int
         Iterations after which new points are drawn.
+    sampling : {"uniform", "residual"}
+        Density of the points that are drawn; see :class:`~hamsym.networks.sampling.Collocation`.
 
     Raises
     ------
@@ -130,10 +133,12 @@ class SelfScaledBroyden:
     check_every = 10
     _PATIENCE = 5  # restarts in a row without a step that count as a stall
 
-    def __init__(self, *, points: int = 200, refresh: int = 200) -> None:
-        require_whole("points", points, 2)
+    def __init__(
+        self, *, points: int | np.ndarray = 200, refresh: int = 200, sampling: str = "uniform"
+    ) -> None:
+        self._collocation = Collocation(points, sampling)
         require_whole("refresh", refresh, 1)
-        self.points, self.refresh = points, refresh
+        self.points, self.refresh = self._collocation.count, refresh
 
     @property
     def stalled(self) -> bool:
@@ -144,6 +149,7 @@ class SelfScaledBroyden:
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
     ) -> None:
         self._trial, self._objective, self._generator = trial, objective, generator
+        self._collocation.bind(trial, objective, generator)
         self._parameters = list(trial.parameters())
         self._size = sum(parameter.numel() for parameter in self._parameters)
         if self._size > _LARGEST:
@@ -161,11 +167,11 @@ class SelfScaledBroyden:
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Return midpoints between twice as many points of the same density."""
-        return points_between(span, self.points, torch.float64)
+        return points_between(span, self._collocation.judging, torch.float64)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         if self._t is None or self._age >= self.refresh or share != self._share:
-            self._t = fresh_points(span, self.points, torch.float64, self._generator)
+            self._t = self._collocation.draw(span, self.points)
             self._age, self._share, self._last = 0, share, None
         start = self._evaluation(parameters_to_vector(self._parameters).detach().numpy())
         gradient = torch.from_numpy(start.gradient)
@@ -257,9 +263,14 @@ class SelfScaledBroyden:
         self._age, self._failures, self._share = (
             values[name] for name in ("age", "failures", "share")
         )
-        shapes = {"points": (self.points,), "inverse": (self._size, self._size)}
+        # Of given times only those inside the span of a stage are used.
+        fewest = self.points if self._collocation.times is None else 2
+        shapes: dict[str, list[tuple[int, ...]]] = {
+            "points": [(k,) for k in range(fewest, self.points + 1)],
+            "inverse": [(self._size, self._size)],
+        }
         for name, tensor in tensors.items():
-            if tensor.shape != shapes[name] or tensor.dtype != torch.float64:
+            if tensor.shape not in shapes[name] or tensor.dtype != torch.float64:
                 raise ValueError(f"its {name} has another shape or type")
         self._t = tensors.get("points")
         if "inverse" in tensors:

@@ -46,7 +46,7 @@ _NEWTON_STEPS = 25
 _DAMPINGS = (0.0, 1e-8, 1e-4, 1e-2, 1.0)  # of a Gauss-Newton step, relative
 _MU_FIRST, _MU_LEAST = 1e-6, 1e-16  # of a step of the hidden layers, relative
 _ATTEMPTS = 6
-_PATIENCE = 5  # steps of the hidden layers over which the residual must fall to a third
+_PATIENCE = 3  # steps of the hidden layers over which the residual must fall to a third
 _CONVERGED = 1e-2  # largest residual of readouts that converged to the motion
 _LARGEST_SYSTEM = 4_000  # rows of a dense system of equations
 _LARGEST_TRAINED = 2_000  # rows for which the hidden layers are trained
@@ -357,8 +357,8 @@ def train_window(
     reach : float
         Largest input R of the network.
     points : int
-        Collocation points, Chebyshev points of the window; more are used if the residual between
-        them is larger.
+        Collocation points, Chebyshev points of the window. With a guess more are used if the
+        residual between them is larger.
     settings : Settings
     guess : callable, optional
         u -> y from which the search starts, (K,) -> (K, dim); by default a state that rests.
@@ -368,7 +368,8 @@ def train_window(
     training.at(whole)
     training.long = guess is not None
     a, residual = training.solve_readouts(guess)
-    for _ in range(_REFINEMENTS):
+    # A free window that needs more points is better trained again, shorter.
+    for _ in range(_REFINEMENTS if training.long else 1):
         if residual.numel() <= _LARGEST_TRAINED and float(residual.abs().max()) <= _CONVERGED:
             a, residual = training.train(a, residual)
         training.put(a)
