@@ -91,8 +91,9 @@ def _plot_solution(solution: Solution) -> Figure:
     history = solution.history
     if solution.record.edges is not None:
         lengths = np.abs(np.diff(history.edges))
-        axes[1, 1].step(history.edges[:-1], lengths, where="post", color=_color(0))
-        axes[1, 1].set(title=f"Length of the {len(lengths):,} windows", xlabel="t")
+        axes[1, 1].stairs(lengths, history.edges, baseline=None, color=_color(0))
+        several = f"{len(lengths):,} windows" if len(lengths) > 1 else "window"
+        axes[1, 1].set(title=f"Length of the {several}", xlabel="t")
         return figure
     axes[1, 1].loglog(
         np.arange(1, len(history.loss) + 1),

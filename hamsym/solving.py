@@ -182,10 +182,27 @@ def solve(
             ``solution.trial.network``. Restarts call ``reset_parameters`` of its layers; without
             any there are no restarts. Such a solution cannot be saved or certified.
 
-        For ``"levenberg-marquardt"``: ``iterations`` (1,000) and ``restarts`` (10), the largest
-        number of times that new weights are drawn when the training stalls. For ``"ssbroyden"``,
-        in float64 on the CPU only: ``iterations`` (3,000), and at most 20,000 weights. For
-        ``"lbfgs"``: ``iterations`` (5,000).
+        For ``"levenberg-marquardt"``, which trains a chain of networks to a tolerance, each on a
+        window and exact at its start, joined end to start
+        (:mod:`hamsym.networks.window_training`):
+
+        tol, atol, breakpoints, max_window
+            As for ``"features"``; ``max_window`` is a quarter of the span by default.
+        windows : int, optional
+            This number of equal windows instead of as many as the motion needs; 1 is one network
+            over the whole span. A chain gives the first guess. If ``hidden`` is not given, the last
+            layer is as wide as the motion in a window needs.
+        train_hidden : bool, default True
+            Train the hidden layers where readouts do not suffice; otherwise readouts only.
+        hidden, activation, envelope, frequency, time_limit, device
+            As above; in float64.
+        iterations, restarts
+            1,000 and 10, of the joint training of all weights of one network, without elimination
+            of readouts and as far as its targets say. Any other option of the methods that train a
+            network, e.g. ``target_error``, ``points`` or ``trial``, selects this training.
+
+        For ``"ssbroyden"``, in float64 on the CPU only: ``iterations`` (3,000), and at most 20,000
+        weights. For ``"lbfgs"``: ``iterations`` (5,000).
 
         For ``"adam"``:
 
@@ -197,9 +214,10 @@ def solve(
     -------
     Solution
         ``success`` is true if the estimated error, round-off included, is within the tolerance
-        (``"features"``), or if a target was reached or, without targets, the estimated error is
-        below 1 % of the motion (methods that train). It is false if the trajectory crosses a
-        discontinuity of H or of its gradient. A march that had to stop spans the time up to there.
+        (``"features"``, and chains of ``"levenberg-marquardt"``), or if a target was reached or,
+        without targets, the estimated error is below 1 % of the motion (other methods that train).
+        It is false if the trajectory crosses a discontinuity of H or of its gradient. A march or a
+        chain that had to stop spans the time up to there.
 
     Raises
     ------
@@ -211,6 +229,9 @@ def solve(
     >>> H = Hamiltonian("p**2/2 + x**2/2")
     >>> solution = solve(H, [1.0, 0.0], (0, 100), tol=1e-9)
     >>> solution.success, bool(abs(solution(100.0)[0] - np.cos(100.0)) < 1e-9)
+    (True, True)
+    >>> chain = solve(H, [1.0, 0.0], (0, 20), method="levenberg-marquardt")
+    >>> chain.success, bool(abs(chain(20.0)[0] - np.cos(20.0)) < 1e-11)
     (True, True)
     >>> trained = solve(H, [1.0, 0.0], (0, 1), method="adam", epochs=400, points=20)
     >>> trained(0.0)

@@ -218,7 +218,12 @@ def check_options(H: Hamiltonian, options: DeepOptions) -> None:
         _check_own_network(options)
     if options.tau is not None and not is_positive(options.tau):
         raise InputError(f"tau={options.tau!r} cannot be used; give a time above 0")
-    precision_name(options.dtype)
+    precision = precision_name(options.dtype)
+    if options.method == "ssbroyden" and (precision, str(options.device)) != ("float64", "cpu"):
+        raise InputError(
+            f"dtype={options.dtype!r} and device={options.device!r} cannot be used with "
+            "'ssbroyden'; it trains in float64 on the CPU"
+        )
 
 
 def _check_own_network(options: DeepOptions) -> None:
