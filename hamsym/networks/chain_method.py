@@ -147,7 +147,13 @@ def _trained(
     if options.windows is None or trained.chain is None or trained.reason:
         return trained
     widen = tuple(options.hidden) == tuple(LevenbergMarquardtOptions().hidden)
-    return train_windows(H, trained, options.windows, layout, settings, generator, widen=widen)
+    found = train_windows(
+        H, trained.chain, options.windows, layout, settings, generator, widen=widen
+    )
+    if found.training is None or trained.training is None:
+        return found
+    evaluations = found.training.point_evaluations + trained.training.point_evaluations
+    return replace(found, training=replace(found.training, point_evaluations=evaluations))
 
 
 def _verdict(

@@ -8,6 +8,7 @@ depend on the units neither of time nor of the components.
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 import time
@@ -18,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain import Chain, ChainTraining
 from hamsym.networks.chain_checks import ChainChecks
@@ -52,6 +54,7 @@ _MOST_FAILURES = 4  # of one window, while its hidden layers are trained
 _SETTLED = 50  # windows after which their length says how many are needed
 _SAMPLES = 65  # times at which the motion in a given window is looked at
 _PER_REACH = 20  # neurons of the last layer, and points, for each unit of the input's range
+_WIDEST = 1_000  # neurons of the last layer in a given window
 _QUICK = 40  # fixed-point passes of readouts that converge quickly
 
 
@@ -215,12 +218,8 @@ class _Run:
         settings: ChainSettings,
         generator: torch.Generator,
     ) -> None:
-        self.flow, self.span, self.layout, self.settings = (
-            _Flow(H, layout.device),
-            span,
-            layout,
-            settings,
-        )
+        self.flow, self.span = _Flow(H, layout.device), span
+        self.layout, self.settings = layout, settings
         self.random = generator
         self.checks = ChainChecks(H, generator.initial_seed(), settings.tolerance)
         self.began = time.perf_counter(), time.process_time()
@@ -253,8 +252,7 @@ class _Run:
             if self.settings.deadline is not None and time.perf_counter() > self.settings.deadline:
                 self.reason = "the time limit was reached"
                 return
-            needed = len(self.pieces) + abs(self.span[1] - self.time) / self.length
-            if len(self.pieces) >= _SETTLED and not needed <= MAX_WINDOWS:
+            if self._too_many():
                 self.reason = (
                     f"it needs more than {MAX_WINDOWS:,} windows, now of length "
                     f"{self.length:.1e}; give wider layers, a larger tol or a shorter span"
@@ -262,7 +260,10 @@ class _Run:
                 return
             end, h = self._end()
             if not abs(h) > _SHORTEST * span or self.time + h / 2 in (self.time, end):
-                self.reason = failed or "the windows became too short"
+                self.reason = "the windows became too short, as at a singularity or a jump of H"
+                if self.flow.H.time is not None:
+                    self.reason += " (give the times at which t switches H as breakpoints)"
+                self.reason += f": {failed}" if failed else ""
                 return
             trained = self._trained(end, h)
             if isinstance(trained, str):
@@ -271,6 +272,14 @@ class _Run:
                 continue
             self._keep(*trained, end)
             return
+
+    def _too_many(self) -> bool:
+        """Whether the span needs too many windows, by their lengths so far and now."""
+        count = len(self.pieces)
+        if count < _SETTLED:
+            return False
+        usual = max(self.length, abs(self.time - self.span[0]) / count)
+        return not count + abs(self.span[1] - self.time) / usual <= MAX_WINDOWS
 
     def _end(self) -> tuple[float, float]:
         """Return the end of the next window, and its length with its sign."""
@@ -288,9 +297,7 @@ class _Run:
         """Train a window of this length; return the piece, or why it failed."""
         size = self._size(h)
         equations = self.flow.equations(self.z, self.time, h, size)
-        network = self.layout.network(len(self.z), self.random)
-        network.theta.copy_(self.network.theta)
-        _rest(network)
+        network = copy.deepcopy(self.network)
         # Where several windows in a row failed, for example at a jump, training is in vain.
         hidden_steps = self.settings.hidden_steps if self.failures < _MOST_FAILURES else 0
         settings = Settings(self.settings.tolerance, hidden_steps, self.layout.envelope)
@@ -304,13 +311,13 @@ class _Run:
             if self.rejected % 5 == 0:
                 # Hidden layers that fail repeatedly may be the reason.
                 self.network = self.layout.network(len(self.z), self.random)
-            return (
-                f"the residual stays at {fit.residual:.1e} of the motion in windows of "
-                f"length {abs(h):.2g}"
-            )
+            if not math.isfinite(fit.residual):
+                return "the rates are not finite"
+            return f"the residual stays at {fit.residual:.1e} of the motion"
         piece = piece_of(network, self.z, size, self.time, h, self.layout, self.reach)
         state = piece.states_at(np.array([end]))[0]
         if not np.isfinite(state).all():
+            self.rejected += 1
             self.length = abs(h) * _SHRINK
             return "the state is not finite"
         if missed := self.checks.failure(piece, end, np.maximum(size, np.abs(state))):
@@ -321,7 +328,7 @@ class _Run:
         factor = min(max(0.9 * room ** (1 / _ORDER), 1.0), _GROWTH)
         if fit.hidden_steps or fit.passes > _QUICK:
             factor = 1.0
-        self.length = min(abs(h) * factor if h == end - self.time else self.length, self.longest)
+        self.length = min(abs(h) * factor, self.longest)
         return piece, fit, state
 
     def _size(self, h: float) -> np.ndarray:
@@ -342,24 +349,56 @@ class _Run:
             self.stops.pop(0)
 
     def result(self) -> TrainedChain:
-        if not self.pieces:
-            return TrainedChain(None, None, self.reason, self.time)
-        chain = Chain(tuple(self.pieces), self.time)
-        steps, hidden, residuals = zip(*self.counts, strict=True)
-        wall, cpu = self.began
-        training = ChainTraining(
-            chain.edges,
-            np.array(steps, dtype=np.int64),
-            np.array(hidden, dtype=np.int64),
-            np.array(residuals, dtype=float),
-            self.points,
-            self.evaluations,
-            self.rejected,
-            1,
-            time.perf_counter() - wall,
-            time.process_time() - cpu,
+        return _assembled(
+            self.pieces,
+            self.time,
+            self.counts,
+            (self.points, self.evaluations, self.rejected),
+            self.began,
+            self.reason,
         )
-        return TrainedChain(chain, training, self.reason, self.time)
+
+
+def _assembled(
+    pieces: Sequence[TrialSolution],
+    end: float,
+    counts: Sequence[tuple[int, int, float]],
+    totals: tuple[int, int, int],
+    began: tuple[float, float],
+    reason: str,
+    doubt: str = "",
+) -> TrainedChain:
+    """Return a chain of pieces with its record.
+
+    Parameters
+    ----------
+    pieces : sequence of TrialSolution
+    end : float
+        End of the last one.
+    counts : sequence of (int, int, float)
+        Steps, those of hidden layers, and residual of each piece.
+    totals : (int, int, int)
+        Points, evaluations and rejected windows.
+    began : (float, float)
+        Wall and processor time of the beginning.
+    reason, doubt : str
+        As in :class:`TrainedChain`.
+    """
+    if not pieces:
+        return TrainedChain(None, None, reason, end)
+    chain = Chain(tuple(pieces), end)
+    steps, hidden, residuals = zip(*counts, strict=True)
+    training = ChainTraining(
+        chain.edges,
+        np.array(steps, dtype=np.int64),
+        np.array(hidden, dtype=np.int64),
+        np.array(residuals, dtype=float),
+        *totals,
+        1,
+        time.perf_counter() - began[0],
+        time.process_time() - began[1],
+    )
+    return TrainedChain(chain, training, reason, end, doubt)
 
 
 def piece_of(
@@ -372,23 +411,22 @@ def piece_of(
     reach: float,
 ) -> TrialSolution:
     """Return the trial solution of a trained window; its readouts get the units of z."""
-    copy = Network(
-        len(z), layout.hidden, layout.activation, frequency=layout.frequency
-    ).requires_grad_(False)
-    copy.theta.copy_(network.theta)
-    matrix, bias = copy.layers[-1]
+    # On the CPU whatever the device of the training.
+    own = replace(layout, device=torch.device("cpu")).network(len(z), torch.Generator())
+    own.theta.copy_(network.theta)
+    matrix, bias = own.layers[-1]
     unit = torch.from_numpy(size)
     matrix.mul_(unit.unsqueeze(1))
     bias.mul_(unit)
     return TrialSolution(
-        copy, torch.from_numpy(z.copy()), t0=start, tau=h / reach, envelope=layout.envelope
+        own, torch.from_numpy(z.copy()), t0=start, tau=h / reach, envelope=layout.envelope
     )
 
 
 @torch.no_grad()
 def train_windows(
     H: Hamiltonian,
-    guess: TrainedChain,
+    guess: Chain,
     count: int,
     layout: Layout,
     settings: ChainSettings,
@@ -401,7 +439,7 @@ def train_windows(
     Parameters
     ----------
     H : Hamiltonian
-    guess : TrainedChain
+    guess : Chain
         A chain over the whole span.
     count : int
     layout : Layout
@@ -409,68 +447,67 @@ def train_windows(
     generator : torch.Generator
     widen : bool
         Make the last layer as wide as the motion in a window needs.
+
+    Raises
+    ------
+    InputError
+        If the motion in a window needs too large a network.
     """
-    chain, training = guess.chain, guess.training
-    assert chain is not None
-    assert training is not None
     began = time.perf_counter(), time.process_time()
     flow = _Flow(H, layout.device)
-    edges = np.linspace(chain.edges[0], chain.edges[-1], count + 1)
-    z, pieces, counts = chain.pieces[0].z0.numpy().copy(), [], []
+    checks = ChainChecks(H, generator.initial_seed(), settings.tolerance)
+    edges = np.linspace(guess.edges[0], guess.edges[-1], count + 1)
+    z, reached = guess.pieces[0].z0.numpy().copy(), float(edges[0])
+    pieces: list[TrialSolution] = []
+    counts: list[tuple[int, int, float]] = []
     points = evaluations = 0
     reason = doubt = ""
-    checks = ChainChecks(H, generator.initial_seed(), settings.tolerance)
-    for start, end in itertools.pairwise(edges.tolist()):
-        h = end - start
-        samples = chain.states_at(np.linspace(start, end, _SAMPLES))
-        reach = max(_REACH, abs(h) * _fastest(flow, samples, np.linspace(start, end, _SAMPLES)) / 2)
-        width = math.ceil(_PER_REACH * reach)
-        own = layout
-        if widen:
-            own = replace(layout, hidden=(*layout.hidden[:-1], max(layout.hidden[-1], width)))
-        size = np.abs(samples).max(axis=0)
-        size = np.where(size > 0, size, 1.0)
-        network = own.network(H.dim, generator)
-
-        fit = train_window(
-            flow.equations(z, start, h, size),
-            network,
-            reach,
-            max(_POINTS, width),
-            Settings(settings.tolerance, settings.hidden_steps, layout.envelope),
-            guess=_states(chain, z, size, start, h),
-        )
-        evaluations += fit.evaluations
-        points += len(fit.values)
-        counts.append((fit.steps, fit.hidden_steps, fit.residual))
-        piece = piece_of(network, z, size, start, h, own, reach)
-        state = piece.states_at(np.array([end]))[0]
-        if not np.isfinite(state).all():
-            reason = "the state is not finite"
-            break
-        pieces.append(piece)
-        doubt = doubt or checks.failure(piece, end, size)
-        z = state
-        if settings.deadline is not None and time.perf_counter() > settings.deadline:
-            reason = "the time limit was reached" if end != edges[-1] else ""
-            break
-    if not pieces:
-        return TrainedChain(None, None, reason, float(edges[0]))
-    found = Chain(tuple(pieces), float(edges[len(pieces)]))
-    steps, hidden, residuals = zip(*counts[: len(pieces)], strict=True)
-    record = ChainTraining(
-        found.edges,
-        np.array(steps, dtype=np.int64),
-        np.array(hidden, dtype=np.int64),
-        np.array(residuals, dtype=float),
-        points,
-        evaluations + training.point_evaluations,
-        training.rejected,
-        1,
-        time.perf_counter() - began[0],
-        time.process_time() - began[1],
-    )
-    return TrainedChain(found, record, reason, found.end, doubt)
+    with np.errstate(all="ignore"):
+        try:
+            for start, end in itertools.pairwise(edges.tolist()):
+                if settings.deadline is not None and time.perf_counter() > settings.deadline:
+                    reason = "the time limit was reached"
+                    break
+                h = end - start
+                times = np.linspace(start, end, _SAMPLES)
+                samples = guess.states_at(times)
+                reach = max(_REACH, abs(h) * _fastest(flow, samples, times) / 2)
+                width = math.ceil(_PER_REACH * reach)
+                if width > _WIDEST:
+                    raise InputError(
+                        f"windows={count} needs networks of {width:,} neurons in a layer, more "
+                        f"than {_WIDEST:,}; give windows={math.ceil(count * width / _WIDEST)} or "
+                        "more"
+                    )
+                own = layout
+                if widen:
+                    last = max(layout.hidden[-1], width)
+                    own = replace(layout, hidden=(*layout.hidden[:-1], last))
+                size = np.abs(samples).max(axis=0)
+                size = np.where(size > 0, size, 1.0)
+                network = own.network(H.dim, generator)
+                fit = train_window(
+                    flow.equations(z, start, h, size),
+                    network,
+                    reach,
+                    max(_POINTS, width),
+                    Settings(settings.tolerance, settings.hidden_steps, layout.envelope),
+                    guess=_states(guess, z, size, start, h),
+                )
+                evaluations += fit.evaluations
+                piece = piece_of(network, z, size, start, h, own, reach)
+                state = piece.states_at(np.array([end]))[0]
+                if not np.isfinite(state).all():
+                    reason = "the state is not finite"
+                    break
+                pieces.append(piece)
+                counts.append((fit.steps, fit.hidden_steps, fit.residual))
+                points += len(fit.values)
+                doubt = doubt or checks.failure(piece, end, size)
+                z, reached = state, end
+        except KeyboardInterrupt:
+            reason = "interrupted"
+    return _assembled(pieces, reached, counts, (points, evaluations, 0), began, reason, doubt)
 
 
 def _states(
@@ -487,7 +524,7 @@ def _states(
 
 def _fastest(flow: _Flow, z: np.ndarray, t: np.ndarray) -> float:
     """Return the mean of the fastest rate of small changes along states."""
-    matrices = [flow.generator(state, float(time)) for state, time in zip(z, t, strict=True)]
+    matrices = [flow.generator(state, float(when)) for state, when in zip(z, t, strict=True)]
     rates = [float(np.abs(np.linalg.eigvals(a)).max()) for a in matrices if np.isfinite(a).all()]
     return float(np.mean(rates)) if rates else 0.0
 

@@ -172,7 +172,7 @@ def test_time_limit_keeps_what_was_reached() -> None:
 
 def test_networks_that_are_too_small_are_named() -> None:
     solution = hamsym.solve(
-        PENDULUM, [1.0, 0.5], (0, 20), method=LM, hidden=(4,), train_hidden=False
+        PENDULUM, [1.0, 0.5], (0, 20), method=LM, hidden=(5, 5), train_hidden=False
     )
     assert not solution.success
     assert "give wider layers" in solution.message
