@@ -28,7 +28,7 @@ def courses(script, tau):
     second_order = {
         "L-BFGS": ("lbfgs", ITERATIONS),
         "SSBroyden": ("ssbroyden", ITERATIONS),
-        "Levenberg-Marquardt, one network": ("levenberg-marquardt", NEWTON_ITERATIONS),
+        "Levenberg-Marquardt, jointly": ("levenberg-marquardt", NEWTON_ITERATIONS),
     }
     return {
         **{name: [options | {"epochs": n} for n in EPOCHS] for name, options in adam.items()},
@@ -36,6 +36,9 @@ def courses(script, tau):
             name: [{"method": method, "iterations": n} for n in numbers]
             for name, (method, numbers) in second_order.items()
         },
+        "Levenberg-Marquardt, one network": [
+            {"method": "levenberg-marquardt", "windows": 1, "tol": tol} for tol in (1e-4, 1e-11)
+        ],
         "Levenberg-Marquardt, chain": [CHAIN],
         "features": [{"method": "features", "tol": tol} for tol in TOLERANCES],
     }
@@ -56,7 +59,8 @@ STYLES = {
     "Adam, cosine": (RED, "s", "-."),
     "L-BFGS": (SKY, "D", "--"),
     "SSBroyden": (BLUE, "o", "--"),
-    "Levenberg-Marquardt, one network": (PINK, "P", "-"),
+    "Levenberg-Marquardt, jointly": (PINK, "P", "--"),
+    "Levenberg-Marquardt, one network": (PINK, "p", "-"),
     "Levenberg-Marquardt, chain": (GREEN, "*", "-"),
     "features": ("black", "X", "-"),
 }

@@ -259,6 +259,8 @@ class _Training:
             own = self.derivative(a)
             basis = torch.linalg.qr(own).Q
             rows = self._hidden_rows(a)[:, :-readouts]
+            if not bool(torch.isfinite(basis).all() and torch.isfinite(rows).all()):
+                break
 
             def rest(x: Tensor, basis: Tensor = basis) -> Tensor:
                 return x - basis @ (basis.T @ x)
@@ -273,6 +275,9 @@ class _Training:
             for _ in range(_ATTEMPTS):
                 y = vectors @ (turned / (sizes.clamp(min=0) + mu * top))
                 step = -(projected.T @ y)
+                if not bool(torch.isfinite(step).all()):
+                    mu *= 30
+                    continue
                 shift = _damped(own, residual.reshape(-1) + rows @ step, 1e-30)
                 self.put(a if shift is None else a - shift.view_as(a))
                 self.network.theta[:-readouts] += step
@@ -311,7 +316,8 @@ class _Training:
 
     def between(self) -> float:
         """Return the largest residual of the network at points between those of the training."""
-        u = float(self.u.max()) * _points(2 * len(self.u) + 1, self.u)
+        ends = self.u.new_tensor((0.0, 1.0))
+        u = torch.cat((_points(2 * len(self.u) + 1, self.u), ends))
         s = self.reach * u
         f, f_dot = (part.unsqueeze(1) for part in ENVELOPES[self.settings.envelope](s))
         value, rate = self.network(s)
@@ -364,27 +370,40 @@ def train_window(
         u -> y from which the search starts, (K,) -> (K, dim); by default a state that rests.
     """
     training = _Training(equations, network, reach, settings)
-    whole = _points(points, network.theta)
-    training.at(whole)
     training.long = guess is not None
-    a, residual = training.solve_readouts(guess)
-    # A free window that needs more points is better trained again, shorter.
-    for _ in range(_REFINEMENTS if training.long else 1):
-        if residual.numel() <= _LARGEST_TRAINED and float(residual.abs().max()) <= _CONVERGED:
-            a, residual = training.train(a, residual)
-        training.put(a)
-        inside, between = float(residual.abs().max()), training.between()
-        smooth = between <= max(settings.tolerance, _ROUGH * inside)
-        if smooth or not inside <= _CONVERGED:
-            break
-        training.at(_points(math.ceil(_MORE * len(training.u)), whole))
-        a, residual = training.solve_readouts()
+    try:
+        residual, smooth, values = _trained(training, points, guess)
+    # Features that are not finite have no singular values.
+    except torch.linalg.LinAlgError:  # type: ignore[attr-defined]
+        residual, smooth, values = math.nan, False, network.theta.new_zeros(points, 1)
     return Fit(
-        max(inside, between) if between == between else math.nan,
+        residual,
         smooth,
         training.steps,
         training.hidden_steps,
         training.evaluations,
         training.passes,
-        training.columns.values @ a,
+        values,
     )
+
+
+def _trained(
+    training: _Training, points: int, guess: Callable[[Tensor], Tensor] | None
+) -> tuple[float, bool, Tensor]:
+    """Return the largest residual, whether it is smooth, and y at the points."""
+    like, tolerance = training.network.theta, training.settings.tolerance
+    training.at(_points(points, like))
+    a, residual = training.solve_readouts(guess)
+    # A free window that needs more points is better trained again, shorter.
+    for left in reversed(range(_REFINEMENTS if training.long else 1)):
+        if residual.numel() <= _LARGEST_TRAINED and float(residual.abs().max()) <= _CONVERGED:
+            a, residual = training.train(a, residual)
+        training.put(a)
+        inside, between = float(residual.abs().max()), training.between()
+        smooth = between <= max(tolerance, _ROUGH * inside)
+        if smooth or not left or not inside <= _CONVERGED:
+            break
+        training.at(_points(math.ceil(_MORE * len(training.u)), like))
+        a, residual = training.solve_readouts()
+    values = training.columns.values @ a
+    return (max(inside, between) if between == between else math.nan), smooth, values
