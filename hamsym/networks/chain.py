@@ -21,7 +21,14 @@ from hamsym.support.checked_data import (
     require_names,
 )
 
-__all__ = ["Chain", "ChainTraining"]
+__all__ = ["MAX_WINDOWS", "Chain", "ChainTraining"]
+
+#: Most windows of a chain.
+MAX_WINDOWS = 50_000
+
+# Difference of a joint, in units of the round-off of the terms of z^: the sums of one network
+# have other last digits on another processor.
+_JOINT = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +110,7 @@ class Chain:
             If they do not describe a chain with ``dim`` components.
         """
         require_names("trial solution", values, {"form", "end", "pieces"})
-        forms = checked_list("pieces", values["pieces"])
+        forms = checked_list("pieces", values["pieces"], most=MAX_WINDOWS)
         groups: list[dict[str, np.ndarray]] = [{} for _ in forms]
         for name, array in arrays.items():
             number, _, rest = name.partition(".")
@@ -123,7 +130,7 @@ class Chain:
         """Raise ValueError unless this is a chain from z0 over the span."""
         if not self.pieces:
             raise ValueError("its chain has no pieces")
-        start = z0
+        start, allowed = z0, np.zeros(len(z0))
         edges = self.edges
         if not np.isfinite(edges).all() or edges[0] != span[0] or edges[-1] != span[1]:
             raise ValueError("its span differs from that of its windows")
@@ -131,8 +138,22 @@ class Chain:
         if not ((steps > 0).all() or (steps < 0).all()):
             raise ValueError("its windows are not in order")
         for piece, low, high in zip(self.pieces, edges[:-1], edges[1:], strict=True):
-            piece.check(start, (float(low), float(high)))
+            own = piece.z0.numpy()
+            if own.dtype != np.float64:
+                raise ValueError("its weights are not float64")
+            piece.check(own, (float(low), float(high)))
+            if not (np.abs(own - start) <= allowed).all():
+                raise ValueError("a window of its chain does not start at the end of that before")
             start = piece.states_at(np.array([high]))[0]
+            allowed = _JOINT * np.finfo(float).eps * _terms(piece, float(high))
+
+
+def _terms(piece: TrialSolution, t: float) -> np.ndarray:
+    """Return the size of the terms whose sum is z^(t), shape (dim,)."""
+    rows = [row for part in piece.parts for row in zip(*part.layers[-1], strict=True)]
+    sizes = [float(weights.abs().sum() + bias.abs()) for weights, bias in rows]
+    factor = float(piece.envelope_at(torch.tensor(t, dtype=torch.float64))[1])
+    return np.abs(piece.z0.numpy()) + factor * np.array(sizes)
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ import numpy as np
 import torch
 
 from hamsym.errors import InputError
-from hamsym.networks.chain import ChainTraining
+from hamsym.networks.chain import MAX_WINDOWS, ChainTraining
 from hamsym.networks.chain_error import ErrorOfChain, estimate_chain_error
 from hamsym.networks.chain_training import (
-    MAX_WINDOWS,
     ChainSettings,
     Layout,
     TrainedChain,

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.networks.chain import Chain, ChainTraining
+from hamsym.networks.chain import MAX_WINDOWS, Chain, ChainTraining
 from hamsym.networks.chain_checks import ChainChecks
 from hamsym.networks.network import Network
 from hamsym.networks.trial import TrialSolution
@@ -30,16 +30,12 @@ from hamsym.numerics.scales import coupled_sizes
 from hamsym.numerics.symplectic import generators
 
 __all__ = [
-    "MAX_WINDOWS",
     "ChainSettings",
     "Layout",
     "TrainedChain",
     "train_chain",
     "train_windows",
 ]
-
-#: Most windows of a span.
-MAX_WINDOWS = 50_000
 
 # Largest input of the network of a window whose length is free: narrower layers, with fewer
 # functions, represent shorter windows.

@@ -86,10 +86,12 @@ def checked_number(name: str, value: Any) -> float:
     return number
 
 
-def checked_list(name: str, value: Any, count: int | None = None) -> list[Any]:
-    """Return a JSON list, of this length if one is given."""
-    if not isinstance(value, (list, tuple)) or len(value) > _MOST_ENTRIES:
-        raise ValueError(f"'{name}' is not a list of at most {_MOST_ENTRIES:,} entries")
+def checked_list(
+    name: str, value: Any, count: int | None = None, *, most: int = _MOST_ENTRIES
+) -> list[Any]:
+    """Return a JSON list of at most this many entries, or of this length if one is given."""
+    if not isinstance(value, (list, tuple)) or len(value) > most:
+        raise ValueError(f"'{name}' is not a list of at most {most:,} entries")
     if count is not None and len(value) != count:
         raise ValueError(f"'{name}' has {len(value)} entries, not {count}")
     return list(value)
