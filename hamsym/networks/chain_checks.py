@@ -40,8 +40,15 @@ class ChainChecks(WindowChecks):
 
     def __init__(self, H: Hamiltonian, seed: int, tolerance: float) -> None:
         super().__init__(flow_of(H), feature_basis(seed), tolerance)
+        self.local = tolerance
 
-    def failure(self, piece: TrialSolution, end: float, sizes: np.ndarray) -> str:
+    def failure(
+        self,
+        piece: TrialSolution,
+        end: float,
+        sizes: np.ndarray,
+        tolerance: float | None = None,
+    ) -> str:
         """Return what a window misses between its points, "" if it passes.
 
         Parameters
@@ -51,7 +58,10 @@ class ChainChecks(WindowChecks):
             End of its window.
         sizes : numpy.ndarray
             Sizes of the components, shape (dim,).
+        tolerance : float, optional
+            By default the local tolerance of the chain.
         """
+        self.tolerance = self.local if tolerance is None else tolerance
         chain = Chain((piece,), end)
         windows: Any = _Windows(chain, chain.edges, chain.states_at(chain.edges))
         with np.errstate(all="ignore"):

@@ -19,6 +19,7 @@ import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain import Chain, ChainTraining
+from hamsym.networks.chain_training import points_of
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.numerics.symplectic import generators
@@ -142,12 +143,13 @@ def estimate_chain_error(
 
 def _parts(chain: Chain, training: ChainTraining) -> np.ndarray:
     """Return the edges of parts of windows in which the residual is resolved."""
-    edges = chain.edges
-    points = training.points / len(chain.pieces)
-    count = math.ceil(points / _POINTS_PER_PART)
-    shares = np.arange(count) / count
-    inside = edges[:-1, None] + np.diff(edges)[:, None] * shares
-    return np.append(inside.ravel(), edges[-1])
+    edges, mean = chain.edges, training.points / len(chain.pieces)
+    inside = []
+    for piece, start, end in zip(chain.pieces, edges[:-1], edges[1:], strict=True):
+        points = max(mean, points_of((end - start) / piece.tau))
+        count = math.ceil(points / _POINTS_PER_PART)
+        inside.append(start + (end - start) * (np.arange(count) / count))
+    return np.append(np.concatenate(inside), edges[-1])
 
 
 def _scales(z: np.ndarray, jacobians: np.ndarray, edges: np.ndarray) -> np.ndarray:

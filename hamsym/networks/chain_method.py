@@ -23,6 +23,7 @@ from hamsym.networks.chain_training import (
 from hamsym.networks.devices import available_device
 from hamsym.networks.options import LevenbergMarquardtOptions
 from hamsym.networks.record import TrainingState
+from hamsym.networks.window_training import late
 from hamsym.problem import InitialValueProblem
 from hamsym.solution.accuracy import (
     checked_atol,
@@ -39,7 +40,7 @@ from hamsym.support.validation import require_positive, require_whole
 __all__ = ["solve_by_chain"]
 
 _LOCAL = 1e-2  # tolerance of the residual in a window, relative to that of the error
-_LEAST_LOCAL, _LARGEST_LOCAL = 2e-13, 1e-10
+_LEAST_LOCAL, _LARGEST_LOCAL = 1e-12, 1e-10
 _PASSES = 3
 _MARGIN = 0.3  # share of the allowed error at which a tighter chain aims
 _HIDDEN_STEPS = 20
@@ -67,7 +68,13 @@ def solve_by_chain(problem: InitialValueProblem, options: LevenbergMarquardtOpti
     tol, absolute = checked_tol(options.tol), checked_atol(options.atol, H.dim)
     whole = abs(span[1] - span[0])
     if options.windows is not None:
-        require_whole("windows", options.windows, 1)
+        require_whole("windows", options.windows, 1, MAX_WINDOWS)
+        for name in ("max_window", "breakpoints"):
+            if name in options.of_chain:
+                raise InputError(
+                    f"windows={options.windows} makes equal windows, but {name} is given too; "
+                    "leave one of them out"
+                )
     if options.time_limit is not None:
         require_positive("time_limit", options.time_limit)
     settings = ChainSettings(
@@ -76,6 +83,7 @@ def solve_by_chain(problem: InitialValueProblem, options: LevenbergMarquardtOpti
         checked_breakpoints(options.breakpoints, span),
         checked_window(options.max_window, span, whole / _FEWEST_WINDOWS, MAX_WINDOWS),
         None if options.time_limit is None else time.perf_counter() + options.time_limit,
+        max(_LOCAL * tol, _LEAST_LOCAL),
     )
     layout = Layout(
         options.hidden,
@@ -126,7 +134,7 @@ def solve_by_chain(problem: InitialValueProblem, options: LevenbergMarquardtOpti
         record=record,
         error=best.estimate.error,
     )
-    return solution.judged(*_verdict(solution, best, record, tol))
+    return solution.judged(*_verdict(solution, best, record, tol, late(settings.deadline)))
 
 
 def _trained(
@@ -156,7 +164,7 @@ def _trained(
 
 
 def _verdict(
-    solution: Solution, found: _Pass, record: ChainTraining, tol: float
+    solution: Solution, found: _Pass, record: ChainTraining, tol: float, is_late: bool
 ) -> tuple[bool, str]:
     """Return success and message."""
     count, excess = len(record.steps), found.excess
@@ -177,13 +185,15 @@ def _verdict(
     if jump is not None:
         return False, f"{jump} ({state})"
     if trained.doubt:
-        return False, f"{trained.doubt}: a narrow pulse, a step or a jump; {state}"
+        return False, f"{trained.doubt}; {state}"
     if excess <= 1:
         return True, f"tol {tol:.1e} met: {state}"
     if found.estimate.limit:
         cause = found.estimate.limit
     elif not (error.floors.max(axis=0) <= 0.3 * found.allowed).all():
         cause = "limited by float64 round-off"
+    elif is_late:
+        cause = "the time limit was reached"
     else:
         cause = "the networks could not be made accurate enough"
     return False, f"tol {tol:.1e} met only until t = {held:.6g}: {cause}; {state}"

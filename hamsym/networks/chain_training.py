@@ -25,14 +25,16 @@ from hamsym.networks.chain import MAX_WINDOWS, Chain, ChainTraining
 from hamsym.networks.chain_checks import ChainChecks
 from hamsym.networks.network import Network
 from hamsym.networks.trial import TrialSolution
-from hamsym.networks.window_training import Equations, Fit, Settings, train_window
+from hamsym.networks.window_training import Equations, Fit, Settings, late, train_window
 from hamsym.numerics.scales import coupled_sizes
 from hamsym.numerics.symplectic import generators
+from hamsym.random_features.error_loop import SLACK
 
 __all__ = [
     "ChainSettings",
     "Layout",
     "TrainedChain",
+    "points_of",
     "train_chain",
     "train_windows",
 ]
@@ -98,6 +100,9 @@ class ChainSettings:
         Length of the longest window.
     deadline : float, optional
         Of :func:`time.perf_counter`.
+    limit : float, optional
+        Residual of what a window of given length may miss between its points; its own residual is
+        at most ten times that.
     """
 
     tolerance: float
@@ -105,6 +110,7 @@ class ChainSettings:
     stops: Sequence[float]
     longest: float
     deadline: float | None = None
+    limit: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -155,7 +161,10 @@ class _Flow:
             turned = torch.cat((hessian[..., half:, :], -hessian[..., :half, :]), -2)
             return h * ratio * turned
 
-        return Equations(rates, jacobian)
+        def places(u: Tensor) -> Tensor:
+            return ((t + h * u) - t) / h
+
+        return Equations(rates, jacobian, places)
 
     def rates(self, z: np.ndarray, t: float) -> np.ndarray:
         return np.asarray(self.numpy.vector_field(*self.numpy.arguments(z, t)), dtype=float)
@@ -245,7 +254,7 @@ class _Run:
         span = abs(self.span[1] - self.span[0])
         failed, self.failures = "", 0
         while True:
-            if self.settings.deadline is not None and time.perf_counter() > self.settings.deadline:
+            if late(self.settings.deadline):
                 self.reason = "the time limit was reached"
                 return
             if self._too_many():
@@ -274,8 +283,10 @@ class _Run:
         count = len(self.pieces)
         if count < _SETTLED:
             return False
-        usual = max(self.length, abs(self.time - self.span[0]) / count)
-        return not count + abs(self.span[1] - self.time) / usual <= MAX_WINDOWS
+        # The mean of the last windows: a few short ones at a pulse do not count.
+        mean = abs(self.time - self.pieces[-_SETTLED].t0) / _SETTLED
+        left = abs(self.span[1] - self.time)
+        return not count + left / max(mean, self.length) <= MAX_WINDOWS
 
     def _end(self) -> tuple[float, float]:
         """Return the end of the next window, and its length with its sign."""
@@ -296,7 +307,9 @@ class _Run:
         network = copy.deepcopy(self.network)
         # Where several windows in a row failed, for example at a jump, training is in vain.
         hidden_steps = self.settings.hidden_steps if self.failures < _MOST_FAILURES else 0
-        settings = Settings(self.settings.tolerance, hidden_steps, self.layout.envelope)
+        settings = Settings(
+            self.settings.tolerance, hidden_steps, self.layout.envelope, self.settings.deadline
+        )
         fit = train_window(equations, network, self.reach, _POINTS, settings)
         self.evaluations += fit.evaluations
         if not fit.residual <= self.settings.tolerance:
@@ -461,9 +474,6 @@ def train_windows(
     with np.errstate(all="ignore"):
         try:
             for start, end in itertools.pairwise(edges.tolist()):
-                if settings.deadline is not None and time.perf_counter() > settings.deadline:
-                    reason = "the time limit was reached"
-                    break
                 h = end - start
                 times = np.linspace(start, end, _SAMPLES)
                 samples = guess.states_at(times)
@@ -486,8 +496,13 @@ def train_windows(
                     flow.equations(z, start, h, size),
                     network,
                     reach,
-                    max(_POINTS, width),
-                    Settings(settings.tolerance, settings.hidden_steps, layout.envelope),
+                    points_of(reach),
+                    Settings(
+                        settings.tolerance,
+                        settings.hidden_steps,
+                        layout.envelope,
+                        settings.deadline,
+                    ),
                     guess=_states(guess, z, size, start, h),
                 )
                 evaluations += fit.evaluations
@@ -499,11 +514,39 @@ def train_windows(
                 pieces.append(piece)
                 counts.append((fit.steps, fit.hidden_steps, fit.residual))
                 points += len(fit.values)
-                doubt = doubt or checks.failure(piece, end, size)
                 z, reached = state, end
+                met = fit.residual <= max(settings.tolerance, SLACK * settings.limit)
+                if late(settings.deadline) and not (met and end == edges[-1]):
+                    reason = "the time limit was reached"
+                    break
+                doubt = doubt or _doubt(piece, fit, end, size, checks, settings)
         except KeyboardInterrupt:
             reason = "interrupted"
     return _assembled(pieces, reached, counts, (points, evaluations, 0), began, reason, doubt)
+
+
+def points_of(reach: float) -> int:
+    """Return the collocation points of a network with this largest input."""
+    return max(_POINTS, math.ceil(_PER_REACH * reach))
+
+
+def _doubt(
+    piece: TrialSolution,
+    fit: Fit,
+    end: float,
+    size: np.ndarray,
+    checks: ChainChecks,
+    settings: ChainSettings,
+) -> str:
+    """Return why the estimated error of a window of given length may be wrong, "" if not."""
+    if not fit.residual <= max(settings.tolerance, SLACK * settings.limit):
+        return (
+            f"the residual stays at {fit.residual:.1e} of the motion between t = {piece.t0:.6g} "
+            f"and t = {end:.6g}; give more windows or wider layers"
+        )
+    tolerance = max(settings.tolerance, min(fit.residual, settings.limit))
+    missed = checks.failure(piece, end, size, tolerance)
+    return missed and f"{missed}: a narrow pulse, a step or a jump"
 
 
 def _states(

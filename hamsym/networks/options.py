@@ -197,6 +197,12 @@ def check_options(H: Hamiltonian, options: DeepOptions) -> None:
     energy_weight = options.energy_weight
     if options.frequency is not None:
         require_positive("frequency", options.frequency)
+    if isinstance(options, LevenbergMarquardtOptions) and not isinstance(
+        options.train_hidden, bool
+    ):
+        raise InputError(
+            f"train_hidden={options.train_hidden!r} cannot be used; give True or False"
+        )
     if isinstance(options, LevenbergMarquardtOptions) and options.joint and options.of_chain:
         raise InputError(
             f"{options.of_chain[0]} belongs to a chain of networks and {options.joint[0]} to the "

@@ -27,6 +27,7 @@ only; the readouts, which carry the last digits, come from orthonormal columns.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -38,7 +39,7 @@ from hamsym.networks.sensitivities import backward, forward, weight_rows
 from hamsym.networks.trial import ENVELOPES
 from hamsym.numerics.collocation import chebyshev_points
 
-__all__ = ["Equations", "Fit", "Settings", "train_window"]
+__all__ = ["Equations", "Fit", "Settings", "late", "train_window"]
 
 _RANK = 1e-13  # singular values of the features' rates, relative to the largest, that are used
 _PASSES = 60  # of the fixed-point iteration
@@ -64,10 +65,14 @@ class Equations:
         (u, y) -> dy/du, shapes (K,), (K, dim) -> (K, dim).
     jacobian : callable
         (u, y) -> derivative of the rates in y, shape (K, dim, dim).
+    places : callable
+        u -> the nearest u whose times are float64 numbers, (K,) -> (K,). A rounded time far from 0
+        changes rates that depend on it by far more than the tolerance.
     """
 
     rates: Callable[[Tensor, Tensor], Tensor]
     jacobian: Callable[[Tensor, Tensor], Tensor]
+    places: Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True)
@@ -81,11 +86,14 @@ class Settings:
     hidden_steps : int
         Largest number of Gauss-Newton steps of the hidden layers.
     envelope : str
+    deadline : float, optional
+        Of :func:`time.perf_counter`: no further step is begun after it.
     """
 
     tolerance: float
     hidden_steps: int
     envelope: str
+    deadline: float | None = None
 
 
 @dataclass(frozen=True)
@@ -148,8 +156,8 @@ class _Training:
 
     def at(self, u: Tensor) -> None:
         """Use these points from now on."""
-        self.u = u
-        self.columns = _Columns(self.network, u, self.reach, self.settings.envelope)
+        self.u = self.equations.places(u)
+        self.columns = _Columns(self.network, self.u, self.reach, self.settings.envelope)
 
     # -- readouts --------------------------------------------------------------------------------
 
@@ -213,6 +221,8 @@ class _Training:
             return a, residual
         first = 2
         for _ in range(_NEWTON_STEPS):
+            if late(self.settings.deadline):
+                break
             matrix = self.derivative(a)
             for position in range(first, len(_DAMPINGS)):
                 step = _damped(matrix, residual, _DAMPINGS[position])
@@ -252,7 +262,7 @@ class _Training:
         mu, history = _MU_FIRST, [float(residual.abs().max())]
         readouts = self.readouts.numel()
         for _ in range(self.settings.hidden_steps):
-            if history[-1] <= self.settings.tolerance:
+            if history[-1] <= self.settings.tolerance or late(self.settings.deadline):
                 break
             if len(history) > _PATIENCE and not history[-1] <= history[-1 - _PATIENCE] / 3:
                 break
@@ -317,13 +327,18 @@ class _Training:
     def between(self) -> float:
         """Return the largest residual of the network at points between those of the training."""
         ends = self.u.new_tensor((0.0, 1.0))
-        u = torch.cat((_points(2 * len(self.u) + 1, self.u), ends))
+        u = self.equations.places(torch.cat((_points(2 * len(self.u) + 1, self.u), ends)))
         s = self.reach * u
         f, f_dot = (part.unsqueeze(1) for part in ENVELOPES[self.settings.envelope](s))
         value, rate = self.network(s)
         self.evaluations += len(u)
         residual = self.reach * (f_dot * value + f * rate) - self.equations.rates(u, f * value)
         return float(residual.abs().max())
+
+
+def late(deadline: float | None) -> bool:
+    """Return whether a deadline of :func:`time.perf_counter` has passed."""
+    return deadline is not None and time.perf_counter() > deadline
 
 
 def _points(count: int, like: Tensor) -> Tensor:
@@ -401,7 +416,7 @@ def _trained(
         training.put(a)
         inside, between = float(residual.abs().max()), training.between()
         smooth = between <= max(tolerance, _ROUGH * inside)
-        if smooth or not left or not inside <= _CONVERGED:
+        if smooth or not left or not inside <= _CONVERGED or late(training.settings.deadline):
             break
         training.at(_points(math.ceil(_MORE * len(training.u)), like))
         a, residual = training.solve_readouts()

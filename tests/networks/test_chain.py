@@ -306,7 +306,11 @@ def test_window_of_many_seeds_reaches_the_tolerance() -> None:
             2, (20, 20), frequency=3.0, generator=torch.Generator().manual_seed(seed)
         ).requires_grad_(False)
         fit = train_window(
-            Equations(rates, jacobian), network, 1.5, 40, Settings(1e-10, 20, "exponential")
+            Equations(rates, jacobian, lambda u: u),
+            network,
+            1.5,
+            40,
+            Settings(1e-10, 20, "exponential"),
         )
         assert fit.residual <= 1e-10
         assert fit.smooth

@@ -195,7 +195,7 @@ def test_restarts_are_counted_in_the_message() -> None:
         ({"method": "lbfgs", "iterations": 0}, "iterations=0"),
         ({"method": "lbfgs", "stages": 0}, "stages=0"),
         ({"method": "ssbroyden", "iterations": 0}, "iterations=0"),
-        ({"method": "ssbroyden", "dtype": "float32"}, "too coarse for ssbroyden"),
+        ({"method": "ssbroyden", "dtype": "float32"}, "'ssbroyden'; it trains in float64"),
         ({"method": "ssbroyden", "hidden": (200, 200)}, "weights, more than the 20,000"),
         ({"method": "lbfgs", "target_error": 0.0}, "target_error=0.0"),
         ({"method": "lbfgs", "accuracy": math.inf}, "accuracy=inf"),

@@ -1,0 +1,141 @@
+"""The method "levenberg-marquardt" to a tolerance: what it promises and what it refuses."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import hamsym
+from hamsym import InputError, Solution
+from hamsym.networks import chain_training
+from hamsym.networks.chain_training import ChainSettings, Layout, train_chain, train_windows
+
+KEPLER = "(px**2 + py**2)/2 - 1/sqrt(x**2 + y**2)"
+DRIVEN = "p**2/2 + q**2/2 + q*cos(t)"
+
+
+def trained(H: str, z0: list[float], span: tuple[float, float], **options: Any) -> Solution:
+    return hamsym.solve(H, z0, span, method="levenberg-marquardt", progress=False, **options)
+
+
+def driven(t: np.ndarray, start: float) -> np.ndarray:
+    """q of DRIVEN from (1, 0)."""
+    c, s, x = math.cos(start), math.sin(start), t - start
+    return np.cos(x) - c * x / 2 * np.sin(x) + s / 2 * (np.sin(x) - x * np.cos(x))
+
+
+@pytest.mark.parametrize("windows", [None, 3])
+@pytest.mark.parametrize("span", [(1e9, 1e9 + 10), (1e7 + 10, 1e7)])
+def test_forced_motion_far_from_time_zero(span: tuple[float, float], windows: int | None) -> None:
+    solution = trained(DRIVEN, [1.0, 0.0], span, tol=1e-9, windows=windows)
+    assert solution.success, solution.message
+    assert solution.record.hidden_steps.sum() == 0
+    t = np.linspace(*span, 201)
+    allowed = 1e-9 * np.abs(solution(t)[:, 0]).max()
+    assert np.abs(solution(t)[:, 0] - driven(t, span[0])).max() <= allowed
+
+
+def test_coarse_windows_meet_a_coarse_tolerance() -> None:
+    z0 = [1.6, 0.0, 0.0, math.sqrt(0.4 / 1.6)]
+    solution = trained(KEPLER, z0, (0, 2 * math.pi), tol=1e-3, windows=4, train_hidden=False)
+    assert solution.success, solution.message
+    assert solution.record.residuals.max() > 1e-10
+    assert np.abs(solution(2 * math.pi) - z0).max() <= 1e-3
+
+
+@pytest.mark.slow
+def test_pulse_between_the_points_is_refused() -> None:
+    H = "p**2/2 + q**2/2 + 1e5*q*exp(-(1e6*(t - 1.217))**2)"
+    solution = trained(H, [1.0, 0.0], (0, 2), tol=1e-1, windows=2)
+    assert not solution.success
+    assert "near t = 1.21" in solution.message
+    assert "narrow pulse" in solution.message
+
+
+@pytest.mark.slow
+def test_late_pulse_in_a_long_motion_is_passed() -> None:
+    H = "p**2/2 + q**2/2 + 1e4*q*exp(-(1e5*(t - 55.3))**2)"
+    solution = trained(H, [1.0, 0.0], (0, 60), tol=1e-6, max_window=1.0)
+    assert solution.success, solution.message
+    # The pulse is so narrow that it changes p at once, by -0.1 sqrt(pi).
+    kick = 0.1 * math.sqrt(math.pi)
+    assert solution(55.31)[1] == pytest.approx(-math.sin(55.31) - kick * math.cos(0.01), abs=1e-5)
+
+
+def test_networks_that_are_too_narrow_are_named() -> None:
+    H = "p**2/2 - cos(q) + 0.4*cos(5*q - t)"
+    solution = trained(H, [2.5, 0.1], (0, 20), windows=1, hidden=[4], train_hidden=False)
+    assert not solution.success
+    assert "give more windows or wider layers" in solution.message
+    assert "pulse" not in solution.message
+
+
+def test_windows_that_need_too_many_neurons_are_refused() -> None:
+    with pytest.raises(InputError, match=r"2,500 neurons .* more than 1,000; give windows=3"):
+        trained("p**2/2 + q**2/2", [1.0, 0.0], (0, 250), tol=1e-3, windows=1)
+
+
+@pytest.mark.parametrize("option", [{"breakpoints": [1.0]}, {"max_window": 0.5}])
+def test_options_that_contradict_equal_windows_are_refused(option: dict[str, Any]) -> None:
+    with pytest.raises(
+        InputError, match=f"windows=3 makes equal windows, but {next(iter(option))}"
+    ):
+        trained("p**2/2 + q**2/2", [1.0, 0.0], (0, 2), windows=3, **option)
+
+
+@pytest.mark.parametrize("windows", [0, 1.5, 50_001])
+def test_unusable_numbers_of_windows_are_refused(windows: Any) -> None:
+    with pytest.raises(InputError, match="windows"):
+        trained("p**2/2 + q**2/2", [1.0, 0.0], (0, 2), windows=windows)
+
+
+def test_training_warns_of_nothing() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert trained("p**2/2 + q**2/2", [1.0, 0.0], (0, 3), windows=2, tol=1e-6).success
+
+
+def settings(**others: Any) -> ChainSettings:
+    return ChainSettings(1e-10, 20, (), 1.0, **others)
+
+
+def windows_of_pendulum(count: int, **others: Any) -> chain_training.TrainedChain:
+    H = hamsym.Hamiltonian("p**2/2 - cos(q)")
+    layout = Layout((8,), "sin", "exponential", 3.0)
+    generator = torch.Generator().manual_seed(0)
+    wide = Layout((50, 50), "sin", "exponential", 3.0)
+    guess = train_chain(H, np.array([2.0, 0.3]), (0.0, 4.0), wide, settings(), generator)
+    assert guess.chain is not None
+    return train_windows(H, guess.chain, count, layout, settings(**others), generator)
+
+
+def test_no_steps_are_begun_after_the_deadline() -> None:
+    free, ended = windows_of_pendulum(2), windows_of_pendulum(2, deadline=0.0)
+    assert free.training is not None
+    assert ended.training is not None
+    assert free.training.hidden_steps.sum() > 0
+    assert ended.training.hidden_steps.sum() == 0
+    assert ended.reason == "the time limit was reached"
+    assert ended.reached == 2.0
+
+
+def test_interrupted_windows_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    train, calls = chain_training.train_window, []
+
+    def interrupted(*arguments: Any, guess: Any = None) -> Any:
+        if guess is not None:
+            calls.append(guess)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return train(*arguments, guess=guess)
+
+    monkeypatch.setattr(chain_training, "train_window", interrupted)
+    found = windows_of_pendulum(3)
+    assert found.reason == "interrupted"
+    assert found.chain is not None
+    assert len(found.chain.pieces) == 1
