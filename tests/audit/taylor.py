@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import sympy
 from flint import arb, arb_series, ctx, fmpq
@@ -100,7 +101,7 @@ class Equations:
         results = ", ".join(writer.of(value) for value in reduced)
         head = ", ".join(("t", *self.names, *self.signs))
         body = "\n    ".join((*lines, f"return [{results}]"))
-        space = {"c": writer.constants, "power": power}
+        space: dict[str, Any] = {"c": writer.constants, "power": power}
         exec(f"def series({head}):\n    {body}\n", space)  # noqa: S102
         return lambda *arguments: space["series"](*arguments)
 
@@ -186,14 +187,15 @@ def _constant(expr: sympy.Expr) -> Callable[[], arb]:
 
 
 def power(base: arb_series, exponent: int) -> arb_series:
-    """base**exponent by repeated squares."""
-    result = None
+    """base**exponent by repeated squares, for an exponent of 1 or more."""
+    result: arb_series | None = None
     while exponent:
         if exponent & 1:
             result = base if result is None else result * base
         exponent >>= 1
         if exponent:
             base = base * base
+    assert result is not None
     return result
 
 
@@ -327,8 +329,8 @@ def _at(coefficients: list[arb], s: arb) -> arb:
 
 def _log(value: arb) -> float:
     """Compute log2 of a magnitude, -inf for zero."""
-    mantissa, exponent = value.mid().man_exp()
-    mantissa = abs(int(mantissa))
+    signed, exponent = value.mid().man_exp()
+    mantissa = abs(int(signed))
     if not mantissa:
         return -math.inf
     shift = max(mantissa.bit_length() - 53, 0)
