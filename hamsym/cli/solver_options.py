@@ -136,7 +136,9 @@ def _parameter(described: Field[Any], of_methods: Mapping[str, Field[Any]]) -> c
     kind = _TYPES.get(str(described.type).removesuffix(" | None"))
     if choices is not None:
         kind = _NamedChoice(choices) if isinstance(choices, Mapping) else click.Choice(choices)
-    defaults = _default_text({m: _text(f.default, metadata) for m, f in of_methods.items()})
+    defaults = _default_text(
+        {m: _text(f.default, f.metadata or metadata) for m, f in of_methods.items()}
+    )
     return _MethodOption(
         [f"--{name}/--no-{name}" if kind is click.BOOL else f"--{name}"],
         type=kind,
