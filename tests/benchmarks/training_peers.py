@@ -41,7 +41,7 @@ _METHODS = ("adam", "lbfgs", "ssbroyden", "levenberg-marquardt")
 
 
 def measure(quick: bool) -> Section:
-    limit, seeds = (3.0, 1) if quick else (60.0, 3)
+    limit, seeds = (3.0, 1) if quick else (15.0, 3)
     skipped: list[str] = []
     os.environ.setdefault("DDE_BACKEND", "pytorch")
     trainings: dict[str, Callable[[Case, float, int], _Trained]] = {
