@@ -21,7 +21,7 @@ from .tables import PAGE, filled
 
 _SLOW = {
     *("clusters", "first-call", "flow-map-estimates", "flow-map-peers", "flow-map-queries"),
-    *("training-optimisers", "training-peers"),
+    *("trained-networks", "training-optimisers", "training-peers"),
 }
 _CASES = [
     pytest.param(name, marks=pytest.mark.slow if name in _SLOW else ()) for name in BENCHMARKS
