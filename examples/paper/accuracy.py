@@ -60,7 +60,7 @@ STYLES = {
     "L-BFGS": (SKY, "D", "--"),
     "SSBroyden": (BLUE, "o", "--"),
     "Levenberg-Marquardt, jointly": (PINK, "P", "--"),
-    "Levenberg-Marquardt, one network": (PINK, "p", "-"),
+    "Levenberg-Marquardt, one network": ("#882255", "p", "-"),
     "Levenberg-Marquardt, chain": (GREEN, "*", "-"),
     "features": ("black", "X", "-"),
 }
