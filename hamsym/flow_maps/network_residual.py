@@ -21,6 +21,7 @@ from hamsym.flow_maps.domain import Domain
 from hamsym.flow_maps.network_map import NetworkMap
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.network import layers_of, weights_of
+from hamsym.networks.objective import field_slopes
 from hamsym.networks.sensitivities import backward, forward
 
 __all__ = ["Points", "Residual", "Window"]
@@ -158,7 +159,7 @@ class Residual:
     def __init__(
         self, window: Window, H: Hamiltonian, scale: np.ndarray, device: torch.device
     ) -> None:
-        self.window, self._system, self._half = window, H.compile("torch"), H.dof
+        self.window, self._system = window, H.compile("torch")
         unit = torch.from_numpy(scale / abs(window.end - window.begin))
         self._unit = unit.to(device)
 
@@ -181,10 +182,8 @@ class Residual:
 
     def slopes(self, z: Tensor, points: Points) -> tuple[Tensor, Tensor]:
         """Return the derivatives of the rows in z, (dim, K, dim), and in dz, (dim, 1, dim)."""
-        half = self._half
         hessian = self._system.hessian(*self._system.arguments(z, points.t), **points.values)
-        of_field = torch.cat((hessian[:, half:], -hessian[:, :half]), 1)
-        in_z = -(of_field / self._unit[:, None]).transpose(0, 1)
+        in_z = -(field_slopes(hessian) / self._unit[:, None]).transpose(0, 1)
         return in_z, torch.diag(1 / self._unit)[:, None]
 
 

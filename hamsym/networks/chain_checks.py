@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,20 +35,17 @@ class ChainChecks(WindowChecks):
     H : Hamiltonian
     seed : int
         Of the random places.
-    tolerance : float
-        Local tolerance of the chain.
     """
 
-    def __init__(self, H: Hamiltonian, seed: int, tolerance: float) -> None:
-        super().__init__(flow_of(H), feature_basis(seed), tolerance)
-        self.local = tolerance
+    def __init__(self, H: Hamiltonian, seed: int) -> None:
+        super().__init__(flow_of(H), feature_basis(seed), math.nan)
 
     def failure(
         self,
         piece: TrialSolution,
         end: float,
         sizes: np.ndarray,
-        tolerance: float | None = None,
+        tolerance: float,
     ) -> str:
         """Return what a window misses between its points, "" if it passes.
 
@@ -58,10 +56,10 @@ class ChainChecks(WindowChecks):
             End of its window.
         sizes : numpy.ndarray
             Sizes of the components, shape (dim,).
-        tolerance : float, optional
-            By default the local tolerance of the chain.
+        tolerance : float
+            Of the residual, relative to the sizes.
         """
-        self.tolerance = self.local if tolerance is None else tolerance
+        self.tolerance = tolerance
         chain = Chain((piece,), end)
         windows: Any = _Windows(chain, chain.edges, chain.states_at(chain.edges))
         with np.errstate(all="ignore"):

@@ -21,7 +21,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain import Chain, ChainTraining
 from hamsym.networks.chain_training import points_of
 from hamsym.numerics.collocation import collocation
-from hamsym.numerics.scales import SMALLEST, coupled_sizes
+from hamsym.numerics.scales import resolved_sizes
 from hamsym.numerics.symplectic import generators
 from hamsym.numerics.tangent_maps import TangentMaps
 from hamsym.solution.window_error import WindowError
@@ -90,7 +90,11 @@ def estimate_chain_error(
         z, dz = chain.states_and_rates(t)
         rates = np.asarray(system.vector_field(*system.arguments(z, t)))
         jacobians = generators(system.hessian(*system.arguments(z, t)))
-        scale = _scales(z, jacobians, edges)
+        scale = resolved_sizes(
+            np.abs(z).max(axis=0),
+            np.abs(jacobians).mean(axis=0),
+            abs(float(edges[-1] - edges[0])),
+        )
         unit = np.where(scale > 0, scale, 1.0)
         signs = np.random.default_rng(0).choice((-1.0, 1.0), size=(_SETS, count, dim))
         disturbed = z * (1 + _EPS * np.repeat(signs[0], nodes, axis=0))
@@ -150,14 +154,6 @@ def _parts(chain: Chain, training: ChainTraining) -> np.ndarray:
         count = math.ceil(points / _POINTS_PER_PART)
         inside.append(start + (end - start) * (np.arange(count) / count))
     return np.append(np.concatenate(inside), edges[-1])
-
-
-def _scales(z: np.ndarray, jacobians: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return the size of each component in its own units, shape (dim,)."""
-    sizes = np.abs(z).max(axis=0)
-    mean = np.abs(jacobians).mean(axis=0)
-    coupled = coupled_sizes(sizes, mean, abs(float(edges[-1] - edges[0])))
-    return np.asarray(np.maximum(sizes, SMALLEST * coupled))
 
 
 def _joined(maps: TangentMaps) -> tuple[np.ndarray, np.ndarray]:

@@ -18,9 +18,9 @@ from hamsym.networks.chain_training import (
     Layout,
     TrainedChain,
     train_chain,
-    train_windows,
 )
 from hamsym.networks.devices import available_device
+from hamsym.networks.equal_windows import train_windows
 from hamsym.networks.options import LevenbergMarquardtOptions
 from hamsym.networks.record import TrainingState
 from hamsym.networks.window_training import late

@@ -1,15 +1,14 @@
 """Training of a chain of networks over a span, window by window.
 
 A window's length follows from the motion: it grows while readouts converge quickly, and a window
-whose network does not reach the tolerance is trained again, shorter. Networks take their hidden
-layers from the window before. Their inputs cover the same range in every window, so that weights
-depend on the units neither of time nor of the components.
+whose network does not reach the tolerance is trained again, shorter. All windows begin with the
+same random hidden layers, and inputs cover the same range in each, so that weights depend on the
+units neither of time nor of the components.
 """
 
 from __future__ import annotations
 
 import copy
-import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -19,29 +18,31 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain import MAX_WINDOWS, Chain, ChainTraining
 from hamsym.networks.chain_checks import ChainChecks
 from hamsym.networks.network import Network
+from hamsym.networks.objective import field_slopes
 from hamsym.networks.trial import TrialSolution
 from hamsym.networks.window_training import Equations, Fit, Settings, late, train_window
 from hamsym.numerics.scales import coupled_sizes
 from hamsym.numerics.symplectic import generators
-from hamsym.random_features.error_loop import SLACK
 
 __all__ = [
+    "REACH",
     "ChainSettings",
+    "Flow",
     "Layout",
     "TrainedChain",
+    "assembled",
+    "piece_of",
     "points_of",
     "train_chain",
-    "train_windows",
 ]
 
-# Largest input of the network of a window whose length is free: narrower layers, with fewer
-# functions, represent shorter windows.
-_REACH, _WIDTH = 3.0, 50
+#: Largest input of the network of a window whose length is free.
+REACH = 3.0
+_WIDTH = 50  # narrower layers, with fewer functions, represent shorter windows
 _POINTS = 48  # of such a window
 _TIME = 2.0  # length of the first window, in units of the fastest time of the motion
 _SHRINK = 0.5
@@ -50,9 +51,7 @@ _ORDER = 10  # of the residual in the length of a window, roughly
 _SHORTEST = 1e-11  # length of a window, relative to the span
 _MOST_FAILURES = 4  # of one window, while its hidden layers are trained
 _SETTLED = 50  # windows after which their length says how many are needed
-_SAMPLES = 65  # times at which the motion in a given window is looked at
 _PER_REACH = 20  # neurons of the last layer, and points, for each unit of the input's range
-_WIDEST = 1_000  # neurons of the last layer in a given window
 _QUICK = 40  # fixed-point passes of readouts that converge quickly
 
 
@@ -112,6 +111,10 @@ class ChainSettings:
     deadline: float | None = None
     limit: float = math.inf
 
+    def of_window(self, layout: Layout, hidden_steps: int) -> Settings:
+        """Return the settings of a window with this number of steps of the hidden layers."""
+        return Settings(self.tolerance, hidden_steps, layout.envelope, self.deadline)
+
 
 @dataclass(frozen=True)
 class TrainedChain:
@@ -136,17 +139,16 @@ class TrainedChain:
     doubt: str = ""
 
 
-class _Flow:
+class Flow:
     """Hamilton's equations of H in dimensionless variables."""
 
     def __init__(self, H: Hamiltonian, device: torch.device) -> None:
         self.H, self.device = H, device
         self.numpy, self.torch = H.compile("numpy"), H.compile("torch")
-        self.half = H.dof
 
     def equations(self, z: np.ndarray, t: float, h: float, size: np.ndarray) -> Equations:
         """Return the equations in y = (z - z_a)/S and u = (t - t_a)/h."""
-        system, half = self.torch, self.half
+        system = self.torch
         start, unit = (torch.from_numpy(x).to(self.device) for x in (z, size))
         ratio = unit / unit.unsqueeze(1)
 
@@ -157,9 +159,7 @@ class _Flow:
             return h * (system.vector_field(*arguments(u, y)) / unit)
 
         def jacobian(u: Tensor, y: Tensor) -> Tensor:
-            hessian = system.hessian(*arguments(u, y))
-            turned = torch.cat((hessian[..., half:, :], -hessian[..., :half, :]), -2)
-            return h * ratio * turned
+            return h * ratio * field_slopes(system.hessian(*arguments(u, y)))
 
         def places(u: Tensor) -> Tensor:
             return ((t + h * u) - t) / h
@@ -223,17 +223,17 @@ class _Run:
         settings: ChainSettings,
         generator: torch.Generator,
     ) -> None:
-        self.flow, self.span = _Flow(H, layout.device), span
+        self.flow, self.span = Flow(H, layout.device), span
         self.layout, self.settings = layout, settings
         self.random = generator
-        self.checks = ChainChecks(H, generator.initial_seed(), settings.tolerance)
+        self.checks = ChainChecks(H, generator.initial_seed())
         self.began = time.perf_counter(), time.process_time()
         self.z, self.time = np.array(z0, dtype=float), float(span[0])
         self.sizes = np.abs(self.z)
         self.direction = math.copysign(1.0, span[1] - span[0])
         self.network = layout.network(H.dim, generator)
         self.stops = list(settings.stops)
-        self.reach = _REACH * min(1.0, layout.hidden[-1] / _WIDTH)
+        self.reach = REACH * min(1.0, layout.hidden[-1] / _WIDTH)
         self.pieces: list[TrialSolution] = []
         self.counts: list[tuple[int, int, float]] = []
         self.points = self.evaluations = self.rejected = self.failures = 0
@@ -307,16 +307,13 @@ class _Run:
         network = copy.deepcopy(self.network)
         # Where several windows in a row failed, for example at a jump, training is in vain.
         hidden_steps = self.settings.hidden_steps if self.failures < _MOST_FAILURES else 0
-        settings = Settings(
-            self.settings.tolerance, hidden_steps, self.layout.envelope, self.settings.deadline
-        )
+        settings = self.settings.of_window(self.layout, hidden_steps)
         fit = train_window(equations, network, self.reach, _POINTS, settings)
         self.evaluations += fit.evaluations
         if not fit.residual <= self.settings.tolerance:
-            self.rejected += 1
             ratio = self.settings.tolerance / fit.residual if fit.residual > 0 else 0.0
             power = ratio ** (1 / _ORDER) if fit.residual < 1 else 0.0
-            self.length = abs(h) * min(max(power, _SHRINK), 0.8)
+            self._reject(h, min(max(power, _SHRINK), 0.8))
             if self.rejected % 5 == 0:
                 # Hidden layers that fail repeatedly may be the reason.
                 self.network = self.layout.network(len(self.z), self.random)
@@ -326,12 +323,11 @@ class _Run:
         piece = piece_of(network, self.z, size, self.time, h, self.layout, self.reach)
         state = piece.states_at(np.array([end]))[0]
         if not np.isfinite(state).all():
-            self.rejected += 1
-            self.length = abs(h) * _SHRINK
+            self._reject(h)
             return "the state is not finite"
-        if missed := self.checks.failure(piece, end, np.maximum(size, np.abs(state))):
-            self.rejected += 1
-            self.length = abs(h) * _SHRINK
+        sizes = np.maximum(size, np.abs(state))
+        if missed := self.checks.failure(piece, end, sizes, self.settings.tolerance):
+            self._reject(h)
             return missed
         room = self.settings.tolerance / max(fit.residual, 1e-300)
         factor = min(max(0.9 * room ** (1 / _ORDER), 1.0), _GROWTH)
@@ -339,6 +335,11 @@ class _Run:
             factor = 1.0
         self.length = min(abs(h) * factor, self.longest)
         return piece, fit, state
+
+    def _reject(self, h: float, factor: float = _SHRINK) -> None:
+        """Count a window of length h as rejected; the next one is shorter by a factor."""
+        self.rejected += 1
+        self.length = abs(h) * factor
 
     def _size(self, h: float) -> np.ndarray:
         """Return the sizes of the components from here on, shape (dim,)."""
@@ -351,14 +352,14 @@ class _Run:
     def _keep(self, piece: TrialSolution, fit: Fit, state: np.ndarray, end: float) -> None:
         self.pieces.append(piece)
         self.counts.append((fit.steps, fit.hidden_steps, fit.residual))
-        self.points += len(fit.values)
+        self.points += fit.points
         self.z, self.time = state, end
         self.sizes = np.maximum(self.sizes, np.abs(state))
         if self.stops and end == self.stops[0]:
             self.stops.pop(0)
 
     def result(self) -> TrainedChain:
-        return _assembled(
+        return assembled(
             self.pieces,
             self.time,
             self.counts,
@@ -368,7 +369,7 @@ class _Run:
         )
 
 
-def _assembled(
+def assembled(
     pieces: Sequence[TrialSolution],
     end: float,
     counts: Sequence[tuple[int, int, float]],
@@ -432,140 +433,9 @@ def piece_of(
     )
 
 
-@torch.no_grad()
-def train_windows(
-    H: Hamiltonian,
-    guess: Chain,
-    count: int,
-    layout: Layout,
-    settings: ChainSettings,
-    generator: torch.Generator,
-    *,
-    widen: bool = False,
-) -> TrainedChain:
-    """Train networks on a given number of equal windows; a chain gives the first guess.
-
-    Parameters
-    ----------
-    H : Hamiltonian
-    guess : Chain
-        A chain over the whole span.
-    count : int
-    layout : Layout
-    settings : ChainSettings
-    generator : torch.Generator
-    widen : bool
-        Make the last layer as wide as the motion in a window needs.
-
-    Raises
-    ------
-    InputError
-        If the motion in a window needs too large a network.
-    """
-    began = time.perf_counter(), time.process_time()
-    flow = _Flow(H, layout.device)
-    checks = ChainChecks(H, generator.initial_seed(), settings.tolerance)
-    edges = np.linspace(guess.edges[0], guess.edges[-1], count + 1)
-    z, reached = guess.pieces[0].z0.numpy().copy(), float(edges[0])
-    pieces: list[TrialSolution] = []
-    counts: list[tuple[int, int, float]] = []
-    points = evaluations = 0
-    reason = doubt = ""
-    with np.errstate(all="ignore"):
-        try:
-            for start, end in itertools.pairwise(edges.tolist()):
-                h = end - start
-                times = np.linspace(start, end, _SAMPLES)
-                samples = guess.states_at(times)
-                reach = max(_REACH, abs(h) * _fastest(flow, samples, times) / 2)
-                width = math.ceil(_PER_REACH * reach)
-                if width > _WIDEST:
-                    raise InputError(
-                        f"windows={count} needs networks of {width:,} neurons in a layer, more "
-                        f"than {_WIDEST:,}; give windows={math.ceil(count * width / _WIDEST)} or "
-                        "more"
-                    )
-                own = layout
-                if widen:
-                    last = max(layout.hidden[-1], width)
-                    own = replace(layout, hidden=(*layout.hidden[:-1], last))
-                size = np.abs(samples).max(axis=0)
-                size = np.where(size > 0, size, 1.0)
-                network = own.network(H.dim, generator)
-                fit = train_window(
-                    flow.equations(z, start, h, size),
-                    network,
-                    reach,
-                    points_of(reach),
-                    Settings(
-                        settings.tolerance,
-                        settings.hidden_steps,
-                        layout.envelope,
-                        settings.deadline,
-                    ),
-                    guess=_states(guess, z, size, start, h),
-                )
-                evaluations += fit.evaluations
-                piece = piece_of(network, z, size, start, h, own, reach)
-                state = piece.states_at(np.array([end]))[0]
-                if not np.isfinite(state).all():
-                    reason = "the state is not finite"
-                    break
-                pieces.append(piece)
-                counts.append((fit.steps, fit.hidden_steps, fit.residual))
-                points += len(fit.values)
-                z, reached = state, end
-                met = fit.residual <= max(settings.tolerance, SLACK * settings.limit)
-                if late(settings.deadline) and not (met and end == edges[-1]):
-                    reason = "the time limit was reached"
-                    break
-                doubt = doubt or _doubt(piece, fit, end, size, checks, settings)
-        except KeyboardInterrupt:
-            reason = "interrupted"
-    return _assembled(pieces, reached, counts, (points, evaluations, 0), began, reason, doubt)
-
-
 def points_of(reach: float) -> int:
     """Return the collocation points of a network with this largest input."""
     return max(_POINTS, math.ceil(_PER_REACH * reach))
-
-
-def _doubt(
-    piece: TrialSolution,
-    fit: Fit,
-    end: float,
-    size: np.ndarray,
-    checks: ChainChecks,
-    settings: ChainSettings,
-) -> str:
-    """Return why the estimated error of a window of given length may be wrong, "" if not."""
-    if not fit.residual <= max(settings.tolerance, SLACK * settings.limit):
-        return (
-            f"the residual stays at {fit.residual:.1e} of the motion between t = {piece.t0:.6g} "
-            f"and t = {end:.6g}; give more windows or wider layers"
-        )
-    tolerance = max(settings.tolerance, min(fit.residual, settings.limit))
-    missed = checks.failure(piece, end, size, tolerance)
-    return missed and f"{missed}: a narrow pulse, a step or a jump"
-
-
-def _states(
-    chain: Chain, z: np.ndarray, size: np.ndarray, start: float, h: float
-) -> Callable[[Tensor], Tensor]:
-    """Return y = (z^ - z)/S of a chain as a function of u = (t - start)/h."""
-    origin, unit = torch.from_numpy(z), torch.from_numpy(size)
-
-    def states(u: Tensor) -> Tensor:
-        return ((chain.tensors(start + h * u.cpu())[0] - origin) / unit).to(u.device)
-
-    return states
-
-
-def _fastest(flow: _Flow, z: np.ndarray, t: np.ndarray) -> float:
-    """Return the mean of the fastest rate of small changes along states."""
-    matrices = [flow.generator(state, float(when)) for state, when in zip(z, t, strict=True)]
-    rates = [float(np.abs(np.linalg.eigvals(a)).max()) for a in matrices if np.isfinite(a).all()]
-    return float(np.mean(rates)) if rates else 0.0
 
 
 def _rest(network: Network) -> None:

@@ -26,7 +26,7 @@ from hamsym.networks.devices import available_device
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
 from hamsym.networks.network import ComponentNetworks, Network
-from hamsym.networks.objective import Objective, Regularizer
+from hamsym.networks.objective import Objective, Regularizer, field_slopes
 from hamsym.networks.optimizers import LBFGS, Adam
 from hamsym.networks.options import (
     AdamOptions,
@@ -194,7 +194,7 @@ def _objective(
     regularizers: tuple[Regularizer, ...],
 ) -> Objective:
     """Return the objective made of the functions generated for H."""
-    system, half = H.compile("torch"), H.dof
+    system = H.compile("torch")
 
     def arguments(z: Tensor, t: Tensor) -> tuple[Any, ...]:
         return system.arguments(z, t)
@@ -215,9 +215,8 @@ def _objective(
         return torch.cat((ell, math.sqrt(energy_weight) * change.unsqueeze(-1)), -1)
 
     def slopes(t: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
-        hessian = system.hessian(*arguments(z, t))
-        in_z = torch.cat((-hessian[:, half:], hessian[:, :half]), 1)
-        in_dz = torch.eye(2 * half, dtype=z.dtype, device=z.device).expand_as(in_z)
+        in_z = -field_slopes(system.hessian(*arguments(z, t)))
+        in_dz = torch.eye(H.dim, dtype=z.dtype, device=z.device).expand_as(in_z)
         if energy_weight:
             slope = math.sqrt(energy_weight) * system.gradient(*arguments(z, t))
             in_z = torch.cat((in_z, slope.unsqueeze(1)), 1)

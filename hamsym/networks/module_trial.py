@@ -36,26 +36,12 @@ class ModuleTrial(EnvelopedNetwork):
     ----------
     network : torch.nn.Module
         s of shape (K, 1) -> N(s) of shape (K, dim), each row from its own s alone.
-    z0 : Tensor
-        Initial state, shape (dim,).
-    t0 : float
-        Initial time, in the units of the Hamiltonian.
-    tau : float
-        Unit of the network's input; negative for a span that runs backwards.
-    envelope : {"exponential", "linear"}
-        f(s) = 1 - exp(-s) or f(s) = s.
+    z0, t0, tau, envelope
+        As of :class:`~hamsym.networks.trial.EnvelopedNetwork`.
     """
 
-    def __init__(
-        self,
-        network: torch.nn.Module,
-        z0: Tensor,
-        *,
-        t0: float = 0.0,
-        tau: float = 1.0,
-        envelope: str = "exponential",
-    ) -> None:
-        super().__init__(network, z0, t0=t0, tau=tau, envelope=envelope)
+    def __init__(self, network: torch.nn.Module, z0: Tensor, **settings: Any) -> None:
+        super().__init__(network, z0, **settings)
         self._start = copy.deepcopy(network.state_dict())
 
     def network_at(self, s: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,11 +14,11 @@ from hamsym.networks.points import midpoints, points_between, points_within
 from hamsym.networks.sampling import Collocation, cumulative_density, drawn_points
 from hamsym.support.validation import is_positive, require, require_positive, require_whole
 
-__all__ = ["LBFGS", "Adam"]
+__all__ = ["LBFGS", "Adam", "GradientOptimizer", "QuasiNewton"]
 
 
-class _TorchOptimizer:
-    """Common part of the optimizers that torch provides."""
+class GradientOptimizer:
+    """Common part of the optimizers that need the loss and its gradient."""
 
     _collocation: Collocation
 
@@ -35,7 +35,7 @@ class _TorchOptimizer:
         raise NotImplementedError
 
 
-class Adam(_TorchOptimizer):
+class Adam(GradientOptimizer):
     """Adam (Kingma & Ba 2015) on noisy points, as in the paper.
 
     Each iteration moves the collocation points by Gaussian noise, reflected into the span, so
@@ -193,7 +193,24 @@ class Adam(_TorchOptimizer):
         self._density, self._age, self._share = density, age, share
 
 
-class LBFGS(_TorchOptimizer):
+class QuasiNewton(GradientOptimizer):
+    """Common part of quasi-Newton methods, whose points are constant for some iterations."""
+
+    check_every = 10
+    _PATIENCE = 5  # restarts in a row without a step that count as a stall
+    _failures: int
+
+    @property
+    def stalled(self) -> bool:
+        """Whether several restarts in a row with new points made no step."""
+        return self._failures >= self._PATIENCE
+
+    def fixed_points(self, span: tuple[float, float]) -> Tensor:
+        """Return midpoints between twice as many points of the same density."""
+        return points_between(span, self._collocation.judging, self._dtype).to(self._device)
+
+
+class LBFGS(QuasiNewton):
     """L-BFGS with a strong Wolfe line search (Liu & Nocedal 1989), of torch.
 
     The points are constant while the curvature pairs are in use. New points are drawn, and the
@@ -211,9 +228,6 @@ class LBFGS(_TorchOptimizer):
         Density of the points that are drawn; see :class:`~hamsym.networks.sampling.Collocation`.
     """
 
-    check_every = 10
-    _PATIENCE = 5  # restarts in a row without a step that count as a stall
-
     def __init__(
         self,
         *,
@@ -227,11 +241,6 @@ class LBFGS(_TorchOptimizer):
         require_whole("refresh", refresh, 1)
         self.points, self.memory, self.refresh = self._collocation.count, memory, refresh
 
-    @property
-    def stalled(self) -> bool:
-        """Whether several restarts in a row with new points made no step."""
-        return self._failures >= self._PATIENCE
-
     def reset(self) -> None:
         self._lbfgs = torch.optim.LBFGS(
             self._parameters,
@@ -244,10 +253,6 @@ class LBFGS(_TorchOptimizer):
         )
         self._t: Tensor | None = None
         self._age, self._failures, self._share = 0, 0, 0.0
-
-    def fixed_points(self, span: tuple[float, float]) -> Tensor:
-        """Return midpoints between twice as many points of the same density."""
-        return points_between(span, self._collocation.judging, self._dtype).to(self._device)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         if self._t is None or self._age >= self.refresh or share != self._share:

@@ -24,7 +24,7 @@ from torch.nn.utils import parameters_to_vector
 
 from hamsym.errors import InputError
 from hamsym.networks.objective import Objective
-from hamsym.networks.points import points_between
+from hamsym.networks.optimizers import QuasiNewton
 from hamsym.networks.sampling import Collocation
 from hamsym.support.validation import require_whole
 
@@ -109,7 +109,7 @@ class _Evaluation(NamedTuple):
     motion: float
 
 
-class SelfScaledBroyden:
+class SelfScaledBroyden(QuasiNewton):
     """Self-scaled Broyden method in float64, with memory and time per iteration of O(weights^2).
 
     The points are constant for ``refresh`` iterations. The matrix is kept when new ones are drawn,
@@ -130,9 +130,6 @@ class SelfScaledBroyden:
         If the trial solution has more than 20,000 weights.
     """
 
-    check_every = 10
-    _PATIENCE = 5  # restarts in a row without a step that count as a stall
-
     def __init__(
         self, *, points: int | np.ndarray = 200, refresh: int = 200, sampling: str = "uniform"
     ) -> None:
@@ -140,34 +137,22 @@ class SelfScaledBroyden:
         require_whole("refresh", refresh, 1)
         self.points, self.refresh = self._collocation.count, refresh
 
-    @property
-    def stalled(self) -> bool:
-        """Whether several restarts in a row with new points made no step."""
-        return self._failures >= self._PATIENCE
-
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
     ) -> None:
-        self._trial, self._objective, self._generator = trial, objective, generator
-        self._collocation.bind(trial, objective, generator)
-        self._parameters = list(trial.parameters())
+        super().bind(trial, objective, generator)
         self._size = sum(parameter.numel() for parameter in self._parameters)
         if self._size > _LARGEST:
             raise InputError(
                 f"the network has {self._size:,} weights, more than the {_LARGEST:,} whose matrix "
                 "'ssbroyden' can keep; use 'lbfgs', or fewer neurons"
             )
-        self.reset()
 
     def reset(self) -> None:
         self._inverse: InverseHessian | None = None
         self._t: Tensor | None = None
         self._age, self._failures, self._share = 0, 0, 0.0
         self._last: _Evaluation | None = None
-
-    def fixed_points(self, span: tuple[float, float]) -> Tensor:
-        """Return midpoints between twice as many points of the same density."""
-        return points_between(span, self._collocation.judging, torch.float64)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         if self._t is None or self._age >= self.refresh or share != self._share:

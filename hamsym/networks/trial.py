@@ -196,14 +196,8 @@ class TrialSolution(EnvelopedNetwork):
     ----------
     network : Network or ComponentNetworks
         Its outputs are the components of z0.
-    z0 : Tensor
-        Initial state, shape (dim,).
-    t0 : float
-        Initial time, in the units of the Hamiltonian.
-    tau : float
-        Unit of the network's input; negative for a span that runs backwards.
-    envelope : {"exponential", "linear"}
-        f(s) = 1 - exp(-s) or f(s) = s.
+    z0, t0, tau, envelope
+        As of :class:`EnvelopedNetwork`.
     """
 
     network: Network | ComponentNetworks

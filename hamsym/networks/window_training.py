@@ -110,8 +110,8 @@ class Fit:
         Least-squares steps, those that changed hidden layers, and evaluations of F at one point.
     passes : int
         Fixed-point passes of the last solution of the readouts.
-    values : Tensor
-        y at the points, shape (K, dim).
+    points : int
+        Collocation points of the last solution.
     """
 
     residual: float
@@ -120,7 +120,7 @@ class Fit:
     hidden_steps: int
     evaluations: int
     passes: int
-    values: Tensor
+    points: int
 
 
 class _Columns:
@@ -154,9 +154,13 @@ class _Training:
         self.steps = self.hidden_steps = self.evaluations = self.passes = 0
         self.long = False  # whether Gauss-Newton may replace the fixed-point iteration
 
-    def at(self, u: Tensor) -> None:
-        """Use these points from now on."""
-        self.u = self.equations.places(u)
+    def use(self, count: int) -> None:
+        """Use this number of points from now on."""
+        self.u = self.equations.places(_points(count, self.network.theta))
+        self.renew()
+
+    def renew(self) -> None:
+        """Make the columns of the present hidden layers."""
         self.columns = _Columns(self.network, self.u, self.reach, self.settings.envelope)
 
     # -- readouts --------------------------------------------------------------------------------
@@ -291,7 +295,7 @@ class _Training:
                 shift = _damped(own, residual.reshape(-1) + rows @ step, 1e-30)
                 self.put(a if shift is None else a - shift.view_as(a))
                 self.network.theta[:-readouts] += step
-                self.at(self.u)
+                self.renew()
                 moved, new = self.solve_readouts()
                 left = float(new.square().sum())
                 if left < square:
@@ -387,10 +391,10 @@ def train_window(
     training = _Training(equations, network, reach, settings)
     training.long = guess is not None
     try:
-        residual, smooth, values = _trained(training, points, guess)
+        residual, smooth = _trained(training, points, guess)
     # Features that are not finite have no singular values.
     except torch.linalg.LinAlgError:  # type: ignore[attr-defined]
-        residual, smooth, values = math.nan, False, network.theta.new_zeros(points, 1)
+        residual, smooth = math.nan, False
     return Fit(
         residual,
         smooth,
@@ -398,16 +402,15 @@ def train_window(
         training.hidden_steps,
         training.evaluations,
         training.passes,
-        values,
+        len(training.u),
     )
 
 
 def _trained(
     training: _Training, points: int, guess: Callable[[Tensor], Tensor] | None
-) -> tuple[float, bool, Tensor]:
-    """Return the largest residual, whether it is smooth, and y at the points."""
-    like, tolerance = training.network.theta, training.settings.tolerance
-    training.at(_points(points, like))
+) -> tuple[float, bool]:
+    """Return the largest residual, and whether it is smooth."""
+    training.use(points)
     a, residual = training.solve_readouts(guess)
     # A free window that needs more points is better trained again, shorter.
     for left in reversed(range(_REFINEMENTS if training.long else 1)):
@@ -415,10 +418,9 @@ def _trained(
             a, residual = training.train(a, residual)
         training.put(a)
         inside, between = float(residual.abs().max()), training.between()
-        smooth = between <= max(tolerance, _ROUGH * inside)
+        smooth = between <= max(training.settings.tolerance, _ROUGH * inside)
         if smooth or not left or not inside <= _CONVERGED or late(training.settings.deadline):
             break
-        training.at(_points(math.ceil(_MORE * len(training.u)), like))
+        training.use(math.ceil(_MORE * len(training.u)))
         a, residual = training.solve_readouts()
-    values = training.columns.values @ a
-    return (max(inside, between) if between == between else math.nan), smooth, values
+    return (math.nan if math.isnan(between) else max(inside, between)), smooth

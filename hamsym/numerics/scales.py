@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["SMALLEST", "coupled_sizes"]
+__all__ = ["SMALLEST", "coupled_sizes", "resolved_sizes"]
 
 #: Smallest size of a component, as a share of its coupled size: smaller values cannot be
 #: distinguished from the round-off of the terms in its own equation.
@@ -41,3 +41,19 @@ def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.nd
     for _ in range(len(sizes)):
         found = np.maximum(found, tau * coupling @ found)
     return found
+
+
+def resolved_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:
+    """Compute the sizes to which tolerances are relative: at least 1e-8 of the coupled ones.
+
+    Parameters
+    ----------
+    sizes, coupling, time
+        As of :func:`coupled_sizes`.
+
+    Examples
+    --------
+    >>> resolved_sizes(np.array([2.0, 0.0]), np.array([[0.0, 1.0], [9.0, 0.0]]), 100.0)
+    array([2.e+00, 6.e-08])
+    """
+    return np.asarray(np.maximum(sizes, SMALLEST * coupled_sizes(sizes, coupling, time)))

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.numerics.collocation import collocation
-from hamsym.numerics.scales import SMALLEST, coupled_sizes
+from hamsym.numerics.scales import resolved_sizes
 from hamsym.random_features import error_loop
 from hamsym.random_features.basis import FeatureBasis, basis_of_series
 from hamsym.random_features.compiled_loop import PLAIN
@@ -311,5 +311,4 @@ def _scales(windows: March, flow: Flow) -> np.ndarray:
     coupling = np.abs(flow.jacobian(windows.states[some], edges))
     shares = np.abs(np.gradient(edges)) / np.abs(np.gradient(edges)).sum()
     mean = np.einsum("k,kij->ij", shares, coupling)
-    coupled = coupled_sizes(windows.scale, mean, abs(float(windows.edges[-1] - windows.edges[0])))
-    return np.asarray(np.maximum(windows.scale, SMALLEST * coupled))
+    return resolved_sizes(windows.scale, mean, abs(float(windows.edges[-1] - windows.edges[0])))

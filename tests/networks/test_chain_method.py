@@ -12,8 +12,9 @@ import torch
 
 import hamsym
 from hamsym import InputError, Solution
-from hamsym.networks import chain_training
-from hamsym.networks.chain_training import ChainSettings, Layout, train_chain, train_windows
+from hamsym.networks import equal_windows
+from hamsym.networks.chain_training import ChainSettings, Layout, TrainedChain, train_chain
+from hamsym.networks.equal_windows import train_windows
 
 KEPLER = "(px**2 + py**2)/2 - 1/sqrt(x**2 + y**2)"
 DRIVEN = "p**2/2 + q**2/2 + q*cos(t)"
@@ -104,7 +105,7 @@ def settings(**others: Any) -> ChainSettings:
     return ChainSettings(1e-10, 20, (), 1.0, **others)
 
 
-def windows_of_pendulum(count: int, **others: Any) -> chain_training.TrainedChain:
+def windows_of_pendulum(count: int, **others: Any) -> TrainedChain:
     H = hamsym.Hamiltonian("p**2/2 - cos(q)")
     layout = Layout((8,), "sin", "exponential", 3.0)
     generator = torch.Generator().manual_seed(0)
@@ -125,7 +126,7 @@ def test_no_steps_are_begun_after_the_deadline() -> None:
 
 
 def test_interrupted_windows_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    train, calls = chain_training.train_window, []
+    train, calls = equal_windows.train_window, []
 
     def interrupted(*arguments: Any, guess: Any = None) -> Any:
         if guess is not None:
@@ -134,7 +135,7 @@ def test_interrupted_windows_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
             raise KeyboardInterrupt
         return train(*arguments, guess=guess)
 
-    monkeypatch.setattr(chain_training, "train_window", interrupted)
+    monkeypatch.setattr(equal_windows, "train_window", interrupted)
     found = windows_of_pendulum(3)
     assert found.reason == "interrupted"
     assert found.chain is not None
