@@ -350,7 +350,10 @@ def _points(count: int, like: Tensor) -> Tensor:
 
 
 def _damped(matrix: Tensor, right: Tensor, damping: float) -> Tensor | None:
-    """Return the least-squares solution of matrix x = right with a relative damping."""
+    """Return the least-squares solution of matrix x = right with a relative damping.
+
+    None if there is none: an entry is not finite, or the damped matrix lacks full rank.
+    """
     right = right.reshape(-1, 1)
     if damping:
         columns = matrix.shape[1]
@@ -360,7 +363,13 @@ def _damped(matrix: Tensor, right: Tensor, damping: float) -> Tensor | None:
         right = torch.cat((right, right.new_zeros(columns, 1)))
     if not bool(torch.isfinite(matrix).all() and torch.isfinite(right).all()):
         return None
-    return torch.linalg.lstsq(matrix, right).solution
+    # Torch's default on a CPU, gelsy, pivots by memory that torch does not initialise, so that the
+    # last bits differ from run to run.
+    try:
+        return torch.linalg.lstsq(matrix, right, driver="gels").solution
+    # The matrix lacks full rank.
+    except torch.linalg.LinAlgError:  # type: ignore[attr-defined]
+        return None
 
 
 @torch.no_grad()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+import subprocess
+import sys
 import warnings
 from typing import Any
 
@@ -15,6 +18,7 @@ from hamsym import InputError, Solution
 from hamsym.networks import equal_windows
 from hamsym.networks.chain_training import ChainSettings, Layout, TrainedChain, train_chain
 from hamsym.networks.equal_windows import train_windows
+from hamsym.networks.window_training import _damped
 
 KEPLER = "(px**2 + py**2)/2 - 1/sqrt(x**2 + y**2)"
 DRIVEN = "p**2/2 + q**2/2 + q*cos(t)"
@@ -140,3 +144,37 @@ def test_interrupted_windows_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.reason == "interrupted"
     assert found.chain is not None
     assert len(found.chain.pieces) == 1
+
+
+def digest_of_training(rubbish: int) -> str:
+    """Return a digest of a window that is trained where memory has held this number."""
+    # Freed at once, so that arrays of the training take the same memory.
+    for size in range(1, 400):
+        torch.full((size,), rubbish, dtype=torch.int32)
+    solution = trained("p**2/2 - cos(q)", [2.0, 0.3], (0, 4), hidden=(20, 20), windows=1)
+    assert solution.record.hidden_steps.sum() > 0
+    digest = hashlib.sha256(solution.error_estimate(np.linspace(0, 4, 50)).tobytes())
+    for array in solution.trial.arrays().values():
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def test_same_seed_gives_the_same_bits_whatever_memory_held() -> None:
+    assert len({digest_of_training(rubbish) for rubbish in (0, 1, -1)}) == 1
+
+
+@pytest.mark.slow
+def test_same_seed_gives_the_same_bits_in_another_process() -> None:
+    code = f"import runpy; print(runpy.run_path({__file__!r})['digest_of_training'](7))"
+    command = [sys.executable, "-c", code]
+    other = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert other.stdout.strip() == digest_of_training(0)
+
+
+def test_system_without_full_rank_has_a_solution_only_if_damped() -> None:
+    matrix = torch.tensor([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0]], dtype=torch.float64)
+    right = matrix[:, 0].clone()
+    assert _damped(matrix, right, 0.0) is None
+    step = _damped(matrix, right, 1e-30)
+    assert step is not None
+    assert torch.allclose(step[:, 0], torch.tensor([1.0, 0.0], dtype=torch.float64))
