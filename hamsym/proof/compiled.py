@@ -1,0 +1,43 @@
+"""Compiled functions of enclosures, as one module in hamsym's cache of compiled code.
+
+numba's own cache would not notice that a function called from another file has changed. So the
+texts of the three modules become one text, whose file in the cache is named by its digest.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import importlib.resources
+from typing import Any
+
+from hamsym.codegen.numba_cache import load_module
+
+__all__ = ["loops"]
+
+_PARTS = ("ball_arithmetic", "chebyshev_models", "window_steps")
+
+
+def _text() -> str:
+    folder = importlib.resources.files("hamsym.proof")
+    texts = []
+    for part in _PARTS:
+        text = folder.joinpath(f"{part}.py").read_text("utf-8")
+        lines = text.splitlines()
+        for node in ast.parse(text).body:
+            between = isinstance(node, ast.ImportFrom) and node.module in {
+                f"hamsym.proof.{name}" for name in _PARTS
+            }
+            future = isinstance(node, ast.ImportFrom) and node.module == "__future__"
+            if between or future:
+                lines[node.lineno - 1 : node.end_lineno] = [""] * (
+                    (node.end_lineno or node.lineno) - node.lineno + 1
+                )
+        texts.append("\n".join(lines))
+    return "\n\n".join(texts) + "\n"
+
+
+@functools.cache
+def loops() -> Any:
+    """The module with all functions, compiled on first use or loaded from the cache."""
+    return load_module(_text(), "enclosures")

@@ -1,0 +1,282 @@
+"""Enclosures of true solutions: hamsym.enclose."""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.problem import checked_span
+from hamsym.proof.ball import Ball
+from hamsym.proof.compiled import loops
+from hamsym.proof.limits import Deadline
+from hamsym.proof.programs import split
+from hamsym.proof.windows import Equation, Window, WindowStepper, enclose_windows
+from hamsym.solution.times import times_in_span
+from hamsym.support.validation import require_positive
+
+__all__ = ["Enclosure", "enclose"]
+
+_ACCURACY = 2.0**-70  # of the polynomials, relative to the components
+
+
+def enclose(
+    H: HamiltonianLike,
+    z0: Sequence[Any] | Mapping[Any, Any] | np.ndarray,
+    span: tuple[float, float],
+    *,
+    parameters: Mapping[str, Any] | None = None,
+    time_limit: float | None = None,
+) -> Enclosure:
+    """Enclose the exact solution of Hamilton's equations, rigorously.
+
+    The result contains the true state at every time of the span, for every choice of the initial
+    state and of the parameters in the balls that were given, and its derivatives by both. Every
+    rounding is covered. The method is explained, and proven, in
+    :mod:`hamsym.proof.window_steps`, :mod:`hamsym.proof.chebyshev_models` and
+    :mod:`hamsym.proof.ball_arithmetic`.
+
+    Parameters
+    ----------
+    H : Hamiltonian, str or sympy.Expr
+        Smooth, with a value for every parameter.
+    z0 : sequence or mapping
+        Initial state, in the order of H.z or by name: numbers, taken as the exact binary fractions
+        that they are, or balls: a :class:`hamsym.Ball`, a pair (low, high), or a text such as
+        "0.3 +- 1e-6".
+    span : (float, float)
+        Start and end time, exact; the end may be the earlier one.
+    parameters : mapping of name to ball, optional
+        Parameters of H that are known up to a radius.
+    time_limit : float, optional
+        Seconds.
+
+    Returns
+    -------
+    Enclosure
+
+    Raises
+    ------
+    InputError
+        If an argument is not valid.
+    CertificationError
+        If the enclosure ends before the span (with the time), H is not smooth, or the time limit
+        is reached.
+
+    Examples
+    --------
+    >>> import hamsym
+    >>> enclosure = hamsym.enclose("p**2/2 + x**2/2", [1, 0], (0, 10))
+    >>> state = enclosure(10.0)
+    >>> bool(abs(state.mid[0] - np.cos(10.0)) < 1e-15), bool(state.width < 1e-15)
+    (True, True)
+    >>> pendulum = "p**2/(2*l**2) - g*l*cos(x)"
+    >>> H = hamsym.Hamiltonian(pendulum, parameters={"g": 9.81, "l": 1.0})
+    >>> enclosure = hamsym.enclose(H, ["1 +- 1e-6", 0], (0, 2), parameters={"g": "9.81 +- 0.001"})
+    >>> bool(enclosure(2.0).width < 1e-2)
+    True
+    """
+    H = Hamiltonian.of(H)
+    names = _ball_names(H, parameters)
+    balls = {name: Ball.of(value) for name, value in (parameters or {}).items()}
+    if balls:
+        H = H.with_parameters(**{name: float(ball.mid) for name, ball in balls.items()})
+    start = _initial_balls(H, z0)
+    times = checked_span(span)
+    if time_limit is not None:
+        require_positive("time_limit", time_limit)
+    began = time.monotonic()
+    equation = Equation(H, names)
+    every = [*start, *(balls[name] for name in names)]
+    begin, end = (Fraction(value) for value in times)
+    stepper = WindowStepper(
+        equation,
+        begin,
+        1 if end > begin else -1,
+        abs(end - begin),
+        np.array([ball.mid for ball in every]),
+        np.array([ball.radius for ball in every]),
+        _ACCURACY,
+        Deadline.after(time_limit),
+    )
+    windows = tuple(enclose_windows(stepper, [abs(end - begin)]))
+    z0_ball = Ball(np.array([b.mid for b in start]), np.array([b.radius for b in start]))
+    return Enclosure(H, z0_ball, times, balls, windows, time.monotonic() - began)
+
+
+def _ball_names(H: Hamiltonian, parameters: Mapping[str, Any] | None) -> list[str]:
+    names = list(parameters or {})
+    for name in names:
+        if name not in H.parameters:
+            known = ", ".join(map(str, H.parameters)) or "none"
+            raise InputError(f"H has no parameter '{name}'; its parameters are: {known}")
+    return names
+
+
+def _initial_balls(H: Hamiltonian, z0: Any) -> list[Ball]:
+    if isinstance(z0, Ball):
+        if np.shape(z0.mid) != (H.dim,):
+            raise InputError(f"z0 must be a Ball of shape ({H.dim},), not {np.shape(z0.mid)}")
+        return [Ball(float(m), float(r)) for m, r in zip(z0.mid, z0.radius, strict=True)]
+    if isinstance(z0, Mapping):
+        balls = {name: Ball.of(value) for name, value in z0.items()}
+        middle = H.state_from({name: ball.mid for name, ball in balls.items()})
+        radius = H.state_from({name: ball.radius for name, ball in balls.items()})
+        return [Ball(float(m), float(r)) for m, r in zip(middle, radius, strict=True)]
+    if isinstance(z0, (str, bytes)):
+        raise InputError("z0 must be a sequence of numbers or balls, or a mapping")
+    try:
+        values = list(z0)
+    except TypeError:
+        raise InputError(
+            "z0 must be a sequence of numbers or balls, or a mapping by name"
+        ) from None
+    found = [Ball.of(value) for value in values]
+    H.state_from([ball.mid for ball in found])
+    return found
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Enclosure:
+    """Balls around the true state at every time of a span, from :func:`hamsym.enclose`.
+
+    Attributes
+    ----------
+    H : Hamiltonian
+    z0 : Ball
+        Of the initial state, shape (dim,).
+    span : (float, float)
+    parameters : dict of str to Ball
+        The parameters that are balls.
+    windows : tuple of Window
+    seconds : float
+        Run time.
+    """
+
+    H: Hamiltonian
+    z0: Ball
+    span: tuple[float, float]
+    parameters: dict[str, Ball]
+    windows: tuple[Window, ...]
+    seconds: float
+    _derivatives: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        start, end = self.span
+        return (
+            f"Enclosure({self.H.formula!r}, t from {start:.6g} to {end:.6g}, width at the end "
+            f"{self(end).width:.2g})"
+        )
+
+    def __call__(self, t: Any) -> Ball:
+        """Enclose the true state at times t.
+
+        Parameters
+        ----------
+        t : float or array
+
+        Returns
+        -------
+        Ball
+            Shape (dim,) for a scalar, else (n, dim).
+
+        Raises
+        ------
+        InputError
+            If a time is outside the span.
+        """
+        return self._at(t, self._state, (self.H.dim,))
+
+    def derivative(self, t: Any) -> Ball:
+        """Enclose dz(t)/dz0 for all initial states and parameters in the balls.
+
+        Returns
+        -------
+        Ball
+            Shape (dim, dim) for a scalar, else (n, dim, dim).
+        """
+        dim = self.H.dim
+        return self._at(
+            t, lambda *place: [part[:, :dim] for part in self._slopes(*place)], (dim, dim)
+        )
+
+    def parameter_derivative(self, t: Any) -> Ball:
+        """Enclose dz(t)/dk for the parameters that are balls, in their order.
+
+        Returns
+        -------
+        Ball
+            Shape (dim, parameters) for a scalar, else (n, dim, parameters).
+
+        Raises
+        ------
+        InputError
+            If no parameter is a ball, or a time is outside the span.
+        """
+        dim, count = self.H.dim, len(self.parameters)
+        if not count:
+            raise InputError(
+                "no parameter of this enclosure is a ball; give parameters= to enclose"
+            )
+        return self._at(
+            t, lambda *place: [part[:, dim:] for part in self._slopes(*place)], (dim, count)
+        )
+
+    def _at(self, t: Any, value: Any, shape: tuple[int, ...]) -> Ball:
+        times = times_in_span(t, self.span)
+        found = [value(*self._place(time)) for time in np.ravel(times).tolist()]
+        middle = np.array([entry[0] for entry in found]).reshape(*np.shape(times), *shape)
+        radius = np.array([entry[1] for entry in found]).reshape(*np.shape(times), *shape)
+        return Ball(middle, radius)
+
+    def _place(self, t: float) -> tuple[int, np.ndarray]:
+        """The window of a time and balls of the Chebyshev polynomials there."""
+        direction = 1 if self.span[1] > self.span[0] else -1
+        elapsed = (Fraction(t) - Fraction(self.span[0])) * direction
+        k = bisect_right(self.windows, elapsed, key=lambda window: window.start) - 1
+        window = self.windows[k]
+        x = (elapsed - window.start) / window.half - 1
+        return k, loops().chebyshev_balls(split(x), window.high.shape[1])
+
+    def _state(self, k: int, basis: np.ndarray) -> list[np.ndarray]:
+        window, dim = self.windows[k], self.H.dim
+        value = loops().vector_value(window.high, window.low, basis)
+        matrix, error = loops().matrix_value(window.V, basis)
+        radius = loops().set_radius(matrix, error, window.C, window.r0, window.Q, window.r)
+        radius = radius[:dim] + window.beside + np.abs(value[:, 1]) + value[:, 2]
+        return [value[:, 0], radius * (1 + 1e-9)]
+
+    def _slopes(self, k: int, basis: np.ndarray) -> list[np.ndarray]:
+        """dz/d(z0, k): the derivative of the window times that of the windows before."""
+        window = self.windows[k]
+        middle, Q, R = self._derivative_before(k)
+        matrix, error = loops().matrix_value(window.V, basis)
+        error = error + window.derivative
+        columns = len(middle)
+        found, rest = loops().moved_set(matrix, error, middle, np.eye(columns))
+        product, more = loops().moved_set(matrix, error, Q, R)
+        return [found, (rest + np.abs(product) @ R + more) * (1 + 1e-9)]
+
+    def _derivative_before(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """dz/d(z0, k) at the start of window k: in M + Q {|r| <= R}."""
+        columns = self.windows[0].C.shape[0]
+        known = self._derivatives
+        if not known:
+            known.append((np.eye(columns), np.eye(columns), np.zeros((columns, columns))))
+        while len(known) <= k:
+            window = self.windows[len(known) - 1]
+            middle, Q, R = known[-1]
+            error = window.J_error.copy()
+            error[: self.H.dim] += window.derivative
+            error *= 1 + 1e-9
+            fresh, rest = loops().moved_set(window.J, error, middle, np.eye(columns))
+            turned, radii = loops().turned_set(window.J, error, Q, R, rest)
+            known.append((fresh, turned, radii))
+        return known[k]

@@ -1,0 +1,363 @@
+"""Programs: formulas as rows of operations on registers, for compiled loops.
+
+A recorder takes the place of the arguments of a formula and notes what is done with them.
+Operations on numbers alone are done in Arb once. Functions become the operations of
+:mod:`hamsym.proof.chebyshev_models` by identities that hold wherever the function is smooth.
+"""
+
+from __future__ import annotations
+
+import functools as tools
+import math
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import sympy
+from flint import arb
+
+from hamsym.proof import functions
+from hamsym.proof.ball_arithmetic import UNIT, number_of
+from hamsym.proof.balls import working
+from hamsym.proof.chebyshev_models import (
+    ADD,
+    ARCCOSINE,
+    ARCOSH,
+    ARCSINE,
+    ARCTANGENT,
+    ARSINH,
+    ARTANH,
+    ERROR_FUNCTION,
+    EXPONENTIAL,
+    LOGARITHM,
+    MULTIPLY,
+    NEGATE,
+    RECIPROCAL,
+    RECIPROCAL_ROOT,
+    SINE_COSINE,
+    SUBTRACT,
+)
+from hamsym.proof.compiled import loops
+
+__all__ = ["ModelRows", "Program", "Recorder", "Rows", "split", "tables"]
+
+_BITS = 240
+
+
+class Program:
+    """Operations on registers, of which the first hold the variables.
+
+    Attributes
+    ----------
+    steps : numpy.ndarray
+        Rows (operation, target, first, second).
+    constants : numpy.ndarray
+        Registers of numbers, shape (c,), and ``numbers`` their balls (high, low, radius), (c, 3).
+    results : numpy.ndarray
+        Registers of the results.
+    registers : int
+    """
+
+    def __init__(self, recorder: Recorder, results: Sequence[Any]) -> None:
+        places = [recorder.place(result) for result in results]
+        self.results = np.array(places, dtype=np.int64)
+        self.steps = np.array(recorder.steps, dtype=np.int64).reshape(-1, 4)
+        known = recorder.constants
+        self.constants = np.array([place for place, _ in known], dtype=np.int64)
+        self.numbers = np.array([number_of(value) for _, value in known]).reshape(-1, 3)
+        self.registers = recorder.count
+
+
+class Recorder:
+    """Records the operations of formulas in ``variables``, which stand for its first registers."""
+
+    def __init__(self, variables: int) -> None:
+        self.count = variables
+        self.variables = [_Value(self, k) for k in range(variables)]
+        self.steps: list[tuple[int, int, int, int]] = []
+        self.constants: list[tuple[int, arb]] = []
+        self._pairs: dict[int, tuple[_Value, _Value]] = {}
+        self._numbers: dict[str, int] = {}
+
+    def place(self, value: Any) -> int:
+        """The register of a value, a new one for a number."""
+        if isinstance(value, _Value):
+            return value.place
+        with working(_BITS):
+            key = arb(value).str(80, more=True)
+        if key not in self._numbers:
+            self._numbers[key] = self._new()
+            self.constants.append((self._numbers[key], value))
+        return self._numbers[key]
+
+    def _new(self) -> int:
+        self.count += 1
+        return self.count - 1
+
+    def add_step(self, operation: int, first: Any, second: Any = None) -> _Value:
+        a = self.place(first)
+        b = 0 if second is None else self.place(second)
+        target = self._new()
+        self.steps.append((operation, target, a, b))
+        return _Value(self, target)
+
+    def apply(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """A function of values or numbers."""
+        if not any(isinstance(argument, _Value) for argument in arguments):
+            with working(_BITS):
+                return function(*arguments)
+        if function in _OPERATORS:
+            return self.add_step(_OPERATORS[function], *arguments)
+        return _RULES[function](self, *arguments)
+
+    # -- rules --------------------------------------------------------------------------------
+
+    def square(self, x: _Value) -> _Value:
+        return self.add_step(MULTIPLY, x, x)
+
+    def one_and(self, x: Any, operation: int = ADD) -> _Value:
+        return self.add_step(operation, arb(1), x)
+
+    def sine_cosine(self, x: _Value) -> tuple[_Value, _Value]:
+        if x.place not in self._pairs:
+            sine, cosine = self._new(), self._new()
+            self.steps.append((SINE_COSINE, sine, x.place, cosine))
+            self._pairs[x.place] = _Value(self, sine), _Value(self, cosine)
+        return self._pairs[x.place]
+
+    def root(self, x: _Value) -> _Value:
+        return self.add_step(MULTIPLY, x, self.add_step(RECIPROCAL_ROOT, x))
+
+    def logarithm(self, x: _Value) -> _Value:
+        return self.add_step(LOGARITHM, x, self.add_step(RECIPROCAL, x))
+
+    def tangent(self, x: _Value) -> _Value:
+        sine, cosine = self.sine_cosine(x)
+        return self.add_step(MULTIPLY, sine, self.add_step(RECIPROCAL, cosine))
+
+    def arctangent(self, x: _Value) -> _Value:
+        slope = self.add_step(RECIPROCAL, self.one_and(self.square(x)))
+        return self.add_step(ARCTANGENT, x, slope)
+
+    def arcsine(self, x: _Value) -> _Value:
+        slope = self.add_step(RECIPROCAL_ROOT, self.one_and(self.square(x), SUBTRACT))
+        return self.add_step(ARCSINE, x, slope)
+
+    def arccosine(self, x: _Value) -> _Value:
+        slope = self.add_step(RECIPROCAL_ROOT, self.one_and(self.square(x), SUBTRACT))
+        return self.add_step(ARCCOSINE, x, self.add_step(NEGATE, slope))
+
+    def hyperbolic(self, x: _Value, operation: int) -> _Value:
+        growth = self.add_step(EXPONENTIAL, x)
+        both = self.add_step(operation, growth, self.add_step(RECIPROCAL, growth))
+        return self.add_step(MULTIPLY, arb("0.5"), both)
+
+    def hyperbolic_tangent(self, x: _Value) -> _Value:
+        growth = self.add_step(EXPONENTIAL, self.add_step(ADD, x, x))
+        rest = self.add_step(MULTIPLY, arb(2), self.add_step(RECIPROCAL, self.one_and(growth)))
+        return self.one_and(rest, SUBTRACT)
+
+    def arsinh(self, x: _Value) -> _Value:
+        return self.add_step(
+            ARSINH, x, self.add_step(RECIPROCAL_ROOT, self.one_and(self.square(x)))
+        )
+
+    def arcosh(self, x: _Value) -> _Value:
+        product = self.add_step(MULTIPLY, self.add_step(SUBTRACT, x, arb(1)), self.one_and(x))
+        return self.add_step(ARCOSH, x, self.add_step(RECIPROCAL_ROOT, product))
+
+    def artanh(self, x: _Value) -> _Value:
+        product = self.add_step(MULTIPLY, self.one_and(x, SUBTRACT), self.one_and(x))
+        return self.add_step(ARTANH, x, self.add_step(RECIPROCAL, product))
+
+    def error_function(self, x: _Value) -> _Value:
+        bell = self.add_step(EXPONENTIAL, self.add_step(NEGATE, self.square(x)))
+        with working(_BITS):
+            factor = 2 / arb.pi().sqrt()
+        return self.add_step(ERROR_FUNCTION, x, self.add_step(MULTIPLY, factor, bell))
+
+    def angle(self, y: Any, x: Any) -> _Value:
+        """2 atan(y / (r + x)), the same angle away from the negative half of the x axis."""
+        squares = self.add_step(ADD, self.apply(operator.mul, x, x), self.apply(operator.mul, y, y))
+        below = self.add_step(ADD, self.root(squares), x)
+        half = self.arctangent(self.add_step(MULTIPLY, y, self.add_step(RECIPROCAL, below)))
+        return self.add_step(ADD, half, half)
+
+    def power(self, base: Any, exponent: Any) -> Any:
+        logarithm = self.apply(functions.logarithm, base)
+        return self.apply(
+            functions.ELEMENTARY[sympy.exp], self.apply(operator.mul, exponent, logarithm)
+        )
+
+
+class _Value:
+    """A register of a recorder."""
+
+    def __init__(self, recorder: Recorder, place: int) -> None:
+        self.recorder, self.place = recorder, place
+
+    def __add__(self, other: Any) -> Any:
+        return self.recorder.apply(operator.add, self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return self.recorder.apply(operator.add, other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return self.recorder.apply(operator.sub, self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return self.recorder.apply(operator.sub, other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return self.recorder.apply(operator.mul, self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return self.recorder.apply(operator.mul, other, self)
+
+    def __neg__(self) -> Any:
+        return self.recorder.apply(operator.neg, self)
+
+
+_OPERATORS: dict[Any, int] = {
+    operator.add: ADD,
+    operator.sub: SUBTRACT,
+    operator.mul: MULTIPLY,
+    operator.neg: NEGATE,
+    functions.reciprocal: RECIPROCAL,
+    functions.reciprocal_root: RECIPROCAL_ROOT,
+    functions.ELEMENTARY[sympy.exp]: EXPONENTIAL,
+}
+_RULES: dict[Any, Callable[..., Any]] = {
+    functions.root: Recorder.root,
+    functions.general_power: Recorder.power,
+    functions.ELEMENTARY[sympy.log]: Recorder.logarithm,
+    functions.ELEMENTARY[sympy.sin]: lambda recorder, x: recorder.sine_cosine(x)[0],
+    functions.ELEMENTARY[sympy.cos]: lambda recorder, x: recorder.sine_cosine(x)[1],
+    functions.ELEMENTARY[sympy.tan]: Recorder.tangent,
+    functions.ELEMENTARY[sympy.atan]: Recorder.arctangent,
+    functions.ELEMENTARY[sympy.asin]: Recorder.arcsine,
+    functions.ELEMENTARY[sympy.acos]: Recorder.arccosine,
+    functions.ELEMENTARY[sympy.sinh]: lambda recorder, x: recorder.hyperbolic(x, SUBTRACT),
+    functions.ELEMENTARY[sympy.cosh]: lambda recorder, x: recorder.hyperbolic(x, ADD),
+    functions.ELEMENTARY[sympy.tanh]: Recorder.hyperbolic_tangent,
+    functions.ELEMENTARY[sympy.asinh]: Recorder.arsinh,
+    functions.ELEMENTARY[sympy.acosh]: Recorder.arcosh,
+    functions.ELEMENTARY[sympy.atanh]: Recorder.artanh,
+    functions.ELEMENTARY[sympy.erf]: Recorder.error_function,
+    functions.ELEMENTARY[sympy.atan2]: Recorder.angle,
+}
+
+
+class Tables:
+    """Chebyshev points x_j = cos(pi (j + 1/2)/n) and matrices between values and series."""
+
+    def __init__(self, terms: int) -> None:
+        self.terms = terms
+        angles = math.pi * (np.arange(terms) + 0.5) / terms
+        self.points = np.cos(angles)
+        #: values[k, j] = T_k(x_j), series[j, k] its inverse
+        self.values = np.cos(np.arange(terms)[:, None] * angles)
+        self.series = (self.values * (2 / terms)).T.copy()
+        self.series[:, 0] /= 2
+        #: integral[j, i]: weight of the value at x_j in the integral from -1 to x_i
+        orders = np.arange(1, terms + 1)
+        matrix = np.zeros((terms, terms + 1))  # row: T_k, columns: its integral
+        for k in range(terms):
+            if k == 0:
+                matrix[k, 1] = 1
+            elif k == 1:
+                matrix[k, 2] = 0.25
+            else:
+                matrix[k, k + 1] += 1 / (2 * (k + 1))
+                matrix[k, k - 1] -= 1 / (2 * (k - 1))
+            signs = np.where(orders % 2 == 1, 1.0, -1.0)
+            matrix[k, 0] = (signs * matrix[k, 1:]).sum()
+        longer = np.cos(np.arange(terms + 1)[:, None] * angles)
+        self.integral = np.ascontiguousarray(self.series @ matrix @ longer)
+
+
+@tools.cache
+def tables(terms: int) -> Tables:
+    return Tables(terms)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Some models: arrays of shape (n, terms), (n, terms), (n,) and (n,)."""
+
+    high: np.ndarray
+    low: np.ndarray
+    radius: np.ndarray
+    length: np.ndarray
+
+    def __getitem__(self, part: slice) -> Rows:
+        return Rows(self.high[part], self.low[part], self.radius[part], self.length[part])
+
+
+class ModelRows:
+    """The registers of a program as models."""
+
+    def __init__(self, program: Program, terms: int) -> None:
+        self.program = program
+        rows = program.registers
+        self.high, self.low = np.zeros((rows, terms)), np.zeros((rows, terms))
+        self.radius, self.length = np.zeros(rows), np.ones(rows, dtype=np.int64)
+        self._set_constants()
+
+    def _set_constants(self) -> None:
+        places, numbers = self.program.constants, self.program.numbers
+        self.high[places, 0], self.low[places, 0] = numbers[:, 0], numbers[:, 1]
+        self.radius[places], self.length[places] = numbers[:, 2], 1
+
+    def set_line(
+        self, row: int, middle: tuple[float, float, float], slope: tuple[float, float, float]
+    ) -> None:
+        """Put middle + slope x, of balls, into a register."""
+        self.high[row, :2] = middle[0], slope[0]
+        self.low[row, :2] = middle[1], slope[1]
+        self.radius[row] = (middle[2] + slope[2]) * (1 + 1e-9)
+        self.length[row] = 2
+
+    def set_number(self, row: int, number: tuple[float, float, float]) -> None:
+        """Put a ball into a register."""
+        self.high[row, 0], self.low[row, 0], self.radius[row] = number
+        self.length[row] = 1
+
+    def set_models(self, first: int, models: Rows) -> None:
+        """Put models into consecutive registers."""
+        part = slice(first, first + len(models.radius))
+        terms = models.high.shape[1]
+        self.high[part, :terms], self.low[part, :terms] = models.high, models.low
+        self.radius[part], self.length[part] = models.radius, models.length
+
+    def run(self, using: Tables, double: bool) -> None:
+        """Run the program, in twice float64 or in float64."""
+        self._set_constants()
+        if not double:
+            self.radius += np.abs(self.low).sum(axis=1) * (1 + 1e-9)
+            self.low[:] = 0.0
+        loops().run_models(
+            self.program.steps,
+            using.values,
+            using.series,
+            self.high,
+            self.low,
+            self.radius,
+            self.length,
+            double,
+        )
+
+    def taken(self, places: np.ndarray) -> Rows:
+        """Some registers."""
+        return Rows(self.high[places], self.low[places], self.radius[places], self.length[places])
+
+
+def split(value: Fraction) -> tuple[float, float, float]:
+    """The ball of a fraction."""
+    high = float(value)
+    rest = value - Fraction(high)
+    low = float(rest)
+    return high, low, 0.0 if Fraction(low) == rest else abs(low) * 2 * UNIT

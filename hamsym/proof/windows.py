@@ -1,0 +1,535 @@
+"""Enclosures of the true solution, window by window.
+
+Each window has a polynomial y near the solution, which collocation in float64 finds and one linear
+correction completes to twice float64, a polynomial matrix V near its derivatives, and the bounds of
+:mod:`hamsym.proof.window_steps`. The set of the states at the start of a window is
+
+    z(t_a) in y(-1) + C r0 + Q r,   r0, r: all vectors with |r_i| <= a given radius,
+
+with C the derivative by the initial balls and Q orthogonal up to rounding (Lohner 1992): neither
+part wraps. A window whose polynomials are not resolved is halved.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+import sympy
+
+from hamsym.errors import CertificationError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.proof.ball_arithmetic import UNIT
+from hamsym.proof.compiled import loops
+from hamsym.proof.formulas import Formulas, require_smooth
+from hamsym.proof.limits import Deadline
+from hamsym.proof.programs import ModelRows, Program, Recorder, split, tables
+
+__all__ = ["Equation", "Window", "WindowStepper", "enclose_windows"]
+
+TERMS = 32
+_ITERATIONS = 80
+_SHORTEST = Fraction(1, 2**40)  # window, relative to the span
+_TRIES = 60  # of one window
+_CORRECTIONS = 3  # of y
+_LEAST = 1e-200  # size of a component
+_LOOSE = 32.0  # defect in units of the accuracy
+_FINEST = 1e-28  # accuracy that twice float64 can reach
+_ROUND_OFF = 2e-14  # of coefficients, relative to the component
+
+
+class Equation:
+    """dz/dt = G(t, z, k), its derivatives and H as programs.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+        With a value for every parameter.
+    unknown : sequence of str
+        Names of parameters that are arguments k of the programs.
+
+    Attributes
+    ----------
+    dim, columns : int
+        2 dof, and dim plus the number of unknown parameters.
+    rates, jacobian, energy : Program
+    entries, signs : numpy.ndarray
+        Rows (i, j, place): DG_ij is a sign times the result ``place`` of ``jacobian``.
+    """
+
+    def __init__(self, H: Hamiltonian, unknown: Sequence[str] = ()) -> None:
+        H.require_parameters()
+        equations = H.real_equations
+        require_smooth(equations.expr)
+        symbols = dict(equations.parameters.values())
+        chosen = [equations.parameters[name][0] for name in unknown]
+        values = {s: value for s, value in symbols.items() if value is not None and s not in chosen}
+
+        def exact(expr: sympy.Expr) -> sympy.Expr:
+            return equations.exact.with_fractions(expr, values)
+
+        self.dim, self.columns = H.dim, H.dim + len(chosen)
+        self.time_dependent = H.time is not None
+        variables = (*equations.z, *chosen, equations.time or sympy.Dummy("t"))
+        dof = H.dof
+        slopes = [exact(entry) for entry in equations.exact.gradient]
+        rates = [*slopes[dof:], *(-slope for slope in slopes[:dof])]
+        self.rates = _recorded(rates, variables, values)
+        self.energy = _recorded([exact(equations.exact.expr)], variables, values)
+        found: list[sympy.Expr] = []
+        rows: list[tuple[int, int, int, int]] = []
+        for (i, j), entry in equations.exact.hessian.items():
+            if i <= j and (expr := exact(entry)) != 0:
+                for row, column in {(i, j), (j, i)}:
+                    target, sign = (row - dof, 1) if row >= dof else (row + dof, -1)
+                    rows.append((target, column, len(found), sign))
+                found.append(expr)
+        for k, symbol in enumerate(chosen):
+            for i, rate in enumerate(rates):
+                slope = sympy.diff(rate, symbol)
+                if slope != 0:
+                    rows.append((i, H.dim + k, len(found), 1))
+                    found.append(slope)
+        self.jacobian = _recorded(found, variables, values)
+        self.entries = np.array([row[:3] for row in rows], dtype=np.int64).reshape(-1, 3)
+        self.signs = np.array([float(row[3]) for row in rows])
+        #: The same with registers in place of results.
+        self.placed = self.entries.copy()
+        self.placed[:, 2] = self.jacobian.results[self.entries[:, 2]]
+
+
+def _recorded(
+    expressions: Sequence[sympy.Expr],
+    variables: Sequence[sympy.Symbol],
+    values: Mapping[sympy.Symbol, float],
+) -> Program:
+    recorder = Recorder(len(variables))
+    results = Formulas(expressions, variables, values)(recorder.variables, apply=recorder.apply)
+    return Program(recorder, results)
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """One window: z(t) in y(x) + V(x) (C r0 + Q r) + balls of the radii ``beside``.
+
+    Attributes
+    ----------
+    start, half : fractions.Fraction
+        Elapsed time; start + half (1 + x).
+    high, low : numpy.ndarray
+        Coefficients of y, shape (dim, terms).
+    V : numpy.ndarray
+        Shape (dim, columns, terms).
+    C, r0, Q, r : numpy.ndarray
+        The set at the start; matrices (columns, columns), radii (columns,).
+    beside : numpy.ndarray
+        Bounds on everything else, shape (dim,).
+    derivative : numpy.ndarray
+        Bounds on V_d, shape (dim, columns).
+    J, J_error : numpy.ndarray
+        V(1) with rows of the identity for the constants, and bounds on its rounding.
+    tube : numpy.ndarray
+        Bounds on |z - y|, shape (dim,).
+    """
+
+    start: Fraction
+    half: Fraction
+    high: np.ndarray
+    low: np.ndarray
+    V: np.ndarray
+    C: np.ndarray
+    r0: np.ndarray
+    Q: np.ndarray
+    r: np.ndarray
+    beside: np.ndarray
+    derivative: np.ndarray
+    J: np.ndarray
+    J_error: np.ndarray
+    tube: np.ndarray
+
+    @property
+    def end(self) -> Fraction:
+        return self.start + 2 * self.half
+
+
+class WindowStepper:
+    """Encloses one window after the other.
+
+    Parameters
+    ----------
+    equation : Equation
+    start_time : fractions.Fraction
+    direction : int
+    total : fractions.Fraction
+        Length of the span.
+    centre : numpy.ndarray
+        Middle of the initial set, shape (columns,); the constants are the last.
+    radii : numpy.ndarray
+        Of the initial set.
+    accuracy : float
+        Of the polynomials, relative to the components.
+    deadline : Deadline
+    """
+
+    def __init__(
+        self,
+        equation: Equation,
+        start_time: Fraction,
+        direction: int,
+        total: Fraction,
+        centre: np.ndarray,
+        radii: np.ndarray,
+        accuracy: float,
+        deadline: Deadline,
+        terms: int = TERMS,
+    ) -> None:
+        self.equation, self._deadline = equation, deadline
+        self._time, self._direction, self.total = start_time, direction, total
+        self._accuracy, self._tables = accuracy, tables(terms)
+        dim, columns = equation.dim, equation.columns
+        self._terms = terms
+        self._centre = centre[:dim].astype(float)
+        self._centre_low = np.zeros(dim)
+        self._centre_radius = np.zeros(dim)
+        self._constants = centre[dim:].astype(float)
+        self._r0 = radii.astype(float)
+        self._C = np.eye(columns) if radii.any() else np.zeros((columns, columns))
+        self._Q, self._r = np.eye(columns), np.zeros(columns)
+        self._rates = ModelRows(equation.rates, terms)
+        self._jacobian = ModelRows(equation.jacobian, terms)
+        self._signs = equation.signs * direction
+        self._rows = [
+            np.repeat(models.high[:, :1], terms, axis=1) for models in (self._rates, self._jacobian)
+        ]
+        self._rows[0] = np.ascontiguousarray(self._rows[0])
+        self._rows[1] = np.ascontiguousarray(self._rows[1])
+        self.elapsed = Fraction(0)
+        self._sizes = np.abs(self._centre)
+        self.length: float | None = None  # suggestion for the next window
+        self.reason = ""
+
+    # -- one window ---------------------------------------------------------------------------
+
+    def step(self, limit: Fraction) -> Window:
+        """The next window, which ends at ``limit`` or before.
+
+        Raises
+        ------
+        CertificationError
+            If there is none.
+        """
+        time = float(self._time + self._direction * self.elapsed)
+        self._deadline.check(f"the solution was enclosed, at t = {time:.6g}")
+        room = limit - self.elapsed
+        length = float(room) if self.length is None else self.length
+        quantum = 2.0 ** (math.floor(math.log2(float(self.total))) - 40)
+        for _ in range(_TRIES):
+            if not length > float(self.total * _SHORTEST):
+                break
+            if length >= float(room) * (1 - 1e-9):
+                chosen = room
+            else:
+                if length * 2 > float(room):
+                    length = float(room) / 2
+                chosen = Fraction(max(math.floor(length / quantum), 1) * quantum)
+            window, factor = self._try(chosen)
+            if window is not None:
+                self.length = float(chosen) * min(max(factor, 0.5), 2.0)
+                return window
+            length = float(chosen) * factor
+        raise CertificationError(
+            f"no enclosure beyond t = {time:.6g}: {self.reason or 'the windows became too short'}; "
+            "use an earlier end time"
+        )
+
+    def _try(self, length: Fraction) -> tuple[Window | None, float]:
+        equation, terms, tabs = self.equation, self._terms, self._tables
+        dim, columns = equation.dim, equation.columns
+        half = length / 2
+        w = float(half)
+        signed = w * self._direction
+        middle = split(self._time + self._direction * (self.elapsed + half))
+        rows, more = self._rows
+        rows[:dim] = self._centre[:, None]
+        rows[dim:columns] = self._constants[:, None]
+        rows[columns] = middle[0] + signed * tabs.points
+        count = loops().collocate(
+            equation.rates.steps,
+            equation.rates.results,
+            rows,
+            tabs.integral,
+            self._centre,
+            signed,
+            _ITERATIONS,
+        )
+        if not count:
+            self.reason = "the solution leaves every scale there, as at a collision or a jump"
+            return None, 0.5
+        y = rows[:dim] @ tabs.series
+        sizes = np.maximum(np.abs(rows[:dim]).max(axis=1), 1e-300)
+        tail, factor = self._decay(y, sizes)
+        if not tail <= 30 * self._accuracy:
+            return None, min(max(0.9 * factor, 0.25), 0.8)
+        more[: columns + 1] = rows[: columns + 1]
+        loops().run_values(equation.jacobian.steps, more)
+        V = loops().tangents(
+            more, equation.placed, self._signs, dim, columns, tabs.integral, w, _ITERATIONS
+        )
+        models = self._prepared(self._rates, y, middle, half)
+        ball = self._signed(half)
+        arguments = (
+            equation.rates.steps,
+            equation.rates.results,
+            tabs.values,
+            tabs.series,
+            models.high,
+            models.low,
+            models.radius,
+            models.length,
+            dim,
+            ball,
+        )
+        series, D = loops().defects(*arguments)
+        for _ in range(_CORRECTIONS):
+            before = D
+            wanted = -(series[:, :terms] @ tabs.values)
+            found = loops().correct(
+                more, equation.placed, self._signs, dim, tabs.integral, w, wanted, _ITERATIONS
+            )
+            self._corrected(models, found @ tabs.series)
+            series, D = loops().defects(*arguments)
+            if not (0.1 * before > D).any():
+                break
+        if not np.isfinite(D).all():
+            self.reason = "a function was not resolved"
+            return None, 0.5
+        self._sizes = np.maximum(self._sizes, sizes)
+        share = float((D / np.maximum(self._sizes, _LEAST)).max())
+        reach = (self._accuracy / max(share, 1e-3 * self._accuracy)) ** (2 / terms)
+        if share > _LOOSE * max(self._accuracy, _FINEST):
+            self.reason = "the solution was not resolved"
+            return None, max(0.9 * reach, 0.4)
+        factor = min(factor, reach)
+        coefficients = np.ascontiguousarray(V @ tabs.series)
+        begin = np.array(
+            [loops().end_value(models.high[i], models.low[i], terms, -1) for i in range(dim)]
+        )
+        offset = (
+            np.array(
+                [
+                    abs((begin[i, 0] - self._centre[i]) + (begin[i, 1] - self._centre_low[i]))
+                    + begin[i, 2]
+                    + self._centre_radius[i]
+                    for i in range(dim)
+                ]
+            )
+            * (1 + 1e-9)
+            + 1e-290
+        )
+        return self._enclosed(half, w, models, coefficients, D, offset, sizes, middle, factor)
+
+    def _decay(self, y: np.ndarray, sizes: np.ndarray) -> tuple[float, float]:
+        """The size of the terms that y leaves out, and the factor of the window that is allowed.
+
+        Extrapolated from the terms above round-off, because those below say nothing.
+        """
+        shares = (np.abs(y) / sizes[:, None]).max(axis=0)
+        if not np.isfinite(shares).all():
+            return math.inf, 0.5
+        last = max(int(np.flatnonzero(shares > _ROUND_OFF)[-1]), 2) if shares.max() > 0 else 2
+        share = max(float(shares[last]), _ROUND_OFF)
+        rate = math.log(share) / last if last < self._terms - 2 else -0.1
+        tail = math.exp(rate * self._terms)
+        factor = (self._accuracy / tail) ** (1 / self._terms)
+        y[:, last + 1 :] = 0.0  # round-off, which the corrections replace
+        return tail, factor
+
+    def _signed(self, half: Fraction) -> tuple[float, float, float]:
+        return split(half * self._direction)
+
+    def _prepared(
+        self, models: ModelRows, y: np.ndarray, middle: tuple[float, float, float], half: Fraction
+    ) -> ModelRows:
+        dim, columns = self.equation.dim, self.equation.columns
+        models.high[:dim], models.low[:dim] = y, 0.0
+        models.length[:dim] = self._terms
+        models.radius[: columns + 1] = 0.0
+        models.high[dim:columns, 0] = self._constants
+        models.set_line(columns, middle, self._signed(half))
+        self._start(models)
+        return models
+
+    def _start(self, models: ModelRows) -> None:
+        """Shift y so that y(-1) is the centre."""
+        for i in range(self.equation.dim):
+            value, rest, _ = loops().end_value(models.high[i], models.low[i], self._terms, -1)
+            gap = (self._centre[i] - value) + (self._centre_low[i] - rest)
+            high, low = models.high[i, 0], models.low[i, 0]
+            total = high + gap
+            back = total - high
+            models.high[i, 0] = total
+            models.low[i, 0] = low + ((high - (total - back)) + (gap - back))
+
+    def _corrected(self, models: ModelRows, series: np.ndarray) -> None:
+        dim = self.equation.dim
+        high, low = models.high[:dim], models.low[:dim]
+        add = low + series
+        total = high + add
+        back = total - high
+        models.low[:dim] = (high - (total - back)) + (add - back)
+        models.high[:dim] = total
+        self._start(models)
+
+    def _enclosed(
+        self,
+        half: Fraction,
+        w: float,
+        models: ModelRows,
+        V: np.ndarray,
+        D: np.ndarray,
+        offset: np.ndarray,
+        sizes: np.ndarray,
+        middle: tuple[float, float, float],
+        factor: float,
+    ) -> tuple[Window | None, float]:
+        equation = self.equation
+        dim = equation.dim
+        start = (np.abs(self._C) @ self._r0 + np.abs(self._Q) @ self._r) * (1 + 1e-9)
+        start[:dim] += offset
+        start *= 1 + 1e-9
+        large = np.abs(V).sum(axis=2)
+        units = self._units(w, sizes)
+        tube = 1.5 * (large @ start + 2 * D) + 4 * UNIT * UNIT * sizes + 1e-280
+        for _ in range(4):
+            jacobian = self._over_tube(models, tube, middle, half)
+            found, d, derivative, _ = loops().transport(
+                *jacobian,
+                equation.entries,
+                self._signs,
+                start,
+                V,
+                D,
+                w * (1 + 4 * UNIT),
+                units,
+                dim,
+            )
+            if not np.isfinite(found).all():
+                break
+            if (found < tube).all():
+                return self._accepted(half, models, V, D, d, derivative, offset, found), factor
+            tube = np.maximum(tube, 2 * found)
+        self.reason = "the set of solutions became too wide"
+        return None, 0.6
+
+    def _over_tube(
+        self,
+        models: ModelRows,
+        tube: np.ndarray,
+        middle: tuple[float, float, float],
+        half: Fraction,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        equation, own = self.equation, self._jacobian
+        dim, columns = equation.dim, equation.columns
+        own.high[:dim] = models.high[:dim]
+        own.low[:dim] = models.low[:dim]
+        own.length[:dim] = self._terms
+        own.radius[:dim] = tube
+        own.high[dim:columns, 0] = self._constants
+        own.radius[dim:columns] = self._r0[dim:]
+        own.set_line(columns, middle, self._signed(half))
+        own.run(self._tables, False)
+        places = equation.placed[:, 2]
+        # The half length may not be exact.
+        radius = own.radius[places] + 8 * UNIT * np.abs(own.high[places]).sum(axis=1)
+        return own.high[places], radius * (1 + 1e-9), own.length[places]
+
+    def _units(self, w: float, sizes: np.ndarray) -> np.ndarray:
+        """Units in which DG is nearly balanced (Osborne 1960), powers of two."""
+        equation = self.equation
+        dim = equation.dim
+        rows = self._rows[1]
+        matrix = np.zeros((dim, dim))
+        for i, j, place in equation.placed:
+            if j < dim:
+                matrix[i, j] += np.abs(rows[place]).max()
+        np.fill_diagonal(matrix, 0.0)
+        safe = np.maximum(sizes, sizes.max() * 1e-12)
+        matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
+        units = np.ones(dim)
+        for _ in range(6):
+            for i in range(dim):
+                row = float(matrix[i] @ units) / units[i]
+                column = float((matrix[:, i] / units).sum()) * units[i]
+                units[i] *= math.sqrt(row / column)
+        return np.asarray(2.0 ** np.round(np.log2(units)))
+
+    def _accepted(
+        self,
+        half: Fraction,
+        models: ModelRows,
+        V: np.ndarray,
+        D: np.ndarray,
+        d: np.ndarray,
+        derivative: np.ndarray,
+        offset: np.ndarray,
+        tube: np.ndarray,
+    ) -> Window:
+        equation, terms = self.equation, self._terms
+        dim, columns = equation.dim, equation.columns
+        large = np.abs(V).sum(axis=2)
+        beside = (large[:, :dim] @ offset + d + D) * (1 + 1e-9)
+        J, J_error = np.eye(columns), np.zeros((columns, columns))
+        none = np.zeros(terms)
+        for i in range(dim):
+            for c in range(columns):
+                value, rest, radius = loops().end_value(V[i, c], none, terms, 1)
+                J[i, c] = value
+                J_error[i, c] = (abs(rest) + radius) * (1 + 1e-9)
+        extra = np.zeros(columns)
+        for i in range(dim):
+            value, rest, radius = loops().end_value(models.high[i], models.low[i], terms, 1)
+            self._centre[i], self._centre_low[i] = value, rest
+            extra[i] = beside[i] + radius
+        self._centre_radius = np.zeros(dim)
+        extra *= 1 + 1e-9
+        window = Window(
+            self.elapsed,
+            half,
+            models.high[:dim].copy(),
+            models.low[:dim].copy(),
+            V,
+            self._C,
+            self._r0,
+            self._Q,
+            self._r,
+            beside,
+            derivative,
+            J,
+            J_error,
+            tube,
+        )
+        self._C, rest = loops().moved_set(J, J_error, self._C, self._r0[:, None])
+        self._Q, radii = loops().turned_set(
+            J, J_error, self._Q, self._r[:, None], extra[:, None] + rest
+        )
+        self._r = np.ascontiguousarray(radii[:, 0])
+        if not np.isfinite(self._r).all():
+            raise CertificationError("the enclosure became infinite; use an earlier end time")
+        self.elapsed = window.end
+        return window
+
+
+def enclose_windows(
+    stepper: WindowStepper,
+    edges: Sequence[Fraction],
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[Window]:
+    """Windows up to the last of the edges, none of which lies inside a window."""
+    for edge in edges:
+        while stepper.elapsed < edge:
+            yield stepper.step(edge)
+            if progress:
+                progress(float(stepper.elapsed / stepper.total))
