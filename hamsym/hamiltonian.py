@@ -576,13 +576,16 @@ class Hamiltonian:
     def source(self, backend: str = "torch", part: str | None = None) -> str:
         """Generate the module, or one of its functions, as text.
 
-        :meth:`compile` executes this text. As a file it depends only on its backend.
+        :meth:`compile` executes this text. As a file it depends only on its backend. The functions
+        of ``"balls"``, which proofs execute, depend on nothing: their first argument is an
+        arithmetic, of balls for example.
 
         Parameters
         ----------
-        backend : {"torch", "numpy", "numba"}
+        backend : {"torch", "numpy", "numba", "balls"}
         part : str, optional
-            The name of one function, such as ``"loss"``.
+            The name of one function, such as ``"loss"``. The module of balls does not contain
+            ``"third_derivatives"``, which proofs over boxes use.
 
         Raises
         ------
@@ -606,12 +609,26 @@ class Hamiltonian:
         A function is derived and generated on first use. With ``"numba"`` it is compiled on its
         first call.
 
+        Parameters
+        ----------
+        backend : {"torch", "numpy", "numba"}
+
+        Raises
+        ------
+        InputError
+            If the backend is unknown, or ``"balls"``.
+
         Examples
         --------
         >>> H = Hamiltonian("p**2/2 + x**2/2 + x**4/4")
         >>> H.compile("numpy").vector_field([1.0, 2.0])
         array([ 2., -2.])
         """
+        if backend == "balls":
+            raise InputError(
+                "functions of 'balls' have no arrays, but an arithmetic as their first argument; "
+                'show them by H.source("balls"), or compile torch, numpy or numba'
+            )
         return load(generate(self.real_equations, backend))
 
     @cached_property

@@ -71,7 +71,7 @@ def _echo_hessian(H: Hamiltonian, write: FormulaPrinter) -> None:
 
 @click.command()
 @hamiltonian_options
-@click.option("--backend", type=click.Choice(["torch", "numpy", "numba"]), default="torch")
+@click.option("--backend", type=click.Choice(["torch", "numpy", "numba", "balls"]), default="torch")
 @click.option("--part", metavar="NAME", help="One function, e.g. loss or vector_field.")
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write to a file.")
 def source(H: Hamiltonian, backend: str, part: str | None, output: str | None) -> None:

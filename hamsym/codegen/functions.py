@@ -1,8 +1,9 @@
-"""Compilation of expressions in the symbols of H to one numpy function."""
+"""Compilation of expressions to one function, with numpy or for any arithmetic."""
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import linecache
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,11 +13,12 @@ import sympy
 
 from hamsym.codegen.names import Names
 from hamsym.codegen.printers import NUMPY_DEFINITIONS, NumpyPrinter
+from hamsym.codegen.straight_line import straight_line
 from hamsym.errors import CodeGenerationError
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["compile_expressions", "expressions_source"]
+__all__ = ["compile_expressions", "compile_straight_line", "expressions_source"]
 
 _INFINITE = (sympy.nan, sympy.zoo, sympy.oo, -sympy.oo)
 
@@ -45,13 +47,46 @@ def compile_expressions(
     >>> compile_expressions([k*x, p/2], equations)([2.0, 1.0])
     array([6. , 0.5])
     """
-    source = expressions_source(expressions, equations)
+    return _compiled(expressions_source(expressions, equations))
+
+
+def compile_straight_line(
+    expressions: Sequence[sympy.Expr], symbols: Sequence[sympy.Symbol]
+) -> Callable[..., list[Any]]:
+    """Compile expressions to a function of an arithmetic and of a value for each symbol.
+
+    Parameters
+    ----------
+    expressions : sequence of sympy.Expr
+    symbols : sequence of sympy.Symbol
+
+    Returns
+    -------
+    callable
+        (a, *values) -> list of results; see :mod:`hamsym.codegen.straight_line`.
+
+    Raises
+    ------
+    CodeGenerationError
+        If arithmetics lack a function of an expression, or a symbol is not given.
+    """
+    names = {symbol: f"x{k}" for k, symbol in enumerate(symbols)}
+    temporaries = (sympy.Symbol(f"u{k}") for k in itertools.count())
+    line = straight_line(expressions, names, temporaries)
+    return _compiled(
+        f"def values({', '.join(('a', *names.values()))}):\n"
+        f"{line.assignments}    return [{', '.join(line.results)}]\n"
+    )
+
+
+def _compiled(source: str) -> Callable[..., Any]:
+    """The function ``values`` of a module."""
     filename = f"<hamsym functions {hashlib.sha256(source.encode()).hexdigest()[:12]}>"
     # Tracebacks show the source; an entry with mtime None is kept by linecache.checkcache.
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
     namespace: dict[str, Any] = {}
     exec(compile(source, filename, "exec"), namespace)  # noqa: S102
-    function: Callable[..., np.ndarray] = namespace["values"]
+    function: Callable[..., Any] = namespace["values"]
     return function
 
 

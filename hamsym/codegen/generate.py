@@ -4,7 +4,8 @@ Stage 1, names.      Output: an identifier for every symbol that differs from Py
          from those in the templates (:class:`~hamsym.codegen.names.Names`).
 Stage 2, printing.   Output: expressions as text in the backend's dialect, with common
          subexpressions extracted where that shortens the code
-         (:class:`~hamsym.codegen.bodies.Bodies`).
+         (:class:`~hamsym.codegen.bodies.Bodies`); for balls, single operations
+         (:class:`~hamsym.codegen.straight_line.StraightLines`).
 Stage 3, rendering.  One Jinja2 template per backend has a macro for each part of a module; the
          loops of the integrators are plain Python, appended after the kernels.
 
@@ -31,6 +32,7 @@ from hamsym.codegen.bodies import Bodies
 from hamsym.codegen.names import FUNCTIONS, Names
 from hamsym.codegen.numba_cache import cached_text
 from hamsym.codegen.printers import NUMPY_DEFINITIONS, PRINTERS
+from hamsym.codegen.straight_line import StraightLines
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.grammar import GREEK
 from hamsym.formula.printer import FormulaPrinter, rewritten_to
@@ -38,7 +40,8 @@ from hamsym.symbolic.equations import Equations
 
 __all__ = ["BACKENDS", "Source", "generate"]
 
-BACKENDS = tuple(PRINTERS)
+#: Backends of :func:`generate`; functions of balls have an arithmetic as their first argument.
+BACKENDS = (*PRINTERS, "balls")
 _WIDTH = 96
 # Up to this number of degrees of freedom, deriving the text is faster than reading it from a file.
 _MAX_UNCACHED_DOF = 6
@@ -88,7 +91,11 @@ _STEP_PARTS = {
     ),
     "doubled phase space": _Part(("gradient", "hessian", "integrators"), ("doubled",)),
 }
-_PARTS = _FUNCTION_PARTS | _STEP_PARTS
+_BALL_PARTS = {
+    **{name: _FUNCTION_PARTS[name] for name in ("head", "energy", "vector_field", "hessian")},
+    "third_derivatives": _Part(defines=("third_derivatives",)),
+}
+_PARTS = _FUNCTION_PARTS | _STEP_PARTS | _BALL_PARTS
 _ONLY_SEPARABLE = frozenset(("compensation", "curvature", "splitting", "tangents"))
 _NOT_SEPARABLE = frozenset(("jacobian", "symplectic Euler"))
 
@@ -112,8 +119,11 @@ class Source:
     @property
     def text(self) -> str:
         """Text of the whole module."""
+        if self.backend == "balls":
+            # Only proofs over boxes use third derivatives, of which there may be very many.
+            return self._joined(name for name in _BALL_PARTS if name != "third_derivatives")
         unused = _NOT_SEPARABLE if self.form.is_separable else _ONLY_SEPARABLE
-        parts = _FUNCTION_PARTS if self.backend != "numba" else _PARTS
+        parts = _FUNCTION_PARTS if self.backend != "numba" else _FUNCTION_PARTS | _STEP_PARTS
         if not self.form.narrow_arguments:
             unused = unused | {"argument_rows"}
         return self._joined(name for name in parts if name not in unused)
@@ -146,7 +156,8 @@ class Source:
         InputError
             If the module has no function of this name.
         """
-        return extract(self.part(name) if name in FUNCTIONS else self.text, name)
+        own = _BALL_PARTS.keys() - {"head"} if self.backend == "balls" else FUNCTIONS
+        return extract(self.part(name) if name in own else self.text, name)
 
     def part(self, name: str) -> str:
         """Text of one part.
@@ -197,7 +208,11 @@ class _Page:
     def __init__(self, source: Source) -> None:
         form, names = source.form, source.names
         self._form, self.backend = form, source.backend
-        self.bodies = Bodies(form, names, source.backend)
+        self.bodies: Any = (
+            StraightLines(form, names)
+            if source.backend == "balls"
+            else Bodies(form, names, source.backend)
+        )
         self.dof, self.dim = form.dof, 2 * form.dof
         self.z, self.dz = names.state, names.derivatives
         self.q, self.p = self.z[: self.dof], self.z[self.dof :]
@@ -230,6 +245,14 @@ class _Page:
     def textbook(self) -> bool:
         """Whether functions are written component by component."""
         return self.dim <= _TEXTBOOK_DIM and not self.bodies.vector_field.temporaries
+
+    @property
+    def arithmetic(self) -> str:
+        return self.bodies.arguments[0]
+
+    @property
+    def inserted(self) -> list[str]:
+        return [f"{name} = {value!r}" for name, value in self.bodies.inserted.items()]
 
     @property
     def squares(self) -> list[str]:
@@ -277,7 +300,7 @@ def generate(form: Equations, backend: str) -> Source:
     InputError
         If the backend is unknown.
     """
-    if backend not in PRINTERS:
+    if backend not in BACKENDS:
         raise InputError(f"'{backend}' is not a backend; choose one of {', '.join(BACKENDS)}")
     return Source(form, backend)
 

@@ -37,6 +37,7 @@ class Names:
             (self._claim(symbol), value) for symbol, value in form.parameters.values()
         ]
         self.derivatives = [self._unused("d" + name) for name in self.state]
+        self.arithmetic = self._unused("a")  # the first argument of functions of balls
 
     def _claim(self, symbol: sympy.Symbol) -> str:
         self.of[symbol] = self._unused(symbol.name)

@@ -23,7 +23,8 @@ class System:
     """Callables of a generated module, each generated on first use.
 
     Each takes the state ``z`` of shape (..., dim) first, then ``t`` if H depends on time, then
-    the parameters as keywords whose defaults are the values bound in the Hamiltonian.
+    the parameters as keywords whose defaults are the values bound in the Hamiltonian. Those of
+    balls, which :meth:`function` returns, take an arithmetic, each component of the state and t.
 
     Attributes
     ----------

@@ -68,6 +68,18 @@ class ExactDerivatives:
     def hessian(self) -> dict[tuple[int, int], sympy.Expr]:
         return derivatives.hessian(self.gradient, self._z, self._effort)
 
+    @cached_property
+    def third_derivatives(self) -> dict[tuple[int, int, int], sympy.Expr]:
+        """Third derivatives by (i, j, k), i <= j <= k, that do not vanish."""
+        effort = derivatives.Effort(self.expr)
+        found = {}
+        for (i, j), entry in self.hessian.items():
+            slopes = derivatives.gradient(entry, self._z, effort) if i <= j else []
+            for k, slope in enumerate(slopes):
+                if k >= j and slope != 0:
+                    found[i, j, k] = slope
+        return found
+
     def rounded(self, expr: sympy.Expr) -> sympy.Expr:
         """Insert the floating-point numbers into an expression, with sympy's rounding."""
         return expr.xreplace(self._numbers) if self._numbers else expr
