@@ -8,7 +8,7 @@ Cells whose bound is much larger than the error itself are halved.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError, InputError
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.expansion import Chain, Leg, Split
@@ -23,11 +24,11 @@ from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.proof.balls import working
 from hamsym.proof.box_certificate import BoxCertificate, map_digest
-from hamsym.proof.formulas import Formulas, require_smooth
 from hamsym.proof.functions import SingularityError
+from hamsym.proof.generated import evaluated, require_smooth
 from hamsym.proof.limits import Deadline
 from hamsym.proof.map_models import Cells, LegModels, Step, affine_models
-from hamsym.proof.taylor_models import BITS, Model, Space, apply
+from hamsym.proof.taylor_models import BITS, MODELS, Model, Space
 from hamsym.proof.tube import Flow, StepModels, Stepper, Tube
 from hamsym.support.validation import require_positive, require_whole
 
@@ -409,22 +410,22 @@ class _Starts:
 
     def __init__(self, box: Box, space: Space) -> None:
         self._box, self._space = box, space
-        self._formulas: dict[str, Formulas] = {}
+        self._functions: dict[str, Callable[..., list[Model]]] = {}
         known = {canonical_name(name): sympy.Symbol(name, real=True) for name in box.names}
         for component, text in box.expressions.items():
             expr = parse_expression(text)
             expr = expr.xreplace({s: known[canonical_name(s.name)] for s in expr.free_symbols})
             require_smooth(expr)
-            self._formulas[component] = Formulas([expr], list(known.values()))
+            self._functions[component] = compile_straight_line([expr], list(known.values()))
 
     def errors(self, leg: Leg, start: list[Model], inputs: list[Model]) -> list[Model]:
         box, cells = self._box, len(inputs[0].radius)
         found = []
         for i, name in enumerate(box.H.names):
             row, offset = leg.selection[i], float(leg.offset[i])
-            if name in self._formulas:
+            if name in self._functions:
                 with working(BITS):
-                    (exact,) = self._formulas[name](inputs, apply)
+                    (exact,) = evaluated(self._functions[name], MODELS, *inputs)
                 found.append(start[i] - exact)
                 continue
             one = np.zeros(len(box))

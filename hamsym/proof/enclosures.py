@@ -14,11 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import sympy
-
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.formulas import Formulas, require_smooth
-from hamsym.proof.functions import Enclosed
+from hamsym.proof.functions import BALLS, Enclosed
+from hamsym.proof.generated import GeneratedFunctions
 
 __all__ = ["Enclosures"]
 
@@ -47,35 +45,17 @@ class Enclosures:
 
     def __init__(self, H: Hamiltonian) -> None:
         H.require_parameters()
-        equations = H.real_equations
-        require_smooth(equations.expr)  # a kink of H may be absent from its derivatives
-        values = {s: value for s, value in equations.parameters.values() if value is not None}
-
-        def exact(expr: sympy.Expr) -> sympy.Expr:
-            return equations.exact.with_fractions(expr, values)
-
-        variables = (*equations.z, equations.time or sympy.Dummy("t"))
-        slopes = [exact(entry) for entry in equations.exact.gradient]
-        rates = [*slopes[H.dof :], *(-slope for slope in slopes[: H.dof])]
-        entries = {
-            index: exact(entry)
-            for index, entry in equations.exact.hessian.items()
-            if index[0] <= index[1]
-        }
         self.dim, self.time_dependent = H.dim, H.time is not None
-        self._energy = Formulas([exact(equations.exact.expr)], variables, values)
-        self._vector_field = Formulas(rates, variables, values)
-        self._indices = [index for index, entry in entries.items() if entry != 0]
-        self._hessian = Formulas([entries[index] for index in self._indices], variables, values)
+        self._functions = GeneratedFunctions(H, BALLS)
 
     def energy(self, z: Sequence[Enclosed], t: Enclosed) -> Enclosed:
         """H at balls, or along series, of the components of z and of t."""
-        return self._energy([*z, t])[0]
+        return self._functions("energy", z, t)
 
     def vector_field(self, z: Sequence[Enclosed], t: Enclosed) -> list[Enclosed]:
         """J grad H, dim entries."""
-        return self._vector_field([*z, t])
+        return list(self._functions("vector_field", z, t))
 
     def hessian(self, z: Sequence[Enclosed], t: Enclosed) -> dict[tuple[int, int], Enclosed]:
         """The entries (i, j), i <= j, of the second derivatives that do not vanish."""
-        return dict(zip(self._indices, self._hessian([*z, t]), strict=True))
+        return dict(self._functions("hessian", z, t))

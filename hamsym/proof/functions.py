@@ -1,4 +1,7 @@
-"""Elementary functions of balls (``arb``) and of Taylor series of balls (``arb_series``).
+"""Arithmetic of balls (``arb``) and of Taylor series of balls (``arb_series``).
+
+Output: :class:`Arithmetic`, the first argument of the functions that
+        :mod:`hamsym.codegen.straight_line` generates.
 
 Each result contains the value, or each Taylor coefficient, for every choice of numbers in the
 arguments. Where an argument reaches a point at which the function is not smooth (a zero of a
@@ -7,15 +10,18 @@ divisor, the branch point of a root), the function raises :class:`SingularityErr
 
 from __future__ import annotations
 
+import functools
 import operator
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-import sympy
-from flint import arb, arb_series
+from flint import arb, arb_series, ctx, fmpq
 
 __all__ = [
-    "ELEMENTARY",
+    "BALLS",
+    "FUNCTIONS",
+    "Arithmetic",
     "Enclosed",
     "SingularityError",
     "general_power",
@@ -173,22 +179,71 @@ def general_power(base: Enclosed, exponent: Enclosed) -> Enclosed:
     return (exponent * base.log()).exp()
 
 
-#: Enclosure of each elementary function of sympy; atan2 takes two arguments, the others one.
-ELEMENTARY: dict[type, Callable[..., Enclosed]] = {
-    sympy.exp: operator.methodcaller("exp"),
-    sympy.sin: operator.methodcaller("sin"),
-    sympy.cos: operator.methodcaller("cos"),
-    sympy.atan: operator.methodcaller("atan"),
-    sympy.erf: operator.methodcaller("erf"),
-    sympy.log: logarithm,
-    sympy.tan: tangent,
-    sympy.asin: arcsine,
-    sympy.acos: arccosine,
-    sympy.sinh: hyperbolic_sine,
-    sympy.cosh: hyperbolic_cosine,
-    sympy.tanh: hyperbolic_tangent,
-    sympy.asinh: inverse_hyperbolic_sine,
-    sympy.acosh: inverse_hyperbolic_cosine,
-    sympy.atanh: inverse_hyperbolic_tangent,
-    sympy.atan2: angle,
+#: Enclosures of the functions in generated code; atan2 and general_power take two arguments.
+FUNCTIONS: dict[str, Callable[..., Enclosed]] = {
+    **{name: operator.methodcaller(name) for name in ("exp", "sin", "cos", "atan", "erf")},
+    "log": logarithm,
+    "tan": tangent,
+    "asin": arcsine,
+    "acos": arccosine,
+    "sinh": hyperbolic_sine,
+    "cosh": hyperbolic_cosine,
+    "tanh": hyperbolic_tangent,
+    "asinh": inverse_hyperbolic_sine,
+    "acosh": inverse_hyperbolic_cosine,
+    "atanh": inverse_hyperbolic_tangent,
+    "atan2": angle,
+    "reciprocal": reciprocal,
+    "root": root,
+    "reciprocal_root": reciprocal_root,
+    "general_power": general_power,
 }
+
+
+class Arithmetic:
+    """Numbers and functions of balls, at the present precision.
+
+    Each function of :data:`FUNCTIONS` is an attribute.
+
+    Parameters
+    ----------
+    apply : callable, optional
+        (function, *arguments) -> result, in place of ``function(*arguments)``: functions of other
+        objects than balls and series.
+
+    Examples
+    --------
+    >>> BALLS.root(BALLS.number(9, 4)).str(5)
+    '1.5000'
+    """
+
+    def __init__(self, apply: Callable[..., Enclosed] | None = None) -> None:
+        for name, function in FUNCTIONS.items():
+            setattr(self, name, function if apply is None else partial(apply, function))
+
+    @staticmethod
+    def number(numerator: int, denominator: int = 1) -> arb:
+        """A ball of a fraction; exact if the fraction is binary and fits the precision."""
+        return _fraction(numerator, denominator, ctx.prec)
+
+    @property
+    def pi(self) -> arb:
+        return _constant(arb.pi, ctx.prec)
+
+    @property
+    def e(self) -> arb:
+        return _constant(arb.const_e, ctx.prec)
+
+
+@functools.lru_cache(maxsize=4096)
+def _fraction(numerator: int, denominator: int, bits: int) -> arb:
+    return arb(fmpq(numerator, denominator))
+
+
+@functools.lru_cache(maxsize=64)
+def _constant(make: Callable[[], arb], bits: int) -> arb:
+    return make()
+
+
+#: The arithmetic of balls and of their Taylor series.
+BALLS = Arithmetic()

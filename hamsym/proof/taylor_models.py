@@ -28,7 +28,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -36,9 +35,9 @@ import numpy as np
 from flint import arb, arb_series
 
 from hamsym.proof.balls import above, working
-from hamsym.proof.functions import SingularityError, general_power, logarithm
+from hamsym.proof.functions import Arithmetic, SingularityError, general_power
 
-__all__ = ["BITS", "Model", "Space", "apply", "float_with_radius", "inflated"]
+__all__ = ["BITS", "MODELS", "Model", "Space", "float_with_radius", "inflated"]
 
 BITS = 160  # of constants, tables and elementary functions
 _UNIT = 2.0**-53
@@ -58,6 +57,10 @@ def float_with_radius(number: arb) -> tuple[float, float]:
     if not math.isfinite(value):
         return math.nan, math.inf
     return value, above(abs(number - arb(value)))
+
+
+def _known(number: arb | int) -> tuple[float, float]:
+    return float_with_radius(number if isinstance(number, arb) else arb(number))
 
 
 @functools.cache
@@ -253,16 +256,25 @@ class Model:
     def __neg__(self) -> Model:
         return Model(self.space, -self.coefficients, self.radius)
 
-    def __add__(self, other: Model) -> Model:
+    def __add__(self, other: Model | arb | int) -> Model:
+        if not isinstance(other, Model):
+            return self.plus(*_known(other))
         found = self.coefficients + other.coefficients
         rest = self.radius + other.radius + _UNIT * np.abs(found).sum(axis=0)
         return Model(self.space, found, inflated(rest, self.space.count))
 
-    def __sub__(self, other: Model) -> Model:
+    def __sub__(self, other: Model | arb | int) -> Model:
         return self + (-other)
 
-    def __mul__(self, other: Model) -> Model:
+    def __mul__(self, other: Model | arb | int) -> Model:
+        if not isinstance(other, Model):
+            return self.times(*_known(other))
         return self.space.product(self, other)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __rsub__(self, other: arb | int) -> Model:
+        return -self + other
 
     def times(self, factor: Any, radius: Any = 0.0) -> Model:
         """The product with a number, or one for each cell, known up to a radius."""
@@ -340,32 +352,26 @@ def _padded(series: Any) -> list[arb]:
     return [series[k] for k in range(_ORDERS + 1)]
 
 
-def apply(function: Callable[..., Any], *arguments: Any) -> Any:
-    """A step of a formula, with models or balls as arguments.
+def _applied(function: Callable[..., Any], *arguments: Any) -> Any:
+    """A function of balls, of models, or of both.
 
     Raises
     ------
     SingularityError
         If the function has no model.
     """
-    if all(isinstance(argument, arb) for argument in arguments):
+    if not any(isinstance(argument, Model) for argument in arguments):
         return function(*arguments)
     if len(arguments) == 1:
-        (model,) = arguments
-        return -model if function is operator.neg else model.composed(function)
-    first, second = arguments
-    if function is operator.sub:
-        return apply(operator.add, first, apply(operator.neg, second))
-    if function in (operator.add, operator.mul):
-        if isinstance(first, Model) and isinstance(second, Model):
-            return function(first, second)
-        model, number = (first, second) if isinstance(first, Model) else (second, first)
-        value = float_with_radius(number)
-        return model.plus(*value) if function is operator.add else model.times(*value)
+        return arguments[0].composed(function)
     if function is general_power:
-        logarithms = apply(logarithm, first)
-        return apply(operator.methodcaller("exp"), apply(operator.mul, second, logarithms))
+        base, exponent = arguments
+        return MODELS.exp(exponent * MODELS.log(base))  # type: ignore[attr-defined]
     raise SingularityError
+
+
+#: The arithmetic of Taylor models, with balls as constants.
+MODELS = Arithmetic(_applied)
 
 
 def _chebyshev_share(power: int, degree: int) -> float:

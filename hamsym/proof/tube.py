@@ -35,6 +35,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import sympy
@@ -43,19 +44,18 @@ from numpy.polynomial import chebyshev
 from hamsym.errors import CertificationError
 from hamsym.flow_maps.box import Box
 from hamsym.proof.balls import ball, working
-from hamsym.proof.formulas import Formulas, require_smooth
 from hamsym.proof.functions import SingularityError
+from hamsym.proof.generated import GeneratedFunctions
 from hamsym.proof.map_models import Step
 from hamsym.proof.taylor_models import (
     BITS,
+    MODELS,
     Model,
     Space,
-    apply,
     float_with_radius,
     inflated,
     total,
 )
-from hamsym.symbolic import derivatives
 
 __all__ = ["Flow", "StepModels", "Tube"]
 
@@ -68,67 +68,49 @@ _SMALLEST = 1e-250
 
 
 class Flow:
-    """H with its derivatives as formulas of (z, t, parameters that vary)."""
+    """H with its derivatives as models, of models of z, t and the parameters that vary."""
 
     def __init__(self, box: Box) -> None:
         H = box.H
-        equations = H.real_equations
-        require_smooth(equations.expr)
-        if equations.expr.has(sympy.atan2):
+        if H.real_equations.expr.has(sympy.atan2):
             raise CertificationError(
                 "H contains 'atan2', of which there are no Taylor models; a proof over a box needs "
                 "H without it"
             )
-        varied = [name for name in box.parameters if name in H.parameter_names]
-        values = {
-            symbol: value
-            for name, (symbol, value) in equations.parameters.items()
-            if value is not None and name not in varied
-        }
-        self.dim, self.dof, self.parameters = H.dim, H.dof, varied
-        symbols = [equations.parameters[name][0] for name in varied]
-        variables = [*equations.z, equations.time or sympy.Dummy("t"), *symbols]
+        self.dim, self.dof = H.dim, H.dof
+        self.parameters = [name for name in box.parameters if name in H.parameter_names]
+        self._functions = GeneratedFunctions(H, MODELS, self.parameters)
 
-        def formulas(expressions: list[sympy.Expr]) -> Formulas:
-            found = [equations.exact.with_fractions(entry, values) for entry in expressions]
-            return Formulas(found, variables, values)
+    def energy(self, arguments: list[Model]) -> Model:
+        return self._model(self._evaluated("energy", arguments), arguments)
 
-        slopes = equations.exact.gradient
-        self.energy = formulas([equations.exact.expr])
-        self.field = formulas([*slopes[H.dof :], *(-slope for slope in slopes[: H.dof])])
-        upper = {
-            index: entry
-            for index, entry in equations.exact.hessian.items()
-            if index[0] <= index[1] and entry != 0
-        }
-        self.hessian_indices = list(upper)
-        self.hessian = formulas(list(upper.values()))
-        effort, third = derivatives.Effort(equations.expr), {}
-        for (i, j), entry in upper.items():
-            for k, slope in enumerate(derivatives.gradient(entry, equations.z, effort)):
-                if k >= j and slope != 0:
-                    third[i, j, k] = slope
-        self.third_indices = list(third)
-        self.third = formulas(list(third.values()))
+    def field(self, arguments: list[Model]) -> list[Model]:
+        """F."""
+        values = self._evaluated("vector_field", arguments)
+        return [self._model(value, arguments) for value in values]
 
-    def evaluated(self, formulas: Formulas, arguments: list[Model]) -> list[Model]:
-        """The values of formulas as models."""
-        space, cells = arguments[0].space, len(arguments[0].radius)
+    def _tensor(self, name: str, arguments: list[Model]) -> dict[tuple[int, ...], Model]:
+        entries = self._evaluated(name, arguments)
+        return {index: self._model(value, arguments) for index, value in entries.items()}
+
+    def _evaluated(self, name: str, arguments: list[Model]) -> Any:
+        state, t, varied = arguments[: self.dim], arguments[self.dim], arguments[self.dim + 1 :]
+        keywords = dict(zip(self._functions.keywords, varied, strict=True))
         with working(BITS):
-            found = []
-            for value in formulas(arguments, apply):
-                if not isinstance(value, Model):
-                    number, radius = float_with_radius(value)
-                    value = space.constant(np.full(cells, number), radius)
-                found.append(value)
-        return found
+            return self._functions(name, state, t, **keywords)
+
+    @staticmethod
+    def _model(value: Any, arguments: list[Model]) -> Model:
+        """A value that may be a ball as a model."""
+        if isinstance(value, Model):
+            return value
+        number, radius = float_with_radius(value)
+        return arguments[0].space.constant(np.full(len(arguments[0].radius), number), radius)
 
     def jacobian(self, arguments: list[Model]) -> list[list[Model | None]]:
         """DF; None for entries that vanish."""
         found: list[list[Model | None]] = [[None] * self.dim for _ in range(self.dim)]
-        for (i, j), entry in zip(
-            self.hessian_indices, self.evaluated(self.hessian, arguments), strict=True
-        ):
+        for (i, j), entry in self._tensor("hessian", arguments).items():
             for row, column in {(i, j), (j, i)}:
                 target, sign = self._target(row)
                 found[target][column] = entry if sign > 0 else -entry
@@ -143,11 +125,9 @@ class Flow:
         cells = len(arguments[0].radius)
         found = np.zeros((self.dim, self.dim, self.dim, cells))
         # H finite as a model is analytic there, which its derivatives alone do not show.
-        energy = self.evaluated(self.energy, arguments)[0].largest()
+        energy = self.energy(arguments).largest()
         found[:, :, :, ~np.isfinite(energy)] = np.inf
-        for index, entry in zip(
-            self.third_indices, self.evaluated(self.third, arguments), strict=True
-        ):
+        for index, entry in self._tensor("third_derivatives", arguments).items():
             size = entry.largest()
             for row, *columns in set(itertools.permutations(index)):
                 place = self._target(row)[0], *columns
@@ -270,7 +250,7 @@ class Stepper:
         with working(BITS):
             half, _ = float_with_radius(ball(step.half))
             inverse, inverse_spread = float_with_radius(1 / ball(step.half))
-        field = flow.evaluated(flow.field, arguments)
+        field = flow.field(arguments)
         defect = [
             rate.times(inverse, inverse_spread) - value
             for rate, value in zip(rates, field, strict=True)
