@@ -16,7 +16,6 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-import sympy
 from flint import arb
 
 from hamsym.proof import functions
@@ -41,10 +40,11 @@ from hamsym.proof.chebyshev_models import (
     SUBTRACT,
 )
 from hamsym.proof.compiled import loops
+from hamsym.proof.functions import Arithmetic
 
-__all__ = ["ModelRows", "Program", "Recorder", "Rows", "split", "tables"]
+__all__ = ["BITS", "ModelRows", "Program", "Recorder", "Rows", "split", "tables"]
 
-_BITS = 240
+BITS = 240  # of numbers
 
 
 class Program:
@@ -82,12 +82,18 @@ class Recorder:
         self._pairs: dict[int, tuple[_Value, _Value]] = {}
         self._numbers: dict[str, int] = {}
 
+    @property
+    def arithmetic(self) -> Arithmetic:
+        """The arithmetic whose operations are recorded."""
+        return Arithmetic(self.apply)
+
     def place(self, value: Any) -> int:
         """The register of a value, a new one for a number."""
         if isinstance(value, _Value):
             return value.place
-        with working(_BITS):
-            key = arb(value).str(80, more=True)
+        with working(BITS):
+            value = arb(value)
+            key = value.str(80, more=True)
         if key not in self._numbers:
             self._numbers[key] = self._new()
             self.constants.append((self._numbers[key], value))
@@ -107,7 +113,7 @@ class Recorder:
     def apply(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """A function of values or numbers."""
         if not any(isinstance(argument, _Value) for argument in arguments):
-            with working(_BITS):
+            with working(BITS):
                 return function(*arguments)
         if function in _OPERATORS:
             return self.add_step(_OPERATORS[function], *arguments)
@@ -175,7 +181,7 @@ class Recorder:
 
     def error_function(self, x: _Value) -> _Value:
         bell = self.add_step(EXPONENTIAL, self.add_step(NEGATE, self.square(x)))
-        with working(_BITS):
+        with working(BITS):
             factor = 2 / arb.pi().sqrt()
         return self.add_step(ERROR_FUNCTION, x, self.add_step(MULTIPLY, factor, bell))
 
@@ -188,9 +194,7 @@ class Recorder:
 
     def power(self, base: Any, exponent: Any) -> Any:
         logarithm = self.apply(functions.logarithm, base)
-        return self.apply(
-            functions.ELEMENTARY[sympy.exp], self.apply(operator.mul, exponent, logarithm)
-        )
+        return self.apply(functions.FUNCTIONS["exp"], self.apply(operator.mul, exponent, logarithm))
 
 
 class _Value:
@@ -228,26 +232,26 @@ _OPERATORS: dict[Any, int] = {
     operator.neg: NEGATE,
     functions.reciprocal: RECIPROCAL,
     functions.reciprocal_root: RECIPROCAL_ROOT,
-    functions.ELEMENTARY[sympy.exp]: EXPONENTIAL,
+    functions.FUNCTIONS["exp"]: EXPONENTIAL,
 }
 _RULES: dict[Any, Callable[..., Any]] = {
     functions.root: Recorder.root,
     functions.general_power: Recorder.power,
-    functions.ELEMENTARY[sympy.log]: Recorder.logarithm,
-    functions.ELEMENTARY[sympy.sin]: lambda recorder, x: recorder.sine_cosine(x)[0],
-    functions.ELEMENTARY[sympy.cos]: lambda recorder, x: recorder.sine_cosine(x)[1],
-    functions.ELEMENTARY[sympy.tan]: Recorder.tangent,
-    functions.ELEMENTARY[sympy.atan]: Recorder.arctangent,
-    functions.ELEMENTARY[sympy.asin]: Recorder.arcsine,
-    functions.ELEMENTARY[sympy.acos]: Recorder.arccosine,
-    functions.ELEMENTARY[sympy.sinh]: lambda recorder, x: recorder.hyperbolic(x, SUBTRACT),
-    functions.ELEMENTARY[sympy.cosh]: lambda recorder, x: recorder.hyperbolic(x, ADD),
-    functions.ELEMENTARY[sympy.tanh]: Recorder.hyperbolic_tangent,
-    functions.ELEMENTARY[sympy.asinh]: Recorder.arsinh,
-    functions.ELEMENTARY[sympy.acosh]: Recorder.arcosh,
-    functions.ELEMENTARY[sympy.atanh]: Recorder.artanh,
-    functions.ELEMENTARY[sympy.erf]: Recorder.error_function,
-    functions.ELEMENTARY[sympy.atan2]: Recorder.angle,
+    functions.FUNCTIONS["log"]: Recorder.logarithm,
+    functions.FUNCTIONS["sin"]: lambda recorder, x: recorder.sine_cosine(x)[0],
+    functions.FUNCTIONS["cos"]: lambda recorder, x: recorder.sine_cosine(x)[1],
+    functions.FUNCTIONS["tan"]: Recorder.tangent,
+    functions.FUNCTIONS["atan"]: Recorder.arctangent,
+    functions.FUNCTIONS["asin"]: Recorder.arcsine,
+    functions.FUNCTIONS["acos"]: Recorder.arccosine,
+    functions.FUNCTIONS["sinh"]: lambda recorder, x: recorder.hyperbolic(x, SUBTRACT),
+    functions.FUNCTIONS["cosh"]: lambda recorder, x: recorder.hyperbolic(x, ADD),
+    functions.FUNCTIONS["tanh"]: Recorder.hyperbolic_tangent,
+    functions.FUNCTIONS["asinh"]: Recorder.arsinh,
+    functions.FUNCTIONS["acosh"]: Recorder.arcosh,
+    functions.FUNCTIONS["atanh"]: Recorder.artanh,
+    functions.FUNCTIONS["erf"]: Recorder.error_function,
+    functions.FUNCTIONS["atan2"]: Recorder.angle,
 }
 
 

@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import sympy
 from flint import arb
 
 from hamsym.errors import CertificationError
@@ -95,7 +94,7 @@ def _enveloped(dim: int, envelope: str) -> Program:
     recorder = Recorder(3 * dim + 2)
     *values, s, pace = recorder.variables
     if envelope == "exponential":
-        slope = recorder.apply(functions.ELEMENTARY[sympy.exp], -s)
+        slope = recorder.apply(functions.FUNCTIONS["exp"], -s)
         f = arb(1) - slope
     else:
         slope, f = arb(1), s
@@ -241,7 +240,7 @@ def _activations(activation: str, count: int) -> Program:
             value = recorder.hyperbolic_tangent(a)
             slope = arb(1) - value * value
         elif activation == "sigmoid":
-            growth = recorder.apply(functions.ELEMENTARY[sympy.exp], -a)
+            growth = recorder.apply(functions.FUNCTIONS["exp"], -a)
             value = recorder.apply(functions.reciprocal, arb(1) + growth)
             slope = value * (arb(1) - value)
         else:

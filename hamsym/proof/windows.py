@@ -13,20 +13,23 @@ part wraps. A window whose polynomials are not resolved is halved.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import sympy
 
+from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.ball_arithmetic import UNIT
+from hamsym.proof.balls import working
 from hamsym.proof.compiled import loops
-from hamsym.proof.formulas import Formulas, require_smooth
+from hamsym.proof.generated import GeneratedFunctions, evaluated
 from hamsym.proof.limits import Deadline
-from hamsym.proof.programs import ModelRows, Program, Recorder, split, tables
+from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, split, tables
 
 __all__ = ["Equation", "Window", "WindowStepper", "enclose_windows"]
 
@@ -62,53 +65,70 @@ class Equation:
 
     def __init__(self, H: Hamiltonian, unknown: Sequence[str] = ()) -> None:
         H.require_parameters()
-        equations = H.real_equations
-        require_smooth(equations.expr)
-        symbols = dict(equations.parameters.values())
-        chosen = [equations.parameters[name][0] for name in unknown]
-        values = {s: value for s, value in symbols.items() if value is not None and s not in chosen}
-
-        def exact(expr: sympy.Expr) -> sympy.Expr:
-            return equations.exact.with_fractions(expr, values)
-
-        self.dim, self.columns = H.dim, H.dim + len(chosen)
+        self.dim, self.columns = H.dim, H.dim + len(unknown)
         self.time_dependent = H.time is not None
-        variables = (*equations.z, *chosen, equations.time or sympy.Dummy("t"))
+        self._H, self._unknown = H, list(unknown)
+        self.rates, _ = self._recorded("vector_field")
+        self.energy, _ = self._recorded("energy")
+        self.jacobian, indices = self._recorded("hessian")
         dof = H.dof
-        slopes = [exact(entry) for entry in equations.exact.gradient]
-        rates = [*slopes[dof:], *(-slope for slope in slopes[:dof])]
-        self.rates = _recorded(rates, variables, values)
-        self.energy = _recorded([exact(equations.exact.expr)], variables, values)
-        found: list[sympy.Expr] = []
         rows: list[tuple[int, int, int, int]] = []
-        for (i, j), entry in equations.exact.hessian.items():
-            if i <= j and (expr := exact(entry)) != 0:
-                for row, column in {(i, j), (j, i)}:
-                    target, sign = (row - dof, 1) if row >= dof else (row + dof, -1)
-                    rows.append((target, column, len(found), sign))
-                found.append(expr)
-        for k, symbol in enumerate(chosen):
-            for i, rate in enumerate(rates):
-                slope = sympy.diff(rate, symbol)
-                if slope != 0:
-                    rows.append((i, H.dim + k, len(found), 1))
-                    found.append(slope)
-        self.jacobian = _recorded(found, variables, values)
+        for place, (i, j) in enumerate(indices):
+            if j >= H.dim:  # a rate by a parameter
+                rows.append((i, j, place, 1))
+                continue
+            for row, column in {(i, j), (j, i)}:
+                target, sign = (row - dof, 1) if row >= dof else (row + dof, -1)
+                rows.append((target, column, place, sign))
         self.entries = np.array([row[:3] for row in rows], dtype=np.int64).reshape(-1, 3)
         self.signs = np.array([float(row[3]) for row in rows])
         #: The same with registers in place of results.
         self.placed = self.entries.copy()
         self.placed[:, 2] = self.jacobian.results[self.entries[:, 2]]
 
+    def _recorded(self, name: str) -> tuple[Program, list[tuple[int, ...]]]:
+        """A generated function as a program, and the indices of its results."""
+        recorder = Recorder(self.columns + 1)
+        functions = GeneratedFunctions(self._H, recorder.arithmetic, self._unknown)
+        *state, time = recorder.variables
+        varied = dict(zip(functions.keywords, state[self.dim :], strict=True))
+        with working(BITS):
+            found = functions(name, state[: self.dim], time, **varied)
+            indices: list[tuple[int, ...]] = []
+            if isinstance(found, dict):
+                indices, results = list(found), list(found.values())
+                for index, value in self._by_parameters(recorder).items():
+                    indices.append(index)
+                    results.append(value)
+            else:
+                results = found if isinstance(found, list) else [found]
+            return Program(recorder, results), indices
 
-def _recorded(
-    expressions: Sequence[sympy.Expr],
-    variables: Sequence[sympy.Symbol],
-    values: Mapping[sympy.Symbol, float],
-) -> Program:
-    recorder = Recorder(len(variables))
-    results = Formulas(expressions, variables, values)(recorder.variables, apply=recorder.apply)
-    return Program(recorder, results)
+    def _by_parameters(self, recorder: Recorder) -> dict[tuple[int, ...], Any]:
+        """The derivatives of the rates by the unknown parameters."""
+        own = self._H.real_equations
+        values = {s: value for n, (s, value) in own.parameters.items() if n not in self._unknown}
+        known = {s: value for s, value in values.items() if value is not None}
+        slopes = [own.exact.with_fractions(entry, known) for entry in own.exact.gradient]
+        dof = self.dim // 2
+        rates = [*slopes[dof:], *(-slope for slope in slopes[:dof])]
+        found = {
+            (i, self.dim + k): slope
+            for k, name in enumerate(self._unknown)
+            for i, rate in enumerate(rates)
+            if (slope := sympy.diff(rate, own.parameters[name][0])) != 0
+        }
+        if not found:
+            return {}
+        exact = {s: sympy.Rational(*float(v).as_integer_ratio()) for s, v in known.items()}
+        symbols = [
+            *own.z,
+            *(own.parameters[name][0] for name in self._unknown),
+            own.time or sympy.Dummy("t"),
+        ]
+        function = compile_straight_line([e.xreplace(exact) for e in found.values()], symbols)
+        results = evaluated(function, recorder.arithmetic, *recorder.variables)
+        return dict(zip(found, results, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
