@@ -23,8 +23,11 @@ from .integrators.integrate import Trajectory as Trajectory
 from .integrators.integrate import integrate as integrate
 from .networks.objective import Regularizer as Regularizer
 from .plotting import plot as plot
+from .proof.ball import Ball as Ball
 from .proof.box_certificate import BoxCertificate as BoxCertificate
 from .proof.certificate import Certificate as Certificate
+from .proof.enclose import Enclosure as Enclosure
+from .proof.enclose import enclose as enclose
 from .proof.prove import certify as certify
 from .proof.prove import verify as verify
 from .solution.solution import Solution as Solution
