@@ -22,7 +22,8 @@ _time_limit = click.option(
 @click.command()
 @click.argument("file", type=click.Path())
 @click.option("--rtol", default=0.02, show_default=True, help="Relative width of the bounds.")
-@click.option("--bits", type=int, help="Working precision  [as needed]")
+@click.option("--bits", type=int, help="Working precision of ball arithmetic  [as needed]")
+@click.option("--bound", type=float, help="Prove only that each component's error is below.")
 @_time_limit
 @click.option("-o", "--output", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate]")
 def certify(file: str, output: str | None, **options: Any) -> None:

@@ -18,9 +18,14 @@ from hamsym.errors import FileError, InputError
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
 from hamsym.proof.error_bounds import MOST_LEAVES
 
-__all__ = ["Certificate", "check"]
+__all__ = ["ARB", "FLOAT64", "Certificate", "check"]
 
-_KIND, _VERSION = "hamsym certificate", 1
+_KIND = "hamsym certificate"
+#: Version 1 has Taylor steps in Arb only, and no bounds that were asked for.
+_VERSIONS = (1, 2)
+
+#: Arithmetics of proofs.
+ARB, FLOAT64 = "Arb", "float64"
 
 # Difference of upper and lower bounds that is always small enough, in units of the components.
 FLOOR = 2.0**-60
@@ -54,11 +59,15 @@ class Certificate:
     rtol : float
         Relative tolerance of the difference between upper and lower bounds.
     bits : int
-        Working precision.
+        Working precision; 106 for sums of two float64 numbers.
     digest : str
         SHA-256 of what defines the solution: H, its parameters, z0, the span and all weights.
     seconds : float
         Run time of the proof. ``rtol``, ``bits`` and ``seconds`` are not part of the claim.
+    arithmetic : {"float64", "Arb"}
+        Of the proof: enclosures on windows, or Taylor steps.
+    asked : tuple of float or None
+        The bound on each component's error that was asked for, and is proven.
     """
 
     bound: float
@@ -75,6 +84,8 @@ class Certificate:
     bits: int
     digest: str = field(repr=False)
     seconds: float = field(compare=False)
+    arithmetic: str = ARB
+    asked: tuple[float, ...] | None = None
 
     def bound_at(self, t: Any) -> Any:
         """A proven bound on |z^(t) - z(t)|, the 2-norm, at times t of the span.
@@ -116,22 +127,44 @@ class Certificate:
     @property
     def statement(self) -> str:
         """The claim in words."""
+        if self.arithmetic == ARB:
+            proof = (
+                "Taylor polynomials with a rigorous bound on their distance from the exact "
+                "solution (defect and logarithmic norm), and Taylor expansions of z^ with "
+                f"remainders, in ball arithmetic of {self.bits} bits (Arb), every rounding "
+                "outward. It rests on the correctness of Arb and of this program"
+            )
+        else:
+            proof = (
+                "on windows, polynomials near the exact solution and its derivatives with rigorous "
+                "bounds on their distance (defect, logarithmic norm, sets of Lohner), and "
+                "Chebyshev models of z^, in sums of two float64 numbers with bounds on every "
+                "rounding. It rests on the correctness of float64 arithmetic (IEEE 754), of Arb "
+                "for constants and of this program"
+            )
+        asked = ""
+        if self.asked is not None:
+            asked = (
+                "As asked, the error of each component is proven to be at most "
+                f"{', '.join(map(decimal, self.asked))}. "
+            )
         return (
             f"Proven: the largest |z^(t) - z(t)| (2-norm) for t from {self.edges[0]!r} to "
             f"{self.edges[-1]!r} is at least {decimal(self.lower)} and at most "
-            f"{decimal(self.bound)}. Here z is the exact solution of Hamilton's equations "
+            f"{decimal(self.bound)}. {asked}Here z is the exact solution of Hamilton's equations "
             "from z0, and z^ the real function that the stored weights of the solution define, "
             "without the rounding of its evaluation in floating point, which comes on top. z0, the "
             "span, the parameters and all weights are taken as the exact binary fractions that "
             "they are, numbers in the formula of H as the exact numbers written there. The proof "
-            "solves the equation once more: Taylor polynomials with a rigorous bound on their "
-            "distance from the exact solution (defect and logarithmic norm), and Taylor expansions "
-            f"of z^ with remainders, in ball arithmetic of {self.bits} bits (Arb), every rounding "
-            "outward. It rests on the correctness of Arb and of this program; verify() runs it "
-            f"again. SHA-256 of the solution: {self.digest}."
+            f"solves the equation once more: {proof}; verify() runs it again. "
+            f"SHA-256 of the solution: {self.digest}."
         )
 
     # -- as text ---------------------------------------------------------------------------
+
+    @property
+    def _version(self) -> int:
+        return 1 if self.arithmetic == ARB and self.asked is None else 2
 
     def to_json(self) -> str:
         """Write the certificate as text.
@@ -139,12 +172,16 @@ class Certificate:
         Bounds are decimals of nine digits, upper bounds rounded up, lower bounds down. They hold as
         written; the attributes are the nearest float64 numbers.
         """
-        values: dict[str, Any] = {"kind": _KIND, "version": _VERSION, "statement": self.statement}
+        values: dict[str, Any] = {"kind": _KIND, "version": self._version}
+        values["statement"] = self.statement
         for name in (*UPPER, *LOWER):
             values[name] = _texts(getattr(self, name))
         values["edges"] = [repr(edge) for edge in self.edges]
         values |= {"rtol": repr(self.rtol), "seconds": repr(self.seconds)}
         values |= {"bits": self.bits, "digest": self.digest}
+        if self._version > 1:
+            values["arithmetic"] = self.arithmetic
+            values["asked"] = None if self.asked is None else [repr(part) for part in self.asked]
         return json.dumps(values, indent=1)
 
     @classmethod
@@ -165,7 +202,8 @@ class Certificate:
 UPPER = ("bound", "component_bounds", "energy_bound", "ell_max_bound", "piece_bounds")
 LOWER = ("lower", "component_lowers", "energy_lower", "ell_max_lower")
 LISTS = ("component_bounds", "component_lowers", "edges", "piece_bounds")
-WRITTEN_OUT = ("edges", "rtol", "seconds")  # with all digits
+WRITTEN_OUT = ("edges", "rtol", "seconds")  # with all digits, as is asked
+SECOND = {"arithmetic", "asked"}  # from version 2 on
 NAMES = {"kind", "version", "statement"} | {entry.name for entry in fields(Certificate)}
 assert {*UPPER, *LOWER, *LISTS, *WRITTEN_OUT} < NAMES
 
@@ -176,14 +214,21 @@ def _from_json(text: str) -> Certificate:
     values = json.loads(text, object_pairs_hook=_without_repetition, parse_constant=_no_number)
     if not isinstance(values, dict) or values.get("kind") != _KIND:
         raise ValueError(f"its kind is not '{_KIND}'")
-    if type(values.get("version")) is not int or values["version"] != _VERSION:
-        raise ValueError(f"its version is not {_VERSION}")
-    if values.keys() != NAMES:
+    version = values.get("version")
+    if type(version) is not int or version not in _VERSIONS:
+        raise ValueError(f"its version is not one of {', '.join(map(str, _VERSIONS))}")
+    if values.keys() != (NAMES if version > 1 else NAMES - SECOND):
         raise ValueError("it has missing or extra entries")
     known: dict[str, Any] = {name: _numbers(values[name]) for name in (*UPPER, *LOWER)}
     known |= {name: _numbers(values[name], repr) for name in WRITTEN_OUT}
+    if version > 1:
+        asked = values["asked"]
+        known["arithmetic"] = values["arithmetic"]
+        known["asked"] = None if asked is None else _numbers(asked, repr)
     certificate = Certificate(**known, bits=values["bits"], digest=values["digest"])
     check(certificate)
+    if certificate._version != version:
+        raise ValueError(f"its version is not {certificate._version}")
     if values["statement"] != certificate.statement:
         raise ValueError("its statement does not match its numbers")
     return certificate
@@ -201,8 +246,12 @@ def check(certificate: Certificate) -> None:
         value = getattr(certificate, entry.name)
         if entry.name in LISTS:
             valid = isinstance(value, tuple) and all(type(part) is float for part in value)
-        elif entry.name in ("bits", "digest"):
+        elif entry.name in ("bits", "digest", "arithmetic"):
             valid = type(value) is (int if entry.name == "bits" else str)
+        elif entry.name == "asked":
+            valid = value is None or (
+                isinstance(value, tuple) and all(type(part) is float for part in value)
+            )
         else:
             valid = type(value) is float
         if not valid:
@@ -215,6 +264,12 @@ def check(certificate: Certificate) -> None:
         raise ValueError("its seconds are not a duration")
     if not re.fullmatch("[0-9a-f]{64}", certificate.digest):
         raise ValueError("its digest is not a SHA-256")
+    if certificate.arithmetic not in (ARB, FLOAT64):
+        raise ValueError(f"its arithmetic is not one of {ARB}, {FLOAT64}")
+    if certificate.asked is not None:
+        pairs = zip(certificate.component_bounds, certificate.asked, strict=True)
+        if not all(0 <= bound <= asked < math.inf for bound, asked in pairs):
+            raise ValueError("the bounds that it was asked for are not proven by its own")
     _check_pieces(certificate.edges, certificate.piece_bounds)
     _check_bounds(certificate)
 

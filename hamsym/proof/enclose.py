@@ -18,7 +18,7 @@ from hamsym.proof.ball import Ball
 from hamsym.proof.compiled import loops
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import split
-from hamsym.proof.windows import Equation, Window, WindowStepper, enclose_windows
+from hamsym.proof.windows import Equation, ErrorSet, Window, WindowStepper, enclose_windows
 from hamsym.solution.times import times_in_span
 from hamsym.support.validation import require_positive
 
@@ -166,7 +166,7 @@ class Enclosure:
     parameters: dict[str, Ball]
     windows: tuple[Window, ...]
     seconds: float
-    _derivatives: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+    _derivatives: list[tuple[np.ndarray, ErrorSet]] = field(default_factory=list)
 
     def __repr__(self) -> str:
         start, end = self.span
@@ -249,34 +249,32 @@ class Enclosure:
         window, dim = self.windows[k], self.H.dim
         value = loops().vector_value(window.high, window.low, basis)
         matrix, error = loops().matrix_value(window.V, basis)
-        radius = loops().set_radius(matrix, error, window.C, window.r0, window.Q, window.r)
-        radius = radius[:dim] + window.beside + np.abs(value[:, 1]) + value[:, 2]
+        radius = loops().set_radius(matrix, error, window.G, window.R[:, None])[:dim, 0]
+        radius = radius + window.beside + np.abs(value[:, 1]) + value[:, 2]
         return [value[:, 0], radius * (1 + 1e-9)]
 
     def _slopes(self, k: int, basis: np.ndarray) -> list[np.ndarray]:
         """dz/d(z0, k): the derivative of the window times that of the windows before."""
         window = self.windows[k]
-        middle, Q, R = self._derivative_before(k)
+        middle, rest = self._derivative_before(k)
         matrix, error = loops().matrix_value(window.V, basis)
         error = error + window.derivative
         columns = len(middle)
-        found, rest = loops().moved_set(matrix, error, middle, np.eye(columns))
-        product, more = loops().moved_set(matrix, error, Q, R)
-        return [found, (rest + np.abs(product) @ R + more) * (1 + 1e-9)]
+        found, rounding = loops().moved_set(matrix, error, middle, np.eye(columns))
+        return [found, (rounding + loops().set_radius(matrix, error, rest.G, rest.R)) * (1 + 1e-9)]
 
-    def _derivative_before(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """dz/d(z0, k) at the start of window k: in M + Q {|r| <= R}."""
-        columns = self.windows[0].C.shape[0]
+    def _derivative_before(self, k: int) -> tuple[np.ndarray, ErrorSet]:
+        """dz/d(z0, k) at the start of window k: a matrix and the set of its errors."""
         known = self._derivatives
         if not known:
-            known.append((np.eye(columns), np.eye(columns), np.zeros((columns, columns))))
+            columns = len(self.windows[0].J)
+            known.append((np.eye(columns), ErrorSet(np.zeros((columns, columns)))))
         while len(known) <= k:
             window = self.windows[len(known) - 1]
-            middle, Q, R = known[-1]
+            middle, rest = known[-1]
             error = window.J_error.copy()
             error[: self.H.dim] += window.derivative
             error *= 1 + 1e-9
-            fresh, rest = loops().moved_set(window.J, error, middle, np.eye(columns))
-            turned, radii = loops().turned_set(window.J, error, Q, R, rest)
-            known.append((fresh, turned, radii))
+            fresh, rounding = loops().moved_set(window.J, error, middle, np.eye(len(middle)))
+            known.append((fresh, rest.moved(window.J, error, rounding)))
         return known[k]

@@ -17,31 +17,36 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 from flint import arb
 
 from hamsym.errors import CertificationError
-from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.ball_arithmetic import UNIT, number_of
-from hamsym.proof.balls import working
+from hamsym.proof.balls import SMALLEST, at_least, at_most, working
+from hamsym.proof.certificate import FLOOR, Certificate
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import ModelRows, Rows, split, tables
 from hamsym.proof.trial_models import Piece, trial_pieces
 from hamsym.proof.windows import Equation, Window, WindowStepper
 from hamsym.solution.solution import Solution
 
-__all__ = ["WindowBounds", "window_bounds"]
+__all__ = ["WindowBounds", "WindowProof"]
 
 _TERMS = 64  # of models of z^
 _ROOM = 1 + 1e-9  # for the rounding of sums of numbers >= 0
 _BITS = 240
+# Accuracies of the enclosure and terms of its polynomials, the cheaper first.
+_ACCURACIES = ((2.0**-70, 32), (2.0**-86, 48))
+_FLOOR_WITHOUT_SOLUTION = 2.0**-70  # floor of quantities that do not involve the exact solution
+_MOST_SAMPLES = 16_384  # of a window
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class WindowBounds:
     """Proven bounds on largest magnitudes over the span.
 
@@ -50,79 +55,166 @@ class WindowBounds:
     uppers, lowers : numpy.ndarray
         Of the 2-norm of the error, its components, the energy error and the residual, shape
         (dim + 3,).
+    floors : numpy.ndarray
+        Differences of upper and lower bounds that are always small enough, shape (dim + 3,).
+    start, direction : fractions.Fraction, int
+        Time and sign of the span.
     edges : tuple of fractions.Fraction
         Ends of the windows in elapsed time.
     pieces : tuple of float
         Upper bounds on the 2-norm of the error in each window.
-    widths : numpy.ndarray
-        Largest sizes of the set around the true state, shape (dim,).
     """
 
     uppers: np.ndarray
     lowers: np.ndarray
+    floors: np.ndarray
+    start: Fraction
+    direction: int
     edges: tuple[Fraction, ...]
     pieces: tuple[float, ...]
-    widths: np.ndarray
+
+    def time(self, elapsed: Fraction) -> Fraction:
+        """t at an elapsed time."""
+        return self.start + self.direction * elapsed
+
+    def bounds_between(self, times: Sequence[float]) -> list[float]:
+        """Bounds on the error between times in the direction of the span."""
+        found, first = [], 0
+        places = [self.direction * (Fraction(time) - self.start) for time in times]
+        for low, high in pairwise(places):
+            while self.edges[first + 1] <= low:
+                first += 1
+            last = first
+            while last + 1 < len(self.pieces) and self.edges[last + 1] < high:
+                last += 1
+            found.append(max(self.pieces[first : last + 1]))
+        return found
+
+    def close(self, rtol: float) -> np.ndarray:
+        """Whether each upper bound is as close to the lower one as required, shape (dim + 3,)."""
+        allowed = np.maximum(self.lowers * (1 + rtol), self.lowers + self.floors)
+        return np.asarray(self.uppers <= allowed)
 
 
-def window_bounds(
-    solution: Solution,
-    deadline: Deadline,
-    accuracy: float,
-    terms: int,
-    samples: int,
-    progress: Callable[[float], None] | None = None,
-    stop: Callable[[np.ndarray, np.ndarray], bool] | None = None,
-) -> WindowBounds:
-    """Bounds on the error of a solution.
+class WindowProof:
+    """Bounds on the error of one solution.
 
     Parameters
     ----------
     solution : Solution
     deadline : Deadline
-    accuracy : float
-        Of the enclosure, relative to the components.
-    terms : int
-        Of the polynomials of the enclosure.
-    samples : int
-        M, a power of two.
     progress : callable, optional
         Called with the completed share of the span.
-    stop : callable, optional
-        (uppers, lowers) of one window -> whether to give up.
-
-    Raises
-    ------
-    CertificationError
-        If there is no enclosure on the whole span, or the bounds were given up.
     """
-    begin, end = (Fraction(float(value)) for value in solution.span)
-    direction, total = 1 if end > begin else -1, abs(end - begin)
-    pieces = trial_pieces(solution.trial, solution.span)
-    equation = Equation(solution.H)
-    dim = equation.dim
-    stepper = WindowStepper(
-        equation, begin, direction, total, solution.z0, np.zeros(dim), accuracy, deadline, terms
-    )
-    comparison = _Comparison(solution.H, equation, begin, direction, solution.z0, samples)
-    uppers, lowers, widths = np.zeros(dim + 3), np.zeros(dim + 3), np.zeros(dim)
-    edges, norms = [Fraction(0)], []
-    for piece in pieces:
-        limit = min(piece.end, total)
-        while stepper.elapsed < limit:
-            window = stepper.step(limit)
-            upper, lower, width = comparison.bounds(piece, window)
-            if not np.isfinite(upper).all():
-                raise CertificationError("the trial solution was not resolved")
-            if stop is not None and stop(upper, lower):
-                raise CertificationError("the bounds are wider than asked")
-            uppers, lowers = np.maximum(uppers, upper), np.maximum(lowers, lower)
-            widths = np.maximum(widths, width)
-            edges.append(window.end)
-            norms.append(float(upper[0]))
-            if progress:
-                progress(float(stepper.elapsed / total))
-    return WindowBounds(uppers, lowers, tuple(edges), tuple(norms), widths)
+
+    def __init__(
+        self,
+        solution: Solution,
+        deadline: Deadline,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        self._solution, self._deadline, self._progress = solution, deadline, progress
+        self._begin, end = (Fraction(float(value)) for value in solution.span)
+        self._direction = 1 if end > self._begin else -1
+        self._total = abs(end - self._begin)
+        self._equation = Equation(solution.H)
+        self._pieces = trial_pieces(solution.trial, solution.span)
+
+    def bounds(self, rtol: float, asked: Sequence[float] | None) -> WindowBounds:
+        """Bounds that are as close as required, or decide whether errors are as small as asked.
+
+        Raises
+        ------
+        CertificationError
+            If there are none.
+        """
+        samples = _samples(rtol if asked is None else 1.0)
+        failure = CertificationError("the bounds are not close enough")
+        for accuracy, terms in _ACCURACIES:
+            try:
+                found = self._found(accuracy, terms, samples)
+            except CertificationError as error:
+                self._deadline.check("the solution was enclosed")
+                failure = error
+                continue
+            if asked is not None:
+                limits, lowers = np.asarray(asked) * (1 - 1e-6), found.lowers[1:-2]
+                if (found.uppers[1:-2] <= limits).all() or (lowers > asked).any():
+                    return found
+            elif found.close(rtol * (1 - 1e-4)).all():
+                return found
+        raise failure
+
+    def proves(self, claims: Certificate) -> bool:
+        """Whether every claim of a certificate is proven."""
+        uppers = [claims.bound, *claims.component_bounds, claims.energy_bound, claims.ell_max_bound]
+        lowers = [claims.lower, *claims.component_lowers, claims.energy_lower, claims.ell_max_lower]
+        high = np.array([at_most(value) for value in uppers])
+        low = np.array([at_least(value) for value in lowers])
+        samples = _samples(claims.rtol if claims.asked is None else 1.0)
+        for accuracy, terms in _ACCURACIES:
+            found = self._found(accuracy, terms, samples, claims.edges)
+            pieces = np.array(found.bounds_between(claims.edges))
+            claimed = np.array([at_most(value) for value in claims.piece_bounds])
+            if (
+                (found.uppers <= high).all()
+                and (found.lowers >= low).all()
+                and (pieces <= claimed).all()
+            ):
+                return True
+        return False
+
+    def _found(
+        self, accuracy: float, terms: int, samples: int, times: Sequence[float] = ()
+    ) -> WindowBounds:
+        """Bounds by an enclosure of some accuracy; no window contains one of the times."""
+        equation, dim = self._equation, self._equation.dim
+        stepper = WindowStepper(
+            equation,
+            self._begin,
+            self._direction,
+            self._total,
+            self._solution.z0,
+            np.zeros(dim),
+            accuracy,
+            self._deadline,
+            terms,
+        )
+        comparison = _Comparison(equation, self._begin, self._direction, self._solution.z0, samples)
+        inner = sorted(self._direction * (Fraction(time) - self._begin) for time in times)
+        uppers, lowers, scales = (np.zeros(dim + 3) for _ in range(3))
+        edges, norms = [Fraction(0)], []
+        for piece in self._pieces:
+            limit = min(piece.end, self._total)
+            if limit <= stepper.elapsed:
+                continue
+            stops = [place for place in inner if stepper.elapsed < place < limit]
+            for stop in (*stops, limit):
+                while stepper.elapsed < stop:
+                    window = stepper.step(stop)
+                    upper, lower, scale = comparison.bounds(piece, window)
+                    if not np.isfinite(upper).all():
+                        raise CertificationError("the trial solution was not resolved")
+                    uppers, lowers = np.maximum(uppers, upper), np.maximum(lowers, lower)
+                    scales = np.maximum(scales, scale)
+                    edges.append(window.end)
+                    norms.append(float(upper[0]))
+                    if self._progress:
+                        self._progress(float(stepper.elapsed / self._total))
+        floors = scales * FLOOR
+        if not equation.time_dependent:
+            floors[-2] = scales[-2] * _FLOOR_WITHOUT_SOLUTION
+        floors[-1] = scales[-1] * _FLOOR_WITHOUT_SOLUTION
+        floors = np.where(np.isfinite(floors), floors, 0.0).clip(SMALLEST)
+        return WindowBounds(
+            uppers, lowers, floors, self._begin, self._direction, tuple(edges), tuple(norms)
+        )
+
+
+def _samples(rtol: float) -> int:
+    """M such that the bounds between samples are closer than rtol / 3, within limits."""
+    needed = _TERMS * math.pi / math.sqrt(4 * rtol / 3)
+    return int(min(max(2.0 ** math.ceil(math.log2(needed)), 1_024), _MOST_SAMPLES))
 
 
 class _Comparison:
@@ -130,7 +222,6 @@ class _Comparison:
 
     def __init__(
         self,
-        H: Hamiltonian,
         equation: Equation,
         begin: Fraction,
         direction: int,
@@ -155,7 +246,7 @@ class _Comparison:
             )
 
     def bounds(self, piece: Piece, window: Window) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Upper and lower bounds of the dim + 3 quantities in a window, and widths of the set."""
+        """Upper and lower bounds of the dim + 3 quantities in a window, and their scales."""
         equation, dim = self._equation, self._equation.dim
         state, rate = piece.models(window.start, window.half, _TERMS)
         centre = split(self._begin + self._direction * (window.start + window.half))
@@ -194,7 +285,12 @@ class _Comparison:
         change, radius = _difference(energy, other)
         upper, lower = self._norm_and_parts(change, radius + slack * _ROOM)
         uppers[-2], lowers[-2] = upper[1], lower[1]
-        return uppers, lowers, width
+        sizes = np.abs(window.high).sum(axis=1)
+        rates = np.abs(G.high).sum(axis=1)
+        half = dim // 2
+        slopes = np.concatenate([rates[half:], rates[:half]])
+        scale = np.array([sizes.max(), *sizes, slopes @ sizes, np.linalg.norm(rates)])
+        return uppers, lowers, scale
 
     def _energy_of(
         self,
@@ -273,11 +369,10 @@ def _widths(window: Window) -> np.ndarray:
     """Bounds on |z_i - y_i| over the window."""
     found = window.beside.copy()
     sizes = np.abs(window.V).sum(axis=2)
-    for matrix, radii in ((window.C, window.r0), (window.Q, window.r)):
-        if radii.any():
-            products = np.einsum("ick,cd->idk", window.V, matrix)
-            found += np.abs(products).sum(axis=2) @ radii
-            found += 1e-12 * (sizes @ (np.abs(matrix) @ radii))  # roundings
+    if window.R.any():
+        products = np.einsum("ick,cd->idk", window.V, window.G)
+        found += np.abs(products).sum(axis=2) @ window.R
+        found += 1e-12 * (sizes @ (np.abs(window.G) @ window.R))  # roundings
     return np.minimum(found * _ROOM, window.tube)
 
 

@@ -458,7 +458,7 @@ def matrix_product(a, b):
 
 @compiled
 def moved_set(J, J_error, C, r0):
-    """J C rounded, and bounds on the rest of (J +- J_error) C r0; r0 (columns, k)."""
+    """J C rounded, and bounds on the rest of (J +- J_error) C r with |r| <= r0, (columns, k)."""
     found, error = matrix_product(J, C)
     columns, kinds = r0.shape
     rest = np.zeros((len(J), kinds))
@@ -506,52 +506,43 @@ def orthogonal(matrix):
 
 
 @compiled
-def turned_set(J, J_error, Q, R, extra):
-    """The sets {(J +- J_error) Q r + extra} as Q' r', with |r| <= R; R, extra (columns, k).
+def boxed_set(G, R):
+    """Sets {G r} with |r| <= R as Q r' in as many columns as rows: (Q, R').
 
-    *Lemma.* Let Q' be any matrix and I - Q'^T Q' = F with |F| <= f < 1 (row sums). Then Q' is
-    regular and Q'^-1 v is within f/(1 - f) max |Q'^T v| of Q'^T v, component by component: Q'^-1 =
-    (Q'^T Q')^-1 Q'^T, and (I - F)^-1 - I has row sums of at most f/(1 - f).
+    *Lemma.* Let Q be any matrix and I - Q^T Q = F with |F| <= f < 1 (row sums). Then Q is regular
+    and Q^-1 v is within f/(1 - f) max |Q^T v| of Q^T v, component by component: Q^-1 =
+    (Q^T Q)^-1 Q^T, and (I - F)^-1 - I has row sums of at most f/(1 - f).
 
-    Q' is the orthogonal factor of J Q with its columns ordered by the lengths of their parts of the
-    set (Lohner 1992).
+    Q is the orthogonal factor of the columns of G ordered by the lengths of their parts of the set
+    (Lohner 1992).
     """
-    turned, rest = moved_set(J, J_error, Q, R)
-    columns, kinds = R.shape
-    box = rest + extra
-    lengths = np.zeros(columns)
-    for c in range(columns):
+    columns, count = G.shape
+    kinds = R.shape[1]
+    lengths = np.zeros(count)
+    for c in range(count):
         longest = 0.0
         for k in range(kinds):
             longest = max(longest, R[c, k])
         for i in range(columns):
-            lengths[c] += (turned[i, c] * longest) ** 2
-    arranged = np.empty((columns, columns))
+            lengths[c] += (G[i, c] * longest) ** 2
+    arranged = np.zeros((columns, columns))
     for c in range(columns):  # the longest of those that are left
         longest = 0
-        for d in range(1, columns):
+        for d in range(1, count):
             if lengths[d] > lengths[longest]:
                 longest = d
         lengths[longest] = -1.0
         largest = 0.0
         for i in range(columns):
-            largest = max(largest, abs(turned[i, longest]))
+            largest = max(largest, abs(G[i, longest]))
         for i in range(columns):  # a tiny column keeps its direction
-            arranged[i, c] = turned[i, longest] / largest if largest > 0 else 0.0
-    fine = True
-    for i in range(columns):
-        for c in range(columns):
-            fine = fine and math.isfinite(arranged[i, c])
-        for k in range(kinds):
-            fine = fine and math.isfinite(box[i, k])
-    if not fine:
-        return Q, np.full((columns, kinds), np.inf)
-    fresh = orthogonal(arranged)
+            arranged[i, c] = G[i, longest] / largest if largest > 0 else 0.0
+    Q = orthogonal(arranged)
     inverse = np.empty((columns, columns))
     for i in range(columns):
         for c in range(columns):
-            inverse[c, i] = fresh[i, c]
-    unit, error = matrix_product(inverse, fresh)
+            inverse[c, i] = Q[i, c]
+    unit, error = matrix_product(inverse, Q)
     f = 0.0
     for i in range(columns):
         row = 0.0
@@ -560,20 +551,19 @@ def turned_set(J, J_error, Q, R, extra):
         f = max(f, up(row))
     if not f < 0.5:
         return Q, np.full((columns, kinds), np.inf)
-    product, error = matrix_product(inverse, turned)
+    product, error = matrix_product(inverse, G)
     found = np.zeros((columns, kinds))
     for kind in range(kinds):
         largest = 0.0
         for i in range(columns):
             total = 0.0
-            for c in range(columns):
+            for c in range(count):
                 total += (abs(product[i, c]) + error[i, c]) * R[c, kind]
-                total += abs(inverse[i, c]) * box[c, kind]
             found[i, kind] = up(total)
             largest = max(largest, found[i, kind])
         for i in range(columns):
             found[i, kind] = up(found[i, kind] + f / (1 - f) * largest)
-    return fresh, found
+    return Q, found
 
 
 @compiled
@@ -623,20 +613,15 @@ def vector_value(high, low, basis):
 
 
 @compiled
-def set_radius(value, error, C, r0, Q, r):
-    """Bounds on (value +- error) (C r0 + Q r), component by component."""
-    n = len(value)
-    found = np.zeros(n)
-    for M, radii in ((C, r0), (Q, r)):
-        product, rounding = matrix_product(value, M)
-        for i in range(n):
-            for c in range(len(radii)):
-                total = abs(product[i, c]) + rounding[i, c]
-                for k in range(M.shape[0]):
-                    total += error[i, k] * abs(M[k, c])
-                found[i] += total * radii[c]
-    for i in range(n):
-        found[i] = up(found[i])
+def set_radius(value, error, G, R):
+    """Bounds on (value +- error) G r with |r| <= R, component by component, shape (n, kinds)."""
+    product, found = moved_set(value, error, G, R)
+    for i in range(len(product)):
+        for kind in range(R.shape[1]):
+            total = found[i, kind]
+            for c in range(len(R)):
+                total += abs(product[i, c]) * R[c, kind]
+            found[i, kind] = up(total)
     return found
 
 

@@ -1,13 +1,15 @@
 """Enclosures of the true solution, window by window.
 
-Each window has a polynomial y near the solution, which collocation in float64 finds and one linear
-correction completes to twice float64, a polynomial matrix V near its derivatives, and the bounds of
+Each window has a polynomial y near the solution, which collocation in float64 finds and linear
+corrections complete to twice float64, a polynomial matrix V near its derivatives, and the bounds of
 :mod:`hamsym.proof.window_steps`. The set of the states at the start of a window is
 
-    z(t_a) in y(-1) + C r0 + Q r,   r0, r: all vectors with |r_i| <= a given radius,
+    z(t_a) in y(-1) + G r,   r: all vectors with |r_i| <= R_i.
 
-with C the derivative by the initial balls and Q orthogonal up to rounding (Lohner 1992): neither
-part wraps. A window whose polynomials are not resolved is halved.
+The first columns of G are derivatives by the initial balls (Lohner 1992); each window appends the
+identity with the radii of its own errors, and later windows multiply all columns by their
+derivatives. So sets do not wrap. Only when there are too many columns are those of the errors
+replaced by an orthogonal matrix. A window whose polynomials are not resolved is made shorter.
 """
 
 from __future__ import annotations
@@ -38,6 +40,8 @@ _ITERATIONS = 80
 _SHORTEST = Fraction(1, 2**40)  # window, relative to the span
 _TRIES = 60  # of one window
 _CORRECTIONS = 3  # of y
+_REST = 1e4  # rest of a window in units of the accuracy
+_MOST_COLUMNS = 2_048  # of a set
 _LEAST = 1e-200  # size of a component
 _LOOSE = 32.0  # defect in units of the accuracy
 _FINEST = 1e-28  # accuracy that twice float64 can reach
@@ -131,9 +135,48 @@ class Equation:
         return dict(zip(found, results, strict=True))
 
 
+class ErrorSet:
+    """Sets {G r} with \\|r\\| <= R, one for each column of R.
+
+    Parameters
+    ----------
+    R : numpy.ndarray
+        Radii of the initial set in the unit directions, shape (columns, kinds).
+
+    Attributes
+    ----------
+    G, R : numpy.ndarray
+        Shapes (columns, m) and (m, kinds).
+    """
+
+    def __init__(self, R: np.ndarray) -> None:
+        columns = len(R)
+        self._initial = columns if R.any() else 0
+        self.G, self.R = np.eye(columns)[:, : self._initial], R[: self._initial]
+        self._most = columns * min(max(_MOST_COLUMNS // columns, 6), 64)
+
+    def sizes(self) -> np.ndarray:
+        """Bounds on the components, shape (columns, kinds)."""
+        return np.asarray((np.abs(self.G) @ self.R) * (1 + 1e-9))
+
+    def moved(self, J: np.ndarray, J_error: np.ndarray, extra: np.ndarray) -> ErrorSet:
+        """The sets {(J +- J_error) G r + e} with \\|e\\| <= extra, shape (columns, kinds)."""
+        found = ErrorSet.__new__(ErrorSet)
+        found._initial, found._most = self._initial, self._most
+        G, rest = loops().moved_set(J, J_error, self.G, self.R)
+        first, R = self._initial, self.R
+        if G.shape[1] - first > self._most:
+            later = np.ascontiguousarray(G[:, first:]), np.ascontiguousarray(R[first:])
+            Q, radii = loops().boxed_set(*later)
+            G, R = np.hstack([G[:, :first], Q]), np.vstack([R[:first], radii])
+        found.G = np.hstack([G, np.eye(len(G))])
+        found.R = np.vstack([R, (rest + extra) * (1 + 1e-9)])
+        return found
+
+
 @dataclass(frozen=True, eq=False)
 class Window:
-    """One window: z(t) in y(x) + V(x) (C r0 + Q r) + balls of the radii ``beside``.
+    """One window: z(t) in y(x) + V(x) G r + balls of the radii ``beside``, \\|r\\| <= R.
 
     Attributes
     ----------
@@ -143,8 +186,8 @@ class Window:
         Coefficients of y, shape (dim, terms).
     V : numpy.ndarray
         Shape (dim, columns, terms).
-    C, r0, Q, r : numpy.ndarray
-        The set at the start; matrices (columns, columns), radii (columns,).
+    G, R : numpy.ndarray
+        The set at the start, shapes (columns, m) and (m,).
     beside : numpy.ndarray
         Bounds on everything else, shape (dim,).
     derivative : numpy.ndarray
@@ -160,10 +203,8 @@ class Window:
     high: np.ndarray
     low: np.ndarray
     V: np.ndarray
-    C: np.ndarray
-    r0: np.ndarray
-    Q: np.ndarray
-    r: np.ndarray
+    G: np.ndarray
+    R: np.ndarray
     beside: np.ndarray
     derivative: np.ndarray
     J: np.ndarray
@@ -209,15 +250,14 @@ class WindowStepper:
         self.equation, self._deadline = equation, deadline
         self._time, self._direction, self.total = start_time, direction, total
         self._accuracy, self._tables = accuracy, tables(terms)
-        dim, columns = equation.dim, equation.columns
+        dim = equation.dim
         self._terms = terms
         self._centre = centre[:dim].astype(float)
         self._centre_low = np.zeros(dim)
         self._centre_radius = np.zeros(dim)
         self._constants = centre[dim:].astype(float)
-        self._r0 = radii.astype(float)
-        self._C = np.eye(columns) if radii.any() else np.zeros((columns, columns))
-        self._Q, self._r = np.eye(columns), np.zeros(columns)
+        self._unknown = radii[dim:].astype(float)
+        self._set = ErrorSet(radii.astype(float)[:, None])
         self._rates = ModelRows(equation.rates, terms)
         self._jacobian = ModelRows(equation.jacobian, terms)
         self._signs = equation.signs * direction
@@ -417,11 +457,12 @@ class WindowStepper:
     ) -> tuple[Window | None, float]:
         equation = self.equation
         dim = equation.dim
-        start = (np.abs(self._C) @ self._r0 + np.abs(self._Q) @ self._r) * (1 + 1e-9)
+        start = self._set.sizes()[:, 0]
         start[:dim] += offset
         start *= 1 + 1e-9
         large = np.abs(V).sum(axis=2)
         units = self._units(w, sizes)
+        safe = np.maximum(self._sizes, _LEAST)
         tube = 1.5 * (large @ start + 2 * D) + 4 * UNIT * UNIT * sizes + 1e-280
         for _ in range(4):
             jacobian = self._over_tube(models, tube, middle, half)
@@ -439,6 +480,13 @@ class WindowStepper:
             if not np.isfinite(found).all():
                 break
             if (found < tube).all():
+                # A shorter window has a smaller rest d beside the derivative.
+                room = _REST * self._accuracy + 0.1 * float((start[:dim] / safe).max())
+                share = float((d / safe).max())
+                if share > room and w > 1e-6 * float(self.total):
+                    return None, 0.6
+                if share > 0.1 * room:
+                    factor = min(factor, 1.0)
                 return self._accepted(half, models, V, D, d, derivative, offset, found), factor
             tube = np.maximum(tube, 2 * found)
         self.reason = "the set of solutions became too wide"
@@ -458,7 +506,7 @@ class WindowStepper:
         own.length[:dim] = self._terms
         own.radius[:dim] = tube
         own.high[dim:columns, 0] = self._constants
-        own.radius[dim:columns] = self._r0[dim:]
+        own.radius[dim:columns] = self._unknown
         own.set_line(columns, middle, self._signed(half))
         own.run(self._tables, False)
         places = equation.placed[:, 2]
@@ -521,22 +569,16 @@ class WindowStepper:
             models.high[:dim].copy(),
             models.low[:dim].copy(),
             V,
-            self._C,
-            self._r0,
-            self._Q,
-            self._r,
+            self._set.G,
+            self._set.R[:, 0],
             beside,
             derivative,
             J,
             J_error,
             tube,
         )
-        self._C, rest = loops().moved_set(J, J_error, self._C, self._r0[:, None])
-        self._Q, radii = loops().turned_set(
-            J, J_error, self._Q, self._r[:, None], extra[:, None] + rest
-        )
-        self._r = np.ascontiguousarray(radii[:, 0])
-        if not np.isfinite(self._r).all():
+        self._set = self._set.moved(J, J_error, extra[:, None])
+        if not np.isfinite(self._set.R).all():
             raise CertificationError("the enclosure became infinite; use an earlier end time")
         self.elapsed = window.end
         return window

@@ -506,10 +506,14 @@ class Solution:
         time_limit: float | None = None,
         bits: int | None = None,
         progress: bool | None = None,
+        *,
+        bound: float | Sequence[float] | None = None,
     ) -> hamsym.Certificate:
-        """Compute rigorous bounds on the error, from above and below, in ball arithmetic.
+        """Compute rigorous bounds on the error, from above and below.
 
-        The equation is solved again with every rounding accounted for (:mod:`hamsym.proof.prove`).
+        The equation is solved again with every rounding accounted for (:mod:`hamsym.proof.prove`):
+        on windows in twice float64 and, where that does not succeed, in ball arithmetic of any
+        precision.
 
         Parameters
         ----------
@@ -518,9 +522,12 @@ class Solution:
         time_limit : float, optional
             Seconds.
         bits : int, optional
-            Working precision; by default chosen by the growth of errors along the motion.
+            Working precision of ball arithmetic, which is then used from the start.
         progress : bool, optional
             Draw progress on standard error; by default where that is a terminal.
+        bound : float or sequence, optional
+            Prove only that the error of every component stays below this bound, in the units of
+            the component; ``rtol`` is then not used.
 
         Returns
         -------
@@ -530,7 +537,8 @@ class Solution:
         ------
         CertificationError
             If there is no bound: the trajectory escapes or collides, H is not smooth along it, or
-            the time limit is reached. The message gives the time and a remedy.
+            the time limit is reached. The message gives the time and a remedy. Also if the error
+            is not below ``bound``.
 
         Examples
         --------
@@ -539,8 +547,10 @@ class Solution:
         >>> certificate = solution.certify()
         >>> certificate.lower <= certificate.bound < 1e-9
         True
+        >>> solution.certify(bound=1e-9).asked
+        (1e-09, 1e-09)
         """
-        return hamsym.certify(self, rtol, time_limit, bits, progress)
+        return hamsym.certify(self, rtol, time_limit, bits, progress, bound=bound)
 
     def plot(self) -> Figure:
         """Draw the trajectory, its residual, its energy and the training."""
