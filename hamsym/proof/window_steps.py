@@ -8,27 +8,28 @@ collocation at Chebyshev points without bounds. What follows is proven for any y
 *Lemma (window).* Let z(-1) = y(-1) + xi and k = k_0 + kappa, and write xi for both together. Let
 
     D(x) = y(x) - y(-1) - w int_-1^x G(t, y, k_0)         (the defect of y),
-    A(x) an interval matrix that contains w DG(t, y + e, k_0 + kappa) for all |e_i| <= rho_i,
-    S(x) = V' - A V                                        (the residual of V), V(-1) = I + F.
+    A(x) = A_0(x) + B(x), an interval matrix that contains w DG(t, y + e, k_0 + kappa) for all
+           |e_i| <= rho_i, A_0 polynomial,
+    K(x) = V(x) - V(-1) - int_-1^x A_0 V                  (the defect of V), V(-1) = I + F.
 
-Then z = y + V xi - D + d as long as |z_i - y_i| < rho_i, where
+Then z = y + (V - K) xi - D + d as long as |z_i - y_i| < rho_i, where
 
-    d' = A d - S xi - A D,   d(-1) = -F xi.
+    d' = A d + (B V - A K) xi - A D,   d(-1) = -F xi.
 
 Proof. e = z - y satisfies e = xi - D + int A e, because G(y + e) - G(y) is the mean of DG(y + s e)
-over 0 <= s <= 1, times e. Put e = V xi - D + d and subtract V xi = xi + F xi + int (A V + S) xi.
+over 0 <= s <= 1, times e. Put e = (V - K) xi - D + d and use (V - K) xi = xi + F xi + int A_0 V xi.
 
 *Bound on d.* With units U = diag(u) and m >= the largest eigenvalue of the symmetric part of
 U^-1 A U, m >= 0 (bounded by Gershgorin's circles),
 
-    |U^-1 d| <= e^(2m) (|U^-1 F xi| + 2 |U^-1 (|S| |xi| + |A| |D|)|)        (Dahlquist 1959).
+    |U^-1 d| <= e^(2m) (|U^-1 F xi| + 2 |U^-1 (|B V - A K| |xi| + |A| |D|)|)   (Dahlquist 1959).
 
-*Existence.* If sum_j |V_ij| |xi_j| + |D_i| + |d_i| < rho_i for every i, the solution exists on the
-whole window and stays inside the tube: at the first time at which it left it, or up to which it
-existed, the bound with "<" would hold (continuation of solutions).
+*Existence.* If sum_j (|V_ij| + |K_ij|) |xi_j| + |D_i| + |d_i| < rho_i for every i, the solution
+exists on the whole window and stays inside the tube: at the first time at which it left it, or up
+to which it existed, the bound with "<" would hold (continuation of solutions).
 
-The derivative of the flow is dz(x)/d(z(-1), k) = V(x) + V_d(x), with column c of V_d bounded like d
-with xi = e_c and without D, because it satisfies the linear equation with the same A.
+The derivative of the flow is dz(x)/d(z(-1), k) = V(x) - K(x) + V_d(x), with column c of V_d bounded
+like d with xi = e_c and without D, because it satisfies the linear equation with such an A.
 """
 
 from __future__ import annotations
@@ -68,7 +69,6 @@ from hamsym.proof.chebyshev_models import (
     SINE_COSINE,
     SUBTRACT,
     apply_table,
-    differentiate_series,
     end_value,
     integrate_series,
     multiply_series,
@@ -186,6 +186,7 @@ def tangents(rows, entries, signs, dim, columns, integral, half, most):
         found[i, i, :] = 1.0
     rates = np.empty((dim, columns, points))
     done = np.empty(points)
+    before = math.inf
     for _ in range(most):
         rates[:] = 0.0
         for e in range(len(entries)):
@@ -213,10 +214,11 @@ def tangents(rows, entries, signs, dim, columns, integral, half, most):
                     large = max(large, abs(value))
                     found[i, c, x] = value
                 change, size = max(change, moved), max(size, large)
-        if not change < math.inf:
+        if not change < math.inf or change <= 4e-16 * size:
             break
-        if change <= 1e-11 * size:
+        if change <= 1e-12 * size and change >= 0.5 * before:
             break
+        before = change
     return found
 
 
@@ -301,7 +303,7 @@ def transport(
     units,
     dim,
 ):
-    """Bounds for the lemma: (tube, d, V_d, sizes of V, F).
+    """Bounds of the lemma: on |z - y|, |d - K xi|, |V_d - K|; and m.
 
     Parameters
     ----------
@@ -334,19 +336,10 @@ def transport(
             * (size_of(jacobian[e], none, jacobian_length[e]) + jacobian_radius[e])
             * (1 + 8 * UNIT)
         )
-    # S, bounded entry by entry
+    # K and the part of S from the radii of A, entry by entry
     sums = np.zeros((dim, columns, 2 * terms + 1))
     errors = np.zeros((dim, columns))
-    start_error = np.zeros((dim, columns))
-    for i in range(dim):
-        for c in range(columns):
-            errors[i, c] += differentiate_series(V[i, c], none, terms, wide, rest, False)
-            for k in range(terms - 1):
-                sums[i, c, k] = wide[k]
-            begin = end_value(V[i, c], none, terms, -1)
-            start_error[i, c] = up(
-                abs(begin[0] - (1.0 if i == c else 0.0)) + abs(begin[1]) + begin[2]
-            )
+    loose = np.zeros((dim, columns))
     for e in range(len(entries)):
         i, j, _ = entries[e]
         n = jacobian_length[e]
@@ -355,46 +348,69 @@ def transport(
                 if j == c:
                     for k in range(n):
                         p = signs[e] * half * jacobian[e, k]
-                        errors[i, c] += UNIT * abs(p)
-                        sums[i, c, k] -= p
-                        errors[i, c] += UNIT * abs(sums[i, c, k])
-                    errors[i, c] += half * jacobian_radius[e] * (1 + 4 * UNIT)
+                        sums[i, c, k] += p
+                        errors[i, c] += UNIT * (abs(p) + abs(sums[i, c, k]))
+                    loose[i, c] += half * jacobian_radius[e] * (1 + 4 * UNIT)
                 continue
             errors[i, c] += (
                 (1 + 8 * UNIT)
                 * half
-                * (
-                    multiply_series(jacobian[e], none, n, V[j, c], none, terms, wide, rest, False)
-                    + jacobian_radius[e] * sizes[j, c]
-                )
+                * multiply_series(jacobian[e], none, n, V[j, c], none, terms, wide, rest, False)
             )
+            loose[i, c] += (1 + 8 * UNIT) * half * jacobian_radius[e] * sizes[j, c]
             for k in range(n + terms - 1):
                 p = signs[e] * half * wide[k]
-                sums[i, c, k] -= p
+                sums[i, c, k] += p
                 errors[i, c] += UNIT * (abs(p) + abs(sums[i, c, k]))
+    defect = np.zeros((dim, columns))
+    start_error = np.zeros((dim, columns))
+    inner, inner_low = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    for i in range(dim):
+        for c in range(columns):
+            begin = end_value(V[i, c], none, terms, -1)
+            first = 1.0 if i == c else 0.0
+            start_error[i, c] = up(abs(begin[0] - first) + abs(begin[1]) + begin[2])
+            error = 2 * errors[i, c] + begin[2] + abs(begin[1])
+            error += integrate_series(sums[i, c], none, 2 * terms + 1, inner, inner_low, False)
+            for k in range(2 * terms + 2):
+                value = (V[i, c, k] if k < terms else 0.0) - inner[k]
+                error += UNIT * abs(value)
+                if k == 0:
+                    value -= begin[0]
+                    error += UNIT * abs(value)
+                error += abs(value)
+            defect[i, c] = up(error)
     residuals = np.zeros((dim, columns))
     for i in range(dim):
         for c in range(columns):
-            residuals[i, c] = up(errors[i, c] + size_of(sums[i, c], none, 2 * terms + 1))
+            residuals[i, c] = loose[i, c]
+    for e in range(len(entries)):
+        i, j, _ = entries[e]
+        if j < dim:
+            for c in range(columns):
+                residuals[i, c] += large[e] * defect[j, c]
+    for i in range(dim):
+        for c in range(columns):
+            residuals[i, c] = up(residuals[i, c])
     # Gershgorin's circles of the symmetric part of U^-1 A U
     scaled = np.zeros((dim, dim, terms))
-    loose = np.zeros((dim, dim))
+    apart = np.zeros((dim, dim))
     for e in range(len(entries)):
         i, j, _ = entries[e]
         if j < dim:
             ratio = units[j] / units[i]
             for k in range(jacobian_length[e]):
                 scaled[i, j, k] += signs[e] * jacobian[e, k] * ratio
-            loose[i, j] += jacobian_radius[e] * ratio
+            apart[i, j] += jacobian_radius[e] * ratio
     norm = 0.0
     for i in range(dim):
-        circle = scaled[i, i, 0] + loose[i, i]
+        circle = scaled[i, i, 0] + apart[i, i]
         for k in range(1, terms):
             circle += abs(scaled[i, i, k])
         spread = abs(scaled[i, i, 0])
         for j in range(dim):
             if j != i:
-                total = loose[i, j] + loose[j, i]
+                total = apart[i, j] + apart[j, i]
                 for k in range(terms):
                     total += abs(scaled[i, j, k] + scaled[j, i, k])
                     spread += abs(scaled[i, j, k]) + abs(scaled[j, i, k])
@@ -428,13 +444,16 @@ def transport(
             forced += value * value
         bound = up(growth * math.sqrt(up(forced)))
         for i in range(dim):
-            derivative[i, c] = units[i] * bound
+            derivative[i, c] = up(units[i] * bound + defect[i, c])
     tube = np.zeros(dim)
     for i in range(dim):
         total = D[i] + d[i]
+        beside = d[i]
         for c in range(columns):
-            total += sizes[i, c] * start[c]
+            total += (sizes[i, c] + defect[i, c]) * start[c]
+            beside += defect[i, c] * start[c]
         tube[i] = up(total)
+        d[i] = up(beside)
     return tube, d, derivative, norm
 
 

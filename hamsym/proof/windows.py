@@ -403,7 +403,7 @@ class WindowStepper:
         share = max(float(shares[last]), _ROUND_OFF)
         rate = math.log(share) / last if last < self._terms - 2 else -0.1
         tail = math.exp(rate * self._terms)
-        factor = (self._accuracy / tail) ** (1 / self._terms)
+        factor = (self._accuracy / max(tail, 1e-100)) ** (1 / self._terms)
         y[:, last + 1 :] = 0.0  # round-off, which the corrections replace
         return tail, factor
 
