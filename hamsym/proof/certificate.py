@@ -138,9 +138,9 @@ class Certificate:
             proof = (
                 "on windows, polynomials near the exact solution and its derivatives with rigorous "
                 "bounds on their distance (defect, logarithmic norm, sets of Lohner), and "
-                "Chebyshev models of z^, in sums of two float64 numbers with bounds on every "
-                "rounding. It rests on the correctness of float64 arithmetic (IEEE 754), of Arb "
-                "for constants and of this program"
+                f"Chebyshev models of z^, in sums of two float64 numbers, {self.bits} bits, with "
+                "bounds on every rounding. It rests on the correctness of float64 arithmetic (IEEE "
+                "754), of Arb for constants and of this program"
             )
         asked = ""
         if self.asked is not None:

@@ -46,7 +46,7 @@ from hamsym.proof.certificate import (
 )
 from hamsym.proof.limits import Deadline
 from hamsym.proof.taylor_proof import TaylorProof
-from hamsym.proof.trials import require_exact
+from hamsym.proof.trials import require_exact, segments
 from hamsym.proof.window_proof import WindowBounds, WindowProof
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
@@ -120,6 +120,7 @@ def certify(
     asked = None if bound is None else _asked(bound, solution.H.names)
     began = time.monotonic()
     _require_exact(solution)
+    segments(solution.trial, solution.span)  # its windows cover the span
     deadline = Deadline.after(time_limit)
     try:
         known_by = digest(solution)

@@ -44,6 +44,7 @@ _BITS = 240
 _ACCURACIES = ((2.0**-70, 32), (2.0**-86, 48))
 _FLOOR_WITHOUT_SOLUTION = 2.0**-70  # floor of quantities that do not involve the exact solution
 _MOST_SAMPLES = 16_384  # of a window
+_FEWEST = 8  # windows of a proof
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +183,12 @@ class WindowProof:
         )
         comparison = _Comparison(equation, self._begin, self._direction, self._solution.z0, samples)
         inner = sorted(self._direction * (Fraction(time) - self._begin) for time in times)
+        if not inner:
+            ends = [
+                float(self._begin + self._direction * self._total * k / _FEWEST)
+                for k in range(1, _FEWEST)
+            ]
+            inner = [self._direction * (Fraction(end) - self._begin) for end in ends]
         uppers, lowers, scales = (np.zeros(dim + 3) for _ in range(3))
         edges, norms = [Fraction(0)], []
         for piece in self._pieces:

@@ -285,7 +285,6 @@ class WindowStepper:
         self._deadline.check(f"the solution was enclosed, at t = {time:.6g}")
         room = limit - self.elapsed
         length = float(room) if self.length is None else self.length
-        quantum = 2.0 ** (math.floor(math.log2(float(self.total))) - 40)
         for _ in range(_TRIES):
             if not length > float(self.total * _SHORTEST):
                 break
@@ -294,7 +293,7 @@ class WindowStepper:
             else:
                 if length * 2 > float(room):
                     length = float(room) / 2
-                chosen = Fraction(max(math.floor(length / quantum), 1) * quantum)
+                chosen = self._rounded(length, room)
             window, factor = self._try(chosen)
             if window is not None:
                 self.length = float(chosen) * min(max(factor, 0.5), 2.0)
@@ -304,6 +303,13 @@ class WindowStepper:
             f"no enclosure beyond t = {time:.6g}: {self.reason or 'the windows became too short'}; "
             "use an earlier end time"
         )
+
+    def _rounded(self, length: float, room: Fraction) -> Fraction:
+        """About this length, so that the window ends at a float64 time if possible."""
+        wanted = self.elapsed + Fraction(length)
+        end = Fraction(float(self._time + self._direction * wanted))
+        chosen = self._direction * (end - self._time) - self.elapsed
+        return chosen if 0 < chosen < room else Fraction(length)
 
     def _try(self, length: Fraction) -> tuple[Window | None, float]:
         equation, terms, tabs = self.equation, self._terms, self._tables
