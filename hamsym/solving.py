@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hamsym.errors import InputError
+import hamsym
+from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.networks.options import (
     AdamOptions,
@@ -21,6 +22,7 @@ from hamsym.networks.options import (
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.method import FeatureOptions, solve_by_features
 from hamsym.solution.solution import Solution
+from hamsym.solution.window_error import relative_tolerance
 
 if TYPE_CHECKING:
     from hamsym.networks.record import TrainingState
@@ -73,6 +75,7 @@ def solve(
     method: str = "features",
     seed: int = 0,
     progress: bool | Callable[[TrainingState], None] | None = None,
+    prove: bool = False,
     **options: Any,
 ) -> Solution:
     """Compute a neural trajectory z^(t) that satisfies Hamilton's equations over a time span.
@@ -94,6 +97,10 @@ def solve(
     progress : bool or callable, optional
         Draw progress on standard error; by default if that is a terminal. Methods that train call
         a callable with a :class:`~hamsym.networks.record.TrainingState` instead.
+    prove : bool
+        Prove that the error of each component is within the tolerance
+        (:meth:`hamsym.Solution.certify` with ``bound``), for methods with a tolerance. ``success``
+        then means that it is proven, and ``solution.certificate`` is the proof.
     **options
         For ``"features"``:
 
@@ -239,7 +246,35 @@ def solve(
     """
     problem = InitialValueProblem.checked(H, z0, span, seed, progress)
     chosen = checked_options(problem.H, method, options)
-    return METHODS[method].run(problem, chosen)
+    if not isinstance(prove, bool):
+        raise InputError(f"prove={prove!r} is not a choice; give True or False")
+    if prove and getattr(chosen, "tol", None) is None:
+        raise InputError(
+            f"prove=True needs a method with a tolerance, which '{method}' has not; use "
+            "'features', or certify the solution"
+        )
+    solution = METHODS[method].run(problem, chosen)
+    return proven(solution, chosen.tol, chosen.atol) if prove else solution
+
+
+def proven(solution: Solution, tol: float, atol: float | Sequence[float]) -> Solution:
+    """Return the solution with a proof that its errors are within the tolerance.
+
+    Without a proof ``success`` is false and the message gives the reason. A solution that did not
+    succeed is returned as it is.
+    """
+    if not solution.success:
+        return solution
+    if solution.error is None:
+        reason = "one network that was trained jointly has no tolerance; certify it"
+        return solution.judged(False, f"{solution.message}; not proven: {reason}")
+    allowed = np.asarray(atol, dtype=float) + relative_tolerance(tol) * solution.error.scale
+    try:
+        certificate = hamsym.certify(solution, progress=False, bound=allowed.tolist())
+    except CertificationError as error:
+        return solution.judged(False, f"{solution.message}; not proven: {error}")
+    message = f"{solution.message}; proven: the error is at most {certificate.bound:.2g} (2-norm)"
+    return replace(solution, message=message, certificate=certificate)
 
 
 def checked_options(H: Hamiltonian, method: str, options: Mapping[str, Any]) -> Any:

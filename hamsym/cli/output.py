@@ -15,7 +15,10 @@ from hamsym.support.atomic import write_atomically
 if TYPE_CHECKING:
     import numpy as np
 
+    from hamsym.proof.certificate import Certificate
+
 __all__ = [
+    "CERTIFICATE",
     "WIDTH",
     "check_directory",
     "check_figure",
@@ -23,10 +26,12 @@ __all__ = [
     "echo_wrapped",
     "report",
     "save_figure",
+    "write_certificate",
     "write_table",
 ]
 
 WIDTH = 80  # columns of text
+CERTIFICATE = ".certificate"  # ending of the file beside that of a solution
 
 
 def echo_wrapped(start: str, text: str) -> None:
@@ -125,3 +130,10 @@ def write_table(
         np.savetxt(buffer, table, fmt="%.17g", delimiter=",", header=header, comments="")
     write_atomically(Path(path), buffer.getvalue())
     click.echo(f"wrote {path}")
+
+
+def write_certificate(certificate: Certificate, file: str, path: str | None = None) -> str:
+    """Write a certificate beside the file of its solution, or to a path; return the path."""
+    path = path or f"{file}{CERTIFICATE}"
+    write_atomically(Path(path), certificate.to_json().encode())
+    return path

@@ -7,13 +7,11 @@ from typing import Any
 
 import click
 
-from hamsym.cli.output import check_directory, echo_wrapped
+from hamsym.cli.output import CERTIFICATE, check_directory, echo_wrapped, write_certificate
 from hamsym.cli.texts import saved_solution
-from hamsym.support.atomic import write_atomically
 
 __all__ = ["certify", "verify"]
 
-_CERTIFICATE = ".certificate"
 _time_limit = click.option(
     "--time-limit", type=float, metavar="SECONDS", help="Refuse after this time."
 )
@@ -43,9 +41,7 @@ def certify(file: str, output: str | None, **options: Any) -> None:
     for name, lower, bound in zip(names, lowers, bounds, strict=True):
         click.echo(f"{name:<{max(width, 8)}}{lower:>16.8e}{bound:>16.8e}")
     click.echo(f"proven in {found.seconds:.2f} s")
-    path = output or f"{file}{_CERTIFICATE}"
-    write_atomically(Path(path), found.to_json().encode())
-    click.echo(f"wrote {path}")
+    click.echo(f"wrote {write_certificate(found, file, output)}")
 
 
 @click.command()
@@ -59,6 +55,6 @@ def verify(file: str, certificate: str | None, time_limit: float | None) -> None
     """
     from hamsym.proof.prove import verify as run
 
-    path = Path(certificate or f"{file}{_CERTIFICATE}")
+    path = Path(certificate or f"{file}{CERTIFICATE}")
     run(path.read_text(encoding="utf-8"), file, time_limit)
     click.echo("verified: every bound of the certificate is proven")

@@ -15,7 +15,14 @@ from hamsym.cli.options import (
     span_options,
     starts_options,
 )
-from hamsym.cli.output import check_directory, check_figure, echo_wrapped, report, save_figure
+from hamsym.cli.output import (
+    check_directory,
+    check_figure,
+    echo_wrapped,
+    report,
+    save_figure,
+    write_certificate,
+)
 from hamsym.cli.solver_options import SolverCommand
 from hamsym.cli.texts import listed
 
@@ -36,25 +43,34 @@ Output = tuple[Any, list[tuple[str, Any]], dict[str, Any]]
 @span_options
 @figure_option
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="For hamsym.load.")
+@click.option("--prove", is_flag=True, help="Prove that the error is within the tolerance.")
 def solve(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
     figure: str | None,
     output: str | None,
+    prove: bool,
     **options: Any,
 ) -> int:
-    """Compute a neural trajectory to a tolerance, or train one; exit 1 if that failed."""
+    """Compute a neural trajectory to a tolerance, or train one; exit 1 if that failed.
+
+    With --prove and -o FILE the proof is written to FILE.certificate.
+    """
     from hamsym.solving import solve as run
 
     check_figure(figure)
     check_directory(output)
-    solution = run(H, z0, span, **options)
-    if output is not None:
-        solution.save(output)  # before printing, which fails on a closed pipe
+    solution = run(H, z0, span, prove=prove, **options)
+    written = []
+    if output is not None:  # before printing, which fails on a closed pipe
+        solution.save(output)
+        written.append(output)
+        if solution.certificate is not None:
+            written.append(write_certificate(solution.certificate, output))
     report(solution)
-    if output is not None:
-        click.echo(f"wrote {output}")
+    for path in written:
+        click.echo(f"wrote {path}")
     if figure is not None:
         save_figure(solution.plot(), figure)
     return 0 if solution.success else 1

@@ -14,6 +14,7 @@ import numpy as np
 import hamsym
 from hamsym.errors import InputError
 from hamsym.families.evaluation import states_in_groups
+from hamsym.families.proofs import Proofs, prove_members
 from hamsym.families.windows import ACCEPTED, MARCHED, OPEN, Table, Windows
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.random_features.basis import basis_of_series, size_of
@@ -132,6 +133,9 @@ class Solutions:
     excess : numpy.ndarray
         Largest ratio of the estimated to the allowed error, shape (...); infinite where it is
         unknown.
+    proofs : Proofs or None
+        With ``prove=True``, whether the errors of each member are proven to be within the
+        tolerance.
     family, table, windows, members
         The problem, the results and windows of all members of the run, and the numbers of these
         members among them, shape (...).
@@ -140,6 +144,7 @@ class Solutions:
     def __init__(self, family: Family, table: Table, windows: Windows, members: np.ndarray) -> None:
         self.family, self.table, self.windows = family, table, windows
         self.members = members  # their numbers in the table, in their shape
+        self.proofs: Proofs | None = None
 
     def __repr__(self) -> str:
         start, end = self.span
@@ -365,6 +370,27 @@ class Solutions:
         return states_in_groups(
             self.table, self.windows, family.series, family.origin, self.span[1], members, times
         )
+
+    # -- proofs ------------------------------------------------------------------------------
+
+    def certify(self, bound: Any = None, progress: bool | None = None) -> Proofs:
+        """Prove for each member that the error of every component stays below a bound.
+
+        Parameters
+        ----------
+        bound : float or sequence, optional
+            In the units of the components, as of :meth:`hamsym.Solution.certify`; by default the
+            tolerance of each member.
+        progress : bool, optional
+            Draw progress on standard error; by default if that is a terminal.
+
+        Examples
+        --------
+        >>> many = hamsym.solve_many("p**2/2 + x**2/2", [[1.0, 0.0], [2.0, 0.0]], (0, 5))
+        >>> many.certify()
+        Proofs(2 proven, 0 not)
+        """
+        return prove_members(self, bound, progress)
 
     # -- files and tables --------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from hamsym.proof.ball import Ball
 from hamsym.proof.compiled import loops
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import split
-from hamsym.proof.windows import Equation, ErrorSet, Window, WindowStepper, enclose_windows
+from hamsym.proof.windows import ErrorSet, Window, WindowStepper, enclose_windows, equation_of
 from hamsym.solution.times import times_in_span
 from hamsym.support.validation import require_positive
 
@@ -93,7 +93,7 @@ def enclose(
     if time_limit is not None:
         require_positive("time_limit", time_limit)
     began = time.monotonic()
-    equation = Equation(H, names)
+    equation = equation_of(H, tuple(names))
     every = [*start, *(balls[name] for name in names)]
     begin, end = (Fraction(value) for value in times)
     stepper = WindowStepper(

@@ -32,7 +32,7 @@ from hamsym.proof.certificate import FLOOR, Certificate
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import ModelRows, Rows, split, tables
 from hamsym.proof.trial_models import Piece, trial_pieces
-from hamsym.proof.windows import Equation, Window, WindowStepper
+from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of
 from hamsym.solution.solution import Solution
 
 __all__ = ["WindowBounds", "WindowProof"]
@@ -118,7 +118,7 @@ class WindowProof:
         self._begin, end = (Fraction(float(value)) for value in solution.span)
         self._direction = 1 if end > self._begin else -1
         self._total = abs(end - self._begin)
-        self._equation = Equation(solution.H)
+        self._equation = equation_of(solution.H)
         self._pieces = trial_pieces(solution.trial, solution.span)
 
     def bounds(self, rtol: float, asked: Sequence[float] | None) -> WindowBounds:
@@ -183,7 +183,7 @@ class WindowProof:
         )
         comparison = _Comparison(equation, self._begin, self._direction, self._solution.z0, samples)
         inner = sorted(self._direction * (Fraction(time) - self._begin) for time in times)
-        if not inner:
+        if not inner and len(self._pieces) < _FEWEST:
             ends = [
                 float(self._begin + self._direction * self._total * k / _FEWEST)
                 for k in range(1, _FEWEST)
@@ -366,6 +366,7 @@ def _sample_table(samples: int) -> np.ndarray:
     return np.ascontiguousarray(cosines[angles % (4 * samples)])
 
 
+@functools.lru_cache(maxsize=64)
 def _factor(degree: int, samples: int) -> float:
     """An upper bound on 1/cos(degree pi/(2 M))."""
     with working(_BITS):

@@ -14,6 +14,7 @@ replaced by an orthogonal matrix. A window whose polynomials are not resolved is
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ from hamsym.proof.generated import GeneratedFunctions, evaluated
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, split, tables
 
-__all__ = ["Equation", "Window", "WindowStepper", "enclose_windows"]
+__all__ = ["Equation", "Window", "WindowStepper", "enclose_windows", "equation_of"]
 
 TERMS = 32
 _ITERATIONS = 80
@@ -588,6 +589,12 @@ class WindowStepper:
             raise CertificationError("the enclosure became infinite; use an earlier end time")
         self.elapsed = window.end
         return window
+
+
+@functools.lru_cache(maxsize=64)
+def equation_of(H: Hamiltonian, unknown: tuple[str, ...] = ()) -> Equation:
+    """The equation of a Hamiltonian, kept for other solutions of it."""
+    return Equation(H, unknown)
 
 
 def enclose_windows(

@@ -89,6 +89,10 @@ class ErrorEstimate(Protocol):
     def largest(self) -> np.ndarray:
         """Largest magnitude of each component over the span, shape (dim,)."""
 
+    @property
+    def scale(self) -> np.ndarray:
+        """Size of each component, to which tolerances are relative, shape (dim,)."""
+
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """z - z^ at times t, shape (*t.shape, dim)."""
 

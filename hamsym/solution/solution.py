@@ -63,6 +63,8 @@ class Solution:
         Whether the stopping criterion was met.
     message : str
         Outcome of the method.
+    certificate : Certificate or None
+        Proof that errors are within the tolerance, with ``prove=True``; not part of files.
     """
 
     H: Hamiltonian
@@ -75,6 +77,7 @@ class Solution:
     energy_weight: float = 0.0
     success: bool = False
     message: str = ""
+    certificate: hamsym.Certificate | None = None
 
     def __repr__(self) -> str:
         start, end = self.span
