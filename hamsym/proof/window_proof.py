@@ -32,7 +32,7 @@ from hamsym.proof.certificate import FLOOR, Certificate
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import ModelRows, Rows, split, tables
 from hamsym.proof.trial_models import Piece, trial_pieces
-from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of
+from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of, set_sizes
 from hamsym.solution.solution import Solution
 
 __all__ = ["WindowBounds", "WindowProof"]
@@ -375,12 +375,7 @@ def _factor(degree: int, samples: int) -> float:
 
 def _widths(window: Window) -> np.ndarray:
     """Bounds on |z_i - y_i| over the window."""
-    found = window.beside.copy()
-    sizes = np.abs(window.V).sum(axis=2)
-    if window.R.any():
-        products = np.einsum("ick,cd->idk", window.V, window.G)
-        found += np.abs(products).sum(axis=2) @ window.R
-        found += 1e-12 * (sizes @ (np.abs(window.G) @ window.R))  # roundings
+    found = window.beside + set_sizes(window.V, window.G, window.R)
     return np.minimum(found * _ROOM, window.tube)
 
 

@@ -24,7 +24,7 @@ U^-1 A U, m >= 0 (bounded by Gershgorin's circles),
 
     |U^-1 d| <= e^(2m) (|U^-1 F xi| + 2 |U^-1 (|B V - A K| |xi| + |A| |D|)|)   (Dahlquist 1959).
 
-*Existence.* If sum_j (|V_ij| + |K_ij|) |xi_j| + |D_i| + |d_i| < rho_i for every i, the solution
+*Existence.* If |(V xi)_i| + sum_j |K_ij| |xi_j| + |D_i| + |d_i| < rho_i for every i, the solution
 exists on the whole window and stays inside the tube: at the first time at which it left it, or up
 to which it existed, the bound with "<" would hold (continuation of solutions).
 
@@ -258,7 +258,8 @@ def defects(program, results, values, series, high, low, radius, length, dim, ha
     ``half`` is a ball (high, low, radius).
     """
     terms = high.shape[1]
-    run_models(program, values, series, high, low, radius, length, True)
+    double = terms > 0  # numba would compile once more for the constant True
+    run_models(program, values, series, high, low, radius, length, double)
     found = np.zeros((dim, terms + 1))
     sizes = np.zeros(dim)
     inner, inner_low = np.zeros(terms + 1), np.zeros(terms + 1)
@@ -297,6 +298,7 @@ def transport(
     entries,
     signs,
     start,
+    hull,
     V,
     D,
     half,
@@ -313,6 +315,8 @@ def transport(
         Rows (i, j, place); signs.
     start : numpy.ndarray
         Bounds on |xi|, shape (columns,).
+    hull : numpy.ndarray
+        Bounds on |V xi| over the window, shape (dim,).
     V : numpy.ndarray
         Coefficients, shape (dim, columns, terms).
     D : numpy.ndarray
@@ -420,17 +424,18 @@ def transport(
     growth = absolute(exponential(ball_of(up(2 * half * norm))))
     # d
     forced = 0.0
-    reach = np.zeros(dim)
+    reach, hidden = np.zeros(dim), np.zeros(dim)
     for i in range(dim):
-        begun, rate = 0.0, 0.0
         for c in range(columns):
-            begun += start_error[i, c] * start[c]
-            rate += residuals[i, c] * start[c]
-        reach[i] = begun + 2 * rate
+            reach[i] += start_error[i, c] * start[c]
+            hidden[i] += defect[i, c] * start[c]
     for e in range(len(entries)):
         i, j, _ = entries[e]
+        loosely = half * jacobian_radius[e] * (1 + 4 * UNIT)
         if j < dim:
-            reach[i] += 2 * large[e] * D[j]
+            reach[i] += 2 * (large[e] * (D[j] + hidden[j]) + loosely * hull[j])
+        else:
+            reach[i] += 2 * loosely * start[j]
     for i in range(dim):
         value = up(reach[i]) / units[i]
         forced += value * value
@@ -447,13 +452,8 @@ def transport(
             derivative[i, c] = up(units[i] * bound + defect[i, c])
     tube = np.zeros(dim)
     for i in range(dim):
-        total = D[i] + d[i]
-        beside = d[i]
-        for c in range(columns):
-            total += (sizes[i, c] + defect[i, c]) * start[c]
-            beside += defect[i, c] * start[c]
-        tube[i] = up(total)
-        d[i] = up(beside)
+        d[i] = up(d[i] + hidden[i])
+        tube[i] = up(hull[i] + D[i] + d[i])
     return tube, d, derivative, norm
 
 

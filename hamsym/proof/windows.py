@@ -34,7 +34,7 @@ from hamsym.proof.generated import GeneratedFunctions, evaluated
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, split, tables
 
-__all__ = ["Equation", "Window", "WindowStepper", "enclose_windows", "equation_of"]
+__all__ = ["Equation", "Window", "WindowStepper", "enclose_windows", "equation_of", "set_sizes"]
 
 TERMS = 32
 _ITERATIONS = 80
@@ -43,6 +43,8 @@ _TRIES = 60  # of one window
 _CORRECTIONS = 3  # of y
 _REST = 1e4  # rest of a window in units of the accuracy
 _MOST_COLUMNS = 2_048  # of a set
+_WIDE = 1e-8  # relative width from which the shape of a set counts
+_TUBES = 5  # attempts at a tube
 _LEAST = 1e-200  # size of a component
 _LOOSE = 32.0  # defect in units of the accuracy
 _FINEST = 1e-28  # accuracy that twice float64 can reach
@@ -134,6 +136,15 @@ class Equation:
         function = compile_straight_line([e.xreplace(exact) for e in found.values()], symbols)
         results = evaluated(function, recorder.arithmetic, *recorder.variables)
         return dict(zip(found, results, strict=True))
+
+
+def set_sizes(V: np.ndarray, G: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Bounds on the components of V(x) G r over a window for all |r_i| <= R_i, shape (dim,)."""
+    products = np.einsum("ick,cd->idk", V, G)
+    found = np.abs(products).sum(axis=2) @ R
+    # roundings: sums of fewer than a hundred products
+    found += 1e-13 * (np.abs(V).sum(axis=2) @ (np.abs(G) @ R))
+    return np.asarray(found * (1 + 1e-9))
 
 
 class ErrorSet:
@@ -467,37 +478,58 @@ class WindowStepper:
         start = self._set.sizes()[:, 0]
         start[:dim] += offset
         start *= 1 + 1e-9
-        large = np.abs(V).sum(axis=2)
         units = self._units(w, sizes)
         safe = np.maximum(self._sizes, _LEAST)
-        tube = 1.5 * (large @ start + 2 * D) + 4 * UNIT * UNIT * sizes + 1e-280
-        for _ in range(4):
+        width = float((start[:dim] / safe).max())
+        hull = self._hull(V, start, offset, width)
+        tube = 1.5 * (hull + 2 * D) + 4 * UNIT * UNIT * sizes + 1e-280
+        accepted = None
+        for _ in range(_TUBES):
             jacobian = self._over_tube(models, tube, middle, half)
             found, d, derivative, _ = loops().transport(
                 *jacobian,
                 equation.entries,
                 self._signs,
                 start,
+                hull,
                 V,
                 D,
                 w * (1 + 4 * UNIT),
                 units,
                 dim,
             )
-            if not np.isfinite(found).all():
-                break
             if (found < tube).all():
-                # A shorter window has a smaller rest d beside the derivative.
-                room = _REST * self._accuracy + 0.1 * float((start[:dim] / safe).max())
-                share = float((d / safe).max())
-                if share > room and w > 1e-6 * float(self.total):
-                    return None, 0.6
-                if share > 0.1 * room:
-                    factor = min(factor, 1.0)
-                return self._accepted(half, models, V, D, d, derivative, offset, found), factor
-            tube = np.maximum(tube, 2 * found)
-        self.reason = "the set of solutions became too wide"
-        return None, 0.6
+                accepted = found, d, derivative
+                if width < _WIDE or (tube < 1.1 * found).all():
+                    break
+                tube = 1.02 * found  # a second proof in a narrower tube
+            elif accepted is not None or not np.isfinite(found).all():
+                break
+            else:
+                tube = np.maximum(tube, 2 * found)
+        if accepted is None:
+            self.reason = "the set of solutions became too wide"
+            return None, 0.6
+        found, d, derivative = accepted
+        # A shorter window has a smaller rest d beside the derivative.
+        room = _REST * self._accuracy + 0.03 * width
+        share = float((d / safe).max())
+        if share > room and w > 1e-6 * float(self.total):
+            return None, 0.6
+        if share > 0.1 * room:
+            factor = min(factor, 1.0)
+        return self._accepted(half, models, V, D, d, derivative, offset, found), factor
+
+    def _hull(
+        self, V: np.ndarray, start: np.ndarray, offset: np.ndarray, width: float
+    ) -> np.ndarray:
+        """Bounds on |V xi| over a window; of thin sets without regard to their shape."""
+        sizes = np.abs(V).sum(axis=2)
+        if width < _WIDE:
+            return np.asarray((sizes @ start) * (1 + 1e-9))
+        return (set_sizes(V, self._set.G, self._set.R[:, 0]) + sizes[:, : len(offset)] @ offset) * (
+            1 + 1e-9
+        )
 
     def _over_tube(
         self,
