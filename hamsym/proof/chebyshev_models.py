@@ -238,6 +238,381 @@ def trim(vector):
 
 
 @compiled
+def sum_models(high, low, radius, length, k, i, j, sign, double):
+    """Row k becomes the sum of rows i and j, or their difference."""
+    n = length[i]
+    m = length[j]
+    count = max(n, m)
+    total = 0.0
+    for c in range(count):
+        a, b = (high[i, c] if c < n else 0.0), (sign * high[j, c] if c < m else 0.0)
+        s, e = two_sum(a, b)
+        if double:
+            x, y = (low[i, c] if c < n else 0.0), (sign * low[j, c] if c < m else 0.0)
+            total += (abs(a) + abs(b)) * MIDDLE
+            s, e = two_sum(s, e + (x + y))
+        else:
+            total += abs(e)
+            e = 0.0
+        high[k, c], low[k, c] = s, e
+    length[k] = count
+    radius[k] = up(radius[i] + radius[j] + total)
+
+
+@compiled
+def negate_model(high, low, radius, length, k, i):
+    """Row k becomes minus row i."""
+    n = length[i]
+    for c in range(n):
+        high[k, c], low[k, c] = -high[i, c], -low[i, c]
+    length[k], radius[k] = n, radius[i]
+
+
+@compiled
+def multiply_models(high, low, radius, length, k, i, j, double):
+    """Row k becomes the product of rows i and j."""
+    terms = high.shape[1]
+    n = length[i]
+    wide, rest = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    m = length[j]
+    error = multiply_series(high[i], low[i], n, high[j], low[j], m, wide, rest, double)
+    error += cut(wide, rest, n + m - 1, terms)
+    size, more_size = size_of(high[i], low[i], n), size_of(high[j], low[j], m)
+    error += radius[i] * (more_size + radius[j]) + size * radius[j]
+    count = min(n + m - 1, terms)
+    for c in range(count):
+        high[k, c], low[k, c] = wide[c], rest[c]
+    length[k], radius[k] = count, up(error)
+
+
+@compiled
+def invert_model(values, series, high, low, radius, length, k, i, double):
+    """Row k becomes 1/f of row i."""
+    terms = high.shape[1]
+    n = length[i]
+    rounds = 3 if double else 1
+    wide, rest = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    other, other_low = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    points, more = np.zeros(terms), np.zeros(terms)
+    nothing = np.zeros(terms)
+    apply_table(values, high[i], n, points)
+    for c in range(terms):
+        points[c] = 1 / points[c]
+    apply_table(series, points, terms, high[k])
+    if double:
+        trim(high[k])
+    count = 1 if n == 1 else terms
+    for c in range(terms):
+        low[k, c] = 0.0
+    for attempt in range(rounds):
+        error = multiply_series(high[i], low[i], n, high[k], low[k], count, wide, rest, double)
+        wide[0] -= 1
+        if attempt < rounds - 1:
+            for c in range(terms):
+                more[c] = wide[c] + rest[c] if c < n + count - 1 else 0.0
+            multiply_series(high[k], nothing, count, more, nothing, terms, other, other_low, False)
+            for c in range(count):
+                s, e = two_sum(high[k, c], -other[c])
+                high[k, c], low[k, c] = two_sum(s, e + low[k, c])
+    error += cut(wide, rest, n + count - 1, 0)
+    size = size_of(high[k], low[k], count)
+    error = up(error + radius[i] * size)
+    if error < 0.5:
+        radius[k] = up(size * error / (1 - error))
+    else:
+        radius[k] = math.inf
+    length[k] = count
+
+
+@compiled
+def invert_root_model(values, series, high, low, radius, length, k, i, double):
+    """Row k becomes 1/sqrt(f) of row i."""
+    terms = high.shape[1]
+    n = length[i]
+    rounds = 3 if double else 1
+    wide, rest = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    other, other_low = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    points, more = np.zeros(terms), np.zeros(terms)
+    nothing = np.zeros(terms)
+    apply_table(values, high[i], n, points)
+    for c in range(terms):
+        points[c] = 1 / math.sqrt(points[c]) if points[c] > 0 else math.nan
+    apply_table(series, points, terms, high[k])
+    if double:
+        trim(high[k])
+    count = 1 if n == 1 else terms
+    for c in range(terms):
+        low[k, c] = 0.0
+    for attempt in range(rounds):
+        # f q first, with its own rounding and without a radius; then q (f q)
+        error = multiply_series(high[i], low[i], n, high[k], low[k], count, wide, rest, double)
+        error += cut(wide, rest, n + count - 1, terms)
+        width = min(n + count - 1, terms)
+        for c in range(width):
+            other[c], other_low[c] = wide[c], rest[c]
+        size = size_of(high[k], low[k], count)
+        error = error * size + multiply_series(
+            high[k], low[k], count, other, other_low, width, wide, rest, double
+        )
+        wide[0] -= 1
+        if attempt < rounds - 1:
+            for c in range(terms):
+                more[c] = 0.5 * (wide[c] + rest[c]) if c < width + count - 1 else 0.0
+            multiply_series(high[k], nothing, count, more, nothing, terms, other, other_low, False)
+            for c in range(count):
+                s, e = two_sum(high[k, c], -other[c])
+                high[k, c], low[k, c] = two_sum(s, e + low[k, c])
+    error += cut(wide, rest, width + count - 1, 0)
+    size = size_of(high[k], low[k], count)
+    error = up(error + radius[i] * size * size)
+    end = end_value(high[k], low[k], count, 1)
+    if error < 0.5 and end[0] - abs(end[1]) - end[2] > 0:
+        radius[k] = up(size * error / (2 * (1 - error)))
+    else:
+        radius[k] = math.inf
+    length[k] = count
+
+
+@compiled
+def exponential_model(values, series, high, low, radius, length, k, i, double):
+    """Row k becomes exp(f) of row i."""
+    terms = high.shape[1]
+    n = length[i]
+    rounds = 3 if double else 1
+    wide, rest = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    slope, slope_low = np.zeros(terms + 1), np.zeros(terms + 1)
+    other, other_low = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    points, more = np.zeros(terms), np.zeros(terms)
+    flat = n == 1
+    count = 1 if flat else terms
+    slope_error = differentiate_series(high[i], low[i], n, slope, slope_low, double)
+    steep = size_of(slope, slope_low, max(n - 1, 1)) + slope_error
+    width = max(n - 1, 1)
+    start = end_value(high[i], low[i], n, -1)
+    apply_table(values, high[i], n, points)
+    for c in range(terms):
+        points[c] = math.exp(points[c])
+    apply_table(series, points, terms, high[k])
+    if double:
+        trim(high[k])
+    for c in range(terms):
+        low[k, c] = 0.0
+    head = exponential(start)
+    spread = up(2 * (size_of(high[i], low[i], n) - abs(high[i, 0]) * (1 - 8 * UNIT)))
+    growth = exponential(ball_of(min(spread, 1e6)))
+    grown = absolute(growth)
+    defect = 0.0
+    for attempt in range(rounds):
+        error = multiply_series(slope, slope_low, width, high[k], low[k], count, wide, rest, double)
+        error += slope_error * size_of(high[k], low[k], count)
+        product = width + count - 1
+        if flat:
+            wide[0], rest[0] = 0.0, 0.0
+        error = 2 * error + integrate_series(wide, rest, product, other, other_low, double)
+        # s = q - q(-1) - integral, then without its value at -1
+        for c in range(product + 1):
+            if c < count:
+                s, e = two_sum(high[k, c], -other[c])
+                error += UNIT * abs(e + (low[k, c] - other_low[c])) * 2
+                other[c], other_low[c] = two_sum(s, e + (low[k, c] - other_low[c]))
+            else:
+                other[c], other_low[c] = -other[c], -other_low[c]
+        behind = end_value(other, other_low, product + 1, -1)
+        other[0], other_low[0] = two_sum(other[0] - behind[0], other_low[0] - behind[1])
+        error += behind[2] + UNIT * (abs(other[0]) + abs(behind[0])) * (8 * UNIT if double else 2)
+        defect = error + size_of(other, other_low, product + 1)
+        begin = end_value(high[k], low[k], count, -1)
+        apart = add(head, negative(begin))
+        if attempt < rounds - 1:
+            # d = -s + q (d(-1)/q(-1) - integral(P' s / q)) at the points
+            apply_table(values, other, min(product + 1, terms), points)
+            apply_table(values, slope, width, more)
+            corrected = np.empty(terms)
+            apply_table(values, high[k], count, corrected)
+            for c in range(terms):
+                more[c] = more[c] * points[c] / corrected[c]
+            inner, inner_low = np.zeros(terms), np.zeros(terms)
+            apply_table(series, more, terms, inner)
+            integrate_series(inner, inner_low, terms - 1, wide, rest, False)
+            apply_table(values, wide, terms, more)
+            first = (apart[0] + apart[1]) / begin[0]
+            for c in range(terms):
+                points[c] = corrected[c] * (first - more[c]) - points[c]
+            apply_table(series, points, terms, inner)
+            for c in range(count):
+                s, e = two_sum(high[k, c], inner[c])
+                high[k, c], low[k, c] = two_sum(s, e + low[k, c])
+    defect = up(defect)
+    error = up(defect + grown * (absolute(apart) + 2 * steep * defect))
+    size = size_of(high[k], low[k], count) + error
+    if radius[i] <= 1:
+        error += size * radius[i] * 2
+    else:
+        error = math.inf
+    radius[k], length[k] = up(error), count
+
+
+@compiled
+def sine_cosine_models(values, series, high, low, radius, length, k, i, j, double):
+    """Rows k and j become sin(f) and cos(f) of row i."""
+    terms = high.shape[1]
+    n = length[i]
+    rounds = 3 if double else 1
+    wide, rest = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    slope, slope_low = np.zeros(terms + 1), np.zeros(terms + 1)
+    other, other_low = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    points, more = np.zeros(terms), np.zeros(terms)
+    flat = n == 1
+    count = 1 if flat else terms
+    slope_error = differentiate_series(high[i], low[i], n, slope, slope_low, double)
+    steep = size_of(slope, slope_low, max(n - 1, 1)) + slope_error
+    width = max(n - 1, 1)
+    start = end_value(high[i], low[i], n, -1)
+    apply_table(values, high[i], n, points)
+    for c in range(terms):
+        more[c] = math.cos(points[c])
+        points[c] = math.sin(points[c])
+    apply_table(series, points, terms, high[k])
+    apply_table(series, more, terms, high[j])
+    if double:
+        trim(high[k])
+        trim(high[j])
+    for c in range(terms):
+        low[k, c] = 0.0
+        low[j, c] = 0.0
+    head, beside = sine_cosine(start)
+    defects = np.zeros(2)
+    aparts = np.zeros((2, 2))
+    distance = 0.0
+    kept = np.zeros((2, terms))
+    for attempt in range(rounds):
+        for part in range(2):
+            one, two = (k, j) if part == 0 else (j, k)
+            sign = 1.0 if part == 0 else -1.0
+            error = multiply_series(
+                slope, slope_low, width, high[two], low[two], count, wide, rest, double
+            )
+            error += slope_error * size_of(high[two], low[two], count)
+            product = width + count - 1
+            if flat:
+                wide[0], rest[0] = 0.0, 0.0
+            error = 2 * error + integrate_series(wide, rest, product, other, other_low, double)
+            for c in range(product + 1):
+                o, p = sign * other[c], sign * other_low[c]
+                if c < count:
+                    s, e = two_sum(high[one, c], -o)
+                    error += UNIT * abs(e + (low[one, c] - p)) * 2
+                    other[c], other_low[c] = two_sum(s, e + (low[one, c] - p))
+                else:
+                    other[c], other_low[c] = -o, -p
+            behind = end_value(other, other_low, product + 1, -1)
+            other[0], other_low[0] = two_sum(other[0] - behind[0], other_low[0] - behind[1])
+            error += behind[2] + UNIT * (abs(other[0]) + abs(behind[0])) * (
+                8 * UNIT if double else 2
+            )
+            defects[part] = error + size_of(other, other_low, product + 1)
+            for c in range(terms):
+                kept[part, c] = other[c] if c < product + 1 else 0.0
+            begin = end_value(high[one], low[one], count, -1)
+            apart = add(head if part == 0 else beside, negative(begin))
+            aparts[part, 0] = apart[0] + apart[1]
+            aparts[part, 1] = absolute(apart)
+        if attempt < rounds - 1:
+            # In the rotating frame: (d + s) = M k, M = [[c, s], [-s, c]],
+            # k' = -P' M^T (s_c, -s_s)
+            fs, fc = np.empty(terms), np.empty(terms)
+            ds, dc = np.empty(terms), np.empty(terms)
+            apply_table(values, high[k], count, fs)
+            apply_table(values, high[j], count, fc)
+            apply_table(values, kept[0], terms, ds)
+            apply_table(values, kept[1], terms, dc)
+            apply_table(values, slope, width, more)
+            g1, g2 = np.empty(terms), np.empty(terms)
+            for c in range(terms):
+                # v_s' = P' (v_c - s_c), v_c' = -P' (v_s - s_s)
+                a, b = -more[c] * dc[c], more[c] * ds[c]
+                g1[c] = fc[c] * a - fs[c] * b
+                g2[c] = fs[c] * a + fc[c] * b
+            inner, inner_low = np.zeros(terms), np.zeros(terms)
+            apply_table(series, g1, terms, inner)
+            integrate_series(inner, inner_low, terms - 1, wide, rest, False)
+            apply_table(values, wide, terms, g1)
+            apply_table(series, g2, terms, inner)
+            integrate_series(inner, inner_low, terms - 1, wide, rest, False)
+            apply_table(values, wide, terms, g2)
+            s0, c0 = head[0], beside[0]
+            a0 = c0 * aparts[0, 0] - s0 * aparts[1, 0]
+            b0 = s0 * aparts[0, 0] + c0 * aparts[1, 0]
+            for c in range(terms):
+                a, b = g1[c] + a0, g2[c] + b0
+                points[c] = fc[c] * a + fs[c] * b - ds[c]
+                more[c] = -fs[c] * a + fc[c] * b - dc[c]
+            apply_table(series, points, terms, inner)
+            for c in range(count):
+                s, e = two_sum(high[k, c], inner[c])
+                high[k, c], low[k, c] = two_sum(s, e + low[k, c])
+            apply_table(series, more, terms, inner)
+            for c in range(count):
+                s, e = two_sum(high[j, c], inner[c])
+                high[j, c], low[j, c] = two_sum(s, e + low[j, c])
+    distance = up(aparts[0, 1] + aparts[1, 1])
+    defect = up(defects[0] + defects[1])
+    error = up(defect + distance + 2 * steep * defect + radius[i])
+    radius[k], length[k] = error, count
+    radius[j], length[j] = error, count
+
+
+@compiled
+def value_of(operation, start):
+    """The value at a ball of a function with a known derivative."""
+    if operation == LOGARITHM:
+        return logarithm(start)
+    if operation == ARCTANGENT:
+        return arctangent(start)
+    if operation == ARCSINE:
+        return arcsine(start)
+    if operation == ARCCOSINE:
+        return arccosine(start)
+    if operation == ARSINH:
+        return inverse_hyperbolic_sine(start)
+    if operation == ARCOSH:
+        return inverse_hyperbolic_cosine(start)
+    if operation == ARTANH:
+        return inverse_hyperbolic_tangent(start)
+    return error_function(start)
+
+
+@compiled
+def integrate_model(operation, high, low, radius, length, k, i, j, double):
+    """Row k becomes a function of row i with f' = g(P) P', the model of g in row j."""
+    terms = high.shape[1]
+    n = length[i]
+    wide, rest = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    slope, slope_low = np.zeros(terms + 1), np.zeros(terms + 1)
+    other, other_low = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
+    m = length[j]
+    slope_error = differentiate_series(high[i], low[i], n, slope, slope_low, double)
+    width = max(n - 1, 1)
+    error = multiply_series(high[j], low[j], m, slope, slope_low, width, wide, rest, double)
+    size = size_of(high[j], low[j], m) + radius[j]
+    error += slope_error * size + radius[j] * size_of(slope, slope_low, width)
+    product = m + width - 1
+    error = 2 * error + integrate_series(wide, rest, product, other, other_low, double)
+    start = end_value(high[i], low[i], n, -1)
+    head = value_of(operation, start)
+    total = add((other[0], other_low[0], 0.0), head)
+    other[0] = total[0]
+    other_low[0] = total[1] if double else 0.0
+    if not double:
+        error += abs(total[1])
+    error += total[2] + cut(other, other_low, product + 1, terms) + radius[i] * size
+    count = min(product + 1, terms)
+    for c in range(count):
+        high[k, c], low[k, c] = other[c], other_low[c]
+    radius[k], length[k] = up(error), count
+
+
+@compiled
 def run_models(program, values, series, high, low, radius, length, double):
     """Run a program on models, in place.
 
@@ -253,327 +628,26 @@ def run_models(program, values, series, high, low, radius, length, double):
         Shape (rows,).
     double : bool
     """
-    terms = high.shape[1]
-    rounds = 3 if double else 1
-    wide, rest = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
-    slope, slope_low = np.zeros(terms + 1), np.zeros(terms + 1)
-    other, other_low = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
-    points, more, nothing = np.zeros(terms), np.zeros(terms), np.zeros(terms)
     for step in range(len(program)):
         operation, k, i, j = program[step]
-        n = length[i]
         if operation <= SUBTRACT:
-            m = length[j]
             sign = 1.0 if operation == ADD else -1.0
-            count = max(n, m)
-            total = 0.0
-            for c in range(count):
-                a, b = (high[i, c] if c < n else 0.0), (sign * high[j, c] if c < m else 0.0)
-                s, e = two_sum(a, b)
-                if double:
-                    x, y = (low[i, c] if c < n else 0.0), (sign * low[j, c] if c < m else 0.0)
-                    total += (abs(a) + abs(b)) * MIDDLE
-                    s, e = two_sum(s, e + (x + y))
-                else:
-                    total += abs(e)
-                    e = 0.0
-                high[k, c], low[k, c] = s, e
-            length[k] = count
-            radius[k] = up(radius[i] + radius[j] + total)
+            sum_models(high, low, radius, length, k, i, j, sign, double)
         elif operation == NEGATE:
-            for c in range(n):
-                high[k, c], low[k, c] = -high[i, c], -low[i, c]
-            length[k], radius[k] = n, radius[i]
+            negate_model(high, low, radius, length, k, i)
         elif operation == MULTIPLY:
-            m = length[j]
-            error = multiply_series(high[i], low[i], n, high[j], low[j], m, wide, rest, double)
-            error += cut(wide, rest, n + m - 1, terms)
-            size, more_size = size_of(high[i], low[i], n), size_of(high[j], low[j], m)
-            error += radius[i] * (more_size + radius[j]) + size * radius[j]
-            count = min(n + m - 1, terms)
-            for c in range(count):
-                high[k, c], low[k, c] = wide[c], rest[c]
-            length[k], radius[k] = count, up(error)
+            multiply_models(high, low, radius, length, k, i, j, double)
         elif operation == RECIPROCAL:
-            apply_table(values, high[i], n, points)
-            for c in range(terms):
-                points[c] = 1 / points[c]
-            apply_table(series, points, terms, high[k])
-            if double:
-                trim(high[k])
-            count = 1 if n == 1 else terms
-            for c in range(terms):
-                low[k, c] = 0.0
-            for attempt in range(rounds):
-                error = multiply_series(
-                    high[i], low[i], n, high[k], low[k], count, wide, rest, double
-                )
-                wide[0] -= 1
-                if attempt < rounds - 1:
-                    for c in range(terms):
-                        more[c] = wide[c] + rest[c] if c < n + count - 1 else 0.0
-                    multiply_series(
-                        high[k], nothing, count, more, nothing, terms, other, other_low, False
-                    )
-                    for c in range(count):
-                        s, e = two_sum(high[k, c], -other[c])
-                        high[k, c], low[k, c] = two_sum(s, e + low[k, c])
-            error += cut(wide, rest, n + count - 1, 0)
-            size = size_of(high[k], low[k], count)
-            error = up(error + radius[i] * size)
-            if error < 0.5:
-                radius[k] = up(size * error / (1 - error))
-            else:
-                radius[k] = math.inf
-            length[k] = count
+            invert_model(values, series, high, low, radius, length, k, i, double)
         elif operation == RECIPROCAL_ROOT:
-            apply_table(values, high[i], n, points)
-            for c in range(terms):
-                points[c] = 1 / math.sqrt(points[c]) if points[c] > 0 else math.nan
-            apply_table(series, points, terms, high[k])
-            if double:
-                trim(high[k])
-            count = 1 if n == 1 else terms
-            for c in range(terms):
-                low[k, c] = 0.0
-            for attempt in range(rounds):
-                # f q first, with its own rounding and without a radius; then q (f q)
-                error = multiply_series(
-                    high[i], low[i], n, high[k], low[k], count, wide, rest, double
-                )
-                error += cut(wide, rest, n + count - 1, terms)
-                width = min(n + count - 1, terms)
-                for c in range(width):
-                    other[c], other_low[c] = wide[c], rest[c]
-                size = size_of(high[k], low[k], count)
-                error = error * size + multiply_series(
-                    high[k], low[k], count, other, other_low, width, wide, rest, double
-                )
-                wide[0] -= 1
-                if attempt < rounds - 1:
-                    for c in range(terms):
-                        more[c] = 0.5 * (wide[c] + rest[c]) if c < width + count - 1 else 0.0
-                    multiply_series(
-                        high[k], nothing, count, more, nothing, terms, other, other_low, False
-                    )
-                    for c in range(count):
-                        s, e = two_sum(high[k, c], -other[c])
-                        high[k, c], low[k, c] = two_sum(s, e + low[k, c])
-            error += cut(wide, rest, width + count - 1, 0)
-            size = size_of(high[k], low[k], count)
-            error = up(error + radius[i] * size * size)
-            end = end_value(high[k], low[k], count, 1)
-            if error < 0.5 and end[0] - abs(end[1]) - end[2] > 0:
-                radius[k] = up(size * error / (2 * (1 - error)))
-            else:
-                radius[k] = math.inf
-            length[k] = count
-        elif operation in (EXPONENTIAL, SINE_COSINE):
-            flat = n == 1
-            count = 1 if flat else terms
-            slope_error = differentiate_series(high[i], low[i], n, slope, slope_low, double)
-            steep = size_of(slope, slope_low, max(n - 1, 1)) + slope_error
-            width = max(n - 1, 1)
-            start = end_value(high[i], low[i], n, -1)
-            apply_table(values, high[i], n, points)
-            if operation == EXPONENTIAL:
-                for c in range(terms):
-                    points[c] = math.exp(points[c])
-                apply_table(series, points, terms, high[k])
-                if double:
-                    trim(high[k])
-                for c in range(terms):
-                    low[k, c] = 0.0
-                head = exponential(start)
-                spread = up(2 * (size_of(high[i], low[i], n) - abs(high[i, 0]) * (1 - 8 * UNIT)))
-                growth = exponential(ball_of(min(spread, 1e6)))
-                grown = absolute(growth)
-                defect = 0.0
-                for attempt in range(rounds):
-                    error = multiply_series(
-                        slope, slope_low, width, high[k], low[k], count, wide, rest, double
-                    )
-                    error += slope_error * size_of(high[k], low[k], count)
-                    product = width + count - 1
-                    if flat:
-                        wide[0], rest[0] = 0.0, 0.0
-                    error = 2 * error + integrate_series(
-                        wide, rest, product, other, other_low, double
-                    )
-                    # s = q - q(-1) - integral, then without its value at -1
-                    for c in range(product + 1):
-                        if c < count:
-                            s, e = two_sum(high[k, c], -other[c])
-                            error += UNIT * abs(e + (low[k, c] - other_low[c])) * 2
-                            other[c], other_low[c] = two_sum(s, e + (low[k, c] - other_low[c]))
-                        else:
-                            other[c], other_low[c] = -other[c], -other_low[c]
-                    behind = end_value(other, other_low, product + 1, -1)
-                    other[0], other_low[0] = two_sum(other[0] - behind[0], other_low[0] - behind[1])
-                    error += behind[2] + UNIT * (abs(other[0]) + abs(behind[0])) * (
-                        8 * UNIT if double else 2
-                    )
-                    defect = error + size_of(other, other_low, product + 1)
-                    begin = end_value(high[k], low[k], count, -1)
-                    apart = add(head, negative(begin))
-                    if attempt < rounds - 1:
-                        # d = -s + q (d(-1)/q(-1) - integral(P' s / q)) at the points
-                        apply_table(values, other, min(product + 1, terms), points)
-                        apply_table(values, slope, width, more)
-                        corrected = np.empty(terms)
-                        apply_table(values, high[k], count, corrected)
-                        for c in range(terms):
-                            more[c] = more[c] * points[c] / corrected[c]
-                        inner, inner_low = np.zeros(terms), np.zeros(terms)
-                        apply_table(series, more, terms, inner)
-                        integrate_series(inner, inner_low, terms - 1, wide, rest, False)
-                        apply_table(values, wide, terms, more)
-                        first = (apart[0] + apart[1]) / begin[0]
-                        for c in range(terms):
-                            points[c] = corrected[c] * (first - more[c]) - points[c]
-                        apply_table(series, points, terms, inner)
-                        for c in range(count):
-                            s, e = two_sum(high[k, c], inner[c])
-                            high[k, c], low[k, c] = two_sum(s, e + low[k, c])
-                defect = up(defect)
-                error = up(defect + grown * (absolute(apart) + 2 * steep * defect))
-                size = size_of(high[k], low[k], count) + error
-                if radius[i] <= 1:
-                    error += size * radius[i] * 2
-                else:
-                    error = math.inf
-                radius[k], length[k] = up(error), count
-            else:
-                for c in range(terms):
-                    more[c] = math.cos(points[c])
-                    points[c] = math.sin(points[c])
-                apply_table(series, points, terms, high[k])
-                apply_table(series, more, terms, high[j])
-                if double:
-                    trim(high[k])
-                    trim(high[j])
-                for c in range(terms):
-                    low[k, c] = 0.0
-                    low[j, c] = 0.0
-                head, beside = sine_cosine(start)
-                defects = np.zeros(2)
-                aparts = np.zeros((2, 2))
-                distance = 0.0
-                kept = np.zeros((2, terms))
-                for attempt in range(rounds):
-                    for part in range(2):
-                        one, two = (k, j) if part == 0 else (j, k)
-                        sign = 1.0 if part == 0 else -1.0
-                        error = multiply_series(
-                            slope, slope_low, width, high[two], low[two], count, wide, rest, double
-                        )
-                        error += slope_error * size_of(high[two], low[two], count)
-                        product = width + count - 1
-                        if flat:
-                            wide[0], rest[0] = 0.0, 0.0
-                        error = 2 * error + integrate_series(
-                            wide, rest, product, other, other_low, double
-                        )
-                        for c in range(product + 1):
-                            o, p = sign * other[c], sign * other_low[c]
-                            if c < count:
-                                s, e = two_sum(high[one, c], -o)
-                                error += UNIT * abs(e + (low[one, c] - p)) * 2
-                                other[c], other_low[c] = two_sum(s, e + (low[one, c] - p))
-                            else:
-                                other[c], other_low[c] = -o, -p
-                        behind = end_value(other, other_low, product + 1, -1)
-                        other[0], other_low[0] = two_sum(
-                            other[0] - behind[0], other_low[0] - behind[1]
-                        )
-                        error += behind[2] + UNIT * (abs(other[0]) + abs(behind[0])) * (
-                            8 * UNIT if double else 2
-                        )
-                        defects[part] = error + size_of(other, other_low, product + 1)
-                        for c in range(terms):
-                            kept[part, c] = other[c] if c < product + 1 else 0.0
-                        begin = end_value(high[one], low[one], count, -1)
-                        apart = add(head if part == 0 else beside, negative(begin))
-                        aparts[part, 0] = apart[0] + apart[1]
-                        aparts[part, 1] = absolute(apart)
-                    if attempt < rounds - 1:
-                        # In the rotating frame: (d + s) = M k, M = [[c, s], [-s, c]],
-                        # k' = -P' M^T (s_c, -s_s)
-                        fs, fc = np.empty(terms), np.empty(terms)
-                        ds, dc = np.empty(terms), np.empty(terms)
-                        apply_table(values, high[k], count, fs)
-                        apply_table(values, high[j], count, fc)
-                        apply_table(values, kept[0], terms, ds)
-                        apply_table(values, kept[1], terms, dc)
-                        apply_table(values, slope, width, more)
-                        g1, g2 = np.empty(terms), np.empty(terms)
-                        for c in range(terms):
-                            # v_s' = P' (v_c - s_c), v_c' = -P' (v_s - s_s)
-                            a, b = -more[c] * dc[c], more[c] * ds[c]
-                            g1[c] = fc[c] * a - fs[c] * b
-                            g2[c] = fs[c] * a + fc[c] * b
-                        inner, inner_low = np.zeros(terms), np.zeros(terms)
-                        apply_table(series, g1, terms, inner)
-                        integrate_series(inner, inner_low, terms - 1, wide, rest, False)
-                        apply_table(values, wide, terms, g1)
-                        apply_table(series, g2, terms, inner)
-                        integrate_series(inner, inner_low, terms - 1, wide, rest, False)
-                        apply_table(values, wide, terms, g2)
-                        s0, c0 = head[0], beside[0]
-                        a0 = c0 * aparts[0, 0] - s0 * aparts[1, 0]
-                        b0 = s0 * aparts[0, 0] + c0 * aparts[1, 0]
-                        for c in range(terms):
-                            a, b = g1[c] + a0, g2[c] + b0
-                            points[c] = fc[c] * a + fs[c] * b - ds[c]
-                            more[c] = -fs[c] * a + fc[c] * b - dc[c]
-                        apply_table(series, points, terms, inner)
-                        for c in range(count):
-                            s, e = two_sum(high[k, c], inner[c])
-                            high[k, c], low[k, c] = two_sum(s, e + low[k, c])
-                        apply_table(series, more, terms, inner)
-                        for c in range(count):
-                            s, e = two_sum(high[j, c], inner[c])
-                            high[j, c], low[j, c] = two_sum(s, e + low[j, c])
-                distance = up(aparts[0, 1] + aparts[1, 1])
-                defect = up(defects[0] + defects[1])
-                error = up(defect + distance + 2 * steep * defect + radius[i])
-                radius[k], length[k] = error, count
-                radius[j], length[j] = error, count
-        else:  # f' = g(P) P', the model of g in row j
-            m = length[j]
-            slope_error = differentiate_series(high[i], low[i], n, slope, slope_low, double)
-            width = max(n - 1, 1)
-            error = multiply_series(high[j], low[j], m, slope, slope_low, width, wide, rest, double)
-            size = size_of(high[j], low[j], m) + radius[j]
-            error += slope_error * size + radius[j] * size_of(slope, slope_low, width)
-            product = m + width - 1
-            error = 2 * error + integrate_series(wide, rest, product, other, other_low, double)
-            start = end_value(high[i], low[i], n, -1)
-            if operation == LOGARITHM:
-                head = logarithm(start)
-            elif operation == ARCTANGENT:
-                head = arctangent(start)
-            elif operation == ARCSINE:
-                head = arcsine(start)
-            elif operation == ARCCOSINE:
-                head = arccosine(start)
-            elif operation == ARSINH:
-                head = inverse_hyperbolic_sine(start)
-            elif operation == ARCOSH:
-                head = inverse_hyperbolic_cosine(start)
-            elif operation == ARTANH:
-                head = inverse_hyperbolic_tangent(start)
-            else:
-                head = error_function(start)
-            total = add((other[0], other_low[0], 0.0), head)
-            other[0] = total[0]
-            other_low[0] = total[1] if double else 0.0
-            if not double:
-                error += abs(total[1])
-            error += total[2] + cut(other, other_low, product + 1, terms) + radius[i] * size
-            count = min(product + 1, terms)
-            for c in range(count):
-                high[k, c], low[k, c] = other[c], other_low[c]
-            radius[k], length[k] = up(error), count
+            invert_root_model(values, series, high, low, radius, length, k, i, double)
+        elif operation == EXPONENTIAL:
+            exponential_model(values, series, high, low, radius, length, k, i, double)
+        elif operation == SINE_COSINE:
+            sine_cosine_models(values, series, high, low, radius, length, k, i, j, double)
+            if not radius[j] < math.inf:
+                radius[j] = math.inf
+        else:
+            integrate_model(operation, high, low, radius, length, k, i, j, double)
         if not radius[k] < math.inf:
             radius[k] = math.inf
