@@ -1,0 +1,469 @@
+"""Searches for arguments at which a compiled enclosure does not contain the true value.
+
+Each function takes a module ``L`` as :func:`hamsym.proof.compiled.loops` returns it, so that the
+tests of mutations can run the same searches on a weakened text. The truth is computed in Arb with
+some hundred bits or in fractions, never by the code under test. A miss is a tuple that shows the
+arguments and the result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from flint import arb
+
+from hamsym.proof.balls import working
+from hamsym.proof.programs import Program, Recorder, tables
+
+BITS = 300
+UNIT = 2.0**-53
+
+Triple = tuple[float, float, float]
+
+
+# -- balls -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A function of one ball: its values in Arb and an array of arguments in its domain."""
+
+    truth: Callable[[arb], Any]
+    draw: Callable[[np.random.Generator, int], np.ndarray]
+
+
+def _powers(low: float, high: float, signed: bool = True) -> Callable[..., np.ndarray]:
+    """Numbers whose decimal logarithms are uniform."""
+
+    def draw(rng: np.random.Generator, count: int) -> np.ndarray:
+        found = 10.0 ** rng.uniform(low, high, count)
+        return found * rng.choice([-1.0, 1.0], count) if signed else found
+
+    return draw
+
+
+def _near_one(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Numbers in (-1, 1), of which some are near an end and some near 0."""
+    distance = 10.0 ** rng.uniform(-12, 0, count)
+    found = np.where(rng.random(count) < 0.5, 1 - distance, distance)
+    return np.clip(found * rng.choice([-1.0, 1.0], count), -1 + 1e-12, 1 - 1e-12)
+
+
+UNARY: dict[str, Drawn] = {
+    "root": Drawn(lambda x: x.sqrt(), _powers(-150, 300, signed=False)),
+    "exponential": Drawn(lambda x: x.exp(), _powers(-30, 2.8)),
+    "sine": Drawn(lambda x: x.sin(), _powers(-30, 11)),
+    "cosine": Drawn(lambda x: x.cos(), _powers(-30, 11)),
+    "logarithm": Drawn(lambda x: x.log(), _powers(-280, 280, signed=False)),
+    "arctangent": Drawn(lambda x: x.atan(), _powers(-30, 100)),
+    "arcsine": Drawn(lambda x: x.asin(), _near_one),
+    "arccosine": Drawn(lambda x: x.acos(), _near_one),
+    "inverse_hyperbolic_sine": Drawn(lambda x: x.asinh(), _powers(-30, 100)),
+    "inverse_hyperbolic_cosine": Drawn(
+        lambda x: x.acosh(), lambda rng, n: 1 + _powers(-12, 100, signed=False)(rng, n)
+    ),
+    "inverse_hyperbolic_tangent": Drawn(lambda x: x.atanh(), _near_one),
+    "error_function": Drawn(lambda x: x.erf(), _powers(-30, 1.5)),
+}
+BINARY: dict[str, Callable[[arb, arb], Any]] = {
+    "add": lambda x, y: x + y,
+    "multiply": lambda x, y: x * y,
+    "divide": lambda x, y: x / y,
+}
+
+
+def applied(L: Any, name: str, *balls: Triple) -> Triple:
+    """A function of balls by name; sine and cosine are two results of one function."""
+    if name in ("sine", "cosine"):
+        return L.sine_cosine(*balls)[0 if name == "sine" else 1]
+    return getattr(L, name)(*balls)
+
+
+def drawn_balls(rng: np.random.Generator, middles: np.ndarray) -> np.ndarray:
+    """Balls (n, 3) around mid-points: half of them exact, radii of 30 magnitudes."""
+    count = len(middles)
+    low = middles * rng.uniform(-1, 1, count) * 2 * UNIT
+    radius = np.abs(middles) * 10.0 ** rng.uniform(-31, -1, count)
+    radius[rng.random(count) < 0.5] = 0.0
+    return np.stack([middles, low, radius], axis=1)
+
+
+def triples(balls: np.ndarray) -> list[Triple]:
+    return [(high, low, radius) for high, low, radius in balls.tolist()]
+
+
+def point(ball: Triple, share: float) -> arb:
+    """The number h + l + share r, |share| <= 1."""
+    high, low, radius = ball
+    return arb(high) + arb(low) + (arb(radius) * arb(share) if radius and share else 0)
+
+
+def inside(ball: Triple, truth: Any) -> bool:
+    """Whether a number is certainly in a ball; a ball of infinite radius has all numbers."""
+    high, low, radius = ball
+    if not radius < math.inf:
+        return True
+    if not (math.isfinite(high) and math.isfinite(low)):
+        return False
+    return bool(abs(truth - arb(high) - arb(low)) <= arb(radius))
+
+
+def unary_misses(L: Any, name: str, count: int, seed: int) -> tuple[list[Any], list[Any]]:
+    """Balls that do not contain the function at a point, and exact arguments without a result."""
+    rng = np.random.default_rng(seed)
+    drawn, missed, refused = UNARY[name], [], []
+    with working(BITS):
+        balls = drawn_balls(rng, drawn.draw(rng, count))
+        shares = rng.choice([-1.0, 1.0, 0.0, *rng.uniform(-1, 1, 3)], count)
+        for x, share in zip(triples(balls), shares.tolist(), strict=True):
+            found = applied(L, name, x)
+            if not found[2] < math.inf:
+                if x[2] == 0:
+                    refused.append((name, x, found))
+                continue
+            truth = drawn.truth(point(x, share))
+            # A ball of finite radius, although an argument in it is outside the domain.
+            if not (isinstance(truth, arb) and truth.is_finite() and inside(found, truth)):
+                missed.append((name, x, share, found))
+    return missed, refused
+
+
+def drawn_pairs(
+    name: str, count: int, seed: int, size: float = 150.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Two arrays of balls, for sums also of numbers that nearly cancel."""
+    rng = np.random.default_rng(seed)
+    first = _powers(-size, size)(rng, count)
+    second = _powers(-size, size)(rng, count)
+    near = rng.random(count) < 0.6  # of a size at which roundings matter in sums
+    second = np.where(near, -first * 10.0 ** rng.uniform(-17, 17, count), second)
+    close = rng.random(count) < 0.2
+    second = np.where(close, -first * (1 + rng.normal(size=count) * 1e-15), second)
+    if name != "add":
+        second = _powers(-size, size)(rng, count)
+    return drawn_balls(rng, first), drawn_balls(rng, second)
+
+
+def pairs(arrays: tuple[np.ndarray, np.ndarray]) -> list[tuple[Triple, Triple]]:
+    return list(zip(triples(arrays[0]), triples(arrays[1]), strict=True))
+
+
+def binary_misses(
+    L: Any, name: str, operands: Sequence[tuple[Triple, Triple]], bits: int = BITS
+) -> tuple[list[Any], list[Any]]:
+    """As :func:`unary_misses`, at the ends of both balls."""
+    missed, refused = [], []
+    with working(bits):
+        for k, (x, y) in enumerate(operands):
+            found = applied(L, name, x, y)
+            if not found[2] < math.inf:
+                if x[2] == y[2] == 0:
+                    refused.append((name, x, y, found))
+                continue
+            s, t = ((1, 1), (1, -1), (-1, 1), (-1, -1))[k % 4]
+            truth = BINARY[name](point(x, s), point(y, t))
+            if not (truth.is_finite() and inside(found, truth)):
+                missed.append((name, x, y, found))
+    return missed, refused
+
+
+# -- many sums and products, by error-free transformations -----------------------------------------
+
+
+def _two_sum(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    s = a + b
+    t = s - a
+    return s, (a - (s - t)) + (b - t)
+
+
+def _two_product(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Dekker's product, exact within 1e-120 .. 1e120."""
+
+    def halves(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        scaled = x * 134217729.0
+        top = scaled - (scaled - x)
+        return top, x - top
+
+    p = a * b
+    (a1, a2), (b1, b2) = halves(a), halves(b)
+    return p, ((a1 * b1 - p) + a1 * b2 + a2 * b1) + a2 * b2
+
+
+def exact_sum(parts: list[np.ndarray]) -> np.ndarray:
+    """Sums with an error of u |sum| + (n u)^3 times the sum of magnitudes (Ogita 2005, SumK)."""
+    parts = list(parts)
+    for _ in range(3):
+        for k in range(1, len(parts)):
+            parts[k], parts[k - 1] = _two_sum(parts[k], parts[k - 1])
+    return sum(parts[:-1]) + parts[-1]
+
+
+def remainders(name: str, x: np.ndarray, y: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Distances of exact sums or products at ends of the balls from the mid-points of results."""
+    columns = [x[:, 0], x[:, 1], x[:, 2]], [y[:, 0], y[:, 1], y[:, 2]]
+    if name == "add":
+        parts = [*columns[0], *columns[1]]
+    else:
+        parts = [part for a in columns[0] for b in columns[1] for part in _two_product(a, b)]
+    return np.abs(exact_sum([*parts, -found[:, 0], -found[:, 1]]))
+
+
+# -- models ----------------------------------------------------------------------------------------
+
+TERMS = 32
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A function as a program, its truth, and where its arguments may be.
+
+    Attributes
+    ----------
+    record : callable
+        From the arithmetic of a recorder and its first registers to the result.
+    truth : callable
+        In Arb.
+    middles, swing : (float, float), float
+        Range of the constant terms, and the largest size of the other terms.
+    variables : int
+    """
+
+    record: Callable[..., Any]
+    truth: Callable[..., Any]
+    middles: tuple[float, float]
+    swing: float
+    variables: int = 1
+
+
+def _named(name: str) -> Callable[..., Any]:
+    return lambda arithmetic, *values: getattr(arithmetic, name)(*values)
+
+
+FORMULAS: dict[str, Formula] = {
+    "sum": Formula(lambda _, x, y: x + y, lambda x, y: x + y, (-3, 3), 2, 2),
+    "difference": Formula(lambda _, x, y: x - y, lambda x, y: x - y, (-3, 3), 2, 2),
+    "product": Formula(lambda _, x, y: x * y, lambda x, y: x * y, (-3, 3), 2, 2),
+    "multiple": Formula(lambda _, x: x * arb("0.1"), lambda x: x * arb("0.1"), (-3, 3), 2),
+    "negative": Formula(lambda _, x: -x, lambda x: -x, (-3, 3), 2),
+    "reciprocal": Formula(_named("reciprocal"), lambda x: 1 / x, (1, 5), 0.8),
+    "reciprocal_root": Formula(_named("reciprocal_root"), lambda x: x.rsqrt(), (1, 5), 0.8),
+    "root": Formula(_named("root"), lambda x: x.sqrt(), (1, 5), 0.8),
+    "power": Formula(_named("general_power"), lambda x, y: x**y, (1, 3), 0.6, 2),
+    "atan2": Formula(_named("atan2"), lambda y, x: arb.atan2(y, x), (0.5, 3), 0.3, 2),
+    "exp": Formula(_named("exp"), lambda x: x.exp(), (-4, 4), 3),
+    "sin": Formula(_named("sin"), lambda x: x.sin(), (-9, 9), 3),
+    "cos": Formula(_named("cos"), lambda x: x.cos(), (-9, 9), 3),
+    "log": Formula(_named("log"), lambda x: x.log(), (1, 5), 0.8),
+    "tan": Formula(_named("tan"), lambda x: x.tan(), (-0.2, 0.2), 1),
+    "atan": Formula(_named("atan"), lambda x: x.atan(), (-3, 3), 1),
+    "asin": Formula(_named("asin"), lambda x: x.asin(), (-0.2, 0.2), 0.6),
+    "acos": Formula(_named("acos"), lambda x: x.acos(), (-0.2, 0.2), 0.6),
+    "sinh": Formula(_named("sinh"), lambda x: x.sinh(), (-3, 3), 2),
+    "cosh": Formula(_named("cosh"), lambda x: x.cosh(), (-3, 3), 2),
+    "tanh": Formula(_named("tanh"), lambda x: x.tanh(), (-2, 2), 0.8),
+    "asinh": Formula(_named("asinh"), lambda x: x.asinh(), (-3, 3), 0.8),
+    "acosh": Formula(_named("acosh"), lambda x: x.acosh(), (2.5, 5), 0.8),
+    "atanh": Formula(_named("atanh"), lambda x: x.atanh(), (-0.2, 0.2), 0.6),
+    "erf": Formula(_named("erf"), lambda x: x.erf(), (-2, 2), 1),
+}
+
+
+def program_of(formula: Formula) -> Program:
+    recorder = Recorder(formula.variables)
+    with working(240):
+        result = formula.record(recorder.arithmetic, *recorder.variables)
+    return Program(recorder, [result])
+
+
+@dataclass
+class Model:
+    """A series in two floats, and its radius."""
+
+    high: np.ndarray
+    low: np.ndarray
+    radius: float
+
+
+def ran(L: Any, program: Program, models: Sequence[Model], double: bool) -> Model:
+    """The model of the result of a program."""
+    using, rows = tables(TERMS), program.registers
+    high, low = np.zeros((rows, TERMS)), np.zeros((rows, TERMS))
+    radius, length = np.zeros(rows), np.ones(rows, dtype=np.int64)
+    high[program.constants, 0], radius[program.constants] = program.numbers[:, [0, 2]].T
+    if double:
+        low[program.constants, 0] = program.numbers[:, 1]
+    else:
+        radius[program.constants] += np.abs(program.numbers[:, 1]) * 1.000001
+    for k, model in enumerate(models):
+        count = len(model.high)
+        high[k, :count], low[k, :count] = model.high, model.low
+        radius[k], length[k] = model.radius, count
+    L.run_models(program.steps, using.values, using.series, high, low, radius, length, double)
+    place = program.results[0]
+    n = length[place]
+    return Model(high[place, :n].copy(), low[place, :n].copy(), float(radius[place]))
+
+
+def drawn_model(rng: np.random.Generator, formula: Formula, double: bool, wide: bool) -> Model:
+    """Coefficients that decay at a random rate; constant models now and then."""
+    count = int(rng.choice([1, 2, 5, 20, TERMS]))
+    high = rng.uniform(-1, 1, count) * rng.uniform(0.05, 0.6) ** np.arange(count)
+    if count > 1:
+        high[1:] *= formula.swing * rng.uniform(0.01, 1) / np.abs(high[1:]).sum()
+    high[0] = rng.uniform(*formula.middles)
+    low = high * rng.uniform(-1, 1, count) * UNIT if double else np.zeros(count)
+    radius = formula.swing * 10.0 ** rng.uniform(-20, -1.5) if wide else 0.0
+    return Model(high, low, radius)
+
+
+def polynomials(x: float, count: int) -> list[arb]:
+    """T_0(x) .. T_count-1(x) by the recurrence, in the working precision."""
+    found = [arb(1), arb(x)]
+    while len(found) < count:
+        found.append(2 * arb(x) * found[-1] - found[-2])
+    return found
+
+
+def series_value(high: Sequence[float], low: Sequence[float], basis: Sequence[arb]) -> arb:
+    total = arb(0)
+    for h, m, t in zip(high, low, basis, strict=False):
+        total += (arb(h) + arb(m)) * t
+    return total
+
+
+def places(rng: np.random.Generator, count: int) -> list[float]:
+    return [-1.0, 1.0, 0.0, *rng.uniform(-1, 1, count).tolist()]
+
+
+def model_misses(
+    L: Any, name: str, double: bool, count: int, seed: int, *, narrow: bool = False
+) -> tuple[list[Any], int]:
+    """Models that do not contain their function at a point, and the number without a radius."""
+    rng = np.random.default_rng(seed)
+    formula, missed, refused = FORMULAS[name], [], 0
+    program = program_of(formula)
+    with working(400):
+        for k in range(count):
+            wide = k % 2 == 1 and not narrow
+            models = [drawn_model(rng, formula, double, wide) for _ in range(formula.variables)]
+            found = ran(L, program, models, double)
+            if not found.radius < math.inf:
+                refused += 1
+                continue
+            for x in places(rng, 5):
+                basis = polynomials(x, TERMS)
+                truth = formula.truth(*(_chosen(rng, model, basis) for model in models))
+                value = series_value(found.high.tolist(), found.low.tolist(), basis)
+                # The truth has an error of 1e-110, and a negative has the radius of its argument.
+                apart = abs(truth - value) - arb(found.radius)
+                if not apart <= arb(2) ** -340:
+                    missed.append((name, double, models, found.radius, x))
+                    break
+    return missed, refused
+
+
+def _chosen(rng: np.random.Generator, model: Model, basis: Sequence[arb]) -> arb:
+    """A number in a model, often at its ends."""
+    share = float(rng.choice([-1.0, 1.0, rng.uniform(-1, 1)]))
+    middle = series_value(model.high.tolist(), model.low.tolist(), basis)
+    return middle + arb(model.radius) * arb(share)
+
+
+# -- operations on series, in fractions --------------------------------------------------------------
+
+
+def fractions(high: Any, low: Any = None) -> list[Fraction]:
+    """Exact coefficients of a series in two floats."""
+    parts = [np.asarray(part).tolist() for part in (high, low) if part is not None]
+    return [sum(map(Fraction, column), Fraction(0)) for column in zip(*parts, strict=True)]
+
+
+def product_of(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+    found = [Fraction(0)] * (len(a) + len(b) - 1)
+    for i, x in enumerate(a):
+        for j, y in enumerate(b):
+            found[i + j] += x * y / 2
+            found[abs(i - j)] += x * y / 2
+    return found
+
+
+def integral_of(c: list[Fraction]) -> list[Fraction]:
+    """The integral from -1."""
+    found = [Fraction(0)] * (len(c) + 1)
+    for k, value in enumerate(c):
+        if k == 0:
+            found[1] += value
+        elif k == 1:
+            found[2] += value / 4
+        else:
+            found[k + 1] += value / (2 * (k + 1))
+            found[k - 1] -= value / (2 * (k - 1))
+    found[0] = -sum((value * (-1) ** k for k, value in enumerate(found) if k), Fraction(0))
+    return found
+
+
+def derivative_of(c: list[Fraction]) -> list[Fraction]:
+    found = [Fraction(0)] * max(len(c) - 1, 1)
+    for k, value in enumerate(c):
+        for j in range(k - 1, -1, -2):
+            found[j] += 2 * k * value / (2 if j == 0 else 1)
+    return found
+
+
+def distance(found: list[Fraction], exact: list[Fraction]) -> Fraction:
+    """Sum of the differences of coefficients, a bound on the difference on [-1, 1]."""
+    size = max(len(found), len(exact))
+    padded = [[*c, *[Fraction(0)] * (size - len(c))] for c in (found, exact)]
+    return sum((abs(a - b) for a, b in zip(*padded, strict=True)), Fraction(0))
+
+
+def drawn_series(
+    rng: np.random.Generator, count: int, double: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    high = rng.normal(size=count) * rng.uniform(0.3, 1.0) ** np.arange(count)
+    high *= 10.0 ** rng.uniform(-3, 3)
+    return high, high * rng.uniform(-1, 1, count) * UNIT if double else np.zeros(count)
+
+
+def series_misses(L: Any, name: str, double: bool, count: int, seed: int) -> list[Any]:
+    """multiply_series, integrate_series, differentiate_series: bounds below the true errors."""
+    rng, missed = np.random.default_rng(seed), []
+    for _ in range(count):
+        n, m = (int(rng.choice([1, 2, 3, 7, 20, TERMS])) for _ in range(2))
+        (ah, al), (bh, bl) = drawn_series(rng, n, double), drawn_series(rng, m, double)
+        oh, ol = rng.normal(size=(2, 2 * TERMS + 2))  # what was there before must not matter
+        a, b = fractions(ah, al), fractions(bh, bl)
+        if name == "multiply_series":
+            bound = L.multiply_series(ah, al, n, bh, bl, m, oh, ol, double)
+            exact = product_of(a, b)
+        elif name == "integrate_series":
+            bound = L.integrate_series(ah, al, n, oh, ol, double)
+            exact = integral_of(a)
+        else:
+            bound = L.differentiate_series(ah, al, n, oh, ol, double)
+            exact = derivative_of(a)
+        size = len(exact)
+        if not distance(fractions(oh[:size], ol[:size]), exact) <= Fraction(bound):
+            missed.append((name, double, ah, bh, bound))
+    return missed
+
+
+def end_misses(L: Any, count: int, seed: int) -> list[Any]:
+    """end_value: balls without the value at -1 or 1."""
+    rng, missed = np.random.default_rng(seed), []
+    for k in range(count):
+        n = int(rng.choice([1, 2, 3, 7, 20, TERMS]))
+        high, low = drawn_series(rng, n, double=True)
+        if k % 2 and n > 1:  # a value that nearly vanishes
+            high[0] = -high[1:].sum()
+        for end in (-1, 1):
+            found = L.end_value(high, low, n, end)
+            exact = sum(c * end**j for j, c in enumerate(fractions(high, low)))
+            if not abs(exact - Fraction(found[0]) - Fraction(found[1])) <= Fraction(found[2]):
+                missed.append((high, end, found))
+    return missed
