@@ -374,7 +374,7 @@ def _chosen(rng: np.random.Generator, model: Model, basis: Sequence[arb]) -> arb
     return middle + arb(model.radius) * arb(share)
 
 
-# -- operations on series, in fractions --------------------------------------------------------------
+# -- operations on series, in fractions -----------------------------------------------------------
 
 
 def fractions(high: Any, low: Any = None) -> list[Fraction]:
@@ -466,4 +466,291 @@ def end_misses(L: Any, count: int, seed: int) -> list[Any]:
             exact = sum(c * end**j for j, c in enumerate(fractions(high, low)))
             if not abs(exact - Fraction(found[0]) - Fraction(found[1])) <= Fraction(found[2]):
                 missed.append((high, end, found))
+    return missed
+
+
+# -- steps of windows ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Transport:
+    """A linear equation dz/dx = A z + B k with constant entries, and guesses for its enclosure.
+
+    Attributes
+    ----------
+    A : numpy.ndarray
+        Matrix (dim, columns); the last columns belong to parameters.
+    start, D : numpy.ndarray
+        Bounds on |xi| and on the defect.
+    F : numpy.ndarray
+        V(-1) - I, shape (dim, columns).
+    flat : bool
+        V is constant, in place of the flow.
+    loose : float
+        Radius of the models of A; the true matrix is at their end.
+    units : tuple of float
+    """
+
+    A: np.ndarray
+    start: np.ndarray
+    D: np.ndarray
+    F: np.ndarray
+    flat: bool = False
+    loose: float = 0.0
+    units: tuple[float, ...] = (1.0, 1.0)
+
+
+def _flow(matrix: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """exp(matrix t) at times, by its power series and squares."""
+    scaled = matrix[None] * times[:, None, None] / 1024
+    found = np.eye(len(matrix)) + np.zeros_like(scaled)
+    term = found.copy()
+    for k in range(1, 12):
+        term = term @ scaled / k
+        found = found + term
+    for _ in range(10):
+        found = found @ found
+    return found
+
+
+def transport_bounds(L: Any, case: Transport) -> tuple[Any, np.ndarray]:
+    """The bounds of the step, and the coefficients of V."""
+    dim, columns = case.A.shape
+    using = tables(TERMS)
+    square = np.zeros((columns, columns))
+    square[:dim] = case.A
+    times = np.zeros(TERMS) if case.flat else using.points + 1
+    begin = np.eye(columns)
+    begin[:dim] += case.F
+    values = (_flow(square, times) @ begin)[:, :dim]  # (points, dim, columns)
+    V = np.ascontiguousarray(np.moveaxis(np.tensordot(values, using.series, (0, 0)), 2, 2))
+    places = [(i, j) for i in range(dim) for j in range(columns)]
+    jacobian = np.zeros((len(places), TERMS))
+    jacobian[:, 0] = [2 * case.A[i, j] for i, j in places]
+    found = L.transport(
+        jacobian,
+        np.full(len(places), 2 * case.loose),
+        np.ones(len(places), dtype=np.int64),
+        np.array([(i, j, k) for k, (i, j) in enumerate(places)], dtype=np.int64),
+        np.ones(len(places)),
+        case.start,
+        V,
+        case.D,
+        0.5,  # half the length: A = 0.5 G
+        np.array(case.units),
+        dim,
+    )
+    return found, V
+
+
+def transport_misses(L: Any, case: Transport) -> list[Any]:
+    """Components in which d or V_d of the true equation is beyond the bounds.
+
+    d' = A d - S xi - A D is integrated for the worst xi and for the worst D(x) at each x.
+    """
+    dim, columns = case.A.shape
+    (tube, d, derivative, _), V = transport_bounds(L, case)
+    missed = []
+    for sign in (1.0, -1.0):
+        true = case.A + sign * case.loose
+        grid = np.linspace(-1, 1, 2001)
+        basis = np.polynomial.chebyshev.chebvander(grid, TERMS - 1)
+        V_grid = np.moveaxis(V @ basis.T, 2, 0)
+        slope = np.polynomial.chebyshev.chebder(V, axis=2)
+        S = np.moveaxis(slope @ basis.T[: TERMS - 1], 2, 0)
+        whole = np.zeros((len(grid), columns, columns)) + np.eye(columns)
+        whole[:, :dim] = V_grid
+        S = S - true @ whole
+        F = V_grid[0] - np.eye(dim, columns)
+        square = np.zeros((columns, columns))
+        square[:dim] = true
+        full = _flow(square, grid + 1)
+        weights = np.full(len(grid), 1e-3)
+        weights[[0, -1]] /= 2
+        for last in (500, 1000, 2000):
+            to_end = full[last::-1, :dim, :dim]
+            w = weights[: last + 1].copy()
+            w[-1] = 5e-4
+            by_start = to_end[0] @ F + np.einsum("t,tij,tjc->ic", w, to_end, S[: last + 1])
+            by_defect = np.einsum("t,tij->ij", w, np.abs(to_end @ true[:, :dim])) @ case.D
+            largest = np.abs(by_start) @ case.start + by_defect
+            reach = np.abs(V_grid[last]) @ case.start + case.D + largest
+            slopes = np.abs(full[last, :dim] - V_grid[last])
+            checks = (("d", largest, d), ("tube", reach, tube), ("V_d", slopes, derivative))
+            for name, value, bound in checks:
+                if not (value <= bound * (1 + 1e-5) + 1e-13).all():
+                    missed.append((name, sign, last, value, bound))
+    return missed
+
+
+def _inverse_times(matrix: np.ndarray, vector: list[Fraction]) -> list[Fraction]:
+    """Solve a linear system exactly."""
+    n = len(matrix)
+    rows = [[*map(Fraction, row), value] for row, value in zip(matrix.tolist(), vector)]
+    for k in range(n):
+        pivot = max(range(k, n), key=lambda i: abs(rows[i][k]))
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        for i in range(n):
+            if i != k:
+                factor = rows[i][k] / rows[k][k]
+                rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return [rows[k][n] / rows[k][k] for k in range(n)]
+
+
+def _times(matrix: Any, vector: list[Fraction]) -> list[Fraction]:
+    return [
+        sum((Fraction(float(a)) * b for a, b in zip(row, vector, strict=True)), Fraction(0))
+        for row in matrix
+    ]
+
+
+def set_misses(L: Any, name: str, count: int, seed: int) -> list[Any]:
+    """moved_set, turned_set, set_radius: sets that do not contain a corner of the exact one."""
+    rng, missed = np.random.default_rng(seed), []
+    for k in range(count):
+        n = int(rng.integers(2, 5))
+        J, E = rng.normal(size=(n, n)), np.zeros((n, n))
+        Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
+        R = 10.0 ** rng.uniform(-12, 0, (n, 1))
+        extra = np.zeros((n, 1))
+        if k % 3:
+            E = np.abs(rng.normal(size=(n, n))) * 10.0 ** rng.uniform(-18, -3)
+            extra = 10.0 ** rng.uniform(-20, -2, (n, 1))
+        if k % 3 == 2:  # shears, whose sets are long and thin
+            J = np.eye(n) + 1e8 * np.triu(J, 1)
+        r = [Fraction(v) * int(rng.choice([-1, 1])) for v in R[:, 0].tolist()]
+        signs = rng.choice([-1.0, 1.0], (n, n))
+        true = [[Fraction(a) + Fraction(b) for a, b in zip(*rows)] for rows in zip(J, E * signs)]
+        moved = _exact_times(true, _times(Q, r))
+        if name == "moved_set":
+            found, rest = L.moved_set(J, E, Q, R)
+            apart = [abs(a - b) for a, b in zip(moved, _times(found, r))]
+            fine = all(a <= Fraction(b) for a, b in zip(apart, rest[:, 0].tolist()))
+        elif name == "set_radius":
+            zero, bounds = np.zeros(n), R[:, 0].copy()
+            rest = L.set_radius(J, E, np.eye(n), zero, Q, bounds)
+            fine = all(abs(a) <= Fraction(b) for a, b in zip(moved, rest.tolist()))
+        else:
+            point = [
+                a + Fraction(b) * int(rng.choice([-1, 1]))
+                for a, b in zip(moved, extra[:, 0].tolist())
+            ]
+            turned, radii = L.turned_set(J, E, Q, R, extra)
+            inner = _inverse_times(turned, point)
+            fine = all(abs(a) <= Fraction(b) for a, b in zip(inner, radii[:, 0].tolist()))
+        if not fine:
+            missed.append((name, J, E, Q, R, extra))
+    return missed
+
+
+def _exact_times(matrix: list[list[Fraction]], vector: list[Fraction]) -> list[Fraction]:
+    return [sum((a * b for a, b in zip(row, vector, strict=True)), Fraction(0)) for row in matrix]
+
+
+def exact_polynomials(x: Fraction, count: int) -> list[Fraction]:
+    found = [Fraction(1), x]
+    while len(found) < count:
+        found.append(2 * x * found[-1] - found[-2])
+    return found[:count]
+
+
+def value_misses(L: Any, name: str, count: int, seed: int) -> list[Any]:
+    """chebyshev_balls, vector_value, matrix_value: values of series at a point."""
+    rng, missed = np.random.default_rng(seed), []
+    for k in range(count):
+        x = float(rng.choice([-1.0, 1.0, rng.uniform(-1, 1)]))
+        place = (x, 0.0, 0.0) if k % 2 else (x, x * 2.0**-55, 1e-33)
+        exact = exact_polynomials(Fraction(place[0]) + Fraction(place[1]), TERMS)
+        basis = L.chebyshev_balls(place, TERMS)
+        high, low = drawn_series(rng, TERMS, double=True)
+        if name == "chebyshev_balls":
+            results = [
+                (Fraction(b[0]) + Fraction(b[1]), Fraction(b[2]), e)
+                for b, e in zip(basis.tolist(), exact)
+            ]
+        elif name == "vector_value":
+            h, m, r = L.vector_value(high[None], low[None], basis)[0].tolist()
+            truth = _exact_times([fractions(high, low)], exact)[0]
+            results = [(Fraction(h) + Fraction(m), Fraction(r), truth)]
+        else:
+            value, error = L.matrix_value(high[None, None], basis)
+            truth = _exact_times([fractions(high)], exact)[0]
+            results = [(Fraction(value[0, 0]), Fraction(error[0, 0]), truth)]
+        if not all(abs(found - truth) <= radius for found, radius, truth in results):
+            missed.append((name, place, high))
+    return missed
+
+
+def dense_misses(L: Any, count: int, seed: int) -> list[Any]:
+    """Dense layers of models whose sums do not contain the exact ones."""
+    rng, missed = np.random.default_rng(seed), []
+    for _ in range(count):
+        inputs, outputs = int(rng.choice([1, 3, 20])), 2
+        weights, bias = rng.normal(size=(outputs, inputs)), rng.normal(size=outputs)
+        high, low = np.zeros((2, inputs, 8))
+        length = rng.integers(1, 9, inputs)
+        for j, n in enumerate(length):
+            high[j, :n], low[j, :n] = drawn_series(rng, int(n), double=True)
+        radius = 10.0 ** rng.uniform(-40, -2, inputs) * (rng.random(inputs) < 0.3)
+        oh, ol, error, lengths = L.dense(weights, bias, high, low, radius, length)
+        for i in range(outputs):
+            exact = [Fraction(0)] * 8
+            exact[0] += Fraction(bias[i])
+            beside = Fraction(0)
+            for j, n in enumerate(length):
+                beside += abs(Fraction(weights[i, j])) * Fraction(radius[j])
+                for k, value in enumerate(fractions(high[j, :n], low[j, :n])):
+                    exact[k] += Fraction(weights[i, j]) * value
+            n = lengths[i]
+            apart = distance(fractions(oh[i, :n], ol[i, :n]), exact) + beside
+            if not apart <= Fraction(error[i]):
+                missed.append((weights[i], bias[i], error[i]))
+    return missed
+
+
+def clenshaw_misses(L: Any, count: int, seed: int) -> list[Any]:
+    """Series of series: models of sum c_k T_k(a + b x) that miss a value."""
+    rng, missed = np.random.default_rng(seed), []
+    for k in range(count):
+        n, columns, terms = int(rng.choice([1, 2, 8, 20])), 2, 24
+        ch = rng.normal(size=(n, columns)) * rng.uniform(0.4, 1, (n, 1)) ** np.arange(n)[:, None]
+        cl = ch * rng.uniform(-1, 1, ch.shape) * UNIT
+        b = rng.uniform(-0.5, 0.5)
+        a = rng.uniform(-1, 1) * (1 - abs(b))
+        wide = 1e-12 if k % 2 else 0.0
+        oh, ol, error, lengths = L.clenshaw(
+            ch, cl, (a, a * UNIT / 4, wide), (b, b * UNIT / 4, wide), terms
+        )
+        for x in places(rng, 3):
+            share = Fraction(wide) * int(rng.choice([-1, 1]))
+            line = (
+                Fraction(a)
+                + Fraction(a * UNIT / 4)
+                + share
+                + (Fraction(b) + Fraction(b * UNIT / 4) + share) * Fraction(x)
+            )
+            outer = exact_polynomials(line, n)
+            inner = exact_polynomials(Fraction(x), terms)
+            for i in range(columns):
+                truth = _exact_times([fractions(ch[:, i], cl[:, i])], outer)[0]
+                m = lengths[i]
+                value = _exact_times([fractions(oh[i, :m], ol[i, :m])], inner[:m])[0]
+                if not abs(truth - value) <= Fraction(error[i]):
+                    missed.append((a, b, x, ch[:, i], error[i]))
+    return missed
+
+
+def product_misses(L: Any, count: int, seed: int) -> list[Any]:
+    """exact_products: bounds below the sums of errors of a column."""
+    rng, missed = np.random.default_rng(seed), []
+    for _ in range(count):
+        rows, inner, columns = (int(v) for v in rng.integers(1, 12, 3))
+        series = rng.normal(size=(rows, inner)) * 10.0 ** rng.uniform(-8, 8, (rows, inner))
+        readout = rng.normal(size=(inner, columns))
+        high, low, error = L.exact_products(series, readout)
+        for i in range(columns):
+            column = [Fraction(v) for v in readout[:, i].tolist()]
+            exact = _times(series, column)
+            if not distance(fractions(high[:, i], low[:, i]), exact) <= Fraction(error[i]):
+                missed.append((series, readout, error[i]))
     return missed

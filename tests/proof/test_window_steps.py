@@ -1,0 +1,149 @@
+"""Steps of a window: bounds that hold in exact arithmetic and for linear equations."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hamsym.proof.compiled import loops
+from tests.proof.misses import (
+    Transport,
+    clenshaw_misses,
+    dense_misses,
+    product_misses,
+    set_misses,
+    transport_bounds,
+    transport_misses,
+    value_misses,
+)
+
+_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+_SADDLE = np.array([[0.0, 1.0], [1.0, 0.0]])
+_NONE = np.zeros(2)
+_NO_F = np.zeros((2, 2))
+_SOME_F = np.array([[0.1, -0.02], [0.03, 0.05]])
+
+
+def transport(A, **options):
+    settings = {"start": _NONE, "D": _NONE, "F": np.zeros_like(A), **options}
+    return Transport(np.array(A), **settings)
+
+
+CASES = {
+    "start error": transport(0.3 * _TURN, start=np.array([1e-3, 2e-3]), F=_SOME_F),
+    "start error of an unstable flow": transport(1.5 * _SADDLE, start=np.ones(2), F=_SOME_F),
+    "residual": transport(0.1 * _SADDLE, start=np.array([1.0, 0.5]), flat=True),
+    "residual of a damped flow": transport([[-0.4, 0.1], [0.2, -0.9]], start=np.ones(2), flat=True),
+    "defect": transport(0.7 * _SADDLE, D=np.array([1e-3, 1e-4])),
+    "defect of a rotation": transport(1.2 * _TURN, D=np.array([1e-3, 1e-4])),
+    "growth": transport(3.0 * _SADDLE, start=np.ones(2), D=np.ones(2) * 1e-2, F=1e-2 * _SOME_F),
+    "matrix in a tube": transport(0.5 * _SADDLE, start=np.ones(2), loose=0.05),
+    "units": transport(
+        [[0.0, 2.0], [0.5, 0.0]], start=np.ones(2), flat=True, D=np.ones(2) * 0.1, units=(4.0, 1.0)
+    ),
+    "parameter": transport(
+        [[0.0, 0.4, 0.2], [-0.4, 0.0, 0.7]], start=np.array([0.0, 0.0, 1.0]), loose=0.01
+    ),
+    "parameter without its column": transport(
+        [[0.0, 0.4, 0.2], [-0.4, 0.0, 0.7]], start=np.array([0.0, 0.0, 1.0]), flat=True
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def L():
+    return loops()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bounds_of_a_window_hold_for_linear_equations(L, name):
+    assert transport_misses(L, CASES[name]) == []
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="the length of |F xi| + 2 |forcing| is taken in place of the sum of both lengths",
+)
+def test_start_error_and_defect_that_a_rotation_aligns_are_bounded(L):
+    F = np.array([[1e-3, 0.0], [0.0, 0.0]])
+    turned = transport(
+        math.pi / 2 * _TURN, start=np.array([1.0, 0.0]), F=F, D=np.array([3e-4, 0.0])
+    )
+    assert transport_misses(L, turned) == []
+
+
+def test_bounds_of_an_accurate_flow_are_small(L):
+    (tube, d, derivative, norm), _ = transport_bounds(L, transport(0.3 * _TURN, start=np.ones(2)))
+    assert d.max() < 1e-9
+    assert derivative.max() < 1e-9
+    assert tube.max() < 4
+    assert norm < 1e-13
+
+
+def test_growth_is_that_of_the_flow(L):
+    (_, d, _, norm), _ = transport_bounds(L, transport(1.0 * _SADDLE, D=np.array([1e-3, 1e-3])))
+    assert norm == pytest.approx(2.0)  # of dz/dt; half the length is 1/2
+    assert d.max() <= 2 * math.sqrt(2) * 1e-3 * math.exp(2) * 1.001
+
+
+@pytest.mark.parametrize("value", [math.inf, math.nan])
+@pytest.mark.parametrize("part", ["start", "D", "loose"])
+def test_bounds_that_are_not_finite_give_no_tube(L, part, value):
+    bad = {part: value if part == "loose" else np.array([0.0, value])}
+    (tube, _, _, _), _ = transport_bounds(L, transport(0.3 * _TURN, **bad))
+    assert not (tube <= 1e300).all()
+
+
+@pytest.mark.parametrize("name", ["moved_set", "turned_set", "set_radius"])
+def test_sets_contain_corners_of_the_exact_set(L, name):
+    assert set_misses(L, name, 150, seed=1) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["moved_set", "turned_set", "set_radius"])
+def test_sets_contain_corners_of_very_many_sets(L, name):
+    assert set_misses(L, name, 5_000, seed=2) == []
+
+
+def test_turned_set_of_an_infinite_set_is_infinite(L):
+    Q, R = np.eye(2), np.array([[1.0], [math.inf]])
+    for radii in (R, np.array([[1.0], [math.nan]])):
+        found = L.turned_set(np.eye(2), np.zeros((2, 2)), Q, radii, np.zeros((2, 1)))[1]
+        assert not (found <= 1e300).all()
+
+
+def test_turned_set_of_a_singular_map_contains_it(L):
+    J = np.array([[1.0, 2.0], [0.5, 1.0]])
+    turned, radii = L.turned_set(
+        J, np.zeros((2, 2)), np.eye(2), np.array([[1.0], [1e-3]]), np.zeros((2, 1))
+    )
+    for r in ([1.0, 1e-3], [1.0, -1e-3]):
+        assert (np.abs(np.linalg.solve(turned, J @ np.array(r))) <= radii[:, 0] + 1e-15).all()
+
+
+def test_turned_set_does_not_wrap(L):
+    """A thin set under a hundred turns keeps its width but for roundings."""
+    c, s = math.cos(0.7), math.sin(0.7)
+    J, E = np.array([[c, s], [-s, c]]), np.zeros((2, 2))
+    Q, R = np.eye(2), np.array([[1.0], [1e-6]])
+    for _ in range(100):
+        Q, R = L.turned_set(J, E, Q, R, np.zeros((2, 1)))
+    assert R[0, 0] < 1.001
+    assert R[1, 0] < 1.001e-6
+
+
+@pytest.mark.parametrize("name", ["chebyshev_balls", "vector_value", "matrix_value"])
+def test_values_of_series_contain_the_exact_ones(L, name):
+    assert value_misses(L, name, 100, seed=1) == []
+
+
+def test_dense_layers_contain_the_exact_sums(L):
+    assert dense_misses(L, 60, seed=1) == []
+
+
+def test_series_of_lines_contain_the_exact_values(L):
+    assert clenshaw_misses(L, 25, seed=1) == []
+
+
+def test_products_of_matrices_contain_the_exact_sums(L):
+    assert product_misses(L, 60, seed=1) == []
