@@ -586,7 +586,9 @@ def transport_misses(L: Any, case: Transport) -> list[Any]:
 def _inverse_times(matrix: np.ndarray, vector: list[Fraction]) -> list[Fraction]:
     """Solve a linear system exactly."""
     n = len(matrix)
-    rows = [[*map(Fraction, row), value] for row, value in zip(matrix.tolist(), vector)]
+    rows = [
+        [*map(Fraction, row), value] for row, value in zip(matrix.tolist(), vector, strict=True)
+    ]
     for k in range(n):
         pivot = max(range(k, n), key=lambda i: abs(rows[i][k]))
         rows[k], rows[pivot] = rows[pivot], rows[k]
@@ -620,24 +622,29 @@ def set_misses(L: Any, name: str, count: int, seed: int) -> list[Any]:
             J = np.eye(n) + 1e8 * np.triu(J, 1)
         r = [Fraction(v) * int(rng.choice([-1, 1])) for v in R[:, 0].tolist()]
         signs = rng.choice([-1.0, 1.0], (n, n))
-        true = [[Fraction(a) + Fraction(b) for a, b in zip(*rows)] for rows in zip(J, E * signs)]
+        true = [
+            [Fraction(a) + Fraction(b) for a, b in zip(*rows, strict=True)]
+            for rows in zip(J, E * signs, strict=True)
+        ]
         moved = _exact_times(true, _times(Q, r))
         if name == "moved_set":
             found, rest = L.moved_set(J, E, Q, R)
-            apart = [abs(a - b) for a, b in zip(moved, _times(found, r))]
-            fine = all(a <= Fraction(b) for a, b in zip(apart, rest[:, 0].tolist()))
+            apart = [abs(a - b) for a, b in zip(moved, _times(found, r), strict=True)]
+            fine = all(a <= Fraction(b) for a, b in zip(apart, rest[:, 0].tolist(), strict=True))
         elif name == "set_radius":
             zero, bounds = np.zeros(n), R[:, 0].copy()
             rest = L.set_radius(J, E, np.eye(n), zero, Q, bounds)
-            fine = all(abs(a) <= Fraction(b) for a, b in zip(moved, rest.tolist()))
+            fine = all(abs(a) <= Fraction(b) for a, b in zip(moved, rest.tolist(), strict=True))
         else:
             point = [
                 a + Fraction(b) * int(rng.choice([-1, 1]))
-                for a, b in zip(moved, extra[:, 0].tolist())
+                for a, b in zip(moved, extra[:, 0].tolist(), strict=True)
             ]
             turned, radii = L.turned_set(J, E, Q, R, extra)
             inner = _inverse_times(turned, point)
-            fine = all(abs(a) <= Fraction(b) for a, b in zip(inner, radii[:, 0].tolist()))
+            fine = all(
+                abs(a) <= Fraction(b) for a, b in zip(inner, radii[:, 0].tolist(), strict=True)
+            )
         if not fine:
             missed.append((name, J, E, Q, R, extra))
     return missed
@@ -666,7 +673,7 @@ def value_misses(L: Any, name: str, count: int, seed: int) -> list[Any]:
         if name == "chebyshev_balls":
             results = [
                 (Fraction(b[0]) + Fraction(b[1]), Fraction(b[2]), e)
-                for b, e in zip(basis.tolist(), exact)
+                for b, e in zip(basis.tolist(), exact, strict=True)
             ]
         elif name == "vector_value":
             h, m, r = L.vector_value(high[None], low[None], basis)[0].tolist()
@@ -753,4 +760,33 @@ def product_misses(L: Any, count: int, seed: int) -> list[Any]:
             exact = _times(series, column)
             if not distance(fractions(high[:, i], low[:, i]), exact) <= Fraction(error[i]):
                 missed.append((series, readout, error[i]))
+    return missed
+
+
+# -- enclosures ------------------------------------------------------------------------------------
+
+
+def enclosure_misses(
+    L: Any, enclosure: Any, times: Sequence[float], states: Sequence[Sequence[arb]]
+) -> list[Any]:
+    """Times at which the enclosure does not contain a state.
+
+    The ball of float64 has a mid-point rounded to 2**-53; the two floats of the value and the
+    radius without this rounding are compared too.
+    """
+    missed = []
+    with working(BITS):
+        for t, state in zip(times, states, strict=True):
+            shown = enclosure(t)
+            k, basis = enclosure._place(t)
+            window = enclosure.windows[k]
+            value = L.vector_value(window.high, window.low, basis)
+            matrix, error = L.matrix_value(window.V, basis)
+            spread = L.set_radius(matrix, error, window.C, window.r0, window.Q, window.r)
+            for i, truth in enumerate(state):
+                public = (float(shown.mid[i]), 0.0, float(shown.radius[i]))
+                radius = spread[i] + window.beside[i] + value[i, 2]
+                sharp = (value[i, 0], value[i, 1], float(radius) * (1 + 1e-9))
+                if not (inside(public, truth) and inside(sharp, truth)):
+                    missed.append((t, i, public, sharp, truth.str(40)))
     return missed
