@@ -9,6 +9,7 @@ from . import (
     clusters,
     derivation,
     dimension,
+    enclosures,
     ensembles,
     epoch,
     equal_error,
@@ -73,4 +74,5 @@ BENCHMARKS: dict[str, Benchmark] = {
     "epoch": epoch,
     "derivation": derivation,
     "certificates": certificates,
+    "enclosures": enclosures,
 }
