@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
@@ -37,16 +38,24 @@ class Ball:
     radius: Any
 
     def __post_init__(self) -> None:
+        if np.ndim(self.mid) == 0 and np.ndim(self.radius) == 0:
+            exact, radius = _exact(self.mid), _radius(self.radius)
+            nearest, bound = _nearest(exact, Fraction(radius) if math.isfinite(radius) else None)
+            object.__setattr__(self, "mid", nearest)
+            object.__setattr__(self, "radius", bound)
+            return
         try:
-            middle, radius = np.asarray(self.mid, dtype=float), np.asarray(self.radius, dtype=float)
+            middle, radii = np.asarray(self.mid, dtype=float), np.asarray(self.radius, dtype=float)
         except (TypeError, ValueError):
             raise InputError("a Ball needs numbers: Ball(mid, radius)") from None
-        if middle.shape != radius.shape:
+        if middle.shape != radii.shape:
             raise InputError(
-                f"mid has the shape {middle.shape} and radius {radius.shape}; give equal shapes"
+                f"mid has the shape {middle.shape} and radius {radii.shape}; give equal shapes"
             )
-        if not (np.isfinite(middle).all() and (radius >= 0).all()):
+        if not (np.isfinite(middle).all() and (radii >= 0).all()):
             raise InputError("a Ball needs a finite mid and a radius from 0 on")
+        object.__setattr__(self, "mid", middle)
+        object.__setattr__(self, "radius", radii)
 
     @classmethod
     def of(cls, value: Any) -> Ball:
@@ -70,18 +79,19 @@ class Ball:
             if not low <= high:
                 raise InputError(f"the interval {tuple(value)!r} is empty; give (low, high)")
             return _around((low + high) / 2, (high - low) / 2)
-        exact = _exact(value)
-        return _around(exact, Fraction(0))
+        return _around(_exact(value), Fraction(0))
 
     @property
     def lower(self) -> Any:
         """A lower bound on the numbers, rounded down."""
-        return np.nextafter(np.subtract(self.mid, self.radius), -math.inf)
+        with np.errstate(over="ignore"):
+            return np.nextafter(np.subtract(self.mid, self.radius), -math.inf)
 
     @property
     def upper(self) -> Any:
         """An upper bound on the numbers, rounded up."""
-        return np.nextafter(np.add(self.mid, self.radius), math.inf)
+        with np.errstate(over="ignore"):
+            return np.nextafter(np.add(self.mid, self.radius), math.inf)
 
     @property
     def width(self) -> float:
@@ -89,12 +99,26 @@ class Ball:
         return float(np.max(np.subtract(self.upper, self.lower)))
 
     def contains(self, values: Any) -> bool:
-        """Whether all of the values, float64 numbers, are in the ball, decided exactly."""
-        triples = np.broadcast_arrays(values, self.mid, self.radius)
+        """Whether all of the values, float64 numbers, are in the ball, decided exactly.
+
+        Raises
+        ------
+        InputError
+            If the values are not numbers, or have another shape.
+        """
+        try:
+            numbers = np.asarray(values, dtype=float)
+            triples = np.broadcast_arrays(numbers, self.mid, self.radius)
+        except (TypeError, ValueError):
+            raise InputError(
+                f"values must be numbers of the shape {np.shape(self.mid)} of the ball"
+            ) from None
         return all(
-            math.isfinite(value) and abs(Fraction(value) - Fraction(mid)) <= Fraction(radius)
-            if math.isfinite(radius)
-            else math.isfinite(value)
+            math.isfinite(value)
+            and (
+                not math.isfinite(radius)
+                or abs(Fraction(value) - Fraction(mid)) <= Fraction(radius)
+            )
             for value, mid, radius in zip(*(part.ravel().tolist() for part in triples), strict=True)
         )
 
@@ -109,11 +133,16 @@ def _of_text(text: str) -> Ball:
 
 
 def _exact(value: Any) -> Fraction:
+    """A number as it is: text, int, float, Fraction, Decimal or a rational number of sympy."""
     try:
         if isinstance(value, str):
             if len(value) > 100 or len(value.lower().partition("e")[2]) > 5:
                 raise ValueError
             return Fraction(value.strip())
+        if isinstance(value, (int, float, Fraction, Decimal)):
+            return Fraction(value)
+        if hasattr(value, "p") and hasattr(value, "q"):
+            return Fraction(int(value.p), int(value.q))
         return Fraction(float(value))
     except (TypeError, ValueError, OverflowError, ZeroDivisionError):
         raise InputError(
@@ -121,11 +150,27 @@ def _exact(value: Any) -> Fraction:
         ) from None
 
 
-def _around(middle: Fraction, radius: Fraction) -> Ball:
+def _radius(value: Any) -> float | Fraction:
+    if value == math.inf:
+        return math.inf
+    found = _exact(value)
+    if not found >= 0:
+        raise InputError("a Ball needs a finite mid and a radius from 0 on")
+    return found
+
+
+def _nearest(middle: Fraction, radius: Fraction | None) -> tuple[float, float]:
+    """The nearest float64, and the radius around it, None being infinite, rounded up."""
     try:
         nearest = float(middle)
+        if radius is None:
+            return nearest, math.inf
         size = radius + abs(middle - Fraction(nearest))
         bound = float(size)
     except OverflowError:
         raise InputError("a ball beyond the range of float64; give smaller numbers") from None
-    return Ball(nearest, bound if Fraction(bound) >= size else math.nextafter(bound, math.inf))
+    return nearest, bound if Fraction(bound) >= size else math.nextafter(bound, math.inf)
+
+
+def _around(middle: Fraction, radius: Fraction) -> Ball:
+    return Ball(*_nearest(middle, radius))

@@ -111,6 +111,12 @@ def _up(value):
 
 
 @inlined
+def checked(value, radius):
+    """The radius, or infinity beside a mid-point that is not finite."""
+    return radius if abs(value) < math.inf else math.inf
+
+
+@inlined
 def absolute(x):
     """An upper bound on the numbers of a ball."""
     return _up(abs(x[0]) + abs(x[1]) + x[2])
@@ -130,7 +136,7 @@ def negative(x):
 def add(x, y):
     s, e = two_sum(x[0], y[0])
     high, low = two_sum(s, e + (x[1] + y[1]))
-    return high, low, _up(x[2] + y[2] + MIDDLE * (abs(x[0]) + abs(y[0])))
+    return high, low, checked(high + low, _up(x[2] + y[2] + MIDDLE * (abs(x[0]) + abs(y[0]))))
 
 
 @inlined
@@ -138,7 +144,7 @@ def multiply(x, y):
     p, e = two_product(x[0], y[0])
     high, low = two_sum(p, e + (x[0] * y[1] + x[1] * y[0]))
     a, b = abs(x[0]) + abs(x[1]), abs(y[0]) + abs(y[1])
-    return high, low, _up(a * y[2] + x[2] * (b + y[2]) + MIDDLE * a * b)
+    return high, low, checked(high + low, _up(a * y[2] + x[2] * (b + y[2]) + MIDDLE * a * b))
 
 
 @inlined
@@ -192,8 +198,8 @@ def exponential(x):
     k = math.floor(x[0] / _LOG_2[0] + 0.5)
     if k > 1000:
         return invalid()
-    if k < -960:  # exp(x) < 2^-958 exp(2) < TINY
-        return 0.0, 0.0, TINY
+    if k < -960:  # exp(x) < 2^-960 exp(2) < 1e-287, because x < (k + 1) log(2) + r
+        return 0.0, 0.0, 1e-287
     middle = (x[0], x[1], 0.0)
     y = scaled(add(middle, negative(multiply(ball_of(k), _LOG_2))), 2.0**-8)
     size = absolute(y)

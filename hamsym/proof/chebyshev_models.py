@@ -69,6 +69,8 @@ from hamsym.proof.ball_arithmetic import (
 
 __all__ = ["run_models"]
 
+HALVING = 1e-321  # error of halving the numbers of a series, which may be subnormal
+
 ADD, SUBTRACT, NEGATE, MULTIPLY, RECIPROCAL, RECIPROCAL_ROOT, EXPONENTIAL, SINE_COSINE = range(8)
 LOGARITHM, ARCTANGENT, ARCSINE, ARCCOSINE, ARSINH, ARCOSH, ARTANH, ERROR_FUNCTION = range(8, 16)
 
@@ -85,6 +87,15 @@ def size_of(high, low, count):
     for k in range(count):
         total += abs(high[k]) + abs(low[k])
     return total * (1 + 2 * (count + 8) * UNIT)
+
+
+@compiled
+def finished(oh, ol, count, error):
+    """A bound on errors, infinite beside coefficients that are not finite."""
+    total = 0.0
+    for k in range(count):
+        total += abs(oh[k]) + abs(ol[k])
+    return up(error) if total < math.inf else math.inf
 
 
 @compiled
@@ -110,7 +121,7 @@ def multiply_series(ah, al, na, bh, bl, nb, oh, ol, double):
                 oh[i - j] += x * bh[j]
             for j in range(i + 1, nb):
                 oh[j - i] += x * bh[j]
-        return up(UNIT * size * other)
+        return finished(oh, ol, count, UNIT * size * other + HALVING * other)
     for i in range(na - 1, -1, -1):
         x, y = 0.5 * ah[i], 0.5 * al[i]
         size += (i + 1) * (i + 2) / 2 * (abs(ah[i]) + abs(al[i]))
@@ -139,7 +150,7 @@ def multiply_series(ah, al, na, bh, bl, nb, oh, ol, double):
             oh[j - i] = s
     for k in range(count):
         oh[k], ol[k] = two_sum(oh[k], ol[k])
-    return up(80 * UNIT * UNIT * size * other)
+    return finished(oh, ol, count, 80 * UNIT * UNIT * size * other + HALVING * other)
 
 
 @compiled

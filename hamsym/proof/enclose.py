@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.problem import checked_span
+from hamsym.problem import InitialValueProblem
 from hamsym.proof.ball import Ball
 from hamsym.proof.compiled import loops
 from hamsym.proof.limits import Deadline
@@ -84,12 +85,17 @@ def enclose(
     True
     """
     H = Hamiltonian.of(H)
-    names = _ball_names(H, parameters)
-    balls = {name: Ball.of(value) for name, value in (parameters or {}).items()}
+    balls = _parameter_balls(H, parameters)
+    names = list(balls)
     if balls:
-        H = H.with_parameters(**{name: float(ball.mid) for name, ball in balls.items()})
+        H = H.with_parameters(**{name: ball.mid for name, ball in balls.items()})
     start = _initial_balls(H, z0)
-    times = checked_span(span)
+    for ball in (*start, *balls.values()):
+        if not math.isfinite(ball.radius):
+            raise InputError("a ball has an infinite radius; give a finite one")
+    # H must be finite at the start: its derivatives may be so where it is not real.
+    problem = InitialValueProblem.checked(H, [ball.mid for ball in start], span, 0, None)
+    times = problem.span
     if time_limit is not None:
         require_positive("time_limit", time_limit)
     began = time.monotonic()
@@ -111,13 +117,16 @@ def enclose(
     return Enclosure(H, z0_ball, times, balls, windows, time.monotonic() - began)
 
 
-def _ball_names(H: Hamiltonian, parameters: Mapping[str, Any] | None) -> list[str]:
-    names = list(parameters or {})
-    for name in names:
-        if name not in H.parameters:
-            known = ", ".join(map(str, H.parameters)) or "none"
+def _parameter_balls(H: Hamiltonian, parameters: Any) -> dict[str, Ball]:
+    if parameters is None:
+        return {}
+    if not isinstance(parameters, Mapping):
+        raise InputError('parameters must be a mapping of names to balls, e.g. {"g": (9.8, 9.82)}')
+    for name in parameters:
+        if name not in H.parameter_names:
+            known = ", ".join(H.parameter_names) or "none"
             raise InputError(f"H has no parameter '{name}'; its parameters are: {known}")
-    return names
+    return {str(name): Ball.of(value) for name, value in parameters.items()}
 
 
 def _initial_balls(H: Hamiltonian, z0: Any) -> list[Ball]:
@@ -230,7 +239,10 @@ class Enclosure:
         )
 
     def _at(self, t: Any, value: Any, shape: tuple[int, ...]) -> Ball:
-        times = times_in_span(t, self.span)
+        times = times_in_span(t, self.span, extrapolate=True)
+        low, high = min(self.span), max(self.span)
+        if not ((times >= low) & (times <= high)).all():
+            raise InputError(f"t is outside the span from {low:.6g} to {high:.6g}")
         found = [value(*self._place(time)) for time in np.ravel(times).tolist()]
         middle = np.array([entry[0] for entry in found]).reshape(*np.shape(times), *shape)
         radius = np.array([entry[1] for entry in found]).reshape(*np.shape(times), *shape)

@@ -133,7 +133,7 @@ class WindowProof:
         failure = CertificationError("the bounds are not close enough")
         for accuracy, terms in _ACCURACIES:
             try:
-                found = self._found(accuracy, terms, samples)
+                found = self._found(accuracy, terms, samples, (), asked is None)
             except CertificationError as error:
                 self._deadline.check("the solution was enclosed")
                 failure = error
@@ -154,7 +154,8 @@ class WindowProof:
         low = np.array([at_least(value) for value in lowers])
         samples = _samples(claims.rtol if claims.asked is None else 1.0)
         for accuracy, terms in _ACCURACIES:
-            found = self._found(accuracy, terms, samples, claims.edges)
+            whole = math.isfinite(claims.ell_max_bound)
+            found = self._found(accuracy, terms, samples, claims.edges, whole)
             pieces = np.array(found.bounds_between(claims.edges))
             claimed = np.array([at_most(value) for value in claims.piece_bounds])
             if (
@@ -166,9 +167,12 @@ class WindowProof:
         return False
 
     def _found(
-        self, accuracy: float, terms: int, samples: int, times: Sequence[float] = ()
+        self, accuracy: float, terms: int, samples: int, times: Sequence[float], whole: bool
     ) -> WindowBounds:
-        """Bounds by an enclosure of some accuracy; no window contains one of the times."""
+        """Bounds by an enclosure of some accuracy; no window contains one of the times.
+
+        If not ``whole``, the energy error and the residual are not bounded.
+        """
         equation, dim = self._equation, self._equation.dim
         stepper = WindowStepper(
             equation,
@@ -199,8 +203,8 @@ class WindowProof:
             for stop in (*stops, limit):
                 while stepper.elapsed < stop:
                     window = stepper.step(stop)
-                    upper, lower, scale = comparison.bounds(piece, window)
-                    if not np.isfinite(upper).all():
+                    upper, lower, scale = comparison.bounds(piece, window, whole)
+                    if not np.isfinite(upper if whole else upper[:-2]).all():
                         raise CertificationError("the trial solution was not resolved")
                     uppers, lowers = np.maximum(uppers, upper), np.maximum(lowers, lower)
                     scales = np.maximum(scales, scale)
@@ -219,9 +223,9 @@ class WindowProof:
 
 
 def _samples(rtol: float) -> int:
-    """M such that the bounds between samples are closer than rtol / 3, within limits."""
-    needed = _TERMS * math.pi / math.sqrt(4 * rtol / 3)
-    return int(min(max(2.0 ** math.ceil(math.log2(needed)), 1_024), _MOST_SAMPLES))
+    """M such that the bounds between samples are closer than 0.6 rtol, within limits."""
+    needed = _TERMS * math.pi / math.sqrt(2.4 * rtol)
+    return int(min(max(2.0 ** math.ceil(math.log2(needed)), 256), _MOST_SAMPLES))
 
 
 class _Comparison:
@@ -252,7 +256,9 @@ class _Comparison:
                 float(found.radius[0] + np.abs(found.high[0, 1:]).sum() * _ROOM),
             )
 
-    def bounds(self, piece: Piece, window: Window) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def bounds(
+        self, piece: Piece, window: Window, whole: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Upper and lower bounds of the dim + 3 quantities in a window, and their scales."""
         equation, dim = self._equation, self._equation.dim
         state, rate = piece.models(window.start, window.half, _TERMS)
@@ -266,6 +272,10 @@ class _Comparison:
         uppers[: dim + 1], lowers[: dim + 1] = self._norm_and_parts(
             error, (error_radius + width) * _ROOM
         )
+        sizes = np.abs(window.high).sum(axis=1)
+        if not whole:
+            uppers[-2:] = np.inf
+            return uppers, lowers, np.array([sizes.max(), *sizes, 0.0, 0.0])
         # the residual
         rows = self._rates
         rows.set_models(0, state)
@@ -292,7 +302,6 @@ class _Comparison:
         change, radius = _difference(energy, other)
         upper, lower = self._norm_and_parts(change, radius + slack * _ROOM)
         uppers[-2], lowers[-2] = upper[1], lower[1]
-        sizes = np.abs(window.high).sum(axis=1)
         rates = np.abs(G.high).sum(axis=1)
         half = dim // 2
         slopes = np.concatenate([rates[half:], rates[:half]])

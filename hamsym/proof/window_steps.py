@@ -291,6 +291,16 @@ def defects(program, results, values, series, high, low, radius, length, dim, ha
 
 
 @compiled
+def length_in(vector, units):
+    """The 2-norm of a vector of numbers >= 0 in units, rounded up."""
+    total = 0.0
+    for i in range(len(vector)):
+        value = up(vector[i]) / units[i]
+        total += value * value
+    return up(math.sqrt(up(total)))
+
+
+@compiled
 def transport(
     jacobian,
     jacobian_radius,
@@ -423,31 +433,25 @@ def transport(
         norm = max(norm, circle)
     growth = absolute(exponential(ball_of(up(2 * half * norm))))
     # d
-    forced = 0.0
-    reach, hidden = np.zeros(dim), np.zeros(dim)
+    begun, reach, hidden = np.zeros(dim), np.zeros(dim), np.zeros(dim)
     for i in range(dim):
         for c in range(columns):
-            reach[i] += start_error[i, c] * start[c]
+            begun[i] += start_error[i, c] * start[c]
             hidden[i] += defect[i, c] * start[c]
     for e in range(len(entries)):
         i, j, _ = entries[e]
         loosely = half * jacobian_radius[e] * (1 + 4 * UNIT)
         if j < dim:
-            reach[i] += 2 * (large[e] * (D[j] + hidden[j]) + loosely * hull[j])
+            reach[i] += large[e] * (D[j] + hidden[j]) + loosely * hull[j]
         else:
-            reach[i] += 2 * loosely * start[j]
-    for i in range(dim):
-        value = up(reach[i]) / units[i]
-        forced += value * value
-    bound = up(growth * math.sqrt(up(forced)))
+            reach[i] += loosely * start[j]
+    bound = up(growth * (length_in(begun, units) + 2 * length_in(reach, units)))
     d = units * bound
     derivative = np.zeros((dim, columns))
     for c in range(columns):
-        forced = 0.0
-        for i in range(dim):
-            value = up(start_error[i, c] + 2 * residuals[i, c]) / units[i]
-            forced += value * value
-        bound = up(growth * math.sqrt(up(forced)))
+        first = np.ascontiguousarray(start_error[:, c])
+        rate = np.ascontiguousarray(residuals[:, c])
+        bound = up(growth * (length_in(first, units) + 2 * length_in(rate, units)))
         for i in range(dim):
             derivative[i, c] = up(units[i] * bound + defect[i, c])
     tube = np.zeros(dim)

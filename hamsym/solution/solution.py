@@ -530,7 +530,8 @@ class Solution:
             Draw progress on standard error; by default where that is a terminal.
         bound : float or sequence, optional
             Prove only that the error of every component stays below this bound, in the units of
-            the component; ``rtol`` is then not used.
+            the component. ``rtol`` is then not used, and bounds on the energy error and on the
+            residual may be infinite.
 
         Returns
         -------
