@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
+from numbers import Rational
 from typing import Any
 
 import numpy as np
@@ -139,8 +140,12 @@ def _exact(value: Any) -> Fraction:
             if len(value) > 100 or len(value.lower().partition("e")[2]) > 5:
                 raise ValueError
             return Fraction(value.strip())
-        if isinstance(value, (int, float, Fraction, Decimal)):
+        if isinstance(value, (float, Decimal)):
             return Fraction(value)
+        if isinstance(value, Rational):
+            return Fraction(int(value.numerator), int(value.denominator))
+        if isinstance(value, np.floating):  # of any precision
+            return Fraction(*map(int, value.as_integer_ratio()))
         if hasattr(value, "p") and hasattr(value, "q"):
             return Fraction(int(value.p), int(value.q))
         return Fraction(float(value))

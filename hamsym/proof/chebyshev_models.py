@@ -424,7 +424,7 @@ def exponential_model(values, series, high, low, radius, length, k, i, double):
         for c in range(product + 1):
             if c < count:
                 s, e = two_sum(high[k, c], -other[c])
-                error += UNIT * abs(e + (low[k, c] - other_low[c])) * 2
+                error += UNIT * (abs(e) + abs(low[k, c]) + abs(other_low[c])) * 3
                 other[c], other_low[c] = two_sum(s, e + (low[k, c] - other_low[c]))
             else:
                 other[c], other_low[c] = -other[c], -other_low[c]
@@ -512,7 +512,7 @@ def sine_cosine_models(values, series, high, low, radius, length, k, i, j, doubl
                 o, p = sign * other[c], sign * other_low[c]
                 if c < count:
                     s, e = two_sum(high[one, c], -o)
-                    error += UNIT * abs(e + (low[one, c] - p)) * 2
+                    error += UNIT * (abs(e) + abs(low[one, c]) + abs(p)) * 3
                     other[c], other_low[c] = two_sum(s, e + (low[one, c] - p))
                 else:
                     other[c], other_low[c] = -o, -p

@@ -354,9 +354,12 @@ class _Comparison:
             sums = np.abs(series).sum(axis=1) * _ROOM
             rounding = sums * (series.shape[1] + 4) * 2 * UNIT
             largest = np.abs(values).max(axis=1)
-            squares = math.sqrt(float((values * values).sum(axis=0).max()))
-            beside = math.sqrt(float((rounding * rounding).sum()))
-            whole = math.sqrt(float((radius * radius).sum()))
+            # In units of the largest, because squares of tiny numbers vanish.
+            unit = max(float(largest.max()), float(rounding.max()), float(radius.max())) or 1.0
+            squares, beside, whole = (
+                unit * math.sqrt(float(((part / unit) ** 2).sum(axis=0).max()))
+                for part in (values, rounding, radius)
+            )
             degree = series.shape[1] - 1
             parts = np.minimum((largest + rounding) * _factor(degree, self._samples), sums)
             norm = (squares + beside) * math.sqrt(_factor(2 * degree, self._samples))

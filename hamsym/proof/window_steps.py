@@ -429,7 +429,9 @@ def transport(
                     total += abs(scaled[i, j, k] + scaled[j, i, k])
                     spread += abs(scaled[i, j, k]) + abs(scaled[j, i, k])
                 circle += 0.5 * total
-        circle = circle + 64 * UNIT * (spread + abs(circle))
+        circle = circle + (64 + 2 * (terms + dim)) * UNIT * (spread + abs(circle))
+        if not circle < math.inf:  # max() would drop NaN
+            circle = math.inf
         norm = max(norm, circle)
     growth = absolute(exponential(ball_of(up(2 * half * norm))))
     # d
