@@ -242,7 +242,9 @@ class Enclosure:
         times = times_in_span(t, self.span, extrapolate=True)
         low, high = min(self.span), max(self.span)
         if not ((times >= low) & (times <= high)).all():
-            raise InputError(f"t is outside the span from {low:.6g} to {high:.6g}")
+            raise InputError(
+                f"t is outside the span from {low!r} to {high!r}, in which the enclosure is proven"
+            )
         found = [value(*self._place(time)) for time in np.ravel(times).tolist()]
         middle = np.array([entry[0] for entry in found]).reshape(*np.shape(times), *shape)
         radius = np.array([entry[1] for entry in found]).reshape(*np.shape(times), *shape)

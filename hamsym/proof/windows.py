@@ -281,6 +281,8 @@ class WindowStepper:
         self.elapsed = Fraction(0)
         self._sizes = np.abs(self._centre)
         self.length: float | None = None  # suggestion for the next window
+        self._defect = np.full(dim, math.inf)  # per time, of the try before
+        self._round_off = np.zeros(dim)  # defects per time that no window reduced
         self.reason = ""
 
     # -- one window ---------------------------------------------------------------------------
@@ -294,10 +296,11 @@ class WindowStepper:
             If there is none.
         """
         time = float(self._time + self._direction * self.elapsed)
-        self._deadline.check(f"the solution was enclosed, at t = {time:.6g}")
         room = limit - self.elapsed
         length = float(room) if self.length is None else self.length
+        self._defect = np.full(self.equation.dim, math.inf)
         for _ in range(_TRIES):
+            self._deadline.check(f"the solution was enclosed, at t = {time:.6g}")
             if not length > float(self.total * _SHORTEST):
                 break
             if length >= float(room) * (1 - 1e-9):
@@ -306,7 +309,8 @@ class WindowStepper:
                 if length * 2 > float(room):
                     length = float(room) / 2
                 chosen = self._rounded(length, room)
-            window, factor = self._try(chosen)
+            with np.errstate(all="ignore"):  # infinite and NaN are refused
+                window, factor = self._try(chosen)
             if window is not None:
                 self.length = float(chosen) * min(max(factor, 0.5), 2.0)
                 return window
@@ -385,12 +389,20 @@ class WindowStepper:
             self.reason = "a function was not resolved"
             return None, 0.5
         self._sizes = np.maximum(self._sizes, sizes)
-        share = float((D / np.maximum(self._sizes, _LEAST)).max())
+        shares = D / np.maximum(self._sizes, _LEAST)
+        loose = shares > _LOOSE * max(self._accuracy, _FINEST)
+        share = float(shares.max())
         reach = (self._accuracy / max(share, 1e-3 * self._accuracy)) ** (2 / terms)
-        if share > _LOOSE * max(self._accuracy, _FINEST):
-            self.reason = "the solution was not resolved"
-            return None, max(0.9 * reach, 0.4)
-        factor = min(factor, reach)
+        before, self._defect = self._defect, D / w
+        if loose.any():
+            # A defect that a shorter window did not reduce is round-off, as near an equilibrium.
+            reducible = self._defect > 4 * self._round_off
+            if (reducible & (self._defect < 0.5 * before))[loose].any():
+                self.reason = "the solution was not resolved"
+                return None, max(0.9 * reach, 0.4)
+            self._round_off = np.maximum(self._round_off, np.where(loose, self._defect, 0.0))
+        else:
+            factor = min(factor, reach)
         coefficients = np.ascontiguousarray(V @ tabs.series)
         begin = np.array(
             [loops().end_value(models.high[i], models.low[i], terms, -1) for i in range(dim)]
@@ -564,6 +576,8 @@ class WindowStepper:
                 matrix[i, j] += np.abs(rows[place]).max()
         np.fill_diagonal(matrix, 0.0)
         safe = np.maximum(sizes, sizes.max() * 1e-12)
+        # What the others drive it to in the window, if a component is nearly zero.
+        safe = np.maximum(safe, w * (matrix @ safe))
         matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
         units = np.ones(dim)
         for _ in range(6):

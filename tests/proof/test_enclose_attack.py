@@ -1,5 +1,6 @@
 """Edge cases of enclosures: times beyond the span, tiny numbers, inputs that float64 rounds."""
 
+import math
 from decimal import Decimal
 from fractions import Fraction
 
@@ -61,3 +62,15 @@ def test_parameters_must_be_a_mapping() -> None:
     H = hamsym.Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1})
     with pytest.raises(InputError, match="mapping"):
         hamsym.enclose(H, [1, 0], (0, 1), parameters=["k"])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("x", [0.0, math.pi, 2.0**-60, "0 +- 1e-6"])
+def test_states_at_equilibria_are_enclosed(x: float | str) -> None:
+    enclosure = hamsym.enclose("p**2/2 - cos(x)", [x, 0], (0, 2), time_limit=20)
+    state, start = enclosure(2.0), enclosure.z0
+    assert len(enclosure.windows) < 20
+    assert (state.radius < 1e-25 + 5 * start.radius[0] + np.spacing(np.abs(state.mid))).all()
+    if x == math.pi:  # x - pi grows like cosh(t)
+        rest = Fraction("1.2246467991473531772e-16")  # pi - x
+        exact = float(rest) * math.sinh(2.0)
+        assert abs(state.mid[1] + exact) <= state.radius[1] + 1e-9 * exact
