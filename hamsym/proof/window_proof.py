@@ -33,6 +33,7 @@ from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import ModelRows, Rows, split, tables
 from hamsym.proof.trial_models import Piece, trial_pieces
 from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of, set_sizes
+from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 
 __all__ = ["WindowBounds", "WindowProof"]
@@ -40,11 +41,11 @@ __all__ = ["WindowBounds", "WindowProof"]
 _TERMS = 64  # of models of z^
 _ROOM = 1 + 1e-9  # for the rounding of sums of numbers >= 0
 _BITS = 240
-# Accuracies of the enclosure and terms of its polynomials, the cheaper first.
-_ACCURACIES = ((2.0**-70, 32), (2.0**-86, 48))
+# Accuracy of the enclosure, terms of its polynomials and least number of windows of attempts.
+_ATTEMPTS = ((2.0**-70, 32, 8), (2.0**-86, 48, 8))
+_OF_NETWORKS = (2.0**-70, 32, 64)  # which vary in a window of the motion
 _FLOOR_WITHOUT_SOLUTION = 2.0**-70  # floor of quantities that do not involve the exact solution
 _MOST_SAMPLES = 16_384  # of a window
-_FEWEST = 8  # windows of a proof
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +132,10 @@ class WindowProof:
         """
         samples = _samples(rtol if asked is None else 1.0)
         failure = CertificationError("the bounds are not close enough")
-        for accuracy, terms in _ACCURACIES:
+        for accuracy, terms, fewest in self._attempts:
             try:
-                found = self._found(accuracy, terms, samples, (), asked is None)
+                times = self._inner_times(fewest)
+                found = self._found(accuracy, terms, samples, times, asked is None)
             except CertificationError as error:
                 self._deadline.check("the solution was enclosed")
                 failure = error
@@ -146,6 +148,19 @@ class WindowProof:
                 return found
         raise failure
 
+    @property
+    def _attempts(self) -> list[tuple[float, int, int]]:
+        few = len(self._pieces) < _OF_NETWORKS[2]
+        networks = not isinstance(self._solution.trial, FeatureTrial)
+        return [*_ATTEMPTS, _OF_NETWORKS] if few and networks else list(_ATTEMPTS)
+
+    def _inner_times(self, fewest: int) -> list[float]:
+        """Times at which windows end, so that there are so many at least."""
+        if len(self._pieces) >= fewest:
+            return []
+        total = self._direction * self._total
+        return [float(self._begin + total * k / fewest) for k in range(1, fewest)]
+
     def proves(self, claims: Certificate) -> bool:
         """Whether every claim of a certificate is proven."""
         uppers = [claims.bound, *claims.component_bounds, claims.energy_bound, claims.ell_max_bound]
@@ -153,7 +168,7 @@ class WindowProof:
         high = np.array([at_most(value) for value in uppers])
         low = np.array([at_least(value) for value in lowers])
         samples = _samples(claims.rtol if claims.asked is None else 1.0)
-        for accuracy, terms in _ACCURACIES:
+        for accuracy, terms, _ in self._attempts:
             whole = math.isfinite(claims.ell_max_bound)
             found = self._found(accuracy, terms, samples, claims.edges, whole)
             pieces = np.array(found.bounds_between(claims.edges))
@@ -187,12 +202,6 @@ class WindowProof:
         )
         comparison = _Comparison(equation, self._begin, self._direction, self._solution.z0, samples)
         inner = sorted(self._direction * (Fraction(time) - self._begin) for time in times)
-        if not inner and len(self._pieces) < _FEWEST:
-            ends = [
-                float(self._begin + self._direction * self._total * k / _FEWEST)
-                for k in range(1, _FEWEST)
-            ]
-            inner = [self._direction * (Fraction(end) - self._begin) for end in ends]
         uppers, lowers, scales = (np.zeros(dim + 3) for _ in range(3))
         edges, norms = [Fraction(0)], []
         for piece in self._pieces:

@@ -142,7 +142,7 @@ def run_values(program, rows):
 def collocate(program, results, rows, integral, start, half, most):
     """Fixed-point iteration for y at the points; rows[:dim] begin with a guess.
 
-    Returns the number of iterations, or 0 without convergence.
+    Returns the number of iterations, or 0 where y is not finite.
     """
     dim, points = len(start), rows.shape[1]
     found = np.empty(points)
@@ -172,9 +172,9 @@ def collocate(program, results, rows, integral, start, half, most):
             return count
         slow = slow + 1 if change >= before else 0
         if slow > 12:
-            return 0
+            break
         before = change
-    return 0
+    return most  # round-off, or a guess that the tail or the defect of y will refuse
 
 
 @compiled

@@ -352,11 +352,14 @@ class WindowStepper:
             return None, 0.5
         y = rows[:dim] @ tabs.series
         sizes = np.maximum(np.abs(rows[:dim]).max(axis=1), 1e-300)
-        tail, factor = self._decay(y, sizes)
-        if not tail <= 30 * self._accuracy:
-            return None, min(max(0.9 * factor, 0.25), 0.8)
         more[: columns + 1] = rows[: columns + 1]
         loops().run_values(equation.jacobian.steps, more)
+        # What the others drive a component to; its round-off has that scale if it is nearly zero.
+        driven = w * (self._couplings() @ sizes)
+        tail, factor = self._decay(y, np.maximum(sizes, 0.02 * driven))
+        if not tail <= 30 * self._accuracy:
+            return None, min(max(0.9 * factor, 0.25), 0.8)
+        sizes = np.maximum(sizes, 1e-8 * driven)
         V = loops().tangents(
             more, equation.placed, self._signs, dim, columns, tabs.integral, w, _ITERATIONS
         )
@@ -565,15 +568,20 @@ class WindowStepper:
         radius = own.radius[places] + 8 * UNIT * np.abs(own.high[places]).sum(axis=1)
         return own.high[places], radius * (1 + 1e-9), own.length[places]
 
+    def _couplings(self) -> np.ndarray:
+        """Sizes of the entries of DG at the points, shape (dim, dim)."""
+        dim = self.equation.dim
+        found = np.zeros((dim, dim))
+        for i, j, place in self.equation.placed:
+            if j < dim:
+                found[i, j] += np.abs(self._rows[1][place]).max()
+        return found
+
     def _units(self, w: float, sizes: np.ndarray) -> np.ndarray:
         """Units in which DG is nearly balanced (Osborne 1960), powers of two."""
         equation = self.equation
         dim = equation.dim
-        rows = self._rows[1]
-        matrix = np.zeros((dim, dim))
-        for i, j, place in equation.placed:
-            if j < dim:
-                matrix[i, j] += np.abs(rows[place]).max()
+        matrix = self._couplings()
         np.fill_diagonal(matrix, 0.0)
         safe = np.maximum(sizes, sizes.max() * 1e-12)
         # What the others drive it to in the window, if a component is nearly zero.
