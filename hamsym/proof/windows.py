@@ -42,10 +42,11 @@ _SHORTEST = Fraction(1, 2**40)  # window, relative to the span
 _TRIES = 60  # of one window
 _CORRECTIONS = 3  # of y
 _REST = 1e4  # rest of a window in units of the accuracy
+_GROWTH = 1e3  # of the defect to the rest that is always allowed
 _MOST_COLUMNS = 2_048  # of a set
 _WIDE = 1e-8  # relative width from which the shape of a set counts
 _TUBES = 5  # attempts at a tube
-_LEAST = 1e-200  # size of a component
+_LEAST = 1e-130  # size of a component; radii have the root of 1e-290 as a floor
 _LOOSE = 32.0  # defect in units of the accuracy
 _FINEST = 1e-28  # accuracy that twice float64 can reach
 _ROUND_OFF = 2e-14  # of coefficients, relative to the component
@@ -529,7 +530,8 @@ class WindowStepper:
         # A shorter window has a smaller rest d beside the derivative.
         room = _REST * self._accuracy + 0.03 * width
         share = float((d / safe).max())
-        if share > room and w > 1e-6 * float(self.total):
+        grown = float((d / units).max()) > _GROWTH * float((D / units).max())
+        if share > room and grown and w > 1e-6 * float(self.total):
             return None, 0.6
         if share > 0.1 * room:
             factor = min(factor, 1.0)
