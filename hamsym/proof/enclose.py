@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.errors import InputError
+from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.ball import Ball
@@ -25,7 +25,8 @@ from hamsym.support.validation import require_positive
 
 __all__ = ["Enclosure", "enclose"]
 
-_ACCURACY = 2.0**-70  # of the polynomials, relative to the components
+# Accuracies of the polynomials, relative to the components, and their terms; the cheaper first.
+_ACCURACIES = ((2.0**-70, 32), (2.0**-86, 48))
 
 
 def enclose(
@@ -98,21 +99,32 @@ def enclose(
     times = problem.span
     if time_limit is not None:
         require_positive("time_limit", time_limit)
-    began = time.monotonic()
+    began, deadline = time.monotonic(), Deadline.after(time_limit)
     equation = equation_of(H, tuple(names))
     every = [*start, *(balls[name] for name in names)]
     begin, end = (Fraction(value) for value in times)
-    stepper = WindowStepper(
-        equation,
-        begin,
-        1 if end > begin else -1,
-        abs(end - begin),
-        np.array([ball.mid for ball in every]),
-        np.array([ball.radius for ball in every]),
-        _ACCURACY,
-        Deadline.after(time_limit),
-    )
-    windows = tuple(enclose_windows(stepper, [abs(end - begin)]))
+    failure = None
+    for accuracy, terms in _ACCURACIES:
+        stepper = WindowStepper(
+            equation,
+            begin,
+            1 if end > begin else -1,
+            abs(end - begin),
+            np.array([ball.mid for ball in every]),
+            np.array([ball.radius for ball in every]),
+            accuracy,
+            deadline,
+            terms,
+        )
+        try:
+            windows = tuple(enclose_windows(stepper, [abs(end - begin)]))
+            break
+        except CertificationError as error:
+            deadline.check("the solution was enclosed")
+            failure = error
+    else:
+        assert failure is not None
+        raise failure
     z0_ball = Ball(np.array([b.mid for b in start]), np.array([b.radius for b in start]))
     return Enclosure(H, z0_ball, times, balls, windows, time.monotonic() - began)
 

@@ -433,7 +433,8 @@ class WindowStepper:
         shares = (np.abs(y) / sizes[:, None]).max(axis=0)
         if not np.isfinite(shares).all():
             return math.inf, 0.5
-        last = max(int(np.flatnonzero(shares > _ROUND_OFF)[-1]), 2) if shares.max() > 0 else 2
+        places = np.flatnonzero(shares > _ROUND_OFF)
+        last = max(int(places[-1]), 2) if len(places) else 2
         share = max(float(shares[last]), _ROUND_OFF)
         rate = math.log(share) / last if last < self._terms - 2 else -0.1
         tail = math.exp(rate * self._terms)
