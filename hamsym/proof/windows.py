@@ -27,7 +27,7 @@ import sympy
 from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.ball_arithmetic import UNIT
+from hamsym.proof.ball_arithmetic import MIDDLE, UNIT
 from hamsym.proof.balls import working
 from hamsym.proof.compiled import loops
 from hamsym.proof.generated import GeneratedFunctions, evaluated
@@ -229,6 +229,23 @@ class Window:
         return self.start + 2 * self.half
 
 
+@dataclass(frozen=True)
+class _Place:
+    """A window that is tried: half its length, exact and rounded, and balls of time.
+
+    Attributes
+    ----------
+    half, w : fractions.Fraction, float
+    middle, slope : (float, float, float)
+        The time is middle + slope x.
+    """
+
+    half: Fraction
+    w: float
+    middle: tuple[float, float, float]
+    slope: tuple[float, float, float]
+
+
 class WindowStepper:
     """Encloses one window after the other.
 
@@ -329,16 +346,43 @@ class WindowStepper:
         return chosen if 0 < chosen < room else Fraction(length)
 
     def _try(self, length: Fraction) -> tuple[Window | None, float]:
-        equation, terms, tabs = self.equation, self._terms, self._tables
-        dim, columns = equation.dim, equation.columns
+        """A window of this length, or None; and the factor of the length to try next."""
         half = length / 2
-        w = float(half)
-        signed = w * self._direction
-        middle = split(self._time + self._direction * (self.elapsed + half))
+        place = _Place(
+            half,
+            float(half),
+            split(self._time + self._direction * (self.elapsed + half)),
+            split(half * self._direction),
+        )
+        sizes, y = self._guess(place)
+        if y is None:
+            self.reason = "the solution leaves every scale there, as at a collision or a jump"
+            return None, 0.5
+        # What the others drive a component to; its round-off has that scale if it is nearly zero.
+        driven = place.w * (self._couplings() @ sizes)
+        tail, factor = self._decay(y, np.maximum(sizes, 0.02 * driven))
+        if not tail <= 30 * self._accuracy:
+            return None, min(max(0.9 * factor, 0.25), 0.8)
+        models, D = self._completed(place, y)
+        if not np.isfinite(D).all():
+            self.reason = "a function was not resolved"
+            return None, 0.5
+        self._sizes = np.maximum(self._sizes, np.maximum(sizes, 1e-8 * driven))
+        resolved, factor = self._resolved(D / place.w, D, factor)
+        if not resolved:
+            self.reason = "the solution was not resolved"
+            return None, factor
+        return self._enclosed(place, models, D, factor)
+
+    def _guess(self, place: _Place) -> tuple[np.ndarray, np.ndarray | None]:
+        """Sizes of the components and coefficients of y in float64; and DG along y in rows."""
+        equation, tabs = self.equation, self._tables
+        dim, columns = equation.dim, equation.columns
         rows, more = self._rows
+        signed = place.w * self._direction
         rows[:dim] = self._centre[:, None]
         rows[dim:columns] = self._constants[:, None]
-        rows[columns] = middle[0] + signed * tabs.points
+        rows[columns] = place.middle[0] + signed * tabs.points
         count = loops().collocate(
             equation.rates.steps,
             equation.rates.results,
@@ -348,24 +392,21 @@ class WindowStepper:
             signed,
             _ITERATIONS,
         )
-        if not count:
-            self.reason = "the solution leaves every scale there, as at a collision or a jump"
-            return None, 0.5
-        y = rows[:dim] @ tabs.series
         sizes = np.maximum(np.abs(rows[:dim]).max(axis=1), 1e-300)
         more[: columns + 1] = rows[: columns + 1]
         loops().run_values(equation.jacobian.steps, more)
-        # What the others drive a component to; its round-off has that scale if it is nearly zero.
-        driven = w * (self._couplings() @ sizes)
-        tail, factor = self._decay(y, np.maximum(sizes, 0.02 * driven))
-        if not tail <= 30 * self._accuracy:
-            return None, min(max(0.9 * factor, 0.25), 0.8)
-        sizes = np.maximum(sizes, 1e-8 * driven)
-        V = loops().tangents(
-            more, equation.placed, self._signs, dim, columns, tabs.integral, w, _ITERATIONS
-        )
-        models = self._prepared(self._rates, y, middle, half)
-        ball = self._signed(half)
+        return sizes, rows[:dim] @ tabs.series if count else None
+
+    def _completed(self, place: _Place, y: np.ndarray) -> tuple[ModelRows, np.ndarray]:
+        """y in twice float64, by linear corrections of its defect, and bounds on the defect."""
+        equation, tabs, models = self.equation, self._tables, self._rates
+        dim, columns = equation.dim, equation.columns
+        models.high[:dim], models.low[:dim] = y, 0.0
+        models.length[:dim] = self._terms
+        models.radius[: columns + 1] = 0.0
+        models.high[dim:columns, 0] = self._constants
+        models.set_line(columns, place.middle, place.slope)
+        self._start(models)
         arguments = (
             equation.rates.steps,
             equation.rates.results,
@@ -376,54 +417,42 @@ class WindowStepper:
             models.radius,
             models.length,
             dim,
-            ball,
+            place.slope,
         )
         series, D = loops().defects(*arguments)
         for _ in range(_CORRECTIONS):
             before = D
-            wanted = -(series[:, :terms] @ tabs.values)
             found = loops().correct(
-                more, equation.placed, self._signs, dim, tabs.integral, w, wanted, _ITERATIONS
+                self._rows[1],
+                equation.placed,
+                self._signs,
+                dim,
+                tabs.integral,
+                place.w,
+                -(series[:, : self._terms] @ tabs.values),
+                _ITERATIONS,
             )
             self._corrected(models, found @ tabs.series)
             series, D = loops().defects(*arguments)
             if not (0.1 * before > D).any():
                 break
-        if not np.isfinite(D).all():
-            self.reason = "a function was not resolved"
-            return None, 0.5
-        self._sizes = np.maximum(self._sizes, sizes)
+        return models, D
+
+    def _resolved(self, rates: np.ndarray, D: np.ndarray, factor: float) -> tuple[bool, float]:
+        """Whether the defect is small enough, and the factor of the length to try next."""
         shares = D / np.maximum(self._sizes, _LEAST)
         loose = shares > _LOOSE * max(self._accuracy, _FINEST)
-        share = float(shares.max())
-        reach = (self._accuracy / max(share, 1e-3 * self._accuracy)) ** (2 / terms)
-        before, self._defect = self._defect, D / w
-        if loose.any():
-            # A defect that a shorter window did not reduce is round-off, as near an equilibrium.
-            reducible = self._defect > 4 * self._round_off
-            if (reducible & (self._defect < 0.5 * before))[loose].any():
-                self.reason = "the solution was not resolved"
-                return None, max(0.9 * reach, 0.4)
-            self._round_off = np.maximum(self._round_off, np.where(loose, self._defect, 0.0))
-        else:
-            factor = min(factor, reach)
-        coefficients = np.ascontiguousarray(V @ tabs.series)
-        begin = np.array(
-            [loops().end_value(models.high[i], models.low[i], terms, -1) for i in range(dim)]
-        )
-        offset = (
-            np.array(
-                [
-                    abs((begin[i, 0] - self._centre[i]) + (begin[i, 1] - self._centre_low[i]))
-                    + begin[i, 2]
-                    + self._centre_radius[i]
-                    for i in range(dim)
-                ]
-            )
-            * (1 + 1e-9)
-            + 1e-290
-        )
-        return self._enclosed(half, w, models, coefficients, D, offset, sizes, middle, factor)
+        share = max(float(shares.max()), 1e-3 * self._accuracy)
+        reach = (self._accuracy / share) ** (2 / self._terms)
+        before, self._defect = self._defect, rates
+        if not loose.any():
+            return True, min(factor, reach)
+        # A defect that a shorter window did not reduce is round-off, as near an equilibrium.
+        reducible = rates > 4 * self._round_off
+        if (reducible & (rates < 0.5 * before))[loose].any():
+            return False, max(0.9 * reach, 0.4)
+        self._round_off = np.maximum(self._round_off, np.where(loose, rates, 0.0))
+        return True, factor
 
     def _decay(self, y: np.ndarray, sizes: np.ndarray) -> tuple[float, float]:
         """The size of the terms that y leaves out, and the factor of the window that is allowed.
@@ -441,21 +470,6 @@ class WindowStepper:
         factor = (self._accuracy / max(tail, 1e-100)) ** (1 / self._terms)
         y[:, last + 1 :] = 0.0  # round-off, which the corrections replace
         return tail, factor
-
-    def _signed(self, half: Fraction) -> tuple[float, float, float]:
-        return split(half * self._direction)
-
-    def _prepared(
-        self, models: ModelRows, y: np.ndarray, middle: tuple[float, float, float], half: Fraction
-    ) -> ModelRows:
-        dim, columns = self.equation.dim, self.equation.columns
-        models.high[:dim], models.low[:dim] = y, 0.0
-        models.length[:dim] = self._terms
-        models.radius[: columns + 1] = 0.0
-        models.high[dim:columns, 0] = self._constants
-        models.set_line(columns, middle, self._signed(half))
-        self._start(models)
-        return models
 
     def _start(self, models: ModelRows) -> None:
         """Shift y so that y(-1) is the centre."""
@@ -479,30 +493,34 @@ class WindowStepper:
         self._start(models)
 
     def _enclosed(
-        self,
-        half: Fraction,
-        w: float,
-        models: ModelRows,
-        V: np.ndarray,
-        D: np.ndarray,
-        offset: np.ndarray,
-        sizes: np.ndarray,
-        middle: tuple[float, float, float],
-        factor: float,
+        self, place: _Place, models: ModelRows, D: np.ndarray, factor: float
     ) -> tuple[Window | None, float]:
-        equation = self.equation
+        """The window with the bounds of the lemma, or None; and the factor of the next length."""
+        equation, w, tabs = self.equation, place.w, self._tables
         dim = equation.dim
+        values = loops().tangents(
+            self._rows[1],
+            equation.placed,
+            self._signs,
+            dim,
+            equation.columns,
+            tabs.integral,
+            w,
+            _ITERATIONS,
+        )
+        V = np.ascontiguousarray(values @ tabs.series)
+        offset = self._offset(models)
         start = self._set.sizes()[:, 0]
         start[:dim] += offset
         start *= 1 + 1e-9
-        units = self._units(w, sizes)
+        units = self._units(w)
         safe = np.maximum(self._sizes, _LEAST)
         width = float((start[:dim] / safe).max())
         hull = self._hull(V, start, offset, width)
-        tube = 1.5 * (hull + 2 * D) + 4 * UNIT * UNIT * sizes + 1e-280
+        tube = 1.5 * (hull + 2 * D) + 4 * UNIT * UNIT * self._sizes + 1e-280
         accepted = None
         for _ in range(_TUBES):
-            jacobian = self._over_tube(models, tube, middle, half)
+            jacobian = self._over_tube(place, models, tube)
             found, d, derivative, _ = loops().transport(
                 *jacobian,
                 equation.entries,
@@ -536,7 +554,17 @@ class WindowStepper:
             return None, 0.6
         if share > 0.1 * room:
             factor = min(factor, 1.0)
-        return self._accepted(half, models, V, D, d, derivative, offset, found), factor
+        return self._accepted(place.half, models, V, D, d, derivative, offset, found), factor
+
+    def _offset(self, models: ModelRows) -> np.ndarray:
+        """Bounds on the distance of y(-1) from the centre."""
+        found = np.zeros(self.equation.dim)
+        for i in range(len(found)):
+            high, low, radius = loops().end_value(models.high[i], models.low[i], self._terms, -1)
+            gap = (high - self._centre[i]) + (low - self._centre_low[i])
+            rounding = MIDDLE * (abs(high) + abs(self._centre[i]))
+            found[i] = abs(gap) + rounding + radius + self._centre_radius[i]
+        return np.asarray(found * (1 + 1e-9) + 1e-290)
 
     def _hull(
         self, V: np.ndarray, start: np.ndarray, offset: np.ndarray, width: float
@@ -550,12 +578,9 @@ class WindowStepper:
         )
 
     def _over_tube(
-        self,
-        models: ModelRows,
-        tube: np.ndarray,
-        middle: tuple[float, float, float],
-        half: Fraction,
+        self, place: _Place, models: ModelRows, tube: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Models of DG over a tube around y: coefficients, radii and lengths."""
         equation, own = self.equation, self._jacobian
         dim, columns = equation.dim, equation.columns
         own.high[:dim] = models.high[:dim]
@@ -564,7 +589,7 @@ class WindowStepper:
         own.radius[:dim] = tube
         own.high[dim:columns, 0] = self._constants
         own.radius[dim:columns] = self._unknown
-        own.set_line(columns, middle, self._signed(half))
+        own.set_line(columns, place.middle, place.slope)
         own.run(self._tables, False)
         places = equation.placed[:, 2]
         # The half length may not be exact.
@@ -580,13 +605,13 @@ class WindowStepper:
                 found[i, j] += np.abs(self._rows[1][place]).max()
         return found
 
-    def _units(self, w: float, sizes: np.ndarray) -> np.ndarray:
+    def _units(self, w: float) -> np.ndarray:
         """Units in which DG is nearly balanced (Osborne 1960), powers of two."""
         equation = self.equation
         dim = equation.dim
         matrix = self._couplings()
         np.fill_diagonal(matrix, 0.0)
-        safe = np.maximum(sizes, sizes.max() * 1e-12)
+        safe = np.maximum(self._sizes, self._sizes.max() * 1e-12)
         # What the others drive it to in the window, if a component is nearly zero.
         safe = np.maximum(safe, w * (matrix @ safe))
         matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
