@@ -34,7 +34,7 @@ _STEPS = {
     ),
     "certify": (
         "hamsym.verify(hamsym.certify(solution), solution)",
-        ("matplotlib", "numba", "torch"),
+        ("matplotlib", "torch"),
     ),
     "integrate": ("hamsym.integrate(H, [1.3, 1.0], (0, 1), steps=9)", ("matplotlib", "torch")),
     "section": (

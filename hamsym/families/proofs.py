@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 import hamsym
 from hamsym.errors import CertificationError, InputError
+from hamsym.random_features.method import FeatureOptions
 from hamsym.solution.solution import Solution
 from hamsym.solution.window_error import relative_tolerance
 from hamsym.support.progress import stepping_progress
-
-if TYPE_CHECKING:
-    from hamsym.families.solutions import Solutions
 
 __all__ = ["Proofs", "prove_members"]
 
@@ -45,7 +43,7 @@ class Proofs:
         return f"Proofs({count:,} proven, {self.proven.size - count:,} not)"
 
 
-def prove_members(many: Solutions, bound: Any, progress: bool | None) -> Proofs:
+def prove_members(many: Any, bound: Any, progress: bool | None) -> Proofs:
     """Prove that errors of all members are below a bound; see :meth:`Solutions.certify`."""
     shape, dim = many.shape, many.H.dim
     certificates, messages = np.empty(many.size, dtype=object), np.empty(many.size, dtype=object)
@@ -58,7 +56,7 @@ def prove_members(many: Solutions, bound: Any, progress: bool | None) -> Proofs:
                 if not successes[k]:
                     raise CertificationError("the member has no solution within the tolerance")
                 solution = many[place]
-                own = _tolerance(many, solution) if bound is None else bound
+                own = _tolerance(many.family.options, solution) if bound is None else bound
                 found = hamsym.certify(solution, progress=False, bound=own)
                 certificates[k], bounds[k] = found, found.component_bounds
             except CertificationError as error:
@@ -73,11 +71,10 @@ def prove_members(many: Solutions, bound: Any, progress: bool | None) -> Proofs:
     )
 
 
-def _tolerance(many: Solutions, solution: Solution) -> list[float]:
+def _tolerance(options: FeatureOptions, solution: Solution) -> list[float]:
     """The error that is allowed for each component."""
     if solution.error is None:
         raise InputError("the solution has no tolerance; give a bound")
-    options = many.family.options
     allowed = np.asarray(options.atol, dtype=float) + (
         relative_tolerance(options.tol) * solution.error.scale
     )
