@@ -38,7 +38,7 @@ __all__ = ["measure", "table"]
 _TOL = 1e-9
 _REPEATS, _ENOUGH = 5, 2.0  # runs, and seconds after which there are no more
 _LIMIT = 120.0  # seconds of a proof
-_ACCURACY = 2.0**-70  # that of hamsym.enclose
+_ACCURACY, _TERMS = 2.0**-86, 48  # of the second attempt of hamsym.enclose
 _WIDTHS = (1e-6, 1.0)  # whose last times are sought in chaos
 _END, _END_OF_MARCH = 400.0, 1_000.0  # of spans in chaos
 
@@ -240,6 +240,7 @@ def _stepped(H: hamsym.Hamiltonian, z0: np.ndarray, end: float) -> hamsym.Enclos
         np.zeros(len(z0)),
         _ACCURACY,
         Deadline.after(_LIMIT),
+        _TERMS,
     )
     windows = []
     try:
