@@ -144,7 +144,7 @@ def multiply(x, y):
     p, e = two_product(x[0], y[0])
     high, low = two_sum(p, e + (x[0] * y[1] + x[1] * y[0]))
     a, b = abs(x[0]) + abs(x[1]), abs(y[0]) + abs(y[1])
-    return high, low, checked(high + low, _up(a * y[2] + x[2] * (b + y[2]) + MIDDLE * a * b))
+    return high, low, checked(high + low, _up(a * y[2] + x[2] * (b + y[2]) + MIDDLE * (a * b)))
 
 
 @inlined
