@@ -39,7 +39,7 @@ class Ball:
     radius: Any
 
     def __post_init__(self) -> None:
-        if np.ndim(self.mid) == 0 and np.ndim(self.radius) == 0:
+        if _is_scalar(self.mid) and _is_scalar(self.radius):
             exact, radius = _exact(self.mid), _radius(self.radius)
             nearest, bound = _nearest(exact, Fraction(radius) if math.isfinite(radius) else None)
             object.__setattr__(self, "mid", nearest)
@@ -122,6 +122,10 @@ class Ball:
             )
             for value, mid, radius in zip(*(part.ravel().tolist() for part in triples), strict=True)
         )
+
+
+def _is_scalar(value: Any) -> bool:
+    return not isinstance(value, (list, tuple)) and np.ndim(value) == 0
 
 
 def _of_text(text: str) -> Ball:
