@@ -50,6 +50,11 @@ class Deadline:
         """A limit that starts now."""
         return cls(limit, time.monotonic(), origin)
 
+    @property
+    def exceeded(self) -> bool:
+        """Whether the limit has passed."""
+        return self.limit is not None and not time.monotonic() - self.began <= self.limit
+
     def check(self, stage: str) -> None:
         """Require that the limit is not exceeded.
 
@@ -58,7 +63,7 @@ class Deadline:
         CertificationError
             Naming the stage of the proof.
         """
-        if self.limit is not None and not time.monotonic() - self.began <= self.limit:
+        if self.exceeded:
             raise CertificationError(
                 f"time limit of {self.limit:g} s{self.origin} reached while {stage}; increase it"
             )
