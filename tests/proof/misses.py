@@ -474,7 +474,7 @@ def end_misses(L: Any, count: int, seed: int) -> list[Any]:
 
 @dataclass(frozen=True)
 class Transport:
-    """A linear equation dz/dx = A z + B k with constant entries, and guesses for its enclosure.
+    """A linear equation dz/dx = (1 + b x) (A z + B k), and guesses for its enclosure.
 
     Attributes
     ----------
@@ -486,8 +486,12 @@ class Transport:
         V(-1) - I, shape (dim, columns).
     flat : bool
         V is constant, in place of the flow.
+    ripple : numpy.ndarray or None
+        Coefficients of a term T_20 of V, which is small beside its derivative.
+    slope : float
+        The number b.
     loose : float
-        Radius of the models of A; the true matrix is at their end.
+        Radius of the models of A, without a slope; the true matrix is at their end.
     units : tuple of float
     """
 
@@ -496,8 +500,14 @@ class Transport:
     D: np.ndarray
     F: np.ndarray
     flat: bool = False
+    ripple: np.ndarray | None = None
+    slope: float = 0.0
     loose: float = 0.0
     units: tuple[float, ...] = (1.0, 1.0)
+
+    def elapsed(self, x: np.ndarray) -> np.ndarray:
+        """The integral of 1 + b x from -1: the flow is that of A over this time."""
+        return (x + 1) * (1 + self.slope * (x - 1) / 2)
 
 
 def _flow(matrix: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -513,70 +523,75 @@ def _flow(matrix: np.ndarray, times: np.ndarray) -> np.ndarray:
     return found
 
 
-def transport_bounds(L: Any, case: Transport) -> tuple[Any, np.ndarray]:
-    """The bounds of the step, and the coefficients of V."""
+def guess(case: Transport) -> np.ndarray:
+    """Coefficients of V, shape (dim, columns, terms)."""
     dim, columns = case.A.shape
     using = tables(TERMS)
     square = np.zeros((columns, columns))
     square[:dim] = case.A
-    times = np.zeros(TERMS) if case.flat else using.points + 1
+    times = np.zeros(TERMS) if case.flat else case.elapsed(using.points)
     begin = np.eye(columns)
     begin[:dim] += case.F
     values = (_flow(square, times) @ begin)[:, :dim]  # (points, dim, columns)
-    V = np.ascontiguousarray(np.moveaxis(np.tensordot(values, using.series, (0, 0)), 2, 2))
+    V = np.ascontiguousarray(np.tensordot(values, using.series, (0, 0)))
+    if case.ripple is not None:
+        V[:, :, 20] += case.ripple
+    return V
+
+
+def transport_bounds(L: Any, case: Transport) -> Any:
+    """The bounds of the step."""
+    dim, columns = case.A.shape
+    V = guess(case)
     places = [(i, j) for i in range(dim) for j in range(columns)]
     jacobian = np.zeros((len(places), TERMS))
     jacobian[:, 0] = [2 * case.A[i, j] for i, j in places]
-    found = L.transport(
+    jacobian[:, 1] = case.slope * jacobian[:, 0]
+    return L.transport(
         jacobian,
         np.full(len(places), 2 * case.loose),
-        np.ones(len(places), dtype=np.int64),
+        np.full(len(places), 2, dtype=np.int64),
         np.array([(i, j, k) for k, (i, j) in enumerate(places)], dtype=np.int64),
         np.ones(len(places)),
         case.start,
+        np.abs(V).sum(axis=2) @ case.start * (1 + 1e-12),
         V,
         case.D,
         0.5,  # half the length: A = 0.5 G
         np.array(case.units),
         dim,
     )
-    return found, V
 
 
 def transport_misses(L: Any, case: Transport) -> list[Any]:
-    """Components in which d or V_d of the true equation is beyond the bounds.
+    """Components in which d - K xi or V_d - K of the true equation is beyond the bounds.
 
-    d' = A d - S xi - A D is integrated for the worst xi and for the worst D(x) at each x.
+    With the flow Phi, (d - K xi)(x) = (Phi(x) - V(x)) xi - int Phi(x) Phi(s)^-1 A(s) D(s) ds, for
+    the worst xi and the worst D at each s; and V_d - K = Phi - V.
     """
     dim, columns = case.A.shape
-    (tube, d, derivative, _), V = transport_bounds(L, case)
-    missed = []
+    (tube, d, derivative, _), V = transport_bounds(L, case), guess(case)
+    grid = np.linspace(-1, 1, 2001)
+    basis = np.polynomial.chebyshev.chebvander(grid, TERMS - 1)
+    V_grid = np.moveaxis(V @ basis.T, 2, 0)
+    elapsed, missed = case.elapsed(grid), []
     for sign in (1.0, -1.0):
         true = case.A + sign * case.loose
-        grid = np.linspace(-1, 1, 2001)
-        basis = np.polynomial.chebyshev.chebvander(grid, TERMS - 1)
-        V_grid = np.moveaxis(V @ basis.T, 2, 0)
-        slope = np.polynomial.chebyshev.chebder(V, axis=2)
-        S = np.moveaxis(slope @ basis.T[: TERMS - 1], 2, 0)
-        whole = np.zeros((len(grid), columns, columns)) + np.eye(columns)
-        whole[:, :dim] = V_grid
-        S = S - true @ whole
-        F = V_grid[0] - np.eye(dim, columns)
         square = np.zeros((columns, columns))
         square[:dim] = true
-        full = _flow(square, grid + 1)
+        flow = _flow(square, elapsed)[:, :dim]
         weights = np.full(len(grid), 1e-3)
         weights[[0, -1]] /= 2
         for last in (500, 1000, 2000):
-            to_end = full[last::-1, :dim, :dim]
+            to_end = _flow(square, elapsed[last] - elapsed[: last + 1])[:, :dim, :dim]
+            forcing = to_end @ true[:, :dim] * (1 + case.slope * grid[: last + 1])[:, None, None]
             w = weights[: last + 1].copy()
             w[-1] = 5e-4
-            by_start = to_end[0] @ F + np.einsum("t,tij,tjc->ic", w, to_end, S[: last + 1])
-            by_defect = np.einsum("t,tij->ij", w, np.abs(to_end @ true[:, :dim])) @ case.D
-            largest = np.abs(by_start) @ case.start + by_defect
+            by_defect = np.einsum("t,tij->ij", w, np.abs(forcing)) @ case.D
+            apart = np.abs(flow[last] - V_grid[last])
+            largest = apart @ case.start + by_defect
             reach = np.abs(V_grid[last]) @ case.start + case.D + largest
-            slopes = np.abs(full[last, :dim] - V_grid[last])
-            checks = (("d", largest, d), ("tube", reach, tube), ("V_d", slopes, derivative))
+            checks = (("d", largest, d), ("tube", reach, tube), ("V_d", apart, derivative))
             for name, value, bound in checks:
                 if not (value <= bound * (1 + 1e-5) + 1e-13).all():
                     missed.append((name, sign, last, value, bound))
@@ -607,47 +622,49 @@ def _times(matrix: Any, vector: list[Fraction]) -> list[Fraction]:
 
 
 def set_misses(L: Any, name: str, count: int, seed: int) -> list[Any]:
-    """moved_set, turned_set, set_radius: sets that do not contain a corner of the exact one."""
+    """moved_set, boxed_set, set_radius: sets that do not contain a corner of the exact one."""
     rng, missed = np.random.default_rng(seed), []
     for k in range(count):
         n = int(rng.integers(2, 5))
+        m = n * int(rng.integers(1, 4))  # columns of several windows
         J, E = rng.normal(size=(n, n)), np.zeros((n, n))
-        Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
-        R = 10.0 ** rng.uniform(-12, 0, (n, 1))
-        extra = np.zeros((n, 1))
+        G = rng.normal(size=(n, m)) * 10.0 ** rng.uniform(-6, 6, m)
+        R = 10.0 ** rng.uniform(-12, 0, (m, 2))
         if k % 3:
             E = np.abs(rng.normal(size=(n, n))) * 10.0 ** rng.uniform(-18, -3)
-            extra = 10.0 ** rng.uniform(-20, -2, (n, 1))
         if k % 3 == 2:  # shears, whose sets are long and thin
             J = np.eye(n) + 1e8 * np.triu(J, 1)
-        r = [Fraction(v) * int(rng.choice([-1, 1])) for v in R[:, 0].tolist()]
-        signs = rng.choice([-1.0, 1.0], (n, n))
-        true = [
-            [Fraction(a) + Fraction(b) for a, b in zip(*rows, strict=True)]
-            for rows in zip(J, E * signs, strict=True)
-        ]
-        moved = _exact_times(true, _times(Q, r))
-        if name == "moved_set":
-            found, rest = L.moved_set(J, E, Q, R)
-            apart = [abs(a - b) for a, b in zip(moved, _times(found, r), strict=True)]
-            fine = all(a <= Fraction(b) for a, b in zip(apart, rest[:, 0].tolist(), strict=True))
-        elif name == "set_radius":
-            zero, bounds = np.zeros(n), R[:, 0].copy()
-            rest = L.set_radius(J, E, np.eye(n), zero, Q, bounds)
-            fine = all(abs(a) <= Fraction(b) for a, b in zip(moved, rest.tolist(), strict=True))
-        else:
-            point = [
-                a + Fraction(b) * int(rng.choice([-1, 1]))
-                for a, b in zip(moved, extra[:, 0].tolist(), strict=True)
-            ]
-            turned, radii = L.turned_set(J, E, Q, R, extra)
-            inner = _inverse_times(turned, point)
-            fine = all(
-                b == math.inf or abs(a) <= Fraction(b)
-                for a, b in zip(inner, radii[:, 0].tolist(), strict=True)
-            )
-        if not fine:
-            missed.append((name, J, E, Q, R, extra))
+            G = J @ G
+        if k % 7 == 6:  # columns that are nearly parallel, or zero
+            G[:, 1:] = G[:, :1] * (1 + 1e-9 * rng.normal(size=(n, m - 1)))
+            G[:, -1] = 0.0
+        for kind in range(2):
+            r = [Fraction(v) * int(rng.choice([-1, 1])) for v in R[:, kind].tolist()]
+            inner = _times(G, r)
+            if name == "boxed_set":
+                found, radii = L.boxed_set(G, R)
+                fine = all(
+                    b == math.inf or abs(a) <= Fraction(b)
+                    for a, b in zip(
+                        _inverse_times(found, inner), radii[:, kind].tolist(), strict=True
+                    )
+                )
+            else:
+                signs = rng.choice([-1.0, 1.0], (n, n))
+                true = [
+                    [Fraction(a) + Fraction(b) for a, b in zip(*rows, strict=True)]
+                    for rows in zip(J, E * signs, strict=True)
+                ]
+                moved = _exact_times(true, inner)
+                if name == "moved_set":
+                    found, rest = L.moved_set(J, E, G, R)
+                    moved = [a - b for a, b in zip(moved, _times(found, r), strict=True)]
+                else:
+                    rest = L.set_radius(J, E, G, R)
+                bounds = rest[:, kind].tolist()
+                fine = all(abs(a) <= Fraction(b) for a, b in zip(moved, bounds, strict=True))
+            if not fine:
+                missed.append((name, J, E, G, R))
     return missed
 
 
@@ -785,7 +802,7 @@ def enclosure_misses(
             window = enclosure.windows[k]
             value = L.vector_value(window.high, window.low, basis)
             matrix, error = L.matrix_value(window.V, basis)
-            spread = L.set_radius(matrix, error, window.C, window.r0, window.Q, window.r)
+            spread = L.set_radius(matrix, error, window.G, window.R[:, None])[:, 0]
             for i, truth in enumerate(state):
                 public = (float(shown.mid[i]), 0.0, float(shown.radius[i]))
                 radius = spread[i] + window.beside[i] + value[i, 2]

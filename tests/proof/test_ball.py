@@ -32,7 +32,6 @@ def test_other_kinds_of_numbers_are_exact(value):
     assert (ball.mid, ball.radius) == (float(value), 0.0)
 
 
-@pytest.mark.xfail(strict=True, reason="the number is rounded to float64, and the radius is 0")
 @pytest.mark.parametrize(
     ("value", "exact"),
     [
@@ -175,7 +174,7 @@ def test_membership_of_arrays_is_that_of_all_entries():
 
 
 @pytest.mark.parametrize("radius", [1.0, math.inf])
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("value", [math.nan, None, math.inf, -math.inf])
 def test_infinity_and_nan_are_in_no_ball(value, radius):
     assert not Ball(0.0, radius).contains(value)
     assert not Ball([0.0, 0.0], [radius, radius]).contains([0.0, value])
@@ -201,11 +200,7 @@ def test_ball_may_have_any_shape(shape):
 
 
 @pytest.mark.parametrize(
-    "values",
-    [
-        pytest.param(value, marks=pytest.mark.xfail(strict=True, raises=(TypeError, ValueError)))
-        for value in ([1.0, 2.0, 3.0], "a", None, 1j)
-    ],
+    "values", [[1.0, 2.0, 3.0], [[1.0], [1.0, 2.0]], "a", ["a", "b"], 1j, object(), {}]
 )
 def test_values_that_are_no_numbers_or_do_not_fit_are_refused(values):
     with pytest.raises(InputError):

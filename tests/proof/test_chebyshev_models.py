@@ -139,13 +139,8 @@ def test_infinite_radius_stays_infinite(L, name, double):
     [
         ("sum", False, 1.5e308),
         ("sum", True, 1.5e308),
-        *(
-            pytest.param(
-                *("product", double, 1e155),
-                marks=pytest.mark.xfail(strict=True, reason="infinite terms, finite radius"),
-            )
-            for double in (False, True)
-        ),
+        ("product", False, 1e155),
+        ("product", True, 1e155),
         ("product", False, 1e200),
         ("product", True, 1e200),
     ],
@@ -209,8 +204,9 @@ def test_bound_on_roundings_is_small(L, name, double):
 @pytest.mark.parametrize(
     ("a", "b"),
     [
-        pytest.param(5e-324, 1e300, marks=pytest.mark.xfail(strict=True, reason="half of 5e-324")),
-        pytest.param(1.5e-323, 1e300, marks=pytest.mark.xfail(strict=True, reason="inexact half")),
+        (5e-324, 1e300),
+        (1.5e-323, 1e300),
+        (1e-300, 1e300),
         (1e300, 5e-324),
         (2.3e-308, 1e300),
         (1e-200, 1e-200),

@@ -358,7 +358,8 @@ def test_wider_boxes_give_wider_balls():
 
 
 def one_sentence(text):
-    return text == text.strip() and ". " not in text and "\n" not in text and not text.endswith(".")
+    parts = text.replace("e.g. ", "")
+    return text == text.strip() and ". " not in parts and "\n" not in text and text[-1] != "."
 
 
 _BAD = {
@@ -404,8 +405,7 @@ _GRAVITY = Hamiltonian("p**2/2 + g*x", parameters={"g": 9.81})
         {"g": "9.81 +- inf"},
         {"g": "many"},
         {"h": 1.0},
-        pytest.param(["g"], marks=pytest.mark.xfail(strict=True, raises=AttributeError)),
-        pytest.param(3, marks=pytest.mark.xfail(strict=True, raises=TypeError)),
+        *(["g"], 3, "g=9.81"),
     ],
 )
 def test_bad_parameters_are_refused_in_one_sentence(parameters):
@@ -435,7 +435,6 @@ def test_bad_times_are_refused_in_one_sentence(pendulum, t):
         assert one_sentence(str(refused.value))
 
 
-@pytest.mark.xfail(strict=True, reason="the message names an argument of other functions")
 def test_refusal_of_a_time_names_no_argument_that_does_not_exist(pendulum):
     with pytest.raises(InputError) as refused:
         pendulum(6)
@@ -453,8 +452,7 @@ def test_parameter_derivative_without_balls_is_refused(pendulum):
         ("p**2/2 - 1/x**2", [1, 0], (0, 3), 0.65, 0.70711),
         ("p**2/2 - x**4", [1, 1], (0, 30), 0.7, 1.0),
         ("p**2/2 + sqrt(x)", [1, 0], (0, 10), 1.8, 1.88562),
-        ("p**2/2 - log(x)", [0, 0], (0, 1), 0.0, 0.0),
-        ("p**2/2 - log(x)", [(-0.1, 0.1), 0], (0, 1), 0.0, 0.0),
+        ("p**2/2 - log(x)", [(-0.1, 0.3), 0], (0, 1), 0.0, 0.0),
         ("p**2/2 - 1/(x - t)", [1, 0], (0, 9), 0.3, 3.0),
         ("p**2/2 + asin(x)", [0, 3], (0, 9), 0.2, 1.0),
     ],
@@ -467,12 +465,10 @@ def test_singular_problem_is_refused_with_the_time(formula, z0, span, earliest, 
     assert one_sentence(text)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="only derivatives of H are enclosed, and 1/x is smooth there"
-)
 def test_start_at_which_the_energy_is_not_real_is_refused():
-    with pytest.raises((CertificationError, InputError)):
-        enclose("p**2/2 - log(x)", [-1, 0], (0, 1))
+    for x in (-1, 0, (-0.1, 0.1), (-1.1, -0.9)):
+        with pytest.raises(InputError, match="not finite at z0"):
+            enclose("p**2/2 - log(x)", [x, 0], (0, 1))
 
 
 @pytest.mark.parametrize("formula", ["p**2/2 + abs(x)", "p**2/2 + Max(x, 0)"])
@@ -493,7 +489,6 @@ def test_time_limit_ends_the_enclosure_with_the_time():
     assert one_sentence(str(refused.value))
 
 
-@pytest.mark.xfail(strict=True, raises=RuntimeWarning, reason="0 times inf in a product")
 def test_infinite_ball_is_refused_without_warnings():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
