@@ -198,7 +198,7 @@ def test_radius_of_exact_operands_is_a_few_units_of_the_second_float(L, name):
         assert abs(low) <= 2 * UNIT * abs(high)
 
 
-def _special_pairs():
+def special_pairs():
     for a, b in itertools.product(_SPECIAL, repeat=2):
         for radius in (0.0, 1e-300, 1.0, 1e300):
             yield (a, 0.0, radius), (b, 0.0, 0.0)
@@ -210,7 +210,7 @@ def _special_pairs():
 
 @pytest.mark.parametrize("name", BINARY)
 def test_operation_at_the_ends_of_the_range_contains_the_value_or_is_refused(L, name):
-    missed, _ = binary_misses(L, name, list(_special_pairs()), bits=4500)
+    missed, _ = binary_misses(L, name, list(special_pairs()), bits=4500)
     assert missed == []
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,10 @@ import hamsym.proof.programs
 import hamsym.proof.windows
 from hamsym.codegen.numba_cache import load_module
 from hamsym.proof import compiled
+from hamsym.proof.balls import working
 from tests.proof.misses import (
+    FORMULAS,
+    Model,
     Transport,
     binary_misses,
     clenshaw_misses,
@@ -30,15 +34,20 @@ from tests.proof.misses import (
     drawn_pairs,
     enclosure_misses,
     end_misses,
+    inside,
     model_misses,
     pairs,
+    point,
     product_misses,
+    program_of,
+    ran,
     series_misses,
     set_misses,
     transport_misses,
     unary_misses,
     value_misses,
 )
+from tests.proof.test_ball_arithmetic import special_pairs
 from tests.proof.test_enclose import CASES as PROBLEMS
 from tests.proof.test_enclose import reference, sampled
 from tests.proof.test_window_steps import CASES, transport
@@ -107,21 +116,52 @@ def values(name: str) -> Callable[[Any], list[Any]]:
     return lambda L: value_misses(L, name, 100, seed=1)
 
 
+def halves(L: Any) -> list[Any]:
+    """Products of subnormal and huge numbers that miss the exact one."""
+    found, zero = [], np.zeros(1)
+    for a in (5e-324, 1.5e-323):
+        oh, ol = np.zeros((2, 4))
+        bound = L.multiply_series(np.array([a]), zero, 1, np.array([1e300]), zero, 1, oh, ol, False)
+        if not abs(Fraction(a) * Fraction(1e300) - Fraction(oh[0])) <= Fraction(bound):
+            found.append(a)
+    return found
+
+
+def overflows(L: Any) -> list[Any]:
+    """Products of models beyond the range that have a radius."""
+    one = Model(np.full(2, 1e155), np.zeros(2), 0.0)
+    models = [
+        ran(L, program_of(FORMULAS["product"]), [one, one], double) for double in (False, True)
+    ]
+    return [model for model in models if model.radius < np.inf]
+
+
+def smallest_exponentials(L: Any) -> list[Any]:
+    """Exponentials of numbers below -665 that miss the value."""
+    places = [(x, 0.0, 0.0) for x in np.arange(-668.0, -664.0, 0.1).tolist()]
+    with working(300):
+        return [x for x in places if not inside(L.exponential(x), point(x, 0.0).exp())]
+
+
 def _less(old: str, part: str, new: str) -> tuple[str, str]:
     assert part in old
     return old, old.replace(part, new)
 
 
 _ADD = "_up(x[2] + y[2] + MIDDLE * (abs(x[0]) + abs(y[0])))"
-_MULTIPLY = "_up(a * y[2] + x[2] * (b + y[2]) + MIDDLE * a * b)"
+_MULTIPLY = "_up(a * y[2] + x[2] * (b + y[2]) + MIDDLE * (a * b))"
 _LIBRARY = "0.0001"  # relative error of a library that a proof must survive
 _POOR_LOG = (("math.log(x[0])", f"(math.log(x[0]) * (1 + {_LIBRARY}))"),)
 _POOR_ATAN = (("ball_of(math.atan(x[0]))", f"ball_of(math.atan(x[0]) * (1 + {_LIBRARY}))"),)
 _POOR_ASIN = (("ball_of(math.asin(x[0]))", f"ball_of(math.asin(x[0]) * (1 - {_LIBRARY}))"),)
+_RIPPLE = np.array([[1e-3, -2e-3], [5e-4, 1e-3]])
+_RIPPLED = transport(np.eye(2) * 1e-3, start=np.ones(2), F=-_RIPPLE, ripple=_RIPPLE)
 _POOR_TURN = (("found[i, c] /= length\n", "found[i, c] /= length * 1.001\n"),)
 _SETS = "(abs(product[i, c]) + error[i, c]) * R[c, kind]"
 _IN_A_TUBE = transport(np.zeros((2, 2)), start=np.ones(2), flat=True, loose=1.0)
 _UNKNOWN = transport(np.zeros((2, 3)), start=np.array([0.0, 0.0, 1.0]), flat=True, loose=0.3)
+_STEEP = transport(np.array([[0.0, 1.0], [1.0, 0.0]]) * 2, D=np.ones(2) * 1e-3, slope=-0.99)
+_IN_UNITS = transport(np.array([[0.0, 4.0], [0.0, 0.0]]), D=np.array([0.0, 1e-3]), units=(8.0, 1.0))
 _STILL = transport(np.eye(2) * 1e-3, D=np.array([1e-3, 1e-3]))
 
 MUTATIONS: dict[str, Mutation] = {
@@ -141,6 +181,18 @@ MUTATIONS: dict[str, Mutation] = {
     "root": Mutation(
         *_less("absolute(rest) / (high - abs(low))", "absolute(rest)", "0.3 * absolute(rest)"),
         unary("root"),
+    ),
+    "ball beyond the range": Mutation(
+        "return radius if abs(value) < math.inf else math.inf",
+        "return radius",
+        lambda L: binary_misses(L, "multiply", list(special_pairs()), bits=4500)[0],
+    ),
+    "product, rounding of tiny and huge numbers": Mutation(
+        *_less(_MULTIPLY, "MIDDLE * (a * b)", "MIDDLE * a * b"),
+        lambda L: binary_misses(L, "multiply", list(special_pairs()), bits=4500)[0],
+    ),
+    "exponential of very negative numbers": Mutation(
+        "return 0.0, 0.0, 1e-287", "return 0.0, 0.0, 1e-290", smallest_exponentials
     ),
     "exponential, radius": Mutation(
         "absolute(total) * 2 * x[2]", "absolute(total) * 0.99 * x[2]", unary("exponential")
@@ -176,14 +228,20 @@ MUTATIONS: dict[str, Mutation] = {
     ),
     # series
     "product of series in float64": Mutation(
-        "up(UNIT * size * other)",
-        "up(0.01 * UNIT * size * other)",
+        "count, UNIT * size * other",
+        "count, 0.01 * UNIT * size * other",
         series("multiply_series", False),
     ),
     "product of series in two floats": Mutation(
-        "up(80 * UNIT * UNIT * size * other)",
-        "up(0.8 * UNIT * UNIT * size * other)",
+        "count, 80 * UNIT * UNIT * size * other",
+        "count, 0.8 * UNIT * UNIT * size * other",
         series("multiply_series", True),
+    ),
+    "halves of subnormal numbers": Mutation(
+        "count, UNIT * size * other + HALVING * other", "count, UNIT * size * other", halves
+    ),
+    "product of series beyond the range": Mutation(
+        "return up(error) if total < math.inf else math.inf", "return up(error)", overflows
     ),
     "integral in float64": Mutation(
         "128 * UNIT * UNIT if double else 10 * UNIT",
@@ -211,18 +269,41 @@ MUTATIONS: dict[str, Mutation] = {
         lambda L: end_misses(L, 1_000, seed=1),
     ),
     # windows
-    "residual of V": Mutation(
-        "up(errors[i, c] + size_of(sums[i, c], none, 2 * terms + 1))",
-        "up(errors[i, c])",
-        step(CASES["residual"]),
+    "defect of V": Mutation(
+        "error += abs(value)\n            defect[i, c]",
+        "pass\n            defect[i, c]",
+        step(CASES["defect of V"]),
     ),
-    "radius of A in the residual": Mutation(
-        "+ jacobian_radius[e] * sizes[j, c]", "", step(CASES["matrix in a tube"])
+    "defect of V beside its derivative": Mutation(
+        "up(units[i] * bound + defect[i, c])", "up(units[i] * bound)", step(_RIPPLED)
     ),
-    "radius of A by a parameter": Mutation(
-        "errors[i, c] += half * jacobian_radius[e] * (1 + 4 * UNIT)",
+    "defect of V beside d": Mutation(
+        "d[i] = up(d[i] + hidden[i])", "d[i] = up(d[i])", step(_RIPPLED)
+    ),
+    "defect of V in its derivative": Mutation(
+        "residuals[i, c] += large[e] * defect[j, c]", "pass", step(CASES["defect of V"])
+    ),
+    "defect of V in the rest": Mutation(
+        "large[e] * (D[j] + hidden[j])", "large[e] * D[j]", step(CASES["defect of V"])
+    ),
+    "radius of A in the derivative": Mutation(
+        "loose[i, c] += (1 + 8 * UNIT) * half * jacobian_radius[e] * sizes[j, c]",
         "pass",
-        step(_UNKNOWN),
+        step(CASES["matrix in a tube"]),
+    ),
+    "radius of A in the rest": Mutation(
+        " + loosely * hull[j]", "", step(CASES["matrix in a tube"])
+    ),
+    "radius of A by a parameter in the derivative": Mutation(
+        "loose[i, c] += half * jacobian_radius[e] * (1 + 4 * UNIT)", "pass", step(_UNKNOWN)
+    ),
+    "radius of A by a parameter in the rest": Mutation(
+        "reach[i] += loosely * start[j]", "pass", step(_UNKNOWN)
+    ),
+    "terms of A by a parameter": Mutation(
+        "sums[i, c, k] += p\n                        errors",
+        "errors",
+        step(CASES["parameter without its column"]),
     ),
     "growth": Mutation(
         "growth = absolute(exponential(ball_of(up(2 * half * norm))))",
@@ -233,33 +314,56 @@ MUTATIONS: dict[str, Mutation] = {
         "up(2 * half * norm)", "up(half * norm)", step(CASES["growth"])
     ),
     "circles": Mutation("circle += 0.5 * total", "circle += 0.2 * total", step(CASES["growth"])),
+    "circles of a matrix that changes": Mutation(
+        "total += abs(scaled[i, j, k] + scaled[j, i, k])",
+        "total += abs(scaled[i, j, k] + scaled[j, i, k]) if k == 0 else 0.0",
+        step(_STEEP),
+    ),
     "radius of A in the growth": Mutation(
-        "loose[i, j] += jacobian_radius[e] * ratio", "pass", step(_IN_A_TUBE)
+        "apart[i, j] += jacobian_radius[e] * ratio", "pass", step(_IN_A_TUBE)
     ),
     "start of V": Mutation(
-        "start_error[i, c] = up(\n", "start_error[i, c] = 0.0 * up(\n", step(CASES["start error"])
+        "start_error[i, c] = up(", "start_error[i, c] = 0.0 * up(", step(CASES["start error"])
     ),
+    "lengths of start and rest": Mutation(
+        "up(growth * (length_in(begun, units) + 2 * length_in(reach, units)))",
+        "up(growth * length_in(begun + 2 * reach, units))",
+        step(CASES["start error turned onto the defect"]),
+    ),
+    "length of the window": Mutation(
+        "2 * length_in(reach, units)",
+        "length_in(reach, units)",
+        step(CASES["defect of a rotation"]),
+    ),
+    "units": Mutation("d = units * bound", "d = 0.0 * units + bound", step(_IN_UNITS)),
     "defect in the rest": Mutation(
-        "reach[i] += 2 * large[e] * D[j]", "pass", step(CASES["defect of a rotation"])
+        "large[e] * (D[j] + hidden[j])", "large[e] * hidden[j]", step(CASES["defect of a rotation"])
     ),
-    "defect in the tube": Mutation("total = D[i] + d[i]", "total = d[i]", step(_STILL)),
+    "defect in the tube": Mutation("up(hull[i] + D[i] + d[i])", "up(hull[i] + d[i])", step(_STILL)),
+    "hull in the tube": Mutation(
+        "up(hull[i] + D[i] + d[i])", "up(D[i] + d[i])", step(CASES["start error"])
+    ),
     "product of matrices": Mutation(
         "error[i, j] = up((k + 2) * UNIT * error[i, j])", "error[i, j] = 0.0", sets("moved_set")
     ),
     "error of the map": Mutation(
         "total += J_error[i, k] * abs(C[k, c])", "pass", sets("moved_set")
     ),
+    "error of the map in a radius": Mutation(
+        "total += J_error[i, k] * abs(C[k, c])", "pass", sets("set_radius")
+    ),
+    "extent of a radius": Mutation(
+        "total += abs(product[i, c]) * R[c, kind]",
+        "total += 0.5 * abs(product[i, c]) * R[c, kind]",
+        sets("set_radius"),
+    ),
     "frame that is not orthogonal": Mutation(
         "up(found[i, kind] + f / (1 - f) * largest)",
         "found[i, kind]",
-        sets("turned_set"),
+        sets("boxed_set"),
         _POOR_TURN,
     ),
-    "rest of a turned set": Mutation("box = rest + extra", "box = extra", sets("turned_set")),
-    "extent of a turned set": Mutation(_SETS, f"0.5 * {_SETS}", sets("turned_set")),
-    "error of a matrix in a set": Mutation(
-        "total += error[i, k] * abs(M[k, c])", "pass", sets("set_radius")
-    ),
+    "extent of a box": Mutation(_SETS, f"0.5 * {_SETS}", sets("boxed_set")),
     "value of a matrix, rounding": Mutation(
         "UNIT * (abs(p) + abs(found[i, j])) + abs(series[i, j, k]) * gap",
         "abs(series[i, j, k]) * gap",
