@@ -58,7 +58,7 @@ def test_quick_run_fills_its_section(
 
 #: Benchmarks of ten minutes and more, which the page may lack.
 _LONG = {
-    *("clusters", "enclosures", "flow-map-estimates", "flow-map-peers", "flow-map-queries"),
+    *("clusters", "flow-map-estimates", "flow-map-peers", "flow-map-queries"),
     *("training-optimisers", "training-peers"),
 }
 
