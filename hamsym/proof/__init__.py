@@ -1,1 +1,1 @@
-"""Proofs of a solution's error in ball arithmetic, and their certificates."""
+"""Proofs: enclosures of exact solutions, bounds on the errors of neural ones, certificates."""
