@@ -20,8 +20,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
 
@@ -50,14 +49,13 @@ from hamsym.proof.trials import require_exact, segments
 from hamsym.proof.window_proof import WindowBounds, WindowProof
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
-from hamsym.support.progress import stepping_progress
+from hamsym.support.progress import share_progress
 from hamsym.support.validation import require, require_number, require_positive, require_whole
 
 __all__ = ["certify", "verify"]
 
 # Default time limit of verify() in seconds: its own, per second of certify, and at most.
 _PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE = 60.0, 10.0, 600.0
-_TICKS = 1_000  # of progress
 _FLOAT64_BITS = 106  # precision of sums of two float64 numbers
 # Another processor may find bounds that differ by round-off.
 _MARGIN = 1e-7
@@ -175,7 +173,7 @@ def _on_windows(
     progress: bool | None,
 ) -> dict[str, Any] | None:
     """The numbers of a certificate by enclosures on windows, or None without one."""
-    with _progress(progress) as report:
+    with share_progress(progress, "proving") as report:
         try:
             found = WindowProof(solution, deadline, report).bounds(rtol, asked)
         except CertificationError:
@@ -184,6 +182,16 @@ def _on_windows(
     uppers = [rounded_up(value * (1 + _MARGIN)) for value in found.uppers.tolist()]
     lowers = [rounded_down(value * (1 - _MARGIN)) for value in found.lowers.tolist()]
     edges, pieces = _pieces(found, solution.span)
+    return _numbers(uppers, lowers) | {
+        "edges": edges,
+        "piece_bounds": tuple(rounded_up(value * (1 + _MARGIN)) for value in pieces),
+        "bits": _FLOAT64_BITS,
+        "arithmetic": FLOAT64,
+    }
+
+
+def _numbers(uppers: Sequence[float], lowers: Sequence[float]) -> dict[str, Any]:
+    """Bounds by their names in a certificate: norm, components, energy, residual."""
     return {
         "bound": uppers[0],
         "lower": lowers[0],
@@ -193,10 +201,6 @@ def _on_windows(
         "energy_lower": lowers[-2],
         "ell_max_bound": uppers[-1],
         "ell_max_lower": lowers[-1],
-        "edges": edges,
-        "piece_bounds": tuple(rounded_up(value * (1 + _MARGIN)) for value in pieces),
-        "bits": _FLOAT64_BITS,
-        "arithmetic": FLOAT64,
     }
 
 
@@ -216,34 +220,7 @@ def _by_taylor_steps(
     used, found, profile = TaylorProof(solution, deadline, progress).bounds(rtol, bits)
     uppers = [rounded_up(entry.upper) for entry in found]
     lowers = [rounded_down(entry.lower) for entry in found]
-    return {
-        "bound": uppers[0],
-        "lower": lowers[0],
-        "component_bounds": tuple(uppers[1:-2]),
-        "component_lowers": tuple(lowers[1:-2]),
-        "energy_bound": uppers[-2],
-        "energy_lower": lowers[-2],
-        "ell_max_bound": uppers[-1],
-        "ell_max_lower": lowers[-1],
-        **profile,
-        "bits": used,
-        "arithmetic": ARB,
-    }
-
-
-@contextmanager
-def _progress(show: bool | None) -> Iterator[Any]:
-    """A function of the completed share that draws progress."""
-    with stepping_progress(_TICKS, show, "proving") as advance:
-        done = 0
-
-        def report(part: float) -> None:
-            nonlocal done
-            now = int(part * _TICKS)
-            advance(now - done)
-            done = now
-
-        yield report
+    return _numbers(uppers, lowers) | profile | {"bits": used, "arithmetic": ARB}
 
 
 def verify(
@@ -306,7 +283,7 @@ def verify(
         raise CertificationError("the certificate and the solution have different dimensions")
     deadline = _deadline(time_limit, claims.seconds)
     if claims.arithmetic == FLOAT64:
-        with _progress(progress) as report:
+        with share_progress(progress, "proving") as report:
             try:
                 if WindowProof(solution, deadline, report).proves(claims):
                     return

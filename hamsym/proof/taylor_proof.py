@@ -39,7 +39,7 @@ from hamsym.proof.presolve import Presolution, presolve
 from hamsym.proof.taylor import SolutionEnclosure, enclose_solution
 from hamsym.proof.trials import segments
 from hamsym.solution.solution import Solution
-from hamsym.support.progress import stepping_progress
+from hamsym.support.progress import share_progress
 
 __all__ = ["TaylorProof"]
 
@@ -48,7 +48,6 @@ _FLOOR_WITHOUT_SOLUTION = 2.0**-70  # floor of quantities that do not involve th
 _PROGRESS = Fraction(1, 1_000)  # of the span: least gain of half as many bits again
 _SPARE_BITS = 4
 _TRIES = 2  # precisions, at least, before an undecided claim is rejected
-_TICKS = 1_000  # of progress
 
 _Found = TypeVar("_Found")
 
@@ -258,15 +257,7 @@ class TaylorProof:
         return float(self._start + self._direction * elapsed)
 
     def _solution(self, bits: int) -> SolutionEnclosure:
-        with stepping_progress(_TICKS, self._progress) as advance:
-            done = 0
-
-            def report(part: float) -> None:
-                nonlocal done
-                now = int(part * _TICKS)
-                advance(now - done)
-                done = now
-
+        with share_progress(self._progress) as report:
             return enclose_solution(
                 self._enclosures,
                 self._z0,

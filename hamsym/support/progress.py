@@ -10,7 +10,9 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-__all__ = ["stepping_progress"]
+__all__ = ["share_progress", "stepping_progress"]
+
+_TICKS = 1_000
 
 
 @contextmanager
@@ -51,3 +53,20 @@ def stepping_progress(
         yield update
     finally:
         progress.stop()
+
+
+@contextmanager
+def share_progress(
+    show: bool | None = None, text: str = "stepping"
+) -> Iterator[Callable[[float], None]]:
+    """Yield a function that takes the completed share of the work, from 0 to 1, and draws a bar."""
+    with stepping_progress(_TICKS, show, text) as advance:
+        done = 0
+
+        def report(share: float) -> None:
+            nonlocal done
+            now = int(share * _TICKS)
+            advance(now - done)
+            done = now
+
+        yield report
