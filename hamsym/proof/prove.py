@@ -141,7 +141,7 @@ def _asked(bound: Any, names: Sequence[str]) -> tuple[float, ...]:
     """One bound for each component."""
     try:
         values = np.broadcast_to(np.asarray(bound, dtype=float), (len(names),))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(
             f"bound={bound!r} is neither a number nor {len(names)} numbers, one for each component"
         ) from None
