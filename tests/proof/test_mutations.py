@@ -160,9 +160,14 @@ _POOR_TURN = (("found[i, c] /= length\n", "found[i, c] /= length * 1.001\n"),)
 _SETS = "(abs(product[i, c]) + error[i, c]) * R[c, kind]"
 _IN_A_TUBE = transport(np.zeros((2, 2)), start=np.ones(2), flat=True, loose=1.0)
 _UNKNOWN = transport(np.zeros((2, 3)), start=np.array([0.0, 0.0, 1.0]), flat=True, loose=0.3)
-_STEEP = transport(np.array([[0.0, 1.0], [1.0, 0.0]]) * 2, D=np.ones(2) * 1e-3, slope=-0.99)
+_STEEP = transport(
+    np.array([[0.0, 1.5], [1.5, 0.0]]), start=np.ones(2), F=np.full((2, 2), 1e-3), slope=-3.0
+)
 _IN_UNITS = transport(np.array([[0.0, 4.0], [0.0, 0.0]]), D=np.array([0.0, 1e-3]), units=(8.0, 1.0))
 _STILL = transport(np.eye(2) * 1e-3, D=np.array([1e-3, 1e-3]))
+
+#: Products of 1e306 .. 1e338.
+BEYOND = [((1e200, 0.0, 0.0), (10.0**k, 0.0, 0.0)) for k in range(106, 139, 4)]
 
 MUTATIONS: dict[str, Mutation] = {
     # operations on balls
@@ -185,7 +190,8 @@ MUTATIONS: dict[str, Mutation] = {
     "ball beyond the range": Mutation(
         "return radius if abs(value) < math.inf else math.inf",
         "return radius",
-        lambda L: binary_misses(L, "multiply", list(special_pairs()), bits=4500)[0],
+        lambda L: binary_misses(L, "multiply", BEYOND, bits=4500)[0],
+        ((_MULTIPLY, _MULTIPLY.replace("(a * b)", "a * b")),),
     ),
     "product, rounding of tiny and huge numbers": Mutation(
         *_less(_MULTIPLY, "MIDDLE * (a * b)", "MIDDLE * a * b"),

@@ -1,0 +1,131 @@
+"""solve(prove=True): success is a proof that errors are within the tolerance."""
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym import InputError
+from hamsym.errors import CertificationError
+from hamsym.proof.prove import verify
+from hamsym.random_features.method import FeatureOptions, solve_by_features
+from hamsym.solving import METHODS, Method
+
+OSCILLATOR = "p**2/2 + x**2/2"
+
+
+def altered(change):
+    """The method of features with changed weights."""
+
+    def run(problem, options):
+        solution = solve_by_features(problem, options)
+        trial = copy.deepcopy(solution.trial)
+        change(trial)
+        return dataclasses.replace(solution, trial=trial)
+
+    return Method(FeatureOptions, run, marches=True)
+
+
+def _readout(size):
+    def change(trial):
+        trial.readouts[3, 5, 1] += size
+
+    return change
+
+
+def test_success_is_proven():
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), tol=1e-8, prove=True)
+    assert solution.success
+    assert "proven: the error is at most" in solution.message
+    certificate = solution.certificate
+    # 1e-8 of the largest |z_i|
+    assert certificate.asked == pytest.approx((1e-8, 1e-8), rel=1e-3)
+    t = np.linspace(0, 3, 500)
+    error = np.abs(solution(t) - np.stack([np.cos(t), -np.sin(t)], axis=1)).max(axis=0)
+    assert (error <= np.array(certificate.component_bounds) + 1e-15).all()
+    verify(certificate.to_json(), solution)
+
+
+def test_absolute_tolerance_is_part_of_what_is_proven():
+    start = [1.0, 0.0]
+    solution = hamsym.solve(OSCILLATOR, start, (0, 3), tol=1e-9, atol=[0.0, 1e-6], prove=True)
+    assert solution.success
+    assert solution.certificate.asked == pytest.approx((1e-9, 1.001e-6), rel=1e-3)
+
+
+def test_nothing_is_proven_without_being_asked():
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3))
+    assert solution.certificate is None
+    assert "proven" not in solution.message
+
+
+@pytest.mark.parametrize("size", [1e-4, -1e-2, 1.0])
+def test_too_large_error_is_no_success(monkeypatch, size):
+    monkeypatch.setitem(METHODS, "features", altered(_readout(size)))
+    assert hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), tol=1e-8).success
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), tol=1e-8, prove=True)
+    assert not solution.success
+    assert "not proven: the error of" in solution.message
+    assert solution.certificate is None
+
+
+def test_error_below_the_tolerance_is_still_proven(monkeypatch):
+    monkeypatch.setitem(METHODS, "features", altered(_readout(1e-10)))
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), tol=1e-8, prove=True)
+    assert solution.success
+    assert 1e-13 < solution.certificate.bound < 1e-8
+
+
+def test_failed_proof_is_no_success(monkeypatch):
+    def refuse(*_, **__):
+        raise CertificationError("no enclosure beyond t = 1")
+
+    monkeypatch.setattr(hamsym, "certify", refuse)
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), prove=True)
+    assert not solution.success
+    assert solution.message.endswith("not proven: no enclosure beyond t = 1")
+    assert solution.certificate is None
+
+
+def test_function_that_is_not_smooth_is_not_proven():
+    solution = hamsym.solve("p**2/2 + abs(x)", [2.0, 0.0], (0, 1), prove=True)
+    assert not solution.success
+    assert "not proven" in solution.message
+    assert "abs" in solution.message
+
+
+def test_failed_solution_is_not_proven():
+    solution = hamsym.solve("p**2/2 - 1/x**2", [1.0, 0.0], (0, 1), prove=True)
+    assert not solution.success
+    assert "proven" not in solution.message
+    assert solution.certificate is None
+
+
+def test_chain_of_networks_is_proven():
+    options = {"method": "levenberg-marquardt", "tol": 1e-6, "windows": 2}
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 1), prove=True, **options)
+    assert solution.success
+    assert solution.certificate.asked == pytest.approx((1e-6, np.sin(1) * 1e-6), rel=1e-3)
+
+
+def test_network_without_a_tolerance_is_not_proven():
+    brief = {"hidden": (6,), "points": 20, "iterations": 30, "restarts": 0, "target_error": 0.5}
+    solution = hamsym.solve(
+        OSCILLATOR, [1.0, 0.0], (0, 1), method="levenberg-marquardt", prove=True, **brief
+    )
+    assert not solution.success
+    assert solution.certificate is None
+
+
+@pytest.mark.parametrize("method", ["adam", "lbfgs", "ssbroyden"])
+def test_methods_without_a_tolerance_are_refused(method):
+    with pytest.raises(InputError, match=f"needs a method with a tolerance, which '{method}'"):
+        hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 1), method=method, prove=True)
+
+
+@pytest.mark.parametrize("value", [1, 0, None, "yes", np.array([True])])
+def test_prove_is_true_or_false(value):
+    with pytest.raises(InputError, match="prove="):
+        hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 1), prove=value)
