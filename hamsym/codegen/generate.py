@@ -408,7 +408,8 @@ def _pieces(text: str, operators: Sequence[str]) -> list[str]:
     depth, start, pieces = 0, 0, []
     for i, character in enumerate(text):
         depth += (character in "([") - (character in ")]")
-        if i > start and text.startswith(tuple(operators), i) and depth == 0:
+        power = text[i - 1 : i + 1] == "**"  # its second half is no product
+        if i > start and text.startswith(tuple(operators), i) and depth == 0 and not power:
             pieces.append(text[start:i].strip())
             start = i
     return [*pieces, text[start:].strip()]

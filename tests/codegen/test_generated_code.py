@@ -23,7 +23,7 @@ import sympy
 import torch
 
 from hamsym import Hamiltonian, InputError, integrate
-from hamsym.codegen.generate import Source
+from hamsym.codegen.generate import Source, _wrapped
 from hamsym.codegen.names import RESERVED
 from hamsym.codegen.printers import PRINTERS
 from hamsym.codegen.system import System
@@ -581,6 +581,14 @@ def test_long_products_share_their_factors(shape: str, backend: str) -> None:
         for part, most in (("gradient", 3 * n + 2), ("hessian", 3 * n * (n - 1) / 2 + 3 * n)):
             tree = ast.parse(H.source(backend, part=part))
             assert sum(isinstance(node, ast.Mult) for node in ast.walk(tree)) <= most + 2 * n
+
+
+@pytest.mark.parametrize("length", range(20, 100, 5))
+def test_lines_end_before_products_but_not_inside_powers(length: int) -> None:
+    sums = "a1 + " * (length // 5) + "b2"
+    text = f"c*({sums})**(-np.tanh({sums}))/(25 + {sums})*({sums})"
+    expected = ast.dump(ast.parse(text, mode="eval"))
+    assert ast.dump(ast.parse(_wrapped(text, 4), mode="eval")) == expected
 
 
 def test_sources_do_not_depend_on_the_process() -> None:
