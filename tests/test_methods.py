@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import hamsym
+from hamsym.cli import solver_options
 from hamsym.cli.commands import main
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.basis import DEGREE, basis_of_series
@@ -34,10 +36,12 @@ def _chebyshev(problem: InitialValueProblem, options: FeatureOptions) -> Solutio
 
 
 @pytest.fixture(params=[*METHODS, "chebyshev"])
-def method(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def method(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     row = Method(FeatureOptions, _chebyshev, marches=True)
     monkeypatch.setitem(METHODS, "chebyshev", row)
-    return request.param
+    solver_options._solver_parameters.cache_clear()  # options of the command line
+    yield request.param
+    solver_options._solver_parameters.cache_clear()
 
 
 def test_command_line_solves_and_saves(
