@@ -19,7 +19,7 @@ from hamsym.proof.ball import Ball
 from hamsym.proof.compiled import loops
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import split
-from hamsym.proof.windows import ErrorSet, Window, WindowStepper, enclose_windows, equation_of
+from hamsym.proof.windows import ErrorSet, Window, WindowStepper, equation_of
 from hamsym.solution.times import times_in_span
 from hamsym.support.validation import require_positive
 
@@ -103,6 +103,7 @@ def enclose(
     equation = equation_of(H, tuple(names))
     every = [*start, *(balls[name] for name in names)]
     begin, end = (Fraction(value) for value in times)
+    windows: list[Window] = []
     failure = None
     for accuracy, terms in _ACCURACIES:
         stepper = WindowStepper(
@@ -116,8 +117,10 @@ def enclose(
             deadline,
             terms,
         )
+        windows.clear()
         try:
-            windows = tuple(enclose_windows(stepper, [abs(end - begin)]))
+            while stepper.elapsed < stepper.total:
+                windows.append(stepper.step(stepper.total))
             break
         except CertificationError as error:
             if deadline.exceeded:
@@ -127,7 +130,7 @@ def enclose(
         assert failure is not None
         raise failure
     z0_ball = Ball(np.array([b.mid for b in start]), np.array([b.radius for b in start]))
-    return Enclosure(H, z0_ball, times, balls, windows, time.monotonic() - began)
+    return Enclosure(H, z0_ball, times, balls, tuple(windows), time.monotonic() - began)
 
 
 def _parameter_balls(H: Hamiltonian, parameters: Any) -> dict[str, Ball]:
@@ -295,7 +298,7 @@ class Enclosure:
         known = self._derivatives
         if not known:
             columns = len(self.windows[0].J)
-            known.append((np.eye(columns), ErrorSet(np.zeros((columns, columns)))))
+            known.append((np.eye(columns), ErrorSet.of_radii(np.zeros((columns, columns)))))
         while len(known) <= k:
             window = self.windows[len(known) - 1]
             middle, rest = known[-1]

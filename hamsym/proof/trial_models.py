@@ -78,19 +78,15 @@ def _feature_pieces(trial: FeatureTrial, begin: Fraction, direction: int) -> lis
     origin = Fraction(float(trial.origin))
     edges = [direction * (origin + Fraction(edge) - begin) for edge in trial.edges.tolist()]
     dim = trial.states.shape[1]
-    program = _window_program(dim)
+    program = _enveloped(dim, "exponential")
     return [
         Piece(low, high, _FeatureWindow(trial, k, low, high - low, program).models)
         for k, (low, high) in enumerate(pairwise(edges))
     ]
 
 
-def _window_program(dim: int) -> Program:
-    """z_a + f N and r (f' N + f dN/ds), f = 1 - exp(-s), from z_a, N, dN/ds, s and r = ds/dt."""
-    return _enveloped(dim, "exponential")
-
-
 def _enveloped(dim: int, envelope: str) -> Program:
+    """z_a + f N and r (f' N + f dN/ds) from z_a, N, dN/ds, s and r = ds/dt."""
     recorder = Recorder(3 * dim + 2)
     *values, s, pace = recorder.variables
     if envelope == "exponential":

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import functools
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -30,7 +31,7 @@ from hamsym.proof.ball_arithmetic import UNIT, number_of
 from hamsym.proof.balls import SMALLEST, at_least, at_most, working
 from hamsym.proof.certificate import FLOOR, Certificate
 from hamsym.proof.limits import Deadline
-from hamsym.proof.programs import ModelRows, Rows, split, tables
+from hamsym.proof.programs import BITS, ModelRows, Rows, split, tables
 from hamsym.proof.trial_models import Piece, trial_pieces
 from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of, set_sizes
 from hamsym.random_features.trial import FeatureTrial
@@ -40,7 +41,6 @@ __all__ = ["WindowBounds", "WindowProof"]
 
 _TERMS = 64  # of models of z^
 _ROOM = 1 + 1e-9  # for the rounding of sums of numbers >= 0
-_BITS = 240
 # Accuracy of the enclosure, terms of its polynomials and least number of windows of attempts.
 _ATTEMPTS = ((2.0**-70, 32, 8), (2.0**-86, 48, 8))
 _OF_NETWORKS = (2.0**-70, 32, 64)  # which vary in a window of the motion
@@ -208,7 +208,7 @@ class WindowProof:
             limit = min(piece.end, self._total)
             if limit <= stepper.elapsed:
                 continue
-            stops = [place for place in inner if stepper.elapsed < place < limit]
+            stops = inner[bisect_right(inner, stepper.elapsed) : bisect_left(inner, limit)]
             for stop in (*stops, limit):
                 while stepper.elapsed < stop:
                     window = stepper.step(stop)
@@ -380,7 +380,7 @@ class _Comparison:
 @functools.cache
 def _sample_table(samples: int) -> np.ndarray:
     """T_k at the zeros of T_M, shape (terms, M), each rounded from a proven ball."""
-    with working(_BITS):
+    with working(BITS):
         step = arb.pi() / (2 * samples)
         cosines = np.array([float((step * n).cos().mid()) for n in range(4 * samples)])
     angles = np.arange(_TERMS)[:, None] * (2 * np.arange(samples) + 1)
@@ -390,7 +390,7 @@ def _sample_table(samples: int) -> np.ndarray:
 @functools.lru_cache(maxsize=64)
 def _factor(degree: int, samples: int) -> float:
     """An upper bound on 1/cos(degree pi/(2 M))."""
-    with working(_BITS):
+    with working(BITS):
         return number_of(1 / (arb.pi() * degree / (2 * samples)).cos())[0] * (1 + 1e-12)
 
 

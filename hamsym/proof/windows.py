@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -34,7 +34,7 @@ from hamsym.proof.generated import GeneratedFunctions, evaluated
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, split, tables
 
-__all__ = ["Equation", "Window", "WindowStepper", "enclose_windows", "equation_of", "set_sizes"]
+__all__ = ["Equation", "ErrorSet", "Window", "WindowStepper", "equation_of", "set_sizes"]
 
 TERMS = 32
 _ITERATIONS = 80
@@ -143,30 +143,32 @@ def set_sizes(V: np.ndarray, G: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Bounds on the components of V(x) G r over a window for all |r_i| <= R_i, shape (dim,)."""
     products = np.einsum("ick,cd->idk", V, G)
     found = np.abs(products).sum(axis=2) @ R
-    # roundings: sums of fewer than a hundred products
-    found += 1e-13 * (np.abs(V).sum(axis=2) @ (np.abs(G) @ R))
+    rounding = 2 * (len(G) + 8) * UNIT  # of sums of so many products
+    found += rounding * (np.abs(V).sum(axis=2) @ (np.abs(G) @ R))
     return np.asarray(found * (1 + 1e-9))
 
 
+@dataclass(frozen=True, eq=False)
 class ErrorSet:
     """Sets {G r} with \\|r\\| <= R, one for each column of R.
-
-    Parameters
-    ----------
-    R : numpy.ndarray
-        Radii of the initial set in the unit directions, shape (columns, kinds).
 
     Attributes
     ----------
     G, R : numpy.ndarray
         Shapes (columns, m) and (m, kinds).
+    initial : int
+        Number of the first columns of G, which are kept.
     """
 
-    def __init__(self, R: np.ndarray) -> None:
-        columns = len(R)
-        self._initial = columns if R.any() else 0
-        self.G, self.R = np.eye(columns)[:, : self._initial], R[: self._initial]
-        self._most = columns * min(max(_MOST_COLUMNS // columns, 6), 64)
+    G: np.ndarray
+    R: np.ndarray
+    initial: int
+
+    @classmethod
+    def of_radii(cls, R: np.ndarray) -> ErrorSet:
+        """The sets of all vectors within radii, shape (columns, kinds)."""
+        initial = len(R) if R.any() else 0
+        return cls(np.eye(len(R))[:, :initial], R[:initial], initial)
 
     def sizes(self) -> np.ndarray:
         """Bounds on the components, shape (columns, kinds)."""
@@ -174,17 +176,14 @@ class ErrorSet:
 
     def moved(self, J: np.ndarray, J_error: np.ndarray, extra: np.ndarray) -> ErrorSet:
         """The sets {(J +- J_error) G r + e} with \\|e\\| <= extra, shape (columns, kinds)."""
-        found = ErrorSet.__new__(ErrorSet)
-        found._initial, found._most = self._initial, self._most
-        G, rest = loops().moved_set(J, J_error, self.G, self.R)
-        first, R = self._initial, self.R
-        if G.shape[1] - first > self._most:
+        columns, first, R = len(self.G), self.initial, self.R
+        G, rest = loops().moved_set(J, J_error, self.G, R)
+        if G.shape[1] - first > columns * min(max(_MOST_COLUMNS // columns, 6), 64):
             later = np.ascontiguousarray(G[:, first:]), np.ascontiguousarray(R[first:])
             Q, radii = loops().boxed_set(*later)
             G, R = np.hstack([G[:, :first], Q]), np.vstack([R[:first], radii])
-        found.G = np.hstack([G, np.eye(len(G))])
-        found.R = np.vstack([R, (rest + extra) * (1 + 1e-9)])
-        return found
+        fresh = (rest + extra) * (1 + 1e-9)
+        return ErrorSet(np.hstack([G, np.eye(columns)]), np.vstack([R, fresh]), first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,18 +283,15 @@ class WindowStepper:
         self._terms = terms
         self._centre = centre[:dim].astype(float)
         self._centre_low = np.zeros(dim)
-        self._centre_radius = np.zeros(dim)
         self._constants = centre[dim:].astype(float)
         self._unknown = radii[dim:].astype(float)
-        self._set = ErrorSet(radii.astype(float)[:, None])
+        self._set = ErrorSet.of_radii(radii.astype(float)[:, None])
         self._rates = ModelRows(equation.rates, terms)
         self._jacobian = ModelRows(equation.jacobian, terms)
         self._signs = equation.signs * direction
         self._rows = [
             np.repeat(models.high[:, :1], terms, axis=1) for models in (self._rates, self._jacobian)
         ]
-        self._rows[0] = np.ascontiguousarray(self._rows[0])
-        self._rows[1] = np.ascontiguousarray(self._rows[1])
         self.elapsed = Fraction(0)
         self._sizes = np.abs(self._centre)
         self.length: float | None = None  # suggestion for the next window
@@ -359,7 +355,8 @@ class WindowStepper:
             self.reason = "the solution leaves every scale there, as at a collision or a jump"
             return None, 0.5
         # What the others drive a component to; its round-off has that scale if it is nearly zero.
-        driven = place.w * (self._couplings() @ sizes)
+        couplings = self._couplings()
+        driven = place.w * (couplings @ sizes)
         tail, factor = self._decay(y, np.maximum(sizes, 0.02 * driven))
         if not tail <= 30 * self._accuracy:
             return None, min(max(0.9 * factor, 0.25), 0.8)
@@ -372,7 +369,7 @@ class WindowStepper:
         if not resolved:
             self.reason = "the solution was not resolved"
             return None, factor
-        return self._enclosed(place, models, D, factor)
+        return self._enclosed(place, models, D, self._units(place.w, couplings), factor)
 
     def _guess(self, place: _Place) -> tuple[np.ndarray, np.ndarray | None]:
         """Sizes of the components and coefficients of y in float64; and DG along y in rows."""
@@ -493,7 +490,7 @@ class WindowStepper:
         self._start(models)
 
     def _enclosed(
-        self, place: _Place, models: ModelRows, D: np.ndarray, factor: float
+        self, place: _Place, models: ModelRows, D: np.ndarray, units: np.ndarray, factor: float
     ) -> tuple[Window | None, float]:
         """The window with the bounds of the lemma, or None; and the factor of the next length."""
         equation, w, tabs = self.equation, place.w, self._tables
@@ -513,7 +510,6 @@ class WindowStepper:
         start = self._set.sizes()[:, 0]
         start[:dim] += offset
         start *= 1 + 1e-9
-        units = self._units(w)
         safe = np.maximum(self._sizes, _LEAST)
         width = float((start[:dim] / safe).max())
         hull = self._hull(V, start, offset, width)
@@ -563,7 +559,7 @@ class WindowStepper:
             high, low, radius = loops().end_value(models.high[i], models.low[i], self._terms, -1)
             gap = (high - self._centre[i]) + (low - self._centre_low[i])
             rounding = MIDDLE * (abs(high) + abs(self._centre[i]))
-            found[i] = abs(gap) + rounding + radius + self._centre_radius[i]
+            found[i] = abs(gap) + rounding + radius
         return np.asarray(found * (1 + 1e-9) + 1e-290)
 
     def _hull(
@@ -605,11 +601,9 @@ class WindowStepper:
                 found[i, j] += np.abs(self._rows[1][place]).max()
         return found
 
-    def _units(self, w: float) -> np.ndarray:
+    def _units(self, w: float, couplings: np.ndarray) -> np.ndarray:
         """Units in which DG is nearly balanced (Osborne 1960), powers of two."""
-        equation = self.equation
-        dim = equation.dim
-        matrix = self._couplings()
+        dim, matrix = self.equation.dim, couplings.copy()
         np.fill_diagonal(matrix, 0.0)
         safe = np.maximum(self._sizes, self._sizes.max() * 1e-12)
         # What the others drive it to in the window, if a component is nearly zero.
@@ -650,7 +644,6 @@ class WindowStepper:
             value, rest, radius = loops().end_value(models.high[i], models.low[i], terms, 1)
             self._centre[i], self._centre_low[i] = value, rest
             extra[i] = beside[i] + radius
-        self._centre_radius = np.zeros(dim)
         extra *= 1 + 1e-9
         window = Window(
             self.elapsed,
@@ -677,16 +670,3 @@ class WindowStepper:
 def equation_of(H: Hamiltonian, unknown: tuple[str, ...] = ()) -> Equation:
     """The equation of a Hamiltonian, kept for other solutions of it."""
     return Equation(H, unknown)
-
-
-def enclose_windows(
-    stepper: WindowStepper,
-    edges: Sequence[Fraction],
-    progress: Callable[[float], None] | None = None,
-) -> Iterator[Window]:
-    """Windows up to the last of the edges, none of which lies inside a window."""
-    for edge in edges:
-        while stepper.elapsed < edge:
-            yield stepper.step(edge)
-            if progress:
-                progress(float(stepper.elapsed / stepper.total))

@@ -21,7 +21,7 @@ def turned(angle):
 
 def moved(J, R, count, error, extra):
     """The set after ``count`` windows of one map."""
-    found = ErrorSet(np.asarray(R, dtype=float)[:, None])
+    found = ErrorSet.of_radii(np.asarray(R, dtype=float)[:, None])
     J_error = np.full(J.shape, error)
     for _ in range(count):
         found = found.moved(J, J_error, np.full((len(J), 1), extra))
@@ -67,7 +67,7 @@ def test_sets_of_many_windows_contain_moved_points(name, radius):
     J, rng, count = _MAPS[name], np.random.default_rng(1), 400
     n = len(J)
     error, extra = 1e-9, 1e-8
-    sets = [ErrorSet(np.full((n, 1), radius))]
+    sets = [ErrorSet.of_radii(np.full((n, 1), radius))]
     for _ in range(count):
         sets.append(sets[-1].moved(J, np.full((n, n), error), np.full((n, 1), extra)))
     with working(_BITS):
@@ -89,7 +89,7 @@ def test_sets_of_many_windows_contain_moved_points(name, radius):
 
 
 def test_set_without_a_radius_has_no_columns_of_its_own():
-    empty = ErrorSet(np.zeros((2, 1)))
+    empty = ErrorSet.of_radii(np.zeros((2, 1)))
     assert empty.G.shape == (2, 0)
     assert (empty.sizes() == 0).all()
 
@@ -100,7 +100,7 @@ def test_bounds_that_are_not_finite_give_no_finite_set(part, value):
     J, J_error, extra = np.eye(2), np.zeros((2, 2)), np.zeros((2, 1))
     {"map": J, "error": J_error, "extra": extra}[part][0, 0] = value
     with np.errstate(all="ignore"):
-        found = ErrorSet(np.ones((2, 1))).moved(J, J_error, extra)
+        found = ErrorSet.of_radii(np.ones((2, 1))).moved(J, J_error, extra)
         assert not (found.sizes() <= 1e300).all()
 
 
