@@ -2,12 +2,11 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-HENON_HEILES := "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
 # The CPU build that is tested; a plain `pip install torch` may bring several GB of CUDA builds.
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-wheel coverage lint bench bench-quick tables docs clean
+.PHONY: help demo test test-slow test-browser test-wheel coverage lint bench bench-quick tables pictures docs clean
 
 help: ## List what can be done
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed 's/:.*## /: /' | awk -F': ' '{printf "  make %-11s %s\n", $$1, $$2}'
@@ -20,18 +19,24 @@ $(VENV)/installed: pyproject.toml
 demo: $(VENV)/installed ## Train the paper's oscillator, compare, draw (two minutes)
 	$(BIN)/python examples/oscillator.py --out output
 
-test: $(VENV)/installed ## Run the test suite (four minutes)
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+test: $(VENV)/installed ## Run the test suite (eight minutes)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not browser"
 
 test-slow: $(VENV)/installed ## Run the slow checks too
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not browser"
+
+test-browser: $(VENV)/installed ## Test pages in a headless Chromium (the system's, package chromium)
+	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || \
+	    { echo "make test-browser needs the system's package chromium: apt-get install chromium"; exit 1; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TORCH) --editable '.[dev,browser,explore]'
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m browser tests/browser
 
 test-wheel: $(VENV)/installed ## Build a wheel, install it elsewhere, see that it works
 	VENV_BIN="$(abspath $(BIN))" PYTHON="$(PYTHON)" TORCH="$(TORCH)" bash tests/wheel.sh
 
 coverage: $(VENV)/installed ## Run the test suite and print which lines of hamsym it does not reach
 	$(BIN)/coverage erase
-	$(BIN)/coverage run -m pytest -n 2 --dist worksteal -m "not slow"
+	$(BIN)/coverage run -m pytest -n 2 --dist worksteal -m "not slow and not browser"
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
 
@@ -50,13 +55,25 @@ bench-quick: $(VENV)/installed ## Run all benchmarks in seconds, to see that the
 tables: $(VENV)/installed ## Make the tables and the figure of examples/benchmarks.md from the results
 	$(BIN)/python -m tests.benchmarks.tables
 
-docs: tables ## Make tables and pictures of the documentation again (five minutes)
-	$(BIN)/hamsym solve $(HENON_HEILES) --z0 0.3,-0.3,0.3,0.15 --t-end 40 --plot examples/pictures/trajectory.png
+pictures: tables ## Make tables and pictures of the pages again (five minutes)
 	$(BIN)/python examples/oscillator.py --out examples/pictures
 	$(BIN)/python examples/henon_heiles.py --out examples/pictures
 	$(BIN)/python examples/chaos.py --out examples/pictures
 	$(BIN)/python examples/chaos_map.py --out examples/pictures
 	$(BIN)/python examples/pendulum_period.py --out examples/pictures
+	$(BIN)/python examples/figures.py --out examples/pictures
+	$(BIN)/python examples/periodic_orbits.py --out examples/pictures
+	$(BIN)/python examples/lagrange_points.py --out examples/pictures
+	$(BIN)/python examples/double_pendulum.py --out examples/pictures
+
+$(VENV)/documented: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TORCH) --editable '.[dev,docs]'
+	@touch $@
+
+docs: $(VENV)/documented ## Build the documentation into output/site, which needs no network (two minutes)
+	$(BIN)/python -m sphinx -W --keep-going -q -d output/doctrees examples output/site
+	$(BIN)/python examples/extensions/links.py output/site
+	@echo "open output/site/index.html"
 
 clean: ## Remove the environment and everything built
-	rm -rf $(VENV) build dist output *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage .coverage.*
+	rm -rf $(VENV) build dist output examples/generated *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage .coverage.*

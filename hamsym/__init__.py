@@ -4,7 +4,7 @@ From a formula to a proof, one folder a stage; each imports only what stands bef
 
     formula -> symbolic -> codegen + templates -> hamiltonian
     -> integrators, solution -> random_features, networks -> solving
-    -> families -> dynamics, proof -> study -> plotting, cli
+    -> families -> dynamics, proof -> study -> plotting, workbench -> cli
 
 Conventions: the state is z = (q_1..q_d, p_1..p_d); arrays are (time, component); float64 unless
 asked otherwise; times, states and energies are in the units of the Hamiltonian.
@@ -21,8 +21,18 @@ from importlib.metadata import version
 
 import lazy_loader
 
+from hamsym.suggestions import attribute_message
+
 # The public names are in __init__.pyi; each is imported when it is first used, because sympy,
 # torch and matplotlib are slow to import and few tasks need all of them.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    if name not in __all__ and not name.startswith("_"):
+        message = attribute_message(f"module '{__name__}'", name, __all__)
+        raise AttributeError(message, name=name)
+    return _attribute(name)
+
 
 __version__ = version("hamsym")

@@ -2,6 +2,11 @@ from . import systems as systems
 from .archive import load as load
 from .archive import save as save
 from .codegen.system import System as System
+from .dynamics.chaos_indicators import ChaosIndicators as ChaosIndicators
+from .dynamics.chaos_indicators import chaos_indicators as chaos_indicators
+from .dynamics.equilibria import equilibria as equilibria
+from .dynamics.equilibrium import Equilibria as Equilibria
+from .dynamics.equilibrium import Equilibrium as Equilibrium
 from .dynamics.lyapunov import LyapunovExponents as LyapunovExponents
 from .dynamics.lyapunov import lyapunov as lyapunov
 from .dynamics.lyapunov_map import LyapunovMap as LyapunovMap
@@ -12,6 +17,7 @@ from .errors import CertificationError as CertificationError
 from .errors import FileError as FileError
 from .errors import HamsymError as HamsymError
 from .errors import InputError as InputError
+from .exporting.export import export as export
 from .families.many import solve_many as solve_many
 from .families.solutions import Solutions as Solutions
 from .fitting.fit import fit as fit
@@ -22,7 +28,13 @@ from .hamiltonian import Hamiltonian as Hamiltonian
 from .integrators.integrate import Trajectory as Trajectory
 from .integrators.integrate import integrate as integrate
 from .networks.objective import Regularizer as Regularizer
-from .plotting import plot as plot
+from .orbits.certificate import OrbitCertificate as OrbitCertificate
+from .orbits.family import OrbitFamily as OrbitFamily
+from .orbits.family import orbit_family as orbit_family
+from .orbits.orbit import PeriodicOrbit as PeriodicOrbit
+from .orbits.orbit import periodic_orbit as periodic_orbit
+from .orbits.proof import prove_orbit as prove_orbit
+from .plotting.plot import plot as plot
 from .proof.ball import Ball as Ball
 from .proof.box_certificate import BoxCertificate as BoxCertificate
 from .proof.certificate import Certificate as Certificate
@@ -37,5 +49,11 @@ from .study.compare import compare as compare
 from .study.grid import StoredSweep as StoredSweep
 from .study.sweep import Sweep as Sweep
 from .study.sweep import sweep as sweep
+from .summaries.summary import summary as summary
+from .symbolic.invariants import Invariant as Invariant
+from .workbench.animations.animate import Animation as Animation
+from .workbench.animations.animate import animate as animate
+from .workbench.notebooks.representation import representation as representation
+from .workbench.reports.report import report as report
 
 __version__: str

@@ -1,4 +1,4 @@
-"""Files of solutions, of one or of many: save and load.
+"""Files of solutions, of one or of many, of flow maps and trajectories: save and load.
 
 A file is accepted only if it describes exactly a solution that a solver returns: every type, shape,
 order and value is checked when it is loaded and when it is saved.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,17 @@ from hamsym.families.storage import KIND, is_store, open_store, read_solutions, 
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.storage import KIND as FLOW_MAP
 from hamsym.flow_maps.storage import read_flow_map, write_flow_map
+from hamsym.integrators.integrate import Trajectory
+from hamsym.integrators.storage import KIND as TRAJECTORY
+from hamsym.integrators.storage import read_trajectory, write_trajectory
 from hamsym.random_features.error_estimate import MarchError
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.digest import check_definition
+from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solving import METHODS
+from hamsym.suggestions import checked_keywords
 from hamsym.support.checked_data import (
     arrays_of,
     checked_list,
@@ -46,12 +52,15 @@ _KIND = "solution"
 _IN_TRIAL = ("edges", "states", "readouts")
 
 
-def save(solution: Solution | Solutions | FlowMap, path: str | os.PathLike[str]) -> None:
-    """Write a solution, or many, or a flow map to one file, from which :func:`load` restores it.
+@checked_keywords
+def save(
+    solution: Solution | Solutions | FlowMap | Trajectory, path: str | os.PathLike[str]
+) -> None:
+    """Write a solution, or many, a flow map or a trajectory to a file that :func:`load` reads.
 
     Parameters
     ----------
-    solution : Solution, Solutions or FlowMap
+    solution : Solution, Solutions, FlowMap or Trajectory
     path : path-like
         File in the safetensors format, replaced in one step.
 
@@ -78,6 +87,9 @@ def save(solution: Solution | Solutions | FlowMap, path: str | os.PathLike[str])
     if isinstance(solution, FlowMap):
         write_flow_map(solution, path)
         return
+    if isinstance(solution, Trajectory):
+        write_trajectory(solution, path)
+        return
     try:
         _check(solution)
     except MALFORMED as error:
@@ -94,6 +106,7 @@ def save(solution: Solution | Solutions | FlowMap, path: str | os.PathLike[str])
     write_tensors(path, _KIND, arrays, values)
 
 
+@checked_keywords
 def load(path: str | os.PathLike[str]) -> Any:
     """Read what :func:`save`, or ``save`` of a result, wrote.
 
@@ -104,7 +117,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    Solution, Solutions or FlowMap
+    Solution, Solutions, FlowMap or Trajectory
         The windows of a store are read when they are needed.
 
     Raises
@@ -117,6 +130,8 @@ def load(path: str | os.PathLike[str]) -> Any:
     kind = kind_of(path)
     if kind == FLOW_MAP:
         return read_flow_map(path)
+    if kind == TRAJECTORY:
+        return read_trajectory(path)
     return read_solutions(path) if kind == KIND else load_solution(path)
 
 
@@ -158,6 +173,8 @@ def parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     if error is not None:
         values["error"] = numbers_of(error)
         arrays |= arrays_of("error", error)
+    if solution.settings is not None:
+        values["settings"] = solution.settings.described()
     return arrays, values
 
 
@@ -166,7 +183,7 @@ def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution
     record_name = next((name for name in ("training", "chain") if name in values), "march")
     names = {"H", "span", "method", "energy_weight", "success", "message", "trial", record_name}
     has_error = "error" in values
-    require_names("values", values, names | {"error"} if has_error else names)
+    require_names("values", values, names | ({"error", "settings"} & values.keys()))
     start, end = (checked_number("span", time) for time in checked_list("span", values["span"], 2))
     given = dict(arrays)
     z0 = given.pop("z0")
@@ -192,17 +209,20 @@ def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution
         record = checked_record(March, values["march"], march)
     if given:
         raise ValueError(f"'{min(given)[:40]}' is not a part of a solution")
+    method = checked_type("method", values["method"], "str")
+    settings = Settings.from_description(values["settings"], dim) if "settings" in values else None
     return Solution(
         H=hamiltonian_from(formula),
         z0=z0,
         span=(start, end),
         trial=trial,
-        method=checked_type("method", values["method"], "str"),
+        method=method,
         record=record,
         error=error,
         energy_weight=checked_number("energy_weight", values["energy_weight"]),
         success=checked_type("success", values["success"], "bool"),
         message=checked_type("message", values["message"], "str"),
+        settings=settings,
     )
 
 
@@ -247,6 +267,8 @@ def _check(solution: Solution) -> None:
     method = METHODS.get(solution.method)
     if method is None or method.marches != marched:
         raise ValueError(f"method '{solution.method}' does not return such a trial solution")
+    if solution.settings is not None:
+        solution.settings.check({entry.name for entry in fields(method.options)}, solution.span)
     record.check(trial)
     windows = record.edges is not None
     if error is not None:

@@ -121,7 +121,7 @@ def members_on_cluster(
             own = members.states[chunk], members.parameters[chunk]
             yield Task(chunk, (chunk, Ensemble(members.H, *own, chunk.shape, members.varied)))
 
-    compiled = f"{members.H.formula} {members.H.names} {compiled}"
+    compiled = f"{members.H.formulas} {members.H.names} {compiled}"
     results = cluster_results(
         client, function, setup, tasks(), prepare=prepare, compiled=compiled, retries=retries
     )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+import hamsym
 from hamsym.errors import FileError, HamsymError
 from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
 from hamsym.formula.parser import MAX_BITS, MAX_EFFORT, MAX_SECONDS, parse_expression
@@ -23,8 +24,9 @@ from hamsym.support.checked_data import (
 )
 from hamsym.support.validation import plain
 
-__all__ = ["MALFORMED", "described", "hamiltonian_from", "settings_text"]
+__all__ = ["MALFORMED", "attributes_of", "described", "hamiltonian_from", "settings_text"]
 
+_TAKEN = {"H", "confidence", "dt", "hamsym", "method", "reference_error", "span", "steps", "tol"}
 _LARGEST_POWER = 1_100  # of two, in a number of the formula; float64 ends at 1,024
 #: Errors that parts of the package raise for values that are not those of a solution.
 MALFORMED = (
@@ -44,28 +46,65 @@ def described(H: Hamiltonian) -> dict[str, Any]:
     FileError
         If it has a constant that is written as a rounded decimal.
     """
-    constants = H.expr.atoms(sympy.NumberSymbol) - {sympy.pi, sympy.E}
+    values = {
+        **_marked(H.expr, H.names),
+        "q": [symbol.name for symbol in H.q],
+        "p": [symbol.name for symbol in H.p],
+        "parameters": dict(H.parameters),
+    }
+    if H.units:
+        values["units"] = dict(H.units)
+    if H.forces:
+        values["forces"] = {name: _marked(force, H.names) for name, force in H.forces.items()}
+    return values
+
+
+def _marked(expr: sympy.Expr, names_of_state: Collection[str]) -> dict[str, Any]:
+    """A formula as text, with its binary fractions beside it."""
+    constants = expr.atoms(sympy.NumberSymbol) - {sympy.pi, sympy.E}
     if constants:
         raise FileError(
             f"the constant {min(map(str, constants))} has no text; give its value as a parameter"
         )
-    taken = {symbol.name for symbol in H.expr.free_symbols} | set(H.names)
-    floats, names = sorted(H.expr.atoms(sympy.Float), key=str), []
+    taken = {symbol.name for symbol in expr.free_symbols} | set(names_of_state)
+    floats, names = sorted(expr.atoms(sympy.Float), key=str), []
     for position in range(len(floats)):
         name = f"number{position}"
         while name in taken:
             name += "_"
         names.append(name)
-    marked = H.expr.xreplace(dict(zip(floats, map(sympy.Symbol, names), strict=True)))
+    marked = expr.xreplace(dict(zip(floats, map(sympy.Symbol, names), strict=True)))
     return {
         "formula": FormulaPrinter()(marked),
         "floats": {
             name: [int(number._mpf_[0]), str(number._mpf_[1]), int(number._mpf_[2]), number._prec]
             for name, number in zip(names, floats, strict=True)
         },
-        "q": [symbol.name for symbol in H.q],
-        "p": [symbol.name for symbol in H.p],
-        "parameters": dict(H.parameters),
+    }
+
+
+def attributes_of(H: Hamiltonian, without: Collection[str] = ()) -> dict[str, Any]:
+    """Return H, its parameters and units as flat attributes of a table, with the version of hamsym.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+    without : collection of str
+        Parameters that are left out, because they vary.
+
+    Examples
+    --------
+    >>> found = attributes_of(Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 2.0}))
+    >>> found["H"], found["k"]
+    ('p**2/2 + k*x**2/2', 2.0)
+    """
+    kept = {name: value for name, value in H.parameters.items() if name not in without}
+    return {
+        "H": H.formulas,
+        "hamsym": hamsym.__version__,
+        # Names that a table takes for itself are spelt out.
+        **{f"parameter {n}" if n in _TAKEN else n: value for n, value in kept.items()},
+        **{f"unit of {name}": unit for name, unit in H.units.items()},
     }
 
 
@@ -94,7 +133,7 @@ def settings_text(
         if field.name not in without
     }
     return values | {
-        "H": repr((H.formula, H.names, sorted(H.parameters.items()))),
+        "H": repr((H.formulas, H.names, sorted(H.parameters.items()))),
         "z0": repr(z0.tolist()),
         "span": repr(span),
         "seed": repr(seed),
@@ -109,8 +148,29 @@ def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
     ValueError, HamsymError
         If the values are invalid.
     """
-    require_names("H", values, {"formula", "floats", "q", "p", "parameters"})
-    floats, parameters = (checked_mapping(name, values[name]) for name in ("floats", "parameters"))
+    optional = {"forces", "units"} & values.keys()  # absent without any
+    require_names("H", values, {"formula", "floats", "q", "p", "parameters"} | optional)
+    parameters = checked_mapping("parameters", values["parameters"])
+    expr = _expression(values)
+    names = [
+        [checked_type("name", name, "str") for name in checked_list(of, values[of])]
+        for of in ("q", "p")
+    ]
+    numbers_of = {name: checked_number(name, value) for name, value in parameters.items()}
+    forces = {}
+    for name, force in checked_mapping("forces", values.get("forces", {})).items():
+        parts = checked_mapping("force", force)
+        require_names("force", parts, {"formula", "floats"})
+        forces[name] = _expression(parts)
+    units = checked_mapping("units", values.get("units", {}))
+    return Hamiltonian(
+        expr, q=names[0], p=names[1], parameters=numbers_of, units=units, forces=forces
+    )
+
+
+def _expression(values: Mapping[str, Any]) -> sympy.Expr:
+    """The expression of a formula and its binary fractions."""
+    floats = checked_mapping("floats", values["floats"])
     expr = parse_expression(values["formula"])
     symbols = {symbol.name: symbol for symbol in expr.free_symbols}
     if not floats.keys() <= symbols.keys():
@@ -120,15 +180,9 @@ def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
     }
     try:
         with call_limit(MAX_EFFORT, MAX_SECONDS):
-            expr = _with_numbers(expr, numbers)
+            return _with_numbers(expr, numbers)
     except CallLimitExceededError:
         raise ValueError("its formula takes too long to evaluate") from None
-    names = [
-        [checked_type("name", name, "str") for name in checked_list(of, values[of])]
-        for of in ("q", "p")
-    ]
-    numbers_of = {name: checked_number(name, value) for name, value in parameters.items()}
-    return Hamiltonian(expr, q=names[0], p=names[1], parameters=numbers_of)
 
 
 def _float(sign: Any, mantissa: Any, exponent: Any, precision: Any) -> sympy.Float:

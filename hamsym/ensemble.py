@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import sympy
 
 from hamsym.errors import VariableError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
@@ -87,14 +86,11 @@ def ensemble_of(
     >>> members.shape, members.states.shape, members.parameters[:, 0]
     ((2, 3), (6, 2), array([1., 2., 3., 1., 2., 3.]))
     """
-    if isinstance(H, str | sympy.Expr):
-        H = Hamiltonian(H)
-    given = {}
-    if isinstance(H, Hamiltonian) and parameters:
-        given = parameter_arrays(parameters, H.parameter_names)
+    H = Hamiltonian.of(H, bound=False)
+    given = parameter_arrays(parameters, H.parameter_names) if parameters else {}
     if given:
         H = H.with_parameters(**{name: float(values.flat[0]) for name, values in given.items()})
-    H = Hamiltonian.of(H)
+    H.require_parameters()
     states = states_array(z0, H.names, finite=finite)
     try:
         shape = np.broadcast_shapes(states.shape[:-1], *(v.shape for v in given.values()))

@@ -12,6 +12,7 @@ __all__ = [
     "FileError",
     "HamsymError",
     "InputError",
+    "KeywordError",
     "ParameterError",
     "ParseError",
     "SeparabilityError",
@@ -27,6 +28,10 @@ class HamsymError(Exception):
 
 class InputError(HamsymError, ValueError):
     """Invalid argument or input."""
+
+
+class KeywordError(InputError, TypeError):
+    """A keyword argument that a function does not have."""
 
 
 class ParseError(InputError):

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
-from hamsym.errors import CertificationError, InputError
+from hamsym.conservation import InvariantLike, KnownInvariants
+from hamsym.errors import CertificationError, InputError, KeywordError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.integrators.table import ALIASES, INTEGRATORS
 from hamsym.networks.options import (
+    CONVERGED,
     AdamOptions,
     DeepOptions,
     LBFGSOptions,
@@ -21,8 +24,11 @@ from hamsym.networks.options import (
 )
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.method import FeatureOptions, solve_by_features
+from hamsym.solution.invariant_check import judged_by_invariants
+from hamsym.solution.settings import settings_of
 from hamsym.solution.solution import Solution
-from hamsym.solution.window_error import relative_tolerance
+from hamsym.solution.window_error import allowed_errors
+from hamsym.suggestions import advice, checked_keywords, did_you_mean, require_known
 
 if TYPE_CHECKING:
     from hamsym.networks.record import TrainingState
@@ -67,6 +73,7 @@ METHODS: dict[str, Method] = {
 }
 
 
+@checked_keywords
 def solve(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
@@ -76,6 +83,7 @@ def solve(
     seed: int = 0,
     progress: bool | Callable[[TrainingState], None] | None = None,
     prove: bool = False,
+    invariants: InvariantLike | Sequence[InvariantLike] = (),
     **options: Any,
 ) -> Solution:
     """Compute a neural trajectory z^(t) that satisfies Hamilton's equations over a time span.
@@ -101,6 +109,12 @@ def solve(
         Prove that the error of each component is within the tolerance
         (:meth:`hamsym.Solution.certify` with ``bound``), for methods with a tolerance. ``success``
         then means that it is proven, and ``solution.certificate`` is the proof.
+    invariants : sequence of str, sympy.Expr or Invariant
+        Functions that H conserves, e.g. from :meth:`hamsym.Hamiltonian.invariants`; that is checked
+        first. ``success`` then needs that each of them changes by no more than the allowed errors
+        of the components explain, to second order: the tolerance, or for methods without one the
+        larger of the estimated errors and ``target_error``, or 1 % of the motion. The changes are
+        in ``solution.invariant_drift``.
     **options
         For ``"features"``:
 
@@ -152,6 +166,8 @@ def solve(
             carried over.
         energy_weight : float, default 0
             Weight lambda of the mean of (H - E0)^2 in the loss (the paper's eq. regLoss).
+        invariant_weight : float, default 0
+            Weight of the mean squared change of each of the ``invariants`` in the loss.
         regularizers : sequence of Regularizer
             Additional terms of the loss; not for ``"levenberg-marquardt"``.
         target_loss, target_ell_max : float, optional
@@ -246,6 +262,9 @@ def solve(
     """
     problem = InitialValueProblem.checked(H, z0, span, seed, progress)
     chosen = checked_options(problem.H, method, options)
+    known = KnownInvariants(problem.H, invariants)
+    if getattr(chosen, "invariant_weight", 0):
+        chosen = replace(chosen, invariants=known)
     if not isinstance(prove, bool):
         raise InputError(f"prove={prove!r} is not a choice; give True or False")
     if prove and getattr(chosen, "tol", None) is None:
@@ -253,8 +272,28 @@ def solve(
             f"prove=True needs a method with a tolerance, which '{method}' has not; use "
             "'features', or certify the solution"
         )
-    solution = METHODS[method].run(problem, chosen)
+    solution = METHODS[method].run(problem, chosen)  # which checks the values of options
+    settings = settings_of(
+        problem.span,
+        problem.seed,
+        chosen,
+        options,
+        prove=prove,
+        invariants=known.formulas,
+        version=hamsym.__version__,
+    )
+    solution = replace(solution, settings=settings)
+    if known:
+        solution = judged_by_invariants(solution, known, _explaining_errors(solution, chosen))
     return proven(solution, chosen.tol, chosen.atol) if prove else solution
+
+
+def _explaining_errors(solution: Solution, options: Any) -> np.ndarray:
+    """Return the errors of components that may explain the drift of an invariant, (dim,)."""
+    if solution.error is not None:
+        return allowed_errors(options.tol, options.atol, solution.error.scale)
+    share = getattr(options, "target_error", None) or CONVERGED
+    return np.maximum(solution.largest_error, share * solution.scale)
 
 
 def proven(solution: Solution, tol: float, atol: float | Sequence[float]) -> Solution:
@@ -268,7 +307,7 @@ def proven(solution: Solution, tol: float, atol: float | Sequence[float]) -> Sol
     if solution.error is None:
         reason = "one network that was trained jointly has no tolerance; certify it"
         return solution.judged(False, f"{solution.message}; not proven: {reason}")
-    allowed = np.asarray(atol, dtype=float) + relative_tolerance(tol) * solution.error.scale
+    allowed = allowed_errors(tol, atol, solution.error.scale)
     try:
         certificate = hamsym.certify(solution, progress=False, bound=allowed.tolist())
     except CertificationError as error:
@@ -285,14 +324,27 @@ def checked_options(H: Hamiltonian, method: str, options: Mapping[str, Any]) -> 
     InputError
         If the method or one of its options does not exist.
     """
-    if not isinstance(method, str) or method not in METHODS:
-        raise InputError(f"{method!r} is not a method; choose one of {', '.join(METHODS)}")
+    if isinstance(method, str) and {method} & {*INTEGRATORS, *ALIASES}:
+        raise InputError(
+            f"'{method}' is a method of integrate; call hamsym.integrate, or choose one of "
+            f"{', '.join(METHODS)}"
+        )
+    require_known(method, METHODS, "a method")
     names = [field.name for field in fields(METHODS[method].options)]
     for name in options:
         if name not in names:
             if name in H.parameter_names:
                 raise InputError(f"'{name}' is a parameter; use H.with_parameters({name}=...)")
-            raise InputError(
-                f"'{name}' is not an option of method {method!r}; it has {', '.join(names)}"
+            instead = advice(name, "solve", names)
+            if instead is not None:
+                raise KeywordError(f"'{name}' is not an argument of solve; {instead}")
+            others = [
+                f"'{other}'"
+                for other, entry in METHODS.items()
+                if name in [field.name for field in fields(entry.options)]
+            ]
+            hint = f", but of {', '.join(others)}" if others else did_you_mean(name, names)
+            raise KeywordError(
+                f"'{name}' is not an option of method {method!r}{hint}; it has {', '.join(names)}"
             )
     return METHODS[method].options(**options)

@@ -6,8 +6,9 @@ A module contains the sections that apply to its H, without the text above the f
 have the types that ``read_q`` and ``read_p`` return. The other kernels are ``write``, ``shift``,
 ``shift_compensated``, ``velocity`` (dH/dp) and ``slope`` (dH/dq), with ``velocity_curvature``,
 ``slope_curvature``, ``shear_q`` and ``shear_p`` for tangent vectors, ``_velocity_jacobian`` and
-``_slope_jacobian`` for implicit halves, and ``_gradient``, ``_vector_field`` and ``_hessian`` at
-arrays of points. They take the parameters as the tuple that ``read_parameters`` returns.
+``_slope_jacobian`` for implicit halves, and ``_gradient``, ``_vector_field``, ``_hessian`` and
+``_rate_curvature`` at arrays of points. They take the parameters as the tuple that
+``read_parameters`` returns.
 """
 # ruff: noqa: F821
 
@@ -394,7 +395,8 @@ def euler(
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def _stage_matrix(matrix, coefficients, second, h):
-    """Newton's matrix 1 - h a_ij J Hess_j, where second[j] is the Hessian at stage j."""
+    """Newton's matrix 1 - h a_ij J C_j, where C_j = second[j] is the Hessian at stage j
+    or, with forces, the derivative of -J dz/dt."""
     stages = coefficients.shape[0]
     for stage in range(stages):
         for other in range(stages):
@@ -413,7 +415,7 @@ def implicit(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     coefficients, weights, nodes, continued, parameters,
 ):  # fmt: skip
-    """Implicit Runge-Kutta methods: stages by Newton's method with the Hessian of H.
+    """Implicit Runge-Kutta methods: stages by Newton's method with derivatives of the rates.
 
     Each row of states contains the state and the rates at the last step's stages, which are
     extrapolated to the initial guess. The factors of Newton's matrix are kept within a step
@@ -464,7 +466,7 @@ def implicit(
                     _vector_field(points, times, values, slopes)
                     done[trajectory, 1] += stages
                     if stale:
-                        _hessian(points, times, values, second)
+                        _rate_curvature(points, times, values, second)
                         _stage_matrix(matrix, coefficients, second, h)
                         _factor(matrix, pivots)
                         # Slopes may be small differences of large terms; these are their sizes.
@@ -514,7 +516,7 @@ def implicit(
                     break
                 if tangents.shape[1]:
                     # The derivative of the step, by the implicit function theorem.
-                    _hessian(points, times, values, second)
+                    _rate_curvature(points, times, values, second)
                     _stage_matrix(matrix, coefficients, second, h)
                     _factor(matrix, pivots)
                     for column in range(tangents.shape[1]):

@@ -19,27 +19,35 @@ if "HAMSYM_CACHE_DIR" not in os.environ:
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from hamsym.codegen.printers import PRINTERS
+from hamsym.codegen.backends import BACKENDS, runnable
 from hamsym.systems import CATALOGUE, Problem
 
 #: Seconds of processor time beyond which a case is to be marked slow.
 LIMIT = 5.0
 
-# Many components are slow to derive and compile; test_systems.py has all but the largest.
-_LARGE = {"calogero_moser", "fermi_pasta_ulam_tsingou", "three_bodies", "toda_chain"}
+# One system of each form; tests/systems has the others.
+_FEW = [
+    *("charged_particle", "coupled_oscillators", "double_pendulum", "driven_oscillator"),
+    *("harmonic_oscillator", "henon_heiles", "kepler", "morse_oscillator", "nonlinear_oscillator"),
+    *("paul_trap", "pendulum", "spring_pendulum"),
+]
+_MORE = ["calogero_moser", "fermi_pasta_ulam_tsingou", "three_bodies", "toda_chain"]
 
 
-@pytest.fixture(
-    params=[
-        pytest.param(name, marks=pytest.mark.slow if name in _LARGE else ()) for name in CATALOGUE
-    ]
-)
+@pytest.fixture(params=[*_FEW, *(pytest.param(name, marks=pytest.mark.slow) for name in _MORE)])
 def problem(request: pytest.FixtureRequest) -> Problem:
     return CATALOGUE[request.param]()
 
 
-@pytest.fixture(params=list(PRINTERS))
+@pytest.fixture(params=runnable())
 def backend(request: pytest.FixtureRequest) -> str:
+    if package := BACKENDS[request.param].package:
+        # Not an extra of dev: it takes 400 MB.
+        pytest.importorskip(package, reason=f"needs pip install 'hamsym[{package}]'")
+    if request.param == "jax":
+        import jax
+
+        jax.config.update("jax_enable_x64", True)
     return request.param
 
 

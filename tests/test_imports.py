@@ -41,6 +41,10 @@ _STEPS = {
         "hamsym.section(H, [1.3, 1.0], (0, 9), 'x = 0', dt=0.1)",
         ("matplotlib", "torch"),
     ),
+    "chaos_indicators": (
+        "hamsym.chaos_indicators(H, [1.3, 1.0], (0, 1), dt=0.1)",
+        ("matplotlib", "torch"),
+    ),
     "lyapunov": ("hamsym.lyapunov(H, [1.3, 1.0], (0, 1), dt=0.1)", ("matplotlib", "torch")),
 }
 

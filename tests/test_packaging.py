@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 import importlib.resources
+import tomllib
 from importlib.metadata import distribution
+from pathlib import Path
 
 import hamsym
-from hamsym.codegen.generate import BACKENDS
+from hamsym.codegen.backends import BACKENDS
 
 
 def test_templates_are_package_data() -> None:
     folder = importlib.resources.files("hamsym.templates")
-    for backend in BACKENDS:
-        assert folder.joinpath(f"{backend}.py.jinja").is_file()
+    for name, backend in BACKENDS.items():
+        assert folder.joinpath(f"{name}.{backend.extension}.jinja").is_file()
+
+
+def test_every_package_and_data_file_is_installed() -> None:
+    root = Path(hamsym.__file__).parent
+    project = Path(__file__).parents[1] / "pyproject.toml"
+    settings = tomllib.loads(project.read_text(encoding="utf-8"))
+    tools = settings["tool"]["setuptools"]
+    found = {".".join(file.parent.relative_to(root.parent).parts) for file in root.rglob("*.py")}
+    assert found <= set(tools["packages"])
+    for file in root.rglob("*.json"):
+        package = ".".join(file.parent.relative_to(root.parent).parts)
+        assert file.name in tools["package-data"][package]
 
 
 def test_package_is_typed_and_versioned() -> None:
@@ -34,7 +48,7 @@ def test_import_changes_no_global_state() -> None:
 import numpy as np, torch
 before = (torch.get_default_dtype(), torch.get_num_threads(), np.geterr(), np.get_printoptions(),
           torch.get_rng_state().sum().item(), np.random.get_state()[1].sum())
-import hamsym, hamsym.solving, hamsym.study.compare, hamsym.plotting, hamsym.cli.commands
+import hamsym, hamsym.solving, hamsym.study.compare, hamsym.plotting.plot, hamsym.cli.commands
 after = (torch.get_default_dtype(), torch.get_num_threads(), np.geterr(), np.get_printoptions(),
          torch.get_rng_state().sum().item(), np.random.get_state()[1].sum())
 assert before == after, (before, after)

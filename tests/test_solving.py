@@ -55,6 +55,35 @@ def test_absolute_tolerance_is_part_of_what_is_proven():
     assert solution.certificate.asked == pytest.approx((1e-9, 1.001e-6), rel=1e-3)
 
 
+SPATIAL = "(p_x**2 + p_y**2 + p_z**2)/2 - 1/sqrt(x**2 + y**2 + z**2)"
+
+
+@pytest.mark.parametrize(
+    ("formula", "start", "zero"),
+    [
+        ("p**2/2 - cos(x)", [0.0, 0.0], [0, 1]),
+        (SPATIAL, [1.0, 0.0, 0.0, 0.0, 1.1, 0.0], [2, 5]),
+        ("(p_x**2 + p_y**2 + x**2 + y**2)/2 + x**2*y", [0.0, 0.3, 0.0, 0.1], [0, 2]),
+    ],
+)
+def test_components_at_rest_are_proven_to_be_exact(formula, start, zero):
+    solution = hamsym.solve(formula, start, (0, 3), prove=True)
+    assert solution.success
+    assert [i for i, b in enumerate(solution.certificate.component_bounds) if b == 0] == zero
+    verify(solution.certificate, solution)
+
+
+def test_component_that_leaves_zero_is_not_at_rest(monkeypatch):
+    # y is driven by x^2 off zero; a trial with y = 0 is wrong
+    def rest(trial):
+        for array in (trial.states, trial.readouts):
+            array[..., [1, 3]] = 0.0
+
+    formula, start = "(p_x**2 + p_y**2 + x**2 + y**2)/2 + x**2*y", [0.3, 0.0, 0.0, 0.0]
+    monkeypatch.setitem(METHODS, "features", altered(rest))
+    assert not hamsym.solve(formula, start, (0, 3), prove=True).success
+
+
 def test_nothing_is_proven_without_being_asked():
     solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3))
     assert solution.certificate is None

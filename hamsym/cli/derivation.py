@@ -2,83 +2,179 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.options import hamiltonian_options
-from hamsym.cli.output import WIDTH, echo_wrapped
+from hamsym.cli.command import Choice, Command, Report, completing
+from hamsym.cli.options import formula_options, hamiltonian_options
+from hamsym.cli.texts import listed
+from hamsym.codegen.backends import BACKENDS, FUNCTIONS
+from hamsym.errors import InputError
 from hamsym.support.atomic import write_atomically
+from hamsym.support.text_tables import columns, wrapped
 
 if TYPE_CHECKING:
     from hamsym.formula.printer import FormulaPrinter
     from hamsym.hamiltonian import Hamiltonian
+    from hamsym.symbolic.lagrangian import Lagrangian
 
 __all__ = ["derive", "source"]
 
 
-@click.command()
-@hamiltonian_options
-def derive(H: Hamiltonian) -> None:
+@click.command(
+    cls=Command,
+    short_help="Show the equations of motion and the Hessian.",
+    examples=[
+        'hamsym derive "p**2/(2*m) + k*x**2/2" --param k=2',
+        'hamsym derive --lagrangian "m*(rdot**2 + r**2*dphi**2)/2 + k/r"',
+    ],
+)
+@formula_options
+@click.option("--lagrangian", is_flag=True, help="The formula is a Lagrangian, e.g. in x and xdot.")
+@click.option("--velocities", metavar="NAMES", help="Velocities of --q, for other names than xdot.")
+@click.option("--latex", "typeset", is_flag=True, help="Print an align environment of LaTeX.")
+def derive(
+    expression: str,
+    q: Sequence[str] | None,
+    p: Sequence[str] | None,
+    parameters: Mapping[str, float] | None,
+    forces: Mapping[str, str] | None,
+    lagrangian: bool,
+    velocities: str | None,
+    typeset: bool,
+) -> Report:
     """Show H, its equations of motion, its Hessian and properties that follow from them."""
+    from hamsym.hamiltonian import Hamiltonian
+    from hamsym.symbolic.lagrangian import read_lagrangian
+
+    read = None
+    if lagrangian:
+        rates = None if velocities is None else listed(velocities)
+        read = read_lagrangian(expression, q, rates, p, parameters)
+        H = Hamiltonian(
+            read.hamiltonian, q=read.q, p=read.p, parameters=read.parameters, forces=forces
+        )
+    elif velocities is not None:
+        raise InputError("--velocities names those of a Lagrangian; add --lagrangian")
+    else:
+        H = Hamiltonian(expression, q=q, p=p, parameters=parameters, forces=forces)
+    values = _values_of(H, read)
+    if typeset:
+        from hamsym.cli.typesetting import aligned
+
+        text = aligned(H, read)
+        return Report(text, values | {"latex": text})
+    return Report("\n".join(_lines(H, read)), values)
+
+
+def _lines(H: Hamiltonian, read: Lagrangian | None) -> list[str]:
+    """Return H, its equations and its properties as lines of text."""
     from hamsym.formula.printer import FormulaPrinter
 
     write = FormulaPrinter()
-    echo_wrapped("H = ", H.formula)
-    echo_wrapped("z = ", f"({', '.join(H.names)})")
+    lines = [] if read is None else [wrapped(write(read.expr), "L = ")]
+    lines.append(wrapped(H.formula, "H = "))
+    lines += [wrapped(text, f"force of {name} = ") for name, text in H.force_texts.items()]
+    lines.append(wrapped(f"({', '.join(H.names)})", "z = "))
     if H.parameter_names:
         values = (
             f"{name} = {H.parameters[name]:g}" if name in H.parameters else name
             for name in H.parameter_names
         )
-        echo_wrapped("parameters: ", ", ".join(values))
-    click.echo("\nHamilton's equations")
+        lines.append(wrapped(", ".join(values), "parameters: "))
+    if read is not None:
+        lines.append("\nMomenta")
+        width = max(len(symbol.name) for symbol in read.p)
+        for symbol, momentum in zip(read.p, read.momenta, strict=True):
+            lines.append(wrapped(write(momentum), f"  {symbol.name:<{width}} = "))
+    lines.append("\nHamilton's equations")
     left = [f"d{name}/dt" for name in H.names]
     width = max(map(len, left))
     for name, rate in zip(left, H.vector_field, strict=True):
-        echo_wrapped(f"  {name:<{width}} = ", write(rate))
-    click.echo("\nHessian")
-    _echo_hessian(H, write)
-    click.echo("")
-    if H.is_separable:
-        click.echo("separable: yes")
-        echo_wrapped("  T = ", write(H.kinetic))
-        echo_wrapped("  V = ", write(H.potential))
+        lines.append(wrapped(write(rate), f"  {name:<{width}} = "))
+    lines += ["\nHessian", *_hessian(H, write), ""]
+    if H.kinetic is not None:
+        depends = "" if H.is_separable else ", but a force depends on momenta"
+        lines.append(f"separable: yes{depends}")
+        lines.append(wrapped(write(H.kinetic), "  T = "))
+        lines.append(wrapped(write(H.potential), "  V = "))
     else:
-        click.echo("separable: no, H has mixed second derivatives in q and p")
+        lines.append("separable: no, H has mixed second derivatives in q and p")
     cyclic = ", ".join(symbol.name for symbol in H.cyclic_coordinates)
-    echo_wrapped("cyclic coordinates: ", cyclic or "none")
+    lines.append(wrapped(cyclic or "none", "cyclic coordinates: "))
+    if H.forces:
+        return [*lines, wrapped(write(H.power), "dH/dt = ")]
     smallest = H.sigma_min
     closed = "no short closed form (computed along solutions)"
-    echo_wrapped("sigma_min: ", closed if smallest is None else write(smallest))
+    return [*lines, wrapped(closed if smallest is None else write(smallest), "sigma_min: ")]
 
 
-def _echo_hessian(H: Hamiltonian, write: FormulaPrinter) -> None:
+def _values_of(H: Hamiltonian, read: Lagrangian | None) -> dict[str, Any]:
+    """Return what is derived as values of JSON, formulas as texts."""
+    from hamsym.formula.printer import FormulaPrinter
+
+    write = FormulaPrinter()
+    values: dict[str, Any] = {
+        "H": H.formula,
+        "q": H.names[: H.dof],
+        "p": H.names[H.dof :],
+        "parameters": {name: H.parameters.get(name) for name in H.parameter_names},
+        "forces": dict(H.force_texts),
+        "equations": {n: write(rate) for n, rate in zip(H.names, H.vector_field, strict=True)},
+        "hessian": [[write(H.hessian[i, j]) for j in range(H.dim)] for i in range(H.dim)],
+        "separable": H.is_separable,
+        "cyclic": [symbol.name for symbol in H.cyclic_coordinates],
+        "sigma_min": None if H.forces or H.sigma_min is None else write(H.sigma_min),
+    }
+    if read is not None:
+        momenta = zip(read.p, read.momenta, strict=True)
+        values["L"] = write(read.expr)
+        values["momenta"] = {symbol.name: write(momentum) for symbol, momentum in momenta}
+    return values
+
+
+def _hessian(H: Hamiltonian, write: FormulaPrinter) -> list[str]:
     matrix = H.hessian
     cells = [[write(matrix[i, j]) for j in range(H.dim)] for i in range(H.dim)]
     widths = [max(len(row[j]) for row in cells) for j in range(H.dim)]
-    if sum(widths) + 2 * H.dim + 4 <= WIDTH:
-        for row in cells:
-            padded = (cell.rjust(size) for cell, size in zip(row, widths, strict=True))
-            click.echo(f"  [{'  '.join(padded)}]")
-        return
-    for i in range(H.dim):
-        for j in range(i, H.dim):
-            if matrix[i, j] != 0:
-                echo_wrapped(f"  d2H/d{H.names[i]} d{H.names[j]} = ", cells[i][j])
+    if sum(widths) + 2 * H.dim + 4 <= columns():
+        return [
+            f"  [{'  '.join(cell.rjust(size) for cell, size in zip(row, widths, strict=True))}]"
+            for row in cells
+        ]
+    return [
+        wrapped(cells[i][j], f"  d2H/d{H.names[i]} d{H.names[j]} = ")
+        for i in range(H.dim)
+        for j in range(i, H.dim)
+        if matrix[i, j] != 0
+    ]
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Print the generated code.",
+    examples=[
+        'hamsym source "p**2/2 + x**2/2 + x**4/4" --backend numpy --part vector_field',
+        'hamsym source "p**2/2 - k*cos(x)" --backend c -o pendulum.c',
+    ],
+)
 @hamiltonian_options
-@click.option("--backend", type=click.Choice(["torch", "numpy", "numba", "balls"]), default="torch")
-@click.option("--part", metavar="NAME", help="One function, e.g. loss or vector_field.")
+@click.option("--backend", type=Choice(BACKENDS), default="torch", show_default=True)
+@click.option(
+    "--part",
+    metavar="NAME",
+    help="One function, e.g. loss or vector_field.",
+    shell_complete=completing(lambda: FUNCTIONS),
+)
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write to a file.")
-def source(H: Hamiltonian, backend: str, part: str | None, output: str | None) -> None:
+def source(H: Hamiltonian, backend: str, part: str | None, output: str | None) -> Report:
     """Print the generated code, or write it to a file that runs without hamsym."""
     text = H.source(backend, part).rstrip("\n") + "\n"
+    values = {"backend": backend, "part": part, "source": text}
     if output is None:
-        click.echo(text, nl=False)
-    else:
-        write_atomically(Path(output), text.encode())
-        click.echo(f"wrote {output}")
+        return Report(text, values)
+    write_atomically(Path(output), text.encode())
+    return Report("", values, files=[output])

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.options import hamiltonian_options, output_options
-from hamsym.cli.output import echo_wrapped
+from hamsym.cli.command import Command, Report
+from hamsym.cli.options import hamiltonian_options, output_options, rows_option
 from hamsym.cli.texts import assignments, listed, number
 from hamsym.errors import InputError
+from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
@@ -20,7 +21,14 @@ if TYPE_CHECKING:
 __all__ = ["fit"]
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Fit parameters and starts to data.",
+    examples=[
+        'hamsym fit "p**2/2 - g*cos(theta)" swing.csv --free g=1.4,theta=0.8,p=0 --sigma 0.02',
+        'hamsym fit "p**2/2 - g*cos(theta)" swing.csv --free g=1 --z0 theta=0.9,p=0 --plot fit.png',
+    ],
+)
 @hamiltonian_options
 @click.argument("file", type=click.Path(), metavar="DATA")
 @click.option("--free", required=True, metavar="GUESSES", help="For example g=1.4,theta=0.8.")
@@ -34,6 +42,7 @@ __all__ = ["fit"]
 @click.option("--confidence", default=0.95, show_default=True, help="Of the intervals.")
 @click.option("--tol", default=1e-9, show_default=True, help="Tolerance of the motion.")
 @output_options("Data, model and residuals as .csv or .npz.")
+@rows_option(ROWS)
 def fit(
     H: Hamiltonian,
     file: str,
@@ -43,8 +52,9 @@ def fit(
     t_end: str | None,
     sigma: str | None,
     bounds: str | None,
+    rows: int | None,
     **options: Any,
-) -> tuple[Any, list[tuple[str, Any]], dict[str, Any]]:
+) -> tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]:
     """Fit parameters and components of the start to noisy data; exit 1 without success.
 
     DATA is a .csv file with a header: the column t, and one for each observable, which is a
@@ -68,14 +78,6 @@ def fit(
         bounds=None if bounds is None else _bounds(bounds),
         **options,
     )
-    echo_wrapped("", found.message)
-    width = max(8, *map(len, found.names))
-    interval = f"{100 * found.confidence:g} % interval"
-    click.echo(f"\n{'':<{width}}{'estimate':>16}{'standard error':>16}{interval:>32}")
-    errors = found.standard_errors
-    for name, value in found.parameters.items():
-        low, high = found.confidence_intervals[name]
-        click.echo(f"{name:<{width}}{value:>16.8g}{errors[name]:>16.2g}{low:>16.8g}{high:>16.8g}")
     table: list[tuple[str, Any]] = [("t", found.t)]
     for label, data in found.data.items():
         residual = found.residuals[label]
@@ -84,7 +86,20 @@ def fit(
             (f"model {label}", data - residual),
             (f"residual {label}", residual),
         ]
-    return found, table, {"covariance": found.covariance, **dict(table)}
+    values = {
+        "message": found.message,
+        "parameters": found.parameters,
+        "standard_errors": found.standard_errors,
+        "confidence": found.confidence,
+        "confidence_intervals": found.confidence_intervals,
+        "covariance": found.covariance,
+        "chi_square": found.chi_square,
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "p_value": found.p_value,
+        "starts_reached": found.starts_reached,
+    }
+    report = Report(found.summary(rows), values, bool(found.success))
+    return found, report, table, {"covariance": found.covariance, **dict(table)}
 
 
 def read_columns(path: str) -> dict[str, list[float]]:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hamsym.cli.command import Report, completing
 from hamsym.cli.output import check_figure, check_table, save_figure, write_table
-from hamsym.cli.texts import assignments, listed, number, state
+from hamsym.cli.texts import assignments, formulas, listed, number, state
 from hamsym.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,9 +18,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "figure_option",
+    "formula_options",
     "hamiltonian_options",
     "integrator_options",
+    "integrators",
     "output_options",
+    "rows_option",
     "show_methods",
     "span_options",
     "starts_options",
@@ -28,8 +32,8 @@ __all__ = [
 Command = Callable[..., Any]
 
 
-def hamiltonian_options(command: Command) -> Command:
-    """Add the formula with its names and parameters; the command takes a Hamiltonian."""
+def formula_options(command: Command) -> Command:
+    """Add the formula with its names and parameters; the command takes them as keywords."""
 
     @click.argument("formula", metavar="H")
     @click.option("--q", "coordinates", metavar="NAMES", help="Coordinates, e.g. x,y.")
@@ -37,22 +41,45 @@ def hamiltonian_options(command: Command) -> Command:
     @click.option(
         "--param", "-P", "parameters", multiple=True, metavar="NAME=VALUE", help="A parameter."
     )
+    @click.option(
+        "--force",
+        "forces",
+        multiple=True,
+        metavar="MOMENTUM=FORMULA",
+        help="A force beyond those of H, e.g. p=-c*p.",
+    )
     @functools.wraps(command)
     def wrapped(
         formula: str,
         coordinates: str | None,
         momenta: str | None,
         parameters: tuple[str, ...],
+        forces: tuple[str, ...],
         **options: Any,
     ) -> Any:
-        from hamsym.hamiltonian import Hamiltonian  # sympy is slow to import
-
-        H = Hamiltonian(
-            formula,
+        return command(
+            expression=formula,
             q=None if coordinates is None else listed(coordinates),
             p=None if momenta is None else listed(momenta),
             parameters=assignments(",".join(parameters), "--param") if parameters else None,
+            forces=formulas(forces, "--force") if forces else None,
+            **options,
         )
+
+    return wrapped
+
+
+def hamiltonian_options(command: Command) -> Command:
+    """Add the formula with its names and parameters; the command takes a Hamiltonian."""
+
+    @formula_options
+    @functools.wraps(command)
+    def wrapped(
+        expression: str, q: Any, p: Any, parameters: Any, forces: Any, **options: Any
+    ) -> Any:
+        from hamsym.hamiltonian import Hamiltonian  # sympy is slow to import
+
+        H = Hamiltonian(expression, q=q, p=p, parameters=parameters, forces=forces)
         return command(H, **options)
 
     return wrapped
@@ -123,7 +150,12 @@ def _by_name(given: Any) -> dict[str, float]:
 def integrator_options(command: Command) -> Command:
     """Add the time-stepping method, and the number of steps or their size as a formula."""
 
-    @click.option("--method", metavar="NAME", help="[blanes_moan6, or gauss6 if not separable]")
+    @click.option(
+        "--method",
+        metavar="NAME",
+        help="[blanes_moan6, or gauss6 if not separable]",
+        shell_complete=completing(integrators),
+    )
     @click.option("--steps", type=int, help="Number of equal steps.")
     @click.option("--dt", metavar="TIME", help="Largest step, in place of --steps.")
     @functools.wraps(command)
@@ -131,6 +163,27 @@ def integrator_options(command: Command) -> Command:
         return command(*arguments, dt=None if dt is None else number(dt), **options)
 
     return wrapped
+
+
+def integrators() -> list[str]:
+    """Return the names of all integrators."""
+    from hamsym.integrators.table import ALIASES, INTEGRATORS
+
+    return [*INTEGRATORS, *ALIASES]
+
+
+def rows_option(rows: int | None) -> Callable[[Command], Command]:
+    """Add --full; the command takes the number of rows of its tables."""
+
+    def decorate(command: Command) -> Command:
+        @click.option("--full", is_flag=True, help="Print all rows of tables.")
+        @functools.wraps(command)
+        def wrapped(*arguments: Any, full: bool, **options: Any) -> Any:
+            return command(*arguments, rows=None if full else rows, **options)
+
+        return wrapped
+
+    return decorate
 
 
 figure_option = click.option(
@@ -141,25 +194,27 @@ figure_option = click.option(
 def output_options(table_help: str) -> Callable[[Command], Command]:
     """Add -o for a table and --plot, which are checked before the command runs.
 
-    The command returns a result that has ``plot`` and ``success``, the columns of a .csv file and
-    the arrays of a .npz file. They are written, and the exit status is returned.
+    The command returns a result that has ``plot``, its report, the columns of a .csv file and the
+    arrays of a .npz file. They are written, and the report is returned.
     """
 
     def decorate(command: Command) -> Command:
         @click.option("-o", "--output", type=click.Path(), metavar="FILE", help=table_help)
         @figure_option
         @functools.wraps(command)
-        def wrapped(*arguments: Any, output: str | None, figure: str | None, **options: Any) -> int:
+        def wrapped(
+            *arguments: Any, output: str | None, figure: str | None, **options: Any
+        ) -> Report:
             check_table(output)
             check_figure(figure)
-            import numpy as np
-
-            result, columns, arrays = command(*arguments, **options)
+            result, report, columns, arrays = command(*arguments, **options)
             if output is not None:
                 write_table(output, columns, arrays)
+                report.files.append(output)
             if figure is not None:
                 save_figure(result.plot(), figure)
-            return 0 if np.all(result.success) else 1  # of an ensemble, an array
+                report.files.append(figure)
+            return report
 
         return wrapped
 

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import sys
 import time
 from pathlib import Path
 
 import click
+
+from hamsym.cli.command import Command, Report
 
 __all__ = ["reproduce"]
 
 _EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long", "accuracy")
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Reproduce the experiments of the paper.",
+    examples=["hamsym reproduce --quick", "hamsym reproduce oscillator --seeds 5 --out results"],
+)
 @click.argument(
     "experiments", nargs=-1, type=click.Choice([*_EXPERIMENTS, "all"]), metavar="[EXPERIMENTS]..."
 )
@@ -33,7 +41,7 @@ def reproduce(
     seeds: int | None,
     workers: int | None,
     out: str,
-) -> None:
+) -> Report:
     """Reproduce the paper's experiments, with further methods and integrators.
 
     Each experiment writes its table, figures and results; page.md summarises them. Existing runs
@@ -59,9 +67,16 @@ def reproduce(
     if workers is not None:
         options.append(f"--workers={workers}")
     began = time.monotonic()
-    with exclusive(directory):
+    # Tables are progress: with --json standard output has the object alone.
+    as_json = click.get_current_context().meta.get("hamsym.json", False)
+    shown = contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext()
+    with exclusive(directory), shown:
         for name in chosen:
             script = importlib.import_module(f"hamsym.paper.{name.replace('-', '_')}")
             script.main(options)
         importlib.import_module("hamsym.paper.page").main([f"--out={directory}"])
-    click.echo(f"{(time.monotonic() - began) / 60:.1f} minutes")
+    minutes = (time.monotonic() - began) / 60
+    return Report(
+        f"{minutes:.1f} minutes",
+        {"experiments": chosen, "folder": str(directory), "minutes": minutes},
+    )

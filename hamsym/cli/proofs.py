@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.output import CERTIFICATE, check_directory, echo_wrapped, write_certificate
+from hamsym.cli.command import Command, Report
+from hamsym.cli.options import rows_option
+from hamsym.cli.output import CERTIFICATE, check_directory, write_certificate
 from hamsym.cli.texts import saved_solution
+from hamsym.support.text_tables import ROWS
+
+if TYPE_CHECKING:
+    from hamsym.proof.certificate import Certificate
 
 __all__ = ["certify", "verify"]
 
@@ -17,14 +24,19 @@ _time_limit = click.option(
 )
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Prove a bound on the error of a saved solution.",
+    examples=["hamsym certify orbit.hamsym", "hamsym certify orbit.hamsym --bound 1e-8"],
+)
 @click.argument("file", type=click.Path())
 @click.option("--rtol", default=0.02, show_default=True, help="Relative width of the bounds.")
 @click.option("--bits", type=int, help="Working precision of ball arithmetic  [as needed]")
 @click.option("--bound", type=float, help="Prove only that each component's error is below.")
 @_time_limit
 @click.option("-o", "--output", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate]")
-def certify(file: str, output: str | None, **options: Any) -> None:
+@rows_option(ROWS)
+def certify(file: str, output: str | None, rows: int | None, **options: Any) -> Report:
     """Compute a rigorous error bound for a saved solution, and write the certificate.
 
     FILE is a solution saved by `hamsym solve -o FILE`. Exit 1 if nothing could be proven.
@@ -32,29 +44,51 @@ def certify(file: str, output: str | None, **options: Any) -> None:
     check_directory(output)
     solution = saved_solution(file)
     found = solution.certify(**options)
-    echo_wrapped("", found.statement)
-    names = ["|z|", *solution.H.names, "H", "ell_max"]
-    lowers = [found.lower, *found.component_lowers, found.energy_lower, found.ell_max_lower]
-    bounds = [found.bound, *found.component_bounds, found.energy_bound, found.ell_max_bound]
-    width = max(map(len, names))
-    click.echo(f"\n{'error of':<{max(width, 8)}}{'at least':>16}{'at most':>16}")
-    for name, lower, bound in zip(names, lowers, bounds, strict=True):
-        click.echo(f"{name:<{max(width, 8)}}{lower:>16.8e}{bound:>16.8e}")
-    click.echo(f"proven in {found.seconds:.2f} s")
-    click.echo(f"wrote {write_certificate(found, file, output)}")
+    path = write_certificate(found, file, output)
+    return Report(
+        found.summary(solution.H.names, rows), _values_of(found, solution.H.names), True, [path]
+    )
 
 
-@click.command()
+def _values_of(found: Certificate, names: Sequence[str]) -> dict[str, Any]:
+    """Return a certificate as values of JSON; the file has the numbers as they are proven."""
+    return {
+        "statement": found.statement,
+        "bound": found.bound,
+        "lower": found.lower,
+        "component_bounds": dict(zip(names, found.component_bounds, strict=True)),
+        "component_lowers": dict(zip(names, found.component_lowers, strict=True)),
+        "asked": None if found.asked is None else dict(zip(names, found.asked, strict=True)),
+        "energy_bound": found.energy_bound,
+        "energy_lower": found.energy_lower,
+        "ell_max_bound": found.ell_max_bound,
+        "ell_max_lower": found.ell_max_lower,
+        "arithmetic": found.arithmetic,
+        "bits": found.bits,
+        "digest": found.digest,
+        "seconds": found.seconds,
+    }
+
+
+@click.command(
+    cls=Command,
+    short_help="Repeat the proof of a certificate.",
+    examples=["hamsym verify orbit.hamsym", "hamsym verify orbit.hamsym --time-limit 60"],
+)
 @click.argument("file", type=click.Path())
 @click.option("--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate]")
 @_time_limit
-def verify(file: str, certificate: str | None, time_limit: float | None) -> None:
+def verify(file: str, certificate: str | None, time_limit: float | None) -> Report:
     """Repeat the proof of a certificate from the saved solution.
 
     Exit 1 if a bound of the certificate is not proven.
     """
+    from hamsym.proof.balls import decimal
+    from hamsym.proof.certificate_files import read_certificate
     from hamsym.proof.prove import verify as run
 
-    path = Path(certificate or f"{file}{CERTIFICATE}")
-    run(path.read_text(encoding="utf-8"), file, time_limit)
-    click.echo("verified: every bound of the certificate is proven")
+    claims = read_certificate(Path(certificate or f"{file}{CERTIFICATE}"))
+    run(claims, file, time_limit)
+    first = f"verified: the error is at most {decimal(claims.bound)} (2-norm)"
+    values = _values_of(claims, saved_solution(file).H.names)
+    return Report(f"{first}\nevery bound of the certificate is proven", values)

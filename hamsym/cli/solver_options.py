@@ -11,13 +11,14 @@ from typing import Any
 
 import click
 
+from hamsym.cli.command import Choice, Command
 from hamsym.cli.texts import number, numbers, saved_solution, whole_numbers
 from hamsym.errors import InputError
 
 __all__ = ["SolverCommand"]
 
 
-class SolverCommand(click.Command):
+class SolverCommand(Command):
     """A command that takes the options of all methods of solution.
 
     The options are built when they are first needed, since that imports sympy. Options that are not
@@ -27,23 +28,11 @@ class SolverCommand(click.Command):
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         return [*super().get_params(ctx), *_solver_parameters()]
 
-    def invoke(self, ctx: click.Context) -> Any:
+    def invoke(self, ctx: click.Context) -> int:
         for parameter in _solver_parameters():
             if parameter.name in ctx.params and ctx.params[parameter.name] is None:
                 del ctx.params[parameter.name]
         return super().invoke(ctx)
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options in sections, one for each group of methods that share options."""
-        sections: dict[str, list[tuple[str, str]]] = {}
-        for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
-            if record is not None and isinstance(parameter, click.Option):
-                section = getattr(parameter, "section", "Options")
-                sections.setdefault(section, []).append(record)
-        for section, records in sections.items():
-            with formatter.section(section):
-                formatter.write_dl(records)
 
 
 class _MethodOption(click.Option):
@@ -69,16 +58,35 @@ class _Parsed(click.ParamType):
             raise InputError(f"{param.opts[0] if param else self.name}: {error}") from None
 
 
-class _NamedChoice(click.Choice):
+class _NamedChoice(Choice):
     """A choice among names of values."""
 
     def __init__(self, values: Mapping[str, Any]) -> None:
-        super().__init__(list(values))
+        super().__init__(values)
         self.values = values
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return self.values[super().convert(value, param, ctx)]
 
+
+#: Sections of options by the name of their field.
+_TOPICS = {
+    name: topic
+    for topic, names in {
+        "Accuracy": "tol atol breakpoints max_window",
+        "Method": "compiled windows train_hidden",
+        "Network": "hidden activation envelope tau frequency shared_weights initial dtype device",
+        "Loss": "points sampling energy_weight invariant_weight",
+        "Search for the weights": "stages iterations restarts",
+        "Training": "epochs learning_rate betas schedule noise",
+        "End of the training": "target_loss target_ell_max target_error accuracy patience "
+        "time_limit",
+        "Checkpoints": "checkpoint checkpoint_every",
+    }.items()
+    for name in names.split()
+}
+_SHARED = ("Accuracy", "Method", "Search for the weights")
+_OTHERS = "Other options"
 
 #: Types of options by the annotation of their field, without "| None".
 _TYPES: dict[str, Any] = {
@@ -105,7 +113,7 @@ def _solver_parameters() -> tuple[click.Parameter, ...]:
     found: list[click.Parameter] = [
         click.Option(
             ["--method"],
-            type=click.Choice(list(METHODS)),
+            type=Choice(METHODS),
             default=defaults["method"].default,
             show_default=True,
             help="Method of solution.",
@@ -122,20 +130,35 @@ def _solver_parameters() -> tuple[click.Parameter, ...]:
     for method, entry in METHODS.items():
         for field in fields(entry.options):
             by_name.setdefault(field.name, {})[method] = field
-    for of_methods in by_name.values():
+    described: dict[str, Field[Any]] = {}
+    for name, of_methods in by_name.items():
         # A subclass may change a default alone: the metadata is that of the field it replaces.
-        described = [field for field in of_methods.values() if field.metadata]
-        if described:
-            found.append(_parameter(described[0], of_methods))
+        first = next((field for field in of_methods.values() if field.metadata), None)
+        if first is not None:
+            described[name] = first
+    for topic in dict.fromkeys([*_TOPICS.values(), _OTHERS]):
+        names = [name for name in described if _TOPICS.get(name, _OTHERS) == topic]
+        if names:
+            usual = Counter(tuple(by_name[name]) for name in names).most_common(1)[0][0]
+            if topic in _SHARED:
+                usual = ()
+            for name in names:
+                found.append(_parameter(described[name], by_name[name], topic, usual))
     return tuple(found)
 
 
-def _parameter(described: Field[Any], of_methods: Mapping[str, Field[Any]]) -> click.Parameter:
+def _parameter(
+    described: Field[Any],
+    of_methods: Mapping[str, Field[Any]],
+    topic: str,
+    usual: tuple[str, ...],
+) -> click.Parameter:
+    """Return the option of a field; ``usual`` are the methods of most options of its topic."""
     metadata, name = described.metadata, described.name.replace("_", "-")
     choices = metadata["choices"]
     kind = _TYPES.get(str(described.type).removesuffix(" | None"))
     if choices is not None:
-        kind = _NamedChoice(choices) if isinstance(choices, Mapping) else click.Choice(choices)
+        kind = _NamedChoice(choices) if isinstance(choices, Mapping) else Choice(choices)
     defaults = _default_text(
         {m: _text(f.default, f.metadata or metadata) for m, f in of_methods.items()}
     )
@@ -144,9 +167,21 @@ def _parameter(described: Field[Any], of_methods: Mapping[str, Field[Any]]) -> c
         type=kind,
         metavar=metadata["unit"],
         default=None,
-        help=f"{metadata['help']}{defaults}",
-        section=f"Options of {', '.join(of_methods)}",
+        help=f"{metadata['help']}{_of_methods(tuple(of_methods), usual)}{defaults}",
+        section=topic if topic in _SHARED else f"{topic} ({_listed(usual)})",
     )
+
+
+def _of_methods(methods: tuple[str, ...], usual: tuple[str, ...]) -> str:
+    """Return the methods of an option, if they are not those of the section."""
+    return "" if methods == usual else f" ({', '.join(methods)})"
+
+
+def _listed(methods: tuple[str, ...]) -> str:
+    from hamsym.solving import METHODS
+
+    training = tuple(name for name, entry in METHODS.items() if not entry.marches)
+    return "methods that train" if methods == training else ", ".join(methods)
 
 
 def _text(default: Any, metadata: Mapping[str, Any]) -> str:

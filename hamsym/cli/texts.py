@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from hamsym.errors import InputError
@@ -11,11 +12,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "assignments",
+    "formulas",
     "listed",
     "number",
     "numbers",
     "saved_solution",
     "state",
+    "texts_by_name",
     "whole_numbers",
 ]
 
@@ -54,17 +57,29 @@ def saved_solution(path: str) -> Solution:
 
 def assignments(text: str, option: str) -> dict[str, float]:
     """Return the values of NAME=VALUE parts between commas."""
-    values: dict[str, float] = {}
-    for part in listed(text):
-        name, equals, value = (piece.strip() for piece in part.partition("="))
-        if not equals or not name or not value:
-            raise InputError(f"'{part}' in {option} is not NAME=VALUE; write e.g. m=1.0")
-        if name in values:
-            raise InputError(f"'{name}' occurs twice in {option}; give it once")
-        values[name] = number(value)
-    return values
+    return {name: number(value) for name, value in texts_by_name(text, option).items()}
+
+
+def texts_by_name(text: str, option: str) -> dict[str, str]:
+    """Return the texts of NAME=VALUE parts between commas."""
+    return formulas(listed(text), option, "NAME=VALUE; write e.g. m=1.0")
 
 
 def state(text: str) -> dict[str, float] | list[float]:
     """Return a state, by name if the text has names."""
     return assignments(text, "--z0") if "=" in text else numbers(text)
+
+
+def formulas(
+    texts: Iterable[str], option: str, form: str = "NAME=FORMULA; write e.g. p=-c*p"
+) -> dict[str, str]:
+    """Return the formulas of NAME=FORMULA texts."""
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, formula = (piece.strip() for piece in text.partition("="))
+        if not equals or not name or not formula:
+            raise InputError(f"'{text}' in {option} is not {form}")
+        if name in found:
+            raise InputError(f"'{name}' occurs twice in {option}; give it once")
+        found[name] = formula
+    return found

@@ -2,57 +2,78 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from hamsym.cli.command import Command, Report, completing
+from hamsym.cli.exporting import check_export
 from hamsym.cli.options import (
     figure_option,
     hamiltonian_options,
     integrator_options,
+    integrators,
     output_options,
+    rows_option,
     show_methods,
     span_options,
     starts_options,
 )
-from hamsym.cli.output import (
-    check_directory,
-    check_figure,
-    echo_wrapped,
-    report,
-    save_figure,
-    write_certificate,
-)
+from hamsym.cli.output import check_directory, check_figure, save_figure, write_certificate
 from hamsym.cli.solver_options import SolverCommand
 from hamsym.cli.texts import listed
+from hamsym.errors import InputError
+from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from hamsym.dynamics.lyapunov import LyapunovExponents
     from hamsym.hamiltonian import Hamiltonian
+    from hamsym.solution.solution import Solution
 
 __all__ = ["compare", "integrate", "lyapunov", "section", "solve"]
 
-#: A result, the columns of its table, and its arrays.
-Output = tuple[Any, list[tuple[str, Any]], dict[str, Any]]
+#: A result, its report, the columns of its table, and its arrays.
+Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
 
 
-@click.command(cls=SolverCommand)
+@click.command(
+    cls=SolverCommand,
+    short_help="Compute a trajectory to a tolerance, with its error.",
+    examples=[
+        'hamsym solve "p**2/2 + x**2/2 + x**4/4" --z0 x=1.3,p=1 --t-end "4*pi" --tol 1e-9',
+        'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 -o orbit.hamsym --plot orbit.png',
+        'hamsym solve "p**2/2 + k*x**2/2" -P k=2 --z0 1,0 --t-end 3 --method adam --epochs 200',
+    ],
+)
 @hamiltonian_options
 @span_options
-@figure_option
-@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="For hamsym.load.")
 @click.option("--prove", is_flag=True, help="Prove that the error is within the tolerance.")
+@click.option(
+    "--invariant",
+    "invariants",
+    multiple=True,
+    metavar="FORMULA",
+    help="A conserved function, e.g. x*p_y-y*p_x; repeat it.",
+)
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="For hamsym.load.")
+@click.option("--export", type=click.Path(), metavar="FILE", help="Code: .py, .json, .h or .pt2.")
+@figure_option
+@rows_option(ROWS)
+@click.option("--analysis", is_flag=True, help="Give the paper's bound in any case.")
 def solve(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
     figure: str | None,
     output: str | None,
+    export: str | None,
     prove: bool,
+    rows: int | None,
+    analysis: bool,
     **options: Any,
-) -> int:
+) -> Report:
     """Compute a neural trajectory to a tolerance, or train one; exit 1 if that failed.
 
     With --prove and -o FILE the proof is written to FILE.certificate.
@@ -61,61 +82,148 @@ def solve(
 
     check_figure(figure)
     check_directory(output)
+    check_export(export)
     solution = run(H, z0, span, prove=prove, **options)
-    written = []
+    text = solution.summary(rows, analysis=analysis)
+    report = Report(text, _values_of(solution), solution.success)
     if output is not None:  # before printing, which fails on a closed pipe
         solution.save(output)
-        written.append(output)
+        report.files.append(output)
         if solution.certificate is not None:
-            written.append(write_certificate(solution.certificate, output))
-    report(solution)
-    for path in written:
-        click.echo(f"wrote {path}")
+            report.files.append(write_certificate(solution.certificate, output))
+    if export is not None and solution.success:
+        solution.export(export)
+        report.files.append(export)
+    elif export is not None:
+        report = replace(report, text=f"{text}\n{export} is not written: the solution failed")
     if figure is not None:
         save_figure(solution.plot(), figure)
-    return 0 if solution.success else 1
+        report.files.append(figure)
+    return report
 
 
-@click.command(cls=SolverCommand)
+def _values_of(solution: Solution) -> dict[str, Any]:
+    """Return a solution as values of JSON."""
+    import numpy as np
+
+    H, names = solution.H, solution.H.names
+    with np.errstate(all="ignore"):
+        bound = solution.analysis.bound
+        drift = np.abs(solution.energy_drift(solution.scan_times)).max()
+    asked = None if solution.allowed_error is None else by_name(names, solution.allowed_error)
+    certificate = solution.certificate
+    return {
+        "message": solution.message,
+        "H": H.formula,
+        "parameters": dict(H.parameters),
+        "method": solution.method,
+        "span": solution.span,
+        "start": by_name(names, solution.z0),
+        "end": by_name(names, solution(solution.span[1])),
+        "largest_value": by_name(names, solution.scale),
+        "error": by_name(names, solution.largest_error),
+        "asked": asked,
+        "relative_error": solution.relative_error_estimate,
+        "energy_error": drift,
+        "invariants": dict(solution.invariant_drift),
+        "ell_max": solution.ell_max,
+        "sigma_min": solution.sigma_min,
+        "error_bound": bound,
+        "proven": None if certificate is None else certificate.bound,
+        "seconds": solution.record.seconds,
+    }
+
+
+def by_name(names: tuple[str, ...], values: Any) -> dict[str, Any]:
+    """Return the components of a state by their names."""
+    return dict(zip(names, values, strict=True))
+
+
+@click.command(
+    cls=SolverCommand,
+    short_help="Solve, and compare with integrators.",
+    examples=[
+        'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with yoshida4,gauss6',
+        'hamsym compare "p**2/2 - cos(x)" --z0 1,0 --t-end 5 --tol 1e-6 --max-steps 100000',
+    ],
+)
 @hamiltonian_options
 @span_options
-@figure_option
 @click.option(
     "--with",
     "methods",
     metavar="NAMES",
-    default="symplectic_euler",
-    show_default=True,
-    help="Integrators, e.g. yoshida4,gauss6,dop853.",
+    help="Integrators, e.g. yoshida4,gauss6,dop853.  [symplectic_euler, or implicit_midpoint]",
+    shell_complete=completing(integrators),
 )
 @click.option("--max-steps", default=100_000_000, show_default=True, help="Limit of the search.")
+@figure_option
 def compare(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
-    methods: str,
+    methods: str | None,
     max_steps: int,
     figure: str | None,
     **options: Any,
-) -> int:
+) -> Report:
     """Solve, and compare with integrators at K, 10 K and 100 K steps."""
     from hamsym.integrators.integrate import usable_method
     from hamsym.solving import solve as run
     from hamsym.study.compare import compare as run_comparison
 
     check_figure(figure)
-    for name in listed(methods):
+    names = None if methods is None else listed(methods)
+    for name in names or []:
         usable_method(H, name)
     solution = run(H, z0, span, **options)
-    report(solution)
-    comparison = run_comparison(solution, listed(methods), max_steps=max_steps)
-    click.echo(f"\n{comparison}")
+    comparison = run_comparison(solution, names, max_steps=max_steps)
+    rows = [
+        {
+            "method": row.label,
+            "points": row.points,
+            "tolerance": row.tolerance,
+            "evaluations": row.evaluations,
+            "error": row.error,
+            "component_errors": by_name(H.names, row.component_errors),
+            "energy_error": row.energy_error,
+            "seconds": row.seconds,
+        }
+        for row in comparison.rows
+    ]
+    matches = {
+        name: {
+            "steps": match.steps,
+            "tolerance": match.tolerance,
+            "extrapolated": match.extrapolated,
+            "evaluations": match.evaluations,
+            "error": match.error,
+            "seconds": match.seconds,
+            "reason": match.reason,
+        }
+        for name, match in comparison.matches.items()
+    }
+    values = {
+        "solution": _values_of(solution) | {"success": solution.success},
+        "rows": rows,
+        "matches": matches,
+        "reference_error": comparison.reference_error,
+    }
+    report = Report(comparison.summary(), values, solution.success)
     if figure is not None:
         save_figure(comparison.plot(), figure)
-    return 0 if solution.success else 1
+        report.files.append(figure)
+    return report
 
 
-@click.command()
+@click.command(
+    cls=Command,
+    short_help="Integrate with a time-stepping method.",
+    examples=[
+        'hamsym integrate "p**2/2 + x**2/2 + x**4/4" --z0 x=1.3,p=1 --t-end 20 --tol 1e-9',
+        'hamsym integrate "p**2/2 - cos(x)" --z0 1,0 --t-end 9 --method gauss4 --dt 0.01 -o s.csv',
+    ],
+)
 @click.option(
     "--list",
     is_eager=True,
@@ -135,7 +243,10 @@ def compare(
 @click.option("--rtol", type=float, help="For dop853 and odeint  [1e-13]")
 @click.option("--atol", type=float, help="For dop853 and odeint  [1e-13]")
 @output_options("States as .csv or .npz.")
-def integrate(H: Hamiltonian, z0: Any, span: tuple[float, float], **options: Any) -> Output:
+@rows_option(ROWS)
+def integrate(
+    H: Hamiltonian, z0: Any, span: tuple[float, float], rows: int | None, **options: Any
+) -> Output:
     """Integrate with a time-stepping method; exit 1 if it had to stop early.
 
     Without method and steps, steps are chosen for an energy drift of 1e-9; with a method alone
@@ -147,96 +258,140 @@ def integrate(H: Hamiltonian, z0: Any, span: tuple[float, float], **options: Any
     from hamsym.integrators.integrate import integrate as run
 
     trajectory = run(H, z0, span, **options)
-    echo_wrapped("", trajectory.message)
-    ensemble = trajectory.z.ndim > 2
     count = len(trajectory.ensemble)
-    z = trajectory.z.reshape(count, -1, H.dim)[0]
-    energy = trajectory.energy.reshape(count, -1)[0]
-    if ensemble:
-        click.echo(f"{count:,} trajectories, the first of them:")
-    click.echo(f"{'':<12}{'start':>24}{'end':>24}")
-    for name, values in [("t", trajectory.t), *zip(H.names, z.T, strict=True), ("H", energy)]:
-        click.echo(f"{name:<12}{values[0]:>24.15g}{values[-1]:>24.15g}")
-    # Rows after the end of a trajectory are nan and are ignored; nan of H at a state is reported.
-    exists = np.isfinite(trajectory.z).all(axis=-1)
-    change = np.abs(trajectory.energy - trajectory.energy[..., :1])[exists].max()
-    click.echo(f"largest change of H: {change:.3e}")
-    click.echo(f"{trajectory.evaluations:,} evaluations, {trajectory.seconds:.3g} s")
     states = trajectory.z.reshape(-1, H.dim)
     columns = [("t", np.tile(trajectory.t, count)), *zip(H.names, states.T, strict=True)]
     columns.append(("H", trajectory.energy.ravel()))
-    if ensemble:
+    if trajectory.z.ndim > 2:
         columns.insert(0, ("trajectory", np.repeat(np.arange(count), len(trajectory.t))))
     arrays = {"t": trajectory.t, "z": trajectory.z, "energy": trajectory.energy}
     if trajectory.error_estimate is not None:
         arrays["error_estimate"] = trajectory.error_estimate
         arrays["success"] = np.asarray(trajectory.success)
-    return trajectory, columns, arrays
+    z = trajectory.z.reshape(count, -1, H.dim)
+    errors = trajectory.error_estimate
+    with np.errstate(all="ignore"):
+        drifts = np.abs(trajectory.energy_drift).reshape(count, -1)
+        drift = np.where(np.isnan(z).any(axis=-1), -np.inf, drifts).max(axis=-1)
+    values = {
+        "message": trajectory.message,
+        "H": H.formula,
+        "parameters": dict(H.parameters),
+        "method": trajectory.method,
+        "steps": trajectory.steps,
+        "span": [trajectory.t[0], trajectory.t[-1]],
+        "trajectories": [
+            {
+                "success": bool(
+                    np.broadcast_to(trajectory.success, trajectory.ensemble.shape).ravel()[number]
+                ),
+                "start": by_name(H.names, z[number, 0]),
+                "end": by_name(H.names, z[number, -1]),
+                "error": None
+                if errors is None
+                else by_name(H.names, errors.reshape(z.shape)[number, -1]),
+                "energy_error": drift[number],
+            }
+            for number in range(count)
+        ],
+        "evaluations": trajectory.evaluations,
+        "seconds": trajectory.seconds,
+    }
+    report = Report(trajectory.summary(rows), values, bool(np.all(trajectory.success)))
+    return trajectory, report, columns, arrays
 
 
 _METHODS = "hamsym integrate --list shows the methods."
 
 
-@click.command(epilog=_METHODS)
+@click.command(
+    cls=Command,
+    epilog=_METHODS,
+    short_help="Compute Lyapunov exponents, MEGNO and SALI.",
+    examples=[
+        'hamsym lyapunov "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3" '
+        "--z0 0.3,-0.3,0.3,0.15 --t-end 1000",
+        'hamsym lyapunov "p**2/2 - cos(x)" --z0 1,0 --t-end 1000 --indicators',
+    ],
+)
 @hamiltonian_options
 @starts_options
 @integrator_options
 @click.option("--count", default=1, show_default=True, help="Number of exponents.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the tangent vectors.")
+@click.option("--indicators", is_flag=True, help="MEGNO and SALI in place of the exponents.")
 @output_options("History, or exponents of several starts, as .csv or .npz.")
-def lyapunov(H: Hamiltonian, z0: Any, span: tuple[float, float], **options: Any) -> Output:
+@rows_option(ROWS)
+def lyapunov(
+    H: Hamiltonian,
+    z0: Any,
+    span: tuple[float, float],
+    indicators: bool,
+    rows: int | None,
+    **options: Any,
+) -> Output:
     """Compute finite-time Lyapunov exponents and judge whether the trajectory is chaotic.
 
     Of several starts, the exponents at the end are computed.
     """
+    if indicators:
+        return _indicators(H, z0, span, **options)
+    import numpy as np
+
     from hamsym.dynamics.lyapunov import LyapunovExponents
     from hamsym.dynamics.lyapunov import lyapunov as run
 
-    found = run(H, z0, span, **options)
-    echo_wrapped("", found.statement)
+    found: Any = run(H, z0, span, **options)
+    names = [f"exponent {k + 1}" for k in range(found.exponents.shape[-1])]
+    values: dict[str, Any] = {"statement": found.statement, "message": found.message}
+    values |= {"method": found.method, "energy_error": found.energy_error}
+    values |= {"seconds": found.seconds}
     if isinstance(found, LyapunovExponents):
-        return _history(H, found)
-    names = [f"exponent {k + 1}" for k in range(found.exponents.shape[1])]
-    click.echo("\n" + "".join(f"{name:>14}" for name in ("trajectory", *names[:4])))
-    for number, (values, problem) in enumerate(zip(found.exponents, found.message, strict=True)):
-        row = "".join(f"{value:>14.4e}" for value in values[:4])
-        click.echo(f"{number:>14}{row}")
-        if not found.success[number]:
-            echo_wrapped(" " * 14, problem)
-    click.echo(f"{found.method}: {found.steps.max():,} steps or fewer, {found.seconds:.2g} s")
+        columns = [("t", found.t), *zip(names, found.exponents.T, strict=True)]
+        arrays = {"t": found.t, "exponents": found.exponents}
+        values |= {"t": found.t[-1], "exponents": found.exponents[-1], "trend": found.trend}
+        report = Report(found.summary(4 if rows else None), values, found.success)
+        return found, report, columns, arrays
     columns = [*zip(H.names, found.z0.T, strict=True), *zip(names, found.exponents.T, strict=True)]
     arrays = {"z0": found.z0, "exponents": found.exponents, "success": found.success}
-    return found, columns, arrays
+    values |= {"t": found.span[1], "exponents": found.exponents, "successes": found.success}
+    report = Report(found.summary(rows), values, bool(np.all(found.success)))
+    return found, report, columns, arrays
 
 
-def _history(H: Hamiltonian, found: LyapunovExponents) -> Output:
-    """Print the exponents of one trajectory over time."""
-    import numpy as np
+def _indicators(
+    H: Hamiltonian, z0: Any, span: tuple[float, float], count: int, **options: Any
+) -> Output:
+    """Compute the chaos indicators of one trajectory over time."""
+    from hamsym.dynamics.chaos_indicators import chaos_indicators as run
 
-    names = [f"exponent {k + 1}" for k in range(found.exponents.shape[1])]
-    if len(names) > 1:
-        click.echo("at the end: " + ", ".join(f"{value:.4g}" for value in found.exponents[-1]))
-    click.echo(f"\n{'t':>14}" + "".join(f"{name:>14}" for name in names[:4]))
-    shown = np.unique(np.searchsorted(np.abs(found.t - found.start), _decades(found)))
-    for row in shown[shown < len(found.t)]:
-        values = "".join(f"{value:>14.4e}" for value in found.exponents[row, :4])
-        click.echo(f"{found.t[row]:>14.6g}{values}")
-    if H.time is None:
-        click.echo(f"largest change of H: {found.energy_error:.1e}")
-    click.echo(f"{found.message}, {found.seconds:.2g} s")
-    columns = [("t", found.t), *zip(names, found.exponents.T, strict=True)]
-    return found, columns, {"t": found.t, "exponents": found.exponents}
-
-
-def _decades(found: Any) -> np.ndarray:
-    """Return the times of the rows of the table: two in each decade, and the end."""
-    import numpy as np
-
-    end = abs(found.t[-1] - found.start)
-    return np.append(end * 10.0 ** np.arange(-3, 0, 0.5), end * (1 - 1e-12))
+    if count != 1:
+        raise InputError(f"--count {count} has no meaning with --indicators; leave one of them out")
+    found = run(H, z0, span, **options)
+    arrays: dict[str, np.ndarray] = {
+        "t": found.t,
+        "megno": found.megno,
+        "mean_megno": found.mean_megno,
+        "sali": found.sali,
+    }
+    columns = [(name.replace("_", " "), values) for name, values in arrays.items()]
+    values: dict[str, Any] = {"statement": found.statement, "message": found.message}
+    values |= {"method": found.method, "energy_error": found.energy_error}
+    values |= {"seconds": found.seconds}
+    values |= {name: array[-1] for name, array in arrays.items()}
+    return found, Report(found.summary(), values, found.success), columns, arrays
 
 
-@click.command(epilog=_METHODS)
+@click.command(
+    cls=Command,
+    epilog=_METHODS,
+    short_help="Compute a Poincare section.",
+    examples=[
+        'hamsym section "p**2/2 - cos(x)" --z0 1,0 --t-end 50 --at "x = 0, p > 0"',
+        'hamsym section "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3" '
+        '--z0 x=0,y=0.1,p_y=0 --energy 1/8 --t-end 500 --at "x = 0, p_x > 0" --plot section.png',
+    ],
+)
 @hamiltonian_options
 @starts_options
 @click.option("--at", "surface", required=True, metavar="SURFACE", help='"x = 0, p_x > 0"')
@@ -244,19 +399,26 @@ def _decades(found: Any) -> np.ndarray:
 @integrator_options
 @click.option("--crossings", type=int, help="Stop at this number for each trajectory.")
 @output_options("Crossings as .csv or .npz.")
-def section(H: Hamiltonian, z0: Any, span: tuple[float, float], **options: Any) -> Output:
+@rows_option(5)
+def section(
+    H: Hamiltonian, z0: Any, span: tuple[float, float], rows: int | None, **options: Any
+) -> Output:
     """Compute a Poincare section: crossings of a surface, to round-off."""
     from hamsym.dynamics.sections import section as run
 
     found = run(H, z0, span, **options)
-    echo_wrapped("", found.message)
-    if H.time is None and len(found.t):
-        click.echo(f"largest change of H: {found.energy_error:.1e}")
-    click.echo("".join(f"{name:>13}" for name in ("trajectory", "t", *H.names[:4])))
-    for number, t, z in list(zip(found.trajectory, found.t, found.z, strict=True))[:5]:
-        click.echo(f"{number:>13}{t:>13.6g}" + "".join(f"{value:>13.5g}" for value in z[:4]))
-    if len(found.t) > 5:
-        click.echo(f"{'...':>13}")
     columns = [("trajectory", found.trajectory), ("t", found.t)]
     columns += zip(H.names, found.z.T, strict=True)
-    return found, columns, {"trajectory": found.trajectory, "t": found.t, "z": found.z}
+    arrays = {"trajectory": found.trajectory, "t": found.t, "z": found.z}
+    values = {
+        "message": found.message,
+        "surface": found.surface,
+        "method": found.method,
+        "dt": found.dt,
+        "energy_error": found.energy_error,
+        "trajectory": found.trajectory,
+        "t": found.t,
+        "z": by_name(H.names, found.z.T),
+        "seconds": found.seconds,
+    }
+    return found, Report(found.summary(rows), values, found.success), columns, arrays

@@ -11,7 +11,7 @@ from functools import cached_property
 import sympy
 
 from hamsym.codegen.names import Names
-from hamsym.codegen.printers import PRINTERS, TorchPrinter
+from hamsym.codegen.printers import PRINTERS
 from hamsym.formula.printer import Printer
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
@@ -59,8 +59,9 @@ class Body:
 
     @property
     def unpacked(self) -> list[str]:
-        """Targets to unpack a state: component names, or "_" for those that do not occur."""
-        return self.used_of(self.names.state)
+        """Targets to unpack a state: component names, or "_" for those that are not needed."""
+        needed = {*self.used, self.like}
+        return [name if name in needed else "_" for name in self.names.state]
 
     def used_of(self, names: Sequence[str]) -> list[str]:
         """The given names, with "_" for those that do not occur."""
@@ -147,9 +148,26 @@ class Bodies:
     def hessian_rows(self) -> list[list[str]]:
         """Rows of the full Hessian, with ``zero`` for entries that vanish."""
         entries = dict(zip(self.hessian.indices, self.hessian.results, strict=True))
-        entries |= {(j, i): text for (i, j), text in entries.items()}
+        return self._rows(entries | {(j, i): text for (i, j), text in entries.items()})
+
+    @cached_property
+    def jacobian(self) -> Body:
+        """Derivatives of the rates by the state."""
+        return self._matrix([], self._form.jacobian)
+
+    @property
+    def jacobian_rows(self) -> list[list[str]]:
+        """Rows of the derivatives of the rates, with ``zero`` for entries that vanish."""
+        return self._rows(dict(zip(self.jacobian.indices, self.jacobian.results, strict=True)))
+
+    def _rows(self, entries: Mapping[Index, str]) -> list[list[str]]:
         dim = range(len(self._form.z))
         return [[entries.get((i, j), "zero") for j in dim] for i in dim]
+
+    @cached_property
+    def power(self) -> Body:
+        """dH/dt along trajectories."""
+        return self._body([self._form.power])
 
     @cached_property
     def residual(self) -> Body:
@@ -174,17 +192,22 @@ class Bodies:
 
     @cached_property
     def slope(self) -> Body:
-        """dH/dq."""
-        return self._body(self._form.gradient[: self._form.dof])
+        """dH/dq - F, the negative rates of the momenta."""
+        return self._body(self._form.slopes[: self._form.dof])
 
     @cached_property
     def force(self) -> Body:
-        """-dH/dq."""
+        """-dH/dq + F."""
         return self._body(self._form.vector_field[self._form.dof :])
 
     @cached_property
+    def curvature(self) -> Body:
+        """Derivatives of dH/dq - F and dH/dp; the upper triangle of the Hessian without forces."""
+        return self._matrix([], self._form.stored_curvature) if self._form.forces else self.hessian
+
+    @cached_property
     def arguments(self) -> Body:
-        """Arguments of the functions in H that may act briefly."""
+        """Arguments of the functions in H and the forces that may act briefly."""
         return self._body([argument for argument, _ in self._form.narrow_arguments])
 
     @cached_property
@@ -209,7 +232,11 @@ class Bodies:
     def _halves(self) -> list[_Half]:
         """Coordinates and momenta of a separable H, each with the terms that contain them."""
         form, d = self._form, self._form.dof
-        if not form.is_separable or len(sympy.Add.make_args(form.expr)) < _MIN_LOOPED_TERMS:
+        if (
+            form.forces
+            or not form.is_separable
+            or len(sympy.Add.make_args(form.expr)) < _MIN_LOOPED_TERMS
+        ):
             return []
         found: list[_Half] = []
         for half in (form.z[:d], form.z[d:]):
@@ -254,10 +281,10 @@ class Bodies:
 
     @cached_property
     def slope_curvature(self) -> Body:
-        """dH/dq and its derivatives with respect to q."""
+        """dH/dq - F and its derivatives with respect to q."""
         d = self._form.dof
-        potential = {index: e for index, e in self._form.hessian.items() if max(index) < d}
-        return self._matrix(self._form.gradient[:d], potential)
+        potential = {index: e for index, e in self._form.curvature.items() if max(index) < d}
+        return self._matrix(self._form.slopes[:d], potential)
 
     @cached_property
     def velocity_jacobian(self) -> Body:
@@ -277,9 +304,7 @@ class Bodies:
     # -- text --------------------------------------------------------------------------------
 
     def _printer(self, state: Iterable[sympy.Symbol], names: dict[sympy.Symbol, str]) -> Printer:
-        if self._backend == "torch":
-            return TorchPrinter(names, frozenset(state), self._names.state[0])
-        return PRINTERS[self._backend](names)
+        return PRINTERS[self._backend](names, frozenset(state), self._names.state[0])
 
     def _matrix(self, first: Sequence[sympy.Expr], entries: Mapping[Index, sympy.Expr]) -> Body:
         return self._body([*first, *entries.values()], list(entries))
@@ -301,8 +326,8 @@ class Bodies:
             if expr.free_symbols & state:
                 state.add(symbol)
             printer = self._printer(state, names)
-        text = printer.spread if isinstance(printer, TorchPrinter) else printer
-        return Body(temporaries, [text(expr) for expr in exprs], self._names, list(indices))
+        results = [printer.result(expr) for expr in exprs]
+        return Body(temporaries, results, self._names, list(indices))
 
 
 def _common_subexpressions(

@@ -1,7 +1,7 @@
 """Generation of a module's text from the equations of a Hamiltonian, part by part.
 
-Stage 1, names.      Output: an identifier for every symbol that differs from Python's names and
-         from those in the templates (:class:`~hamsym.codegen.names.Names`).
+Stage 1, names.      Output: an identifier for every symbol that differs from the language's names
+         and from those in the templates (:class:`~hamsym.codegen.names.Names`).
 Stage 2, printing.   Output: expressions as text in the backend's dialect, with common
          subexpressions extracted where that shortens the code
          (:class:`~hamsym.codegen.bodies.Bodies`); for balls, single operations
@@ -28,20 +28,20 @@ from typing import Any
 import jinja2
 import sympy
 
+from hamsym.codegen.backends import BACKENDS
 from hamsym.codegen.bodies import Bodies
-from hamsym.codegen.names import FUNCTIONS, Names
+from hamsym.codegen.names import Names
 from hamsym.codegen.numba_cache import cached_text
-from hamsym.codegen.printers import NUMPY_DEFINITIONS, PRINTERS
+from hamsym.codegen.printers import NUMPY_DEFINITIONS
 from hamsym.codegen.straight_line import StraightLines
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.grammar import GREEK
 from hamsym.formula.printer import FormulaPrinter, rewritten_to
+from hamsym.suggestions import unknown
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["BACKENDS", "Source", "generate"]
+__all__ = ["Source", "environment", "generate"]
 
-#: Backends of :func:`generate`; functions of balls have an arithmetic as their first argument.
-BACKENDS = (*PRINTERS, "balls")
 _WIDTH = 96
 # Up to this number of degrees of freedom, deriving the text is faster than reading it from a file.
 _MAX_UNCACHED_DOF = 6
@@ -64,6 +64,7 @@ ROWS = ("velocity", "force", "hessian", "energy", "argument")
 _FUNCTION_PARTS = {
     "head": _Part(()),
     **{name: _Part(defines=(name,)) for name in ("energy", "gradient", "vector_field", "hessian")},
+    **{name: _Part(defines=(name,)) for name in ("jacobian", "power")},
     "residual": _Part(("head", "vector_field"), ("residual",)),
     "loss": _Part(("head", "energy", "residual"), ("loss",)),
 }
@@ -73,7 +74,8 @@ _STEP_PARTS = {
     "velocity": _Part(("head", "access")),
     "compensation": _Part(("head", "access")),
     "curvature": _Part(("head", "access")),
-    "jacobian": _Part(),
+    "mixed_derivatives": _Part(),
+    "rate_curvature": _Part(("head", "hessian")),
     "parameters": _Part(),
     "integrators": _Part(("head", "parameters")),
     "splitting": _Part(
@@ -84,20 +86,19 @@ _STEP_PARTS = {
     ),
     "linear equations": _Part(),
     "symplectic Euler": _Part(
-        ("velocity", "hessian", "jacobian", "integrators", "linear equations"), ("euler",)
+        ("velocity", "hessian", "mixed_derivatives", "integrators", "linear equations"), ("euler",)
     ),
     "implicit Runge-Kutta": _Part(
-        ("vector_field", "hessian", "integrators", "linear equations"), ("implicit",)
+        ("vector_field", "rate_curvature", "integrators", "linear equations"), ("implicit",)
     ),
     "doubled phase space": _Part(("gradient", "hessian", "integrators"), ("doubled",)),
 }
-_BALL_PARTS = {
-    **{name: _FUNCTION_PARTS[name] for name in ("head", "energy", "vector_field", "hessian")},
-    "third_derivatives": _Part(defines=("third_derivatives",)),
-}
+_BALL_PARTS = {"third_derivatives": _Part(defines=("third_derivatives",))}
 _PARTS = _FUNCTION_PARTS | _STEP_PARTS | _BALL_PARTS
 _ONLY_SEPARABLE = frozenset(("compensation", "curvature", "splitting", "tangents"))
-_NOT_SEPARABLE = frozenset(("jacobian", "symplectic Euler"))
+_NOT_SEPARABLE = frozenset(("mixed_derivatives", "symplectic Euler"))
+# Parts that systems with forces lack.
+_NOT_FORCED = frozenset((*_NOT_SEPARABLE, "doubled phase space"))
 
 
 class Source:
@@ -113,25 +114,27 @@ class Source:
     """
 
     def __init__(self, form: Equations, backend: str) -> None:
-        self.form, self.backend, self.names = form, backend, Names(form)
+        self.form, self.backend, self.names = form, backend, Names(form, backend)
+        self._row = BACKENDS[backend]
         self._parts: dict[str, str] = {}
 
     @property
     def text(self) -> str:
         """Text of the whole module."""
-        if self.backend == "balls":
-            # Only proofs over boxes use third derivatives, of which there may be very many.
-            return self._joined(name for name in _BALL_PARTS if name != "third_derivatives")
-        unused = _NOT_SEPARABLE if self.form.is_separable else _ONLY_SEPARABLE
-        parts = _FUNCTION_PARTS if self.backend != "numba" else _FUNCTION_PARTS | _STEP_PARTS
-        if not self.form.narrow_arguments:
-            unused = unused | {"argument_rows"}
-        return self._joined(name for name in parts if name not in unused)
+        row = self._row
+        parts = {"head", *row.functions, *(row.forced if self.form.forces else ())}
+        if row.has_loops:
+            unused = _NOT_SEPARABLE if self.form.is_separable else _ONLY_SEPARABLE
+            if self.form.forces:
+                unused = unused | _NOT_FORCED
+            if not self.form.narrow_arguments:
+                unused = unused | {"argument_rows"}
+            parts |= _STEP_PARTS.keys() - unused
+        return self._joined(parts)
 
     def module(self, function: str) -> str:
         """Text of a module with one function and its dependencies."""
-        needed = self.needed(function)
-        return self._joined(name for name in _PARTS if name in needed)
+        return self._joined(self.needed(function))
 
     @property
     def is_looped(self) -> bool:
@@ -156,8 +159,13 @@ class Source:
         InputError
             If the module has no function of this name.
         """
-        own = _BALL_PARTS.keys() - {"head"} if self.backend == "balls" else FUNCTIONS
-        return extract(self.part(name) if name in own else self.text, name)
+        row = self._row
+        own = (*row.functions, *(row.forced if self.form.forces else ()), *row.hidden)
+        if row.extension == "py":
+            return extract(self.part(name) if name in own else self.text, name)
+        if name not in own:
+            raise _unknown_function(name, own)
+        return self.part(name)
 
     def part(self, name: str) -> str:
         """Text of one part.
@@ -178,7 +186,9 @@ class Source:
         return self._parts[name]
 
     def _joined(self, names: Iterable[str]) -> str:
-        return "\n\n\n".join(filter(None, map(self.part, names))) + "\n"
+        chosen = {*names}
+        parts = (self.part(name) for name in _PARTS if name in chosen)
+        return "\n\n\n".join(filter(None, parts)) + "\n"
 
     def _rendered(self, name: str) -> str:
         try:
@@ -192,14 +202,13 @@ class Source:
     def _key(self) -> str:
         """Key of the text cache: everything that determines the text."""
         form = self.form
-        parts = (form.expr, form.z, form.time, tuple(form.parameters.values()))
+        parts = (form.formulas, form.z, form.time, tuple(form.parameters.values()))
         return f"{_generator()}\n{self.backend}\n{sympy.srepr(parts)}"
 
     @cached_property
     def _template(self) -> Any:
-        return (
-            _environment().get_template(f"{self.backend}.py.jinja").make_module({"m": _Page(self)})
-        )
+        template = environment().get_template(f"{self.backend}.{self._row.extension}.jinja")
+        return template.make_module({"m": _Page(self)})
 
 
 class _Page:
@@ -219,10 +228,15 @@ class _Page:
         self.definitions = [
             definition
             for function, definition in NUMPY_DEFINITIONS.items()
-            if form.expr.has(function, *rewritten_to(function))
+            if form.has(function, *rewritten_to(function))
         ]
+        self.conserved = form.conserves_energy
+        self.forced = bool(form.forces)
+        self.rates = "J grad H + (0, F)" if form.forces else "J grad H"
+        self.rest = " - (0, F)" if form.forces else ""
         # Pieces of signatures and calls.
         self.parameters = [name for name, _ in names.parameters]
+        self.values = names.parameters
         self.time = ", t" if names.time else ""
         self.at_time = "t" if names.time else "0.0"
         given = [name if value is None else f"{name}={value!r}" for name, value in names.parameters]
@@ -232,7 +246,33 @@ class _Page:
 
     @cached_property
     def formula(self) -> str:
-        formula = FormulaPrinter()(self._form.expr)
+        return self._text(self._form.expr)
+
+    @cached_property
+    def forces(self) -> list[tuple[str, str]]:
+        """Momenta and their forces as text, in the user's names."""
+        momenta = self._form.z[self.dof :]
+        return [
+            (momentum.name, self._text(force))
+            for momentum, force in zip(momenta, self._form.forces, strict=False)
+            if force != 0
+        ]
+
+    @property
+    def jacobian_positions(self) -> list[int]:
+        return [i * self.dim + j for i, j in self.bodies.jacobian.indices]
+
+    @property
+    def jacobian_targets(self) -> list[str]:
+        return [f"out[point, {i}, {j}]" for i, j in self.bodies.jacobian.indices]
+
+    @property
+    def curvature_targets(self) -> list[str]:
+        return [f"out[point, {i}, {j}]" for i, j in self.bodies.curvature.indices]
+
+    @staticmethod
+    def _text(formula: sympy.Expr) -> str:
+        formula = FormulaPrinter()(formula)
         if not re.fullmatch(rf"[A-Za-z0-9_{GREEK} +\-*/().,]*", formula):
             # The formula is part of the module's docstrings and must not end them.
             raise CodeGenerationError(
@@ -240,6 +280,13 @@ class _Page:
                 "letters, digits and underscores in names"
             )
         return formula
+
+    @cached_property
+    def identifiers(self) -> frozenset[str]:
+        """All names in the expressions of all functions."""
+        row = BACKENDS[self.backend]
+        functions = (*row.functions, *(row.forced if self.forced else ()))
+        return frozenset().union(*(getattr(self.bodies, name).identifiers for name in functions))
 
     @cached_property
     def textbook(self) -> bool:
@@ -301,7 +348,7 @@ def generate(form: Equations, backend: str) -> Source:
         If the backend is unknown.
     """
     if backend not in BACKENDS:
-        raise InputError(f"'{backend}' is not a backend; choose one of {', '.join(BACKENDS)}")
+        raise InputError(unknown(backend, BACKENDS, "a backend"))
     return Source(form, backend)
 
 
@@ -317,11 +364,14 @@ def extract(source: str, part: str) -> str:
         node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)
     }
     if part not in functions:
-        known = ", ".join(name for name in functions if not name.startswith("_"))
-        raise InputError(f"'{part}' is not a function of the module; choose one of {known}")
+        raise _unknown_function(part, [name for name in functions if not name.startswith("_")])
     node = functions[part]
     first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
     return "\n".join(source.splitlines()[first - 1 : node.end_lineno])
+
+
+def _unknown_function(name: str, known: Iterable[str]) -> InputError:
+    return InputError(unknown(name, known, "a function of the module"))
 
 
 def _tuple(items: Sequence[str]) -> str:
@@ -358,14 +408,15 @@ def _read(name: str) -> str:
 
 
 @functools.cache
-def _environment() -> jinja2.Environment:
+def environment() -> jinja2.Environment:
+    """Return the environment that renders the templates of code."""
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_read),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        autoescape=False,  # the output is Python, with checked names
+        autoescape=False,  # the output is code, with checked names
     )
     environment.filters["filled"] = _filled
     environment.filters["wrapped"] = _wrapped

@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-import builtins
-import keyword
 from collections.abc import Iterator
 
 import sympy
 
-from hamsym.codegen.printers import NUMPY_DEFINITIONS
+from hamsym.codegen.backends import BACKENDS
+from hamsym.formula.parser import canonical_name
 from hamsym.symbolic.equations import Equations
-
-FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss")
-
-# Names in generated functions other than those of the state and the parameters.
-RESERVED = frozenset(
-    """
-    torch np math z dz t out zero rows matrix entries positions value energy_0 energy_weight
-    energy_error point times parameters coordinates momenta slopes mixed DIM _ _floating
-    row weight terms weights _evaluate _energy _gradient _vector_field _hessian
-    """.split()
-) | frozenset((*FUNCTIONS, *(name for name, _ in NUMPY_DEFINITIONS.values())))
 
 
 class Names:
     """Identifiers: the user's names, with an underscore appended to reserved ones."""
 
-    def __init__(self, form: Equations) -> None:
-        self._taken = RESERVED | set(dir(builtins)) | set(keyword.kwlist)
+    def __init__(self, form: Equations, backend: str = "numpy") -> None:
+        self._backend = BACKENDS[backend]
+        self._taken: set[str] = set(self._backend.reserved)
         self.of: dict[sympy.Symbol, str] = {}
         if form.time is not None:
             self.of[form.time] = "t"  # reserved for the time, which this symbol is
@@ -40,7 +29,8 @@ class Names:
         self.arithmetic = self._unused("a")  # the first argument of functions of balls
 
     def _claim(self, symbol: sympy.Symbol) -> str:
-        self.of[symbol] = self._unused(symbol.name)
+        name = canonical_name(symbol.name) if self._backend.spells_greek else symbol.name
+        self.of[symbol] = self._unused(name)
         return self.of[symbol]
 
     def _unused(self, name: str) -> str:

@@ -1,9 +1,8 @@
-"""Printers of expressions for torch, numpy and numba."""
+"""Printers of expressions for torch, numpy, numba, jax, C and Julia."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import sympy
 
@@ -11,39 +10,55 @@ from hamsym.formula.printer import _ATOM, _COMMON, _MUL, _POW, Printer, _table
 
 _HALF_INTEGERS = tuple(kind(k) / 2 for k in (3, 5, 7) for kind in (sympy.Integer, sympy.Float))
 
-__all__ = ["NUMPY_DEFINITIONS", "PRINTERS", "NumbaPrinter", "NumpyPrinter", "TorchPrinter"]
+__all__ = ["NUMPY_DEFINITIONS", "PRINTERS", "NumpyPrinter"]
 
 
-class TorchPrinter(Printer):
+class _TensorPrinter(Printer):
+    """Printer of code for tensors whose results are stacked and so must have one shape."""
+
+    module = ""
+
+    def result(self, expr: sympy.Expr) -> str:
+        """Print an expression, expanded to the batch's shape, dtype and device."""
+        expr = self.lower(expr)
+        if expr == 0:
+            return f"{self.module}.zeros_like({self.like})"
+        if expr == 1:
+            return f"{self.module}.ones_like({self.like})"
+        if not expr.free_symbols & self.state:
+            return f"{self._wrapped(expr, _MUL)}*{self.module}.ones_like({self.like})"
+        return self._render(expr)[0]
+
+
+class TorchPrinter(_TensorPrinter):
     """Printer of torch code for tensors ``z`` of shape (..., dim).
 
     Torch functions reject Python numbers, and some reject a mixture of numbers and tensors. An
     argument that does not depend on the state is therefore expanded to the shape of the batch.
     """
 
-    backend = "torch"
+    backend = module = "torch"
     functions = _table("torch.{}", abs="torch.abs", min="torch.minimum", max="torch.maximum")
     sqrt = "torch.sqrt"
 
-    def __init__(
-        self, names: Mapping[sympy.Symbol, str], state: frozenset[sympy.Symbol], like: str
-    ) -> None:
-        super().__init__(names)
-        self.state, self.like = state, like
-
     def argument(self, expr: sympy.Expr) -> str:
-        return self.spread(expr)
+        return self.result(expr)
 
-    def spread(self, expr: sympy.Expr) -> str:
-        """Print an expression, expanded to the batch's shape, dtype and device."""
-        expr = self.lower(expr)
-        if expr == 0:
-            return f"torch.zeros_like({self.like})"
-        if expr == 1:
-            return f"torch.ones_like({self.like})"
-        if not expr.free_symbols & self.state:
-            return f"{self._wrapped(expr, _MUL)}*torch.ones_like({self.like})"
-        return self._render(expr)[0]
+
+class JaxPrinter(_TensorPrinter):
+    """Printer of jax code for arrays ``z`` of shape (..., dim), which may be traced."""
+
+    backend = "jax"
+    module = "jnp"
+    functions = _table(
+        "jnp.{}",
+        **{name: f"jnp.arc{name[1:]}" for name in _COMMON if name[0] == "a"},
+        abs="jnp.abs",
+        min="jnp.minimum",
+        max="jnp.maximum",
+        erf="jax.scipy.special.erf",
+    )
+    sqrt = "jnp.sqrt"
 
 
 class NumpyPrinter(Printer):
@@ -84,6 +99,31 @@ class NumbaPrinter(Printer):
         return super().power(base, exponent)
 
 
+class CPrinter(Printer):
+    """Printer of C99 for numbers of type double; integers are written as such numbers."""
+
+    backend = "c"
+    functions = _table("{}", abs="fabs", min="smaller", max="larger")
+
+    def integer(self, value: int) -> str:
+        return f"{value}.0"
+
+    def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
+        if base.is_Symbol and exponent in (2, 3, 4):
+            return "*".join([self.names[base]] * int(exponent)), _MUL
+        is_fraction = exponent.is_Rational and not exponent.is_Integer
+        written = repr(float(exponent)) if is_fraction else self.argument(exponent)
+        return f"pow({self.argument(base)}, {written})", _ATOM
+
+
+class JuliaPrinter(Printer):
+    """Printer of Julia for numbers."""
+
+    backend = "julia"
+    functions = _table("{}", abs="abs", min="min", max="max", atan2="atan")
+    raised = "^"
+
+
 #: Functions that numpy lacks, with the name and the definition that its modules give them.
 NUMPY_DEFINITIONS: dict[type, tuple[str, str]] = {
     sympy.erf: ("_erf", "np.vectorize(math.erf, otypes=[float])"),
@@ -91,7 +131,9 @@ NUMPY_DEFINITIONS: dict[type, tuple[str, str]] = {
 
 #: Printer class of each backend.
 PRINTERS: dict[str, type[Printer]] = {
-    "torch": TorchPrinter,
-    "numpy": NumpyPrinter,
-    "numba": NumbaPrinter,
+    printer.backend: printer
+    for printer in (
+        *(TorchPrinter, NumpyPrinter, NumbaPrinter, JaxPrinter),
+        *(CPrinter, JuliaPrinter),
+    )
 }

@@ -29,10 +29,10 @@ import sympy
 
 from hamsym.codegen.names import Names
 from hamsym.errors import CodeGenerationError
-from hamsym.formula.printer import _ADD, _ATOM, _MUL, Printer, _ordered_terms
+from hamsym.formula.printer import _ADD, _ATOM, _MUL, Printer, ordered_terms
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
-from hamsym.symbolic.exact import fraction
+from hamsym.symbolic.exact import rational, without_floats
 
 __all__ = [
     "FUNCTIONS",
@@ -110,11 +110,11 @@ class StraightLines:
     Raises
     ------
     CodeGenerationError
-        If no arithmetic has a function of H; the message names it.
+        If no arithmetic has a function of H or of a force; the message names it.
     """
 
     def __init__(self, form: Equations, names: Names) -> None:
-        lacking = without_arithmetic(form.expr)
+        lacking = next(filter(None, map(without_arithmetic, form.formulas)), None)
         if lacking is not None:
             raise CodeGenerationError(
                 f"'{lacking}' cannot be generated for balls, because it is not smooth or has no "
@@ -136,9 +136,18 @@ class StraightLines:
         return self._line([self._exact(self._form.exact.expr)])
 
     @property
+    def gradient(self) -> StraightLine:
+        return self._line([self._exact(entry) for entry in self._form.exact.gradient])
+
+    @property
     def vector_field(self) -> StraightLine:
-        slopes, d = [self._exact(entry) for entry in self._form.exact.gradient], self._form.dof
+        slopes, d = [self._exact(entry) for entry in self._form.exact.slopes], self._form.dof
         return self._line([*slopes[d:], *(-slope for slope in slopes[:d])])
+
+    @property
+    def jacobian(self) -> StraightLine:
+        """Derivatives of the rates by the state that do not vanish, by (i, j)."""
+        return self._tensor(self._form.exact.jacobian)
 
     @property
     def hessian(self) -> StraightLine:
@@ -170,7 +179,7 @@ class StraightLines:
             {s: name for s, name in names.of.items() if s not in inserted},
             names.temporaries(),
             names.arithmetic,
-            {s: sympy.Rational(*float(v).as_integer_ratio()) for s, v in inserted.items()},
+            {s: rational(v) for s, v in inserted.items()},
             indices,
         )
 
@@ -181,7 +190,10 @@ def inserted_parameters(form: Equations) -> dict[str, float]:
     They occur in exponents, whose values decide between integer, half-integer and general powers.
     """
     in_exponents = {
-        symbol for power in form.expr.atoms(sympy.Pow) for symbol in power.exp.free_symbols
+        symbol
+        for formula in form.formulas
+        for power in formula.atoms(sympy.Pow)
+        for symbol in power.exp.free_symbols
     }
     return {
         name: value
@@ -238,10 +250,7 @@ def straight_line(
     ['a.number(1, 3)*(x*x*x) - 2*x*y']
     """
     lower = Printer({}).lower
-    exact = [
-        lower(expression.xreplace({x: fraction(x) for x in expression.atoms(sympy.Float)}))
-        for expression in expressions
-    ]
+    exact = [lower(without_floats(expression)) for expression in expressions]
     shared, reduced = derivatives.common_subexpressions(exact, _shared_symbols())
     graph = _Graph(names, values or {}, arithmetic)
     for symbol, expression in shared:
@@ -351,7 +360,7 @@ class _Graph:
 
     def _sum(self, expression: sympy.Expr) -> int:
         total: int | None = None
-        for term in _ordered_terms(expression):
+        for term in ordered_terms(expression):
             coefficient = term.as_coeff_Mul()[0]
             negative = coefficient.is_Rational and coefficient < 0
             place = self.place(-term if negative else term)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib.util
 import linecache
 from collections.abc import Callable
 from functools import cached_property
@@ -13,13 +14,17 @@ from typing import Any
 import numpy as np
 
 from hamsym.codegen import numba_cache
+from hamsym.codegen.backends import BACKENDS
 from hamsym.codegen.generate import Source, generate
+from hamsym.errors import InputError
+from hamsym.numerics.symplectic import generators
+from hamsym.support.shown import Shown
 from hamsym.symbolic.equations import Equations
 
 __all__ = ["System", "load"]
 
 
-class System:
+class System(Shown):
     """Callables of a generated module, each generated on first use.
 
     Each takes the state ``z`` of shape (..., dim) first, then ``t`` if H depends on time, then
@@ -38,21 +43,31 @@ class System:
     gradient : callable
         z -> grad H, shape (..., dim).
     vector_field : callable
-        z -> J grad H, shape (..., dim).
+        z -> J grad H, with the forces added to the rates of the momenta, shape (..., dim).
     hessian : callable
-        z -> second derivatives, shape (..., dim, dim).
+        z -> second derivatives of H, shape (..., dim, dim).
+    jacobian : callable
+        z -> derivatives of the vector field, J Hess without forces, shape (..., dim, dim).
+    power : callable
+        z -> dH/dt along trajectories, shape (...); only of systems with forces.
     residual : callable
-        (z, dz) -> dz - J grad H(z), shape (..., dim).
+        (z, dz) -> dz - vector_field(z), shape (..., dim).
     loss : callable
         (z, dz, energy_0, energy_weight=0.0) -> scalar, the paper's eq. (Loss); without the last
-        two arguments if H depends on time.
+        two arguments if H depends on time or there are forces.
     time_dependent : bool
         Whether the functions take ``t``.
     """
 
     def __init__(self, source: Source) -> None:
+        package = BACKENDS[source.backend].package
+        if package and importlib.util.find_spec(package) is None:
+            raise InputError(
+                f"functions of '{source.backend}' need the package {package}, which is not "
+                f"installed; install it with pip install 'hamsym[{package}]'"
+            )
         self._source = source
-        self._module = ModuleType(f"hamsym_{source.backend}")  # used by torch and numpy
+        self._module = ModuleType(f"hamsym_{source.backend}")  # not used by numba
         self._loaded: set[str] = set()
         # Loading a compiled function from the cache takes tens of milliseconds; a section calls
         # the same loop many times.
@@ -61,6 +76,9 @@ class System:
         self.names = tuple(symbol.name for symbol in source.form.z)
         self.time_dependent = source.names.time
         source.part("energy")  # raises if the backend lacks a function of H
+
+    def __repr__(self) -> str:
+        return f"System({self.backend}, {', '.join(self.names)})"
 
     @property
     def source(self) -> str:
@@ -86,6 +104,23 @@ class System:
     @cached_property
     def hessian(self) -> Callable[..., Any]:
         return self.function("hessian")
+
+    @cached_property
+    def jacobian(self) -> Callable[..., Any]:
+        if self.equations.forces or self.backend == "jax":  # which traces functions
+            return self.function("jacobian")
+        hessian, product = self.hessian, generators
+        if self.backend == "torch":
+            product = _tensor_generators
+
+        def jacobian(*arguments: Any, **parameters: Any) -> Any:
+            return product(hessian(*arguments, **parameters))
+
+        return jacobian
+
+    @cached_property
+    def power(self) -> Callable[..., Any]:
+        return self.function("power")
 
     @cached_property
     def residual(self) -> Callable[..., Any]:
@@ -135,6 +170,14 @@ class System:
 def load(source: Source) -> System:
     """Make the functions of a module; cached for the same source."""
     return System(source)
+
+
+def _tensor_generators(hessians: Any) -> Any:
+    """Return J Hess from Hessians as tensors of shape (..., dim, dim)."""
+    import torch  # slow to import, and loaded already by the functions of this backend
+
+    half = hessians.shape[-1] // 2
+    return torch.cat((hessians[..., half:, :], -hessians[..., :half, :]), -2)
 
 
 def _restored(form: Equations, backend: str) -> System:

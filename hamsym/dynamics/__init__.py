@@ -1,1 +1,1 @@
-"""Properties of motions: Lyapunov exponents, monodromy matrices, Poincare sections."""
+"""Properties of motions: Lyapunov exponents, chaos indicators, monodromy matrices, sections."""

@@ -1,10 +1,11 @@
-"""Lyapunov exponents: the growth of small differences, from the symbolic Hessian.
+"""Lyapunov exponents: the growth of small differences, from the symbolic variational equations.
 
 Input:  a Hamiltonian, an initial state, a time span.
 Output: finite-time Lyapunov exponents and their convergence.
 
 The tangent vectors are moved by the derivative of the integrator's own step, which for a symplectic
-method is a symplectic matrix. The equations themselves are ``H.variational_equations``.
+method is a symplectic matrix: exponents come in pairs of opposite signs, unless forces act. Their
+sum is the mean divergence of the rates. The equations themselves are ``H.variational_equations``.
 """
 
 from __future__ import annotations
@@ -23,35 +24,38 @@ from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.dynamics.growth import (
     APART,
     PARALLEL,
-    STEPS_PER_RADIAN,
-    UNRESOLVED,
     first_vectors,
     growth_limit,
     orthonormal,
 )
+from hamsym.dynamics.history import history
 from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map, lyapunov_map_on_cluster
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
+from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
 from hamsym.ensemble import ensemble_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.fixed_step import Stepper
-from hamsym.integrators.integrate import fastest_rate, fixed_step, usual_method
+from hamsym.integrators.integrate import usual_method
 from hamsym.problem import checked_span, checked_steps
+from hamsym.suggestions import checked_keywords, suggest_attributes
+from hamsym.support.shown import Shown
+from hamsym.support.tables import data_frame, data_set
+from hamsym.support.text_tables import wrapped
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
     from distributed import Client
     from matplotlib.figure import Figure
 
 __all__ = ["LyapunovExponents", "lyapunov"]
 
-_KEPT = 2_000  # points of the history
-_PILOT_STEPS, _PILOTS = 1_000, 8
 
-
+@suggest_attributes
 @dataclass(frozen=True)
-class LyapunovExponents:
+class LyapunovExponents(Shown):
     """Finite-time Lyapunov exponents and the settings of their computation.
 
     Attributes
@@ -63,7 +67,7 @@ class LyapunovExponents:
     start : float
         Time at the start.
     energy_error : float
-        Largest change of H, nan if H depends on time.
+        Largest change of H, nan if H depends on time or forces act.
     method : str
     dt : float
     seconds : float
@@ -73,6 +77,9 @@ class LyapunovExponents:
     message : str
     is_integrable : bool
         Whether H has one degree of freedom and no explicit time, which excludes chaos.
+    H : Hamiltonian, optional
+    title : str
+        Formula of H, above figures.
     """
 
     t: np.ndarray = field(repr=False)
@@ -86,6 +93,13 @@ class LyapunovExponents:
     message: str
     title: str = field(repr=False, default="")
     is_integrable: bool = False
+    H: Hamiltonian | None = field(repr=False, default=None, compare=False)
+
+    def __repr__(self) -> str:
+        return (
+            f"LyapunovExponents({self.title!r}: largest {self.maximal:.4g} after t = "
+            f"{self.t[-1]:.6g}, success={self.success})"
+        )
 
     @property
     def maximal(self) -> float:
@@ -137,11 +151,95 @@ class LyapunovExponents:
             verdict = f"{verdict} However, the run failed: {self.message}."
         return f"{begin}, {verdict}"
 
-    def plot(self) -> Figure:
-        """Draw the exponents over time, with log(t)/t for comparison."""
-        return hamsym.plot(self)
+    def summary(self, rows: int | None = 4) -> str:
+        """Describe the outcome as text: the verdict, then a short history.
+
+        Parameters
+        ----------
+        rows : int, optional
+            Most columns of the history; None for all.
+        """
+        lines = [wrapped(self.statement)]
+        if math.isfinite(self.energy_error):
+            lines.append(f"energy error {self.energy_error:.1e}")
+        names = [f"exponent {k + 1}" for k in range(self.exponents.shape[1])]
+        if len(names) > 1:
+            ends = ", ".join(f"{value:.4g}" for value in self.exponents[-1])
+            lines.append(wrapped(f"at the end: {ends}"))
+        wide = len(names) if rows is None else min(rows, len(names))
+        columns = dict(zip(names[:wide], self.exponents.T, strict=False))
+        lines += ["", *history(self.t, self.start, columns)]
+        return "\n".join([*lines, wrapped(f"{self.message}, {self.seconds:.2g} s")])
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the exponents as a table of pandas: times as index, a column for each.
+
+        H and the method are in ``attrs``.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> found = lyapunov("p**2/2 - x**2/2", [1, 0], (0, 30), count=2)
+        >>> found.to_dataframe().iloc[-1].round(1).tolist()
+        [1.0, -1.0]
+        """
+        columns = {f"exponent_{k + 1}": own for k, own in enumerate(self.exponents.T)}
+        return data_frame(columns, {"t": self.t}, self._attributes)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the exponents as a dataset of xarray, on axes ``time`` and ``rank``.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> found = lyapunov("p**2/2 - x**2/2", [1, 0], (0, 30), count=2)
+        >>> found.to_xarray()["exponent"].dims
+        ('time', 'rank')
+        """
+        return data_set(
+            {
+                "exponent": (["time", "rank"], self.exponents),
+                "success": ([], self.success),
+                "message": ([], self.message),
+            },
+            {"time": self.t, "rank": np.arange(1, 1 + self.exponents.shape[1])},
+            self._attributes,
+        )
+
+    @property
+    def _attributes(self) -> dict[str, Any]:
+        known = {"H": self.title, "start": self.start, "method": self.method, "dt": self.dt}
+        return {**known, "hamsym": hamsym.__version__}
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the exponents over time, on logarithmic axes with log(t)/t for comparison.
+
+        Where some are negative a second panel has all of them, on an axis that is linear around 0.
+
+        Parameters
+        ----------
+        *names : {"convergence", "exponents"}
+            One of these panels alone.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for two panels.
+        """
+        return hamsym.plot(self, *names, ax=ax)
 
 
+@checked_keywords
 def lyapunov(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, Any] | np.ndarray,
@@ -160,7 +258,9 @@ def lyapunov(
     """Compute the largest Lyapunov exponents, of one trajectory with their convergence over time.
 
     Tangent vectors are moved by the derivative of the steps and made orthonormal at intervals
-    (Benettin, Galgani, Giorgilli & Strelcyn 1980; Shimada & Nagashima 1979).
+    (Benettin, Galgani, Giorgilli & Strelcyn 1980; Shimada & Nagashima 1979). Where components
+    differ by many powers of ten, as in SI units, lengths are measured in units that balance them;
+    the limit for long times does not depend on units.
 
     Parameters
     ----------
@@ -205,7 +305,7 @@ def lyapunov(
 
     Examples
     --------
-    >>> H = Hamiltonian("p**2/2 - x**2/2")  # its exponents are 1 and -1
+    >>> H = hamsym.Hamiltonian("p**2/2 - x**2/2")  # its exponents are 1 and -1
     >>> lyapunov(H, [1e-9, 0.0], (0, 20), count=2).exponents[-1].round(1)
     array([ 1., -1.])
     >>> lyapunov(H, [[1e-9, 0.0], [np.nan, 0.0]], (0, 100)).exponents.round(1)
@@ -229,58 +329,40 @@ def lyapunov(
     if client is not None:
         raise InputError("a cluster computes arrays of starts; leave client out for one start")
     state = H.state_from(members.states[0])
-    rate = _fastest_rate(H, method, state, span)
-    chosen = steps is None and dt is None
-    if chosen:
-        whole = abs(span[1] - span[0])
-        dt = min(whole, 1 / (STEPS_PER_RADIAN * rate) if rate > 0 else whole / 20_000)
-    steps = checked_steps(span[1] - span[0], steps, dt)
-    size = (span[1] - span[0]) / steps
+    plan = TangentSteps.choose(H, method, state, span, steps, dt)
     began = time.perf_counter()
-    vectors = first_vectors(H.dim, count, seed)
-    stepper = tangent_stepper(H, method, state, span[0], size, vectors)
-    block = min(steps // _KEPT, int(growth_limit(count) / max(rate * abs(size), 1e-3)))
-    run = _Benettin(stepper, state, span[0], size, steps, max(1, block))
-    if advance_in_blocks(steps, run.block, progress, run.advance):
+    vectors = plan.scales * first_vectors(H.dim, count, seed)
+    stepper = tangent_stepper(H, method, state, span[0], plan.size, vectors)
+    run = _Benettin(stepper, state, plan, plan.block(growth_limit(count)))
+    if advance_in_blocks(plan.number, run.block, progress, run.advance):
         run.problem = "interrupted"
     if not run.history:
         raise InputError(f"integration failed at the first step: {run.problem}")
-    times, states = np.array(run.times), np.array(run.path[: len(run.history) + 1])
-    drift = EnergyDrift(H, 1)
-    drift.add(states[None])
-    energy_error = math.nan if H.time is not None else float(drift.change[0])
-    problem = f"stopped after t = {times[-1]:.6g}: {run.problem}" if run.problem else ""
-    share = float(drift.relative(steps)[0])
-    if not problem and H.time is None and not share <= COARSE:
-        problem = f"H changed by {energy_error:.1e}, {share:.0%} of its scale: take a smaller dt"
-    if not problem and chosen:
-        fastest = fastest_rate(H, states, np.append(span[0], times))
-        if not fastest <= UNRESOLVED * max(rate, 1 / abs(size)):
-            problem = f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
+    states = np.array(run.path[: len(run.history) + 1])
+    energy_error, problem = plan.judged(run.times, states, run.problem)
     return LyapunovExponents(
-        t=times,
+        t=np.array(run.times),
         exponents=np.array(run.history),
         start=span[0],
         energy_error=energy_error,
         method=method,
-        dt=size,
+        dt=plan.size,
         seconds=time.perf_counter() - began,
         success=not problem,
-        message=problem or f"{method}: {steps:,} steps to t = {span[1]:.6g}",
-        title=H.formula,
+        message=problem or plan.description,
+        title=H.formulas,
         is_integrable=H.dof == 1 and H.time is None,
+        H=H,
     )
 
 
 class _Benettin:
     """Growth of tangent vectors, made orthonormal again after every block of steps."""
 
-    def __init__(
-        self, stepper: Stepper, state: np.ndarray, start: float, size: float, steps: int, block: int
-    ) -> None:
-        self._stepper, self._start, self._size, self._steps = stepper, start, size, steps
-        self.block = block
-        rows = np.geomspace(1, max(steps // block, 1), _KEPT).astype(int)
+    def __init__(self, stepper: Stepper, state: np.ndarray, plan: TangentSteps, block: int) -> None:
+        self._stepper, self._start, self._size = stepper, plan.span[0], plan.size
+        self._steps, self.block, self._scales = plan.number, block, plan.scales
+        rows = np.geomspace(1, max(plan.number // block, 1), KEPT).astype(int)
         self._rows = set(rows.tolist())  # numbers of the blocks after which exponents are kept
         self._growth = np.zeros(stepper.tangents.shape[2])
         self.times: list[float] = []
@@ -292,9 +374,10 @@ class _Benettin:
         """Take a block of steps; return False, with ``problem`` set, where that fails."""
         state, done = self._stepper.step(count)[0].copy(), done + count
         if not np.isfinite(state).all():
-            self.problem = "the states overflowed, or a step could not be solved"
+            self.problem = LOST
             return False
-        self._stepper.tangents[0], grown = orthonormal(self._stepper.tangents[0])
+        vectors, grown = orthonormal(self._stepper.tangents[0] / self._scales)
+        self._stepper.tangents[0] = self._scales * vectors
         if not np.isfinite(grown).all() or np.ptp(grown) > PARALLEL:
             self.problem = APART
             return False
@@ -306,32 +389,3 @@ class _Benettin:
             # long time.
             self.history.append(np.sort(self._growth)[::-1] / abs(self._size * done))
         return True
-
-
-def _fastest_rate(
-    H: Hamiltonian, method: str, state: np.ndarray, span: tuple[float, float]
-) -> float:
-    """Estimate the spectral radius of J Hess along the beginning of the trajectory.
-
-    Each pilot run uses steps from the rate that the previous one found, so that a slow start does
-    not set the steps for the rest.
-    """
-    start, end = span
-    rate = fastest_rate(H, state[None], start)
-    if not math.isfinite(rate):
-        raise InputError("the Hessian of H is not finite at z0; choose another initial state")
-    whole = abs(end - start)
-    length = whole / 1_000 if rate == 0 else min(whole, _PILOT_STEPS / (STEPS_PER_RADIAN * rate))
-    for _ in range(_PILOTS):
-        size = math.copysign(length / _PILOT_STEPS, end - start)
-        stepper = fixed_step(H, method, state[None], np.array([start]), np.array([size]))
-        path = stepper.advance(_PILOT_STEPS, show=False).states[0]
-        if not np.isfinite(path).all():
-            length /= 30
-            continue
-        found = fastest_rate(H, path, start + size * np.arange(1, len(path) + 1))
-        if not rate * 1.5 < found < math.inf:
-            return rate if math.isinf(found) else max(rate, found)
-        rate = found
-        length = min(length, _PILOT_STEPS / (STEPS_PER_RADIAN * rate))
-    return rate

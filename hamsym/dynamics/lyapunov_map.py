@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -33,13 +33,18 @@ from hamsym.dynamics.growth import (
     first_vectors,
     growth_limit,
     orthonormal,
+    tangent_scales,
 )
 from hamsym.ensemble import Ensemble
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.integrate import fixed_step
 from hamsym.problem import MAX_STEPS
+from hamsym.suggestions import suggest_attributes
 from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
+from hamsym.support.shown import Shown
+from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -58,8 +63,9 @@ _REPETITIONS = 3
 _TESTED_SHARE = 0.9  # tested part of a trajectory that ends early; no step resolves the rest
 
 
+@suggest_attributes
 @dataclass(frozen=True)
-class LyapunovMap:
+class LyapunovMap(Shown):
     """Finite-time Lyapunov exponents of many trajectories; ``...`` is the shape of the starts.
 
     There is no history: the memory is that of the results.
@@ -89,6 +95,9 @@ class LyapunovMap:
     seconds : float
     interrupted : bool
         Whether Ctrl-C ended the run; members that were not finished are nan.
+    H : Hamiltonian, optional
+    title : str
+        Formula of H, above figures.
     """
 
     exponents: np.ndarray = field(repr=False)
@@ -104,6 +113,14 @@ class LyapunovMap:
     seconds: float
     interrupted: bool = False
     title: str = field(repr=False, default="")
+    H: Hamiltonian | None = field(repr=False, default=None, compare=False)
+
+    def __repr__(self) -> str:
+        good, size = int(self.success.sum()), self.success.size
+        return (
+            f"LyapunovMap({self.title!r}, shape {self.success.shape}, t to {self.span[1]:.6g}: "
+            f"{good:,} succeeded, {size - good:,} failed)"
+        )
 
     @property
     def maximal(self) -> np.ndarray:
@@ -132,9 +149,50 @@ class LyapunovMap:
             text += f"; the first that failed is [{index}]: {self.message[first]}"
         return text + "."
 
-    def plot(self) -> Figure:
-        """Draw the largest exponent over a plane of starts, or along a row of them."""
-        return hamsym.plot(self)
+    def summary(self, rows: int | None = ROWS) -> str:
+        """Describe the outcome as text: the largest exponents, then a row for each start.
+
+        Parameters
+        ----------
+        rows : int, optional
+            Most rows of a table; None for all.
+        """
+        lines, starts = [wrapped(self.statement)], self.exponents.shape[:-1]
+        if np.isfinite(self.energy_error).any():
+            lines.append(f"energy error {np.nanmax(self.energy_error):.1e}")
+        wide = self.exponents.shape[-1] if rows is None else min(4, self.exponents.shape[-1])
+        indices = list(np.ndindex(starts))
+        shown = indices if rows is None else indices[:rows]
+        listed = []
+        for index in shown:
+            values = [f"{value:.4e}" for value in self.exponents[index][:wide]]
+            listed.append([", ".join(map(str, index)), *values])
+        header = ["trajectory", *(f"exponent {k + 1}" for k in range(wide))]
+        lines += ["", *table(header, listed)]
+        lines += left_out(len(indices) - len(shown), "trajectories")
+        for index in [one for one in shown if not self.success[one]][:3]:
+            lines.append(wrapped(f"trajectory {', '.join(map(str, index))}: {self.message[index]}"))
+        steps = f"{self.method}: {self.steps.max():,} steps or fewer, {self.seconds:.2g} s"
+        return "\n".join([*lines, steps])
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the largest exponent over a plane of starts, or along a row of them.
+
+        Parameters
+        ----------
+        *names : str
+            Components or parameters of the axes: one, to draw exponents over it, or two, for a
+            point of each start in their plane. By default those that vary along the axes of the
+            array.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or the array has more than two axes and names are not given.
+        """
+        return hamsym.plot(self, *names, ax=ax)
 
 
 def lyapunov_map(
@@ -264,7 +322,8 @@ def _map_of(
         method=method,
         seconds=seconds,
         interrupted=interrupted,
-        title=members.H.formula,
+        title=members.H.formulas,
+        H=members.H,
     )
 
 
@@ -372,13 +431,14 @@ class _Run:
         """Step a chunk through the span."""
         (start, end), states = self._span, self._members.states[index]
         size, count = (end - start) / steps, len(index)
+        scales = self._scales(index)
         stepper = fixed_step(
             self._members.H,
             self._method,
             states,
             np.full(count, start),
             np.full(count, size),
-            tangents=np.tile(self._vectors, (count, 1, 1)),
+            tangents=scales * self._vectors,
             parameters=self._members.parameters[index],
         )
         edges = np.linspace(0, steps, blocks + 1).astype(np.int64)
@@ -391,7 +451,8 @@ class _Run:
                 raise KeyboardInterrupt
             path[:, block] = stepper.step(taken)
             with np.errstate(all="ignore"):  # of members that have escaped
-                stepper.tangents[:], grown = orthonormal(stepper.tangents)
+                vectors, grown = orthonormal(stepper.tangents / scales)
+                stepper.tangents[:] = scales * vectors
                 kept = np.isfinite(grown).all(axis=1) & (np.ptp(grown, axis=1) <= PARALLEL)
             there &= np.isfinite(path[:, block]).all(axis=1)
             apart |= there & ~kept
@@ -421,7 +482,7 @@ class _Run:
         drift = EnergyDrift(H, len(index), self._parameters(index))
         drift.add(path)
         share = drift.relative(steps)
-        coarse = ~(share <= COARSE) if H.time is None else np.zeros(len(index), dtype=bool)
+        coarse = ~(share <= COARSE) if H.conserves_energy else np.zeros(len(index), dtype=bool)
         every = -(-len(times) // _SAMPLED)
         fastest = self._fastest(index, path[:, ::every], times[::every])
         again = apart | (chosen & (coarse | ~(fastest <= _RESOLVED * rate)))
@@ -446,7 +507,7 @@ class _Run:
                     f"the motion has rates up to {fastest[i]:.2g}: give a dt that resolves them"
                 )
             problems.append(problem)
-        change = drift.change if H.time is None else np.full(len(index), np.nan)
+        change = drift.change if H.conserves_energy else np.full(len(index), np.nan)
         return _Outcome(exponents, change, problems, np.where(again, rates, np.nan))
 
     def _class(self, rates: np.ndarray) -> np.ndarray:
@@ -460,6 +521,18 @@ class _Run:
         """Return the fastest rate of members at states of shape (n, k, dim), shape (n,)."""
         system = self._members.H.compile("numpy")
         return fastest_rates(system, states, times, self._parameters(index))
+
+    def _scales(self, index: np.ndarray) -> np.ndarray:
+        """Return the units of the tangent vectors of members, from their starts, (n, dim, 1)."""
+        system, states = self._members.H.compile("numpy"), self._members.states[index]
+        values = system.keywords(self._parameters(index))
+        with np.errstate(all="ignore"):
+            found = np.asarray(system.jacobian(*system.arguments(states, self._span[0]), **values))
+        dim = states.shape[1]
+        if found.ndim == 2:  # a constant matrix
+            found = found[None]
+        units = np.array([tangent_scales(one) for one in found.reshape(-1, dim, dim)])
+        return np.broadcast_to(units, states.shape)[..., None]
 
     def _parameters(self, index: np.ndarray) -> np.ndarray | None:
         """Return the parameter values of members; None where they are those of H."""

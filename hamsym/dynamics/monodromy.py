@@ -5,18 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import hamsym
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.fixed_step import Stepper
 from hamsym.integrators.integrate import fixed_step, usable_method, usual_method
 from hamsym.integrators.table import INTEGRATORS
+from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.problem import checked_span, checked_steps
+from hamsym.suggestions import checked_keywords
 from hamsym.support.validation import require_number
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["TangentMap", "monodromy", "tangent_map"]
 
@@ -52,10 +58,19 @@ class TangentMap:
 
     @property
     def symplecticity_error(self) -> float:
-        """Largest entry of |M^T J M - J|."""
-        d = len(self.z) // 2
-        J = np.kron([[0, 1], [-1, 0]], np.eye(d))
+        """Largest entry of |M^T J M - J|; with forces it is not an error."""
+        J = poisson_matrix(len(self.z) // 2)
         return float(np.abs(self.matrix.T @ J @ self.matrix - J).max())
+
+    def plot(self, *, ax: Any = None) -> Figure:
+        """Draw the multipliers about the unit circle.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into, in your own style.
+        """
+        return hamsym.plot(self, ax=ax)
 
 
 def tangent_map(
@@ -112,6 +127,7 @@ def tangent_map(
     return TangentMap(state, done.states[0, -1], stepper.tangents[0], method)
 
 
+@checked_keywords
 def monodromy(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
@@ -123,7 +139,9 @@ def monodromy(
     """Compute the monodromy matrix of a periodic orbit.
 
     Its eigenvalues, the Floquet multipliers, come in pairs m and 1/m; multipliers off the unit
-    circle indicate instability. If H has no explicit time, two of them are 1.
+    circle indicate instability. If H has no explicit time, two of them are 1. With forces the
+    matrix is not symplectic: there are no pairs, multipliers inside the unit circle indicate
+    attraction, and without explicit time one of them is 1.
 
     Parameters
     ----------

@@ -31,11 +31,17 @@ from hamsym.integrators.energy_drift import AIM, COARSE, EnergyDrift
 from hamsym.integrators.integrate import choose_steps, fixed_step, usable_method, usual_method
 from hamsym.numerics.roots import suspects, zeros
 from hamsym.problem import checked_span, checked_steps
+from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.progress import stepping_progress
+from hamsym.support.shown import Shown
+from hamsym.support.tables import data_frame, data_set, time_name
+from hamsym.support.text_tables import ALL, table, wrapped
 from hamsym.support.validation import require_number, require_whole
 from hamsym.surface import Surface, parse_surface
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
     from distributed import Client
     from matplotlib.figure import Figure
 
@@ -45,8 +51,9 @@ _HELD = 2_000_000  # numbers of a block of paths
 _ASIDE = 1e-3  # of a step: distance along the flow over which slopes are measured
 
 
+@suggest_attributes
 @dataclass(frozen=True)
-class Section:
+class Section(Shown):
     """Crossings of a surface, ordered by trajectory and then in the direction of time.
 
     Attributes
@@ -73,6 +80,10 @@ class Section:
     success : bool
     message : str
         Outcome.
+    H : Hamiltonian
+        With the parameters of the first start.
+    axes : (str, str)
+        Components that figures show: a pair that the surface leaves free.
     """
 
     surface: str
@@ -88,17 +99,115 @@ class Section:
     message: str
     axes: tuple[str, str] = field(repr=False)
     drift: float = math.nan
+    H: Hamiltonian | None = field(default=None, repr=False)
 
-    def plot(self, x: str | None = None, y: str | None = None) -> Figure:
-        """Draw the crossings in a plane, by default that of a pair that the surface leaves free."""
-        for name in (x, y):
-            if name is not None and name not in self.names:
-                raise InputError(
-                    f"'{name}' is not a component of z; choose one of {', '.join(self.names)}"
-                )
-        return hamsym.plot(self, x or self.axes[0], y or self.axes[1])
+    def __repr__(self) -> str:
+        starts = len(np.unique(self.trajectory))
+        members = "1 trajectory" if starts == 1 else f"{starts:,} trajectories"
+        return (
+            f"Section({self.surface!r}: {len(self.t):,} crossings by {members}, {self.method}, "
+            f"success={self.success})"
+        )
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the crossings as a table of pandas: trajectory, time and components.
+
+        Surface, H and the method are in ``attrs``.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> found = section("p**2/2 + x**2/2", [0, 1], (0, 20), "x = 0, p > 0")
+        >>> (found.to_dataframe()["t"] / (2 * np.pi)).round(6).tolist()
+        [1.0, 2.0, 3.0]
+        """
+        columns = {"trajectory": self.trajectory, time_name(self.names): self.t}
+        columns |= dict(zip(self.names, self.z.T, strict=True))
+        return data_frame(columns, None, self._attributes)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the crossings as a dataset of xarray, on axes ``crossing`` and ``component``.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> found = section("p**2/2 + x**2/2", [0, 1], (0, 20), "x = 0, p > 0")
+        >>> dict(found.to_xarray().sizes)
+        {'crossing': 3, 'component': 2}
+        """
+        return data_set(
+            {"state": (["crossing", "component"], self.z)},
+            {
+                "component": list(self.names),
+                "time": (["crossing"], self.t),
+                "trajectory": (["crossing"], self.trajectory),
+            },
+            self._attributes,
+        )
+
+    @property
+    def _attributes(self) -> dict[str, Any]:
+        formula = "" if self.H is None else self.H.formulas
+        known = {"H": formula, "surface": self.surface, "method": self.method, "dt": self.dt}
+        return {**known, "hamsym": hamsym.__version__}
+
+    def summary(self, rows: int | None = 5) -> str:
+        """Describe the outcome as text: how well H was kept, then the first crossings.
+
+        Parameters
+        ----------
+        rows : int, optional
+            Most rows of a table; None for all.
+        """
+        lines = [wrapped(self.message)]
+        if math.isfinite(self.energy_error) and len(self.t):
+            lines.append(f"energy error {self.energy_error:.1e}")
+        count = len(self.t) if rows is None else min(rows, len(self.t))
+        wide = len(self.names) if rows is None else min(4, len(self.names))
+        listed = [
+            [f"{number}", f"{t:.6g}", *(f"{value:.5g}" for value in z[:wide])]
+            for number, t, z in zip(
+                self.trajectory[:count], self.t[:count], self.z[:count], strict=True
+            )
+        ]
+        if listed:
+            lines += ["", *table(["trajectory", "t", *self.names[:wide]], listed)]
+        rest = [f"{len(self.t) - count:,} crossings"] * (len(self.t) > count)
+        rest += [f"{len(self.names) - wide} components"] * (len(self.names) > wide)
+        if rest:
+            lines.append(f"... and {' and '.join(rest)}; all with {ALL}")
+        return "\n".join([*lines, f"time {self.seconds:.2g} s"])
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the crossings in a plane, with a colour for each start.
+
+        Up to twelve starts have an entry in the legend, more a colour bar. If the surface is
+        crossed both ways, dots are crossings where its left side rises, crosses where it falls.
+
+        Parameters
+        ----------
+        *names : str
+            Two components; by default a pair that the surface leaves free.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or there is only one.
+        """
+        return hamsym.plot(self, *names, ax=ax)
 
 
+@checked_keywords
 def section(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, Any] | np.ndarray,
@@ -157,8 +266,8 @@ def section(
     Returns
     -------
     Section
-        With ``success=False`` and a message if a trajectory ends early, has too few crossings, or
-        leaves the domain of the surface.
+        With ``success=False`` and a message if a trajectory ends early, has too few crossings,
+        leaves the domain of the surface, or H drifts by more than 1 % of its scale.
 
     Warns
     -----
@@ -188,7 +297,7 @@ def section(
     where = parse_surface(H, surface)
     method = usual_method(H) if method is None else usable_method(H, method)
     began = time.perf_counter()
-    advice = ""
+    advice, kept = "", True
     if chosen:
         choice = choose_steps(members, method, span, progress=progress)
         steps = choice.steps
@@ -203,13 +312,14 @@ def section(
     t, z, trajectory, drift = found.t, found.z, found.trajectory, found.drift
     problem = setting.problem(found, end)
     message = f"{len(t):,} crossings of {surface}, {method} with dt = {size:.3g}"
-    if H.time is None:
+    if H.conserves_energy:
         message += f", H kept to {drift:.1e} of its scale" if drift else ", H kept to round-off"
-        if not drift <= COARSE:
+        kept = drift <= COARSE
+        if not kept:
             advice = "take smaller steps"
     if advice and not problem:
         message = f"{message}: {advice}"
-        warnings.warn(message, StepSizeWarning, stacklevel=2)
+        warnings.warn(message, StepSizeWarning, stacklevel=3)
     return Section(
         surface=surface,
         names=H.names,
@@ -220,9 +330,10 @@ def section(
         method=method,
         dt=size,
         seconds=time.perf_counter() - began,
-        success=not problem,
+        success=kept and not problem,
         message=problem or message,
         axes=_free_pair(H, where),
+        H=H,
         drift=drift,
     )
 
@@ -501,7 +612,7 @@ def _slopes(
 
 
 def _energy_error(members: Ensemble, z: np.ndarray, trajectory: np.ndarray) -> float:
-    if members.H.time is not None:
+    if not members.H.conserves_energy:
         return float("nan")
     system, parameters = members.H.compile("numpy"), _varied(members)
     starts = system.energy(members.states, **system.keywords(parameters))

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hamsym.conservation import KnownInvariants
 from hamsym.ensemble import Ensemble
 from hamsym.errors import InputError
 from hamsym.families.solutions import Family
@@ -23,6 +24,7 @@ from hamsym.hamiltonian import HamiltonianLike
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.members import Batch, MemberSolver
 from hamsym.random_features.method import basis_for, solve_by_march
+from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.solution.solution import Solution
 from hamsym.support.checked_data import numbers_of
 
@@ -51,11 +53,19 @@ class BlockSolver:
     members : Ensemble
     device : str, optional
         A device of torch; by default compiled code.
+    known : KnownInvariants, optional
+        Invariants whose drift a member must explain by its allowed errors.
     """
 
-    def __init__(self, family: Family, members: Ensemble, device: str | None = None) -> None:
+    def __init__(
+        self,
+        family: Family,
+        members: Ensemble,
+        device: str | None = None,
+        known: KnownInvariants | None = None,
+    ) -> None:
         self._family, self._members = family, members
-        self._device = device
+        self._device, self._known = device, known
         self._basis = basis_for(family.seed, family.accuracy.tol)
 
     @cached_property
@@ -101,13 +111,49 @@ class BlockSolver:
         batch = None
         if self.solver is not None:
             batch = self.solver.solve(states, parameters, keep_error=False)
+            if self._known:
+                batch = self._conserving(batch, parameters, self._known)
         return batch, max(time.perf_counter() - began, 1e-6)
+
+    def _conserving(self, batch: Batch, parameters: np.ndarray, known: KnownInvariants) -> Batch:
+        """Return the batch without members in which an invariant drifts at the ends of windows."""
+        members = np.flatnonzero(batch.accepted)
+        lengths = batch.counts[members] + 1
+        owner = np.repeat(members, lengths)
+        firsts = np.repeat(np.cumsum(lengths) - lengths, lengths)
+        family = self._family
+        change, explained = known.drifts(
+            batch.states[firsts],
+            family.span[0],
+            batch.states,
+            family.origin + batch.edges,
+            family.accuracy.allowed(batch.sizes)[owner],
+            parameters[owner] if family.varied else None,
+        )
+        refused = np.unique(owner[~(change <= explained).all(axis=0)])
+        if not len(refused):
+            return batch
+        accepted = batch.accepted.copy()
+        accepted[refused] = False
+        edges, windows = accepted[owner], accepted[np.repeat(members, lengths - 1)]
+        return replace(
+            batch,
+            accepted=accepted,
+            edges=batch.edges[edges],
+            states=batch.states[edges],
+            readouts=batch.readouts[windows],
+        )
 
     def alone(self, member: int) -> Solution | str:
         """Solve one member as solve does; return the message if it has no solution."""
         try:
             problem = self._problem(member, self._members.hamiltonian(member))
-            return solve_by_march(problem, self._family.options, self._basis, "features")
+            found = solve_by_march(problem, self._family.options, self._basis, "features")
+            if not self._known:
+                return found
+            error: Any = found.error
+            allowed = self._family.accuracy.allowed(error.scale)
+            return judged_by_invariants(found, self._known, allowed)
         except InputError as error:
             return str(error)
 

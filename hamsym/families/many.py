@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hamsym.cluster import require_client
+from hamsym.conservation import InvariantLike, KnownInvariants
 from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError
 from hamsym.families.blocks import Block, BlockSolver
@@ -30,6 +31,7 @@ from hamsym.problem import checked_span
 from hamsym.random_features.members import Batch
 from hamsym.random_features.method import FeatureOptions, basis_for, checked_accuracy
 from hamsym.solution.solution import Solution
+from hamsym.suggestions import checked_keywords
 from hamsym.support.cores import available_cores
 from hamsym.support.memory import memory_size
 from hamsym.support.progress import stepping_progress
@@ -48,6 +50,7 @@ _BUFFER = 2**26  # bytes of windows that are kept before they are moved to a sto
 _SHARE = 0.5  # of the memory, for windows
 
 
+@checked_keywords
 def solve_many(
     H: HamiltonianLike,
     z0: Any,
@@ -64,6 +67,7 @@ def solve_many(
     client: Client | None = None,
     retries: int = 3,
     prove: bool = False,
+    invariants: InvariantLike | Sequence[InvariantLike] = (),
 ) -> Solutions:
     """Solve from many initial states, or with many parameter values, on all cores or a cluster.
 
@@ -105,6 +109,10 @@ def solve_many(
         Prove for each member that its errors are within the tolerance, as
         :meth:`Solutions.certify` does, with the result in :attr:`Solutions.proofs`; some
         milliseconds to seconds a member, one after the other.
+    invariants : sequence of str, sympy.Expr or Invariant
+        Functions that H conserves for all values of the parameters that are given, as of
+        :func:`hamsym.solve`; they are tested at the ends of windows. Without ``zarr`` and
+        ``client``.
 
     Returns
     -------
@@ -145,9 +153,14 @@ def solve_many(
         require_whole("retries", retries, 0)
         if device is not None:
             raise InputError("client and device exclude each other; give one of them")
+    known = KnownInvariants(members.H, invariants, members.varied)
+    if known and (zarr is not None or client is not None):
+        raise InputError(
+            "invariants are tested in one process and in memory; leave out zarr and client"
+        )
     store = None if zarr is None else WindowStore(zarr, family, members, device)
     with nullcontext() if store is None else store.locked():
-        run = _Run(family, members, store, device)
+        run = _Run(family, members, store, device, known)
         with stepping_progress(len(members), progress, "solving") as report:
             if client is None:
                 run.solve(report)
@@ -163,10 +176,15 @@ class _Run:
     """The members that are solved so far."""
 
     def __init__(
-        self, family: Family, members: Ensemble, store: WindowStore | None, device: str | None
+        self,
+        family: Family,
+        members: Ensemble,
+        store: WindowStore | None,
+        device: str | None,
+        known: KnownInvariants,
     ) -> None:
         self._family, self._members, self._store = family, members, store
-        self._solver = BlockSolver(family, members, device)
+        self._solver = BlockSolver(family, members, device, known)
         # One chunk occupies a device.
         self._cores = available_cores() if device is None else 1
         self._sizes = (_FIRST, 1, _MOST) if device is None else (_ON_DEVICE,) * 3

@@ -11,14 +11,15 @@ import hamsym
 from hamsym.errors import CertificationError, InputError
 from hamsym.random_features.method import FeatureOptions
 from hamsym.solution.solution import Solution
-from hamsym.solution.window_error import relative_tolerance
+from hamsym.solution.window_error import allowed_errors
 from hamsym.support.progress import stepping_progress
+from hamsym.support.shown import Shown
 
 __all__ = ["Proofs", "prove_members"]
 
 
 @dataclass(frozen=True, eq=False)
-class Proofs:
+class Proofs(Shown):
     """Which members of an ensemble are proven, from :meth:`Solutions.certify`.
 
     Attributes
@@ -75,7 +76,4 @@ def _tolerance(options: FeatureOptions, solution: Solution) -> list[float]:
     """The error that is allowed for each component."""
     if solution.error is None:
         raise InputError("the solution has no tolerance; give a bound")
-    allowed = np.asarray(options.atol, dtype=float) + (
-        relative_tolerance(options.tol) * solution.error.scale
-    )
-    return [float(value) for value in allowed]
+    return allowed_errors(options.tol, options.atol, solution.error.scale).tolist()

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import hamsym
+from hamsym.description import attributes_of
 from hamsym.errors import InputError
 from hamsym.families.evaluation import states_in_groups
 from hamsym.families.proofs import Proofs, prove_members
@@ -32,12 +33,18 @@ from hamsym.random_features.method import (
 )
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
+from hamsym.solution.settings import settings_of
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
+from hamsym.suggestions import suggest_attributes
 from hamsym.support.checked_data import checked_record
+from hamsym.support.shown import Shown
+from hamsym.support.tables import data_frame, data_set, member_axes, time_name
 
-if TYPE_CHECKING:  # an optional package
+if TYPE_CHECKING:  # optional packages
+    import pandas
     import xarray
+    from matplotlib.figure import Figure
 
 __all__ = ["Family", "Solutions"]
 
@@ -104,7 +111,8 @@ class Family:
         return self.H.with_parameters(**values)
 
 
-class Solutions:
+@suggest_attributes
+class Solutions(Shown):
     """Many trajectories z^(t) over one time span, from :func:`hamsym.solve_many`.
 
     Members are arranged in an array; ``...`` below is its shape. Call it with times to get the
@@ -150,7 +158,7 @@ class Solutions:
         start, end = self.span
         solved = int(self.success.sum())
         return (
-            f"Solutions({self.H.formula!r}, shape {self.shape}, t from {start:.6g} to {end:.6g}: "
+            f"Solutions({self.H.formulas!r}, shape {self.shape}, t from {start:.6g} to {end:.6g}: "
             f"{solved:,} succeeded, {self.size - solved:,} failed)"
         )
 
@@ -245,6 +253,16 @@ class Solutions:
         return self._solution(int(members))
 
     def _solution(self, member: int) -> Solution:
+        family, given = self.family, {}
+        for name in ("tol", "atol", "max_window", "compiled"):
+            given[name] = getattr(family.options, name)
+        settings = settings_of(
+            self.span, family.seed, family.options, given, version=hamsym.__version__
+        )
+        return replace(self._unlabelled(member), settings=settings)
+
+    def _unlabelled(self, member: int) -> Solution:
+        """The solution of a member, without its settings."""
         table, family = self.table, self.family
         if not table.counts[member]:
             raise InputError(self._message(member))
@@ -371,6 +389,36 @@ class Solutions:
             self.table, self.windows, family.series, family.origin, self.span[1], members, times
         )
 
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the trajectories: an overview, or what the names say.
+
+        Without names: the components over time, coordinates beside momenta, one row for each of
+        six degrees of freedom at most; the plane of two coordinates and a phase plane; the largest
+        estimated error of each trajectory with the tolerance, failed ones in red; energy errors.
+        Of more than 200 trajectories 200 are drawn, which the caption says; the errors are those of
+        all. Up to twelve have an entry in the legend, more a colour bar.
+
+        Parameters
+        ----------
+        *names : str
+            One component: over time. Two: the paths in their plane. Three: the paths in space. Or
+            ``"error"``, ``"energy"``.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for an overview.
+
+        Examples
+        --------
+        >>> many = hamsym.solve_many("p**2/2 - cos(x)", {"x": [0.5, 1.0, 2.0], "p": 0.0}, (0, 9))
+        >>> len(many.plot("x").axes[0].lines)
+        3
+        """
+        return hamsym.plot(self, *names, ax=ax)
+
     # -- proofs ------------------------------------------------------------------------------
 
     def certify(self, bound: Any = None, progress: bool | None = None) -> Proofs:
@@ -391,6 +439,10 @@ class Solutions:
         Proofs(2 proven, 0 not)
         """
         return prove_members(self, bound, progress)
+
+    def animate(self, *names: str, **options: Any) -> hamsym.Animation:
+        """Animate the first 50 members in one picture; see :func:`hamsym.animate`."""
+        return hamsym.animate(self, *names, **options)
 
     # -- files and tables --------------------------------------------------------------------
 
@@ -421,16 +473,9 @@ class Solutions:
         InputError
             If xarray is not installed, or a time is outside the span.
         """
-        try:
-            import xarray
-        except ImportError:
-            raise InputError(
-                "to_xarray needs the package xarray, which is not installed; install it with "
-                "pip install xarray"
-            ) from None
-        axes = ["member"] if self.ndim == 1 else [f"axis_{i}" for i in range(self.ndim)]
+        axes = member_axes(self.shape)
         times = np.atleast_1d(times_in_span(t, self.span))
-        return xarray.Dataset(
+        return data_set(
             {
                 "state": ([*axes, "time", "component"], self(times)),
                 "success": (axes, self.success),
@@ -438,19 +483,47 @@ class Solutions:
                 "error_estimate": ([*axes, "component"], self.error_estimate),
                 "z0": ([*axes, "component"], self.z0),
             },
-            coords={
+            {
                 "time": times,
                 "component": list(self.H.names),
                 **{name: (axes, values) for name, values in self.parameters.items()},
             },
-            attrs={
-                "H": self.H.formula,
-                "span": list(self.span),
-                "tol": self.tol,
-                **{
-                    name: value
-                    for name, value in self.H.parameters.items()
-                    if name not in self._varied
-                },
-            },
+            self._attributes,
         )
+
+    @property
+    def _attributes(self) -> dict[str, Any]:
+        known = attributes_of(self.H, self._varied)
+        return {**known, "span": list(self.span), "tol": self.tol}
+
+    def to_dataframe(self, t: Any) -> pandas.DataFrame:
+        """Return states at times t as a table of pandas, with components as columns.
+
+        The index has the levels ``member``, or ``axis_0``, ``axis_1``, ..., and ``t``. Parameters
+        that vary are columns; H, other parameters and units are in ``attrs``.
+
+        Parameters
+        ----------
+        t : sequence or array
+            Times, shape (n,); a scalar counts as one time.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed, or a time is outside the span.
+
+        Examples
+        --------
+        >>> many = hamsym.solve_many("p**2/2 + x**2/2", [[1.0, 0.0], [2.0, 0.0]], (0, 5))
+        >>> many.to_dataframe([0.0, 5.0])["x"].xs(0.0, level="t").tolist()
+        [1.0, 2.0]
+        """
+        times = np.atleast_1d(times_in_span(t, self.span))
+        places = np.indices((*self.shape, len(times))).reshape(self.ndim + 1, -1)
+        index = dict(zip(member_axes(self.shape), places[:-1], strict=True))
+        index[time_name(self.H.names)] = times[places[-1]]
+        columns = dict(zip(self.H.names, self(times).reshape(-1, self.H.dim).T, strict=True))
+        columns |= {
+            name: np.repeat(own.ravel(), len(times)) for name, own in self.parameters.items()
+        }
+        return data_frame(columns, index, self._attributes)

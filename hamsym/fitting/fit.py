@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import sympy
 
 from hamsym.errors import InputError
 from hamsym.families.many import solve_many
@@ -32,12 +31,14 @@ from hamsym.fitting.verdicts import Verdicts, judged
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import checked_span
+from hamsym.suggestions import checked_keywords
 from hamsym.support.validation import require, require_number, require_whole
 from hamsym.symbolic.checks import name_of
 
 __all__ = ["fit"]
 
 
+@checked_keywords
 def fit(
     H: HamiltonianLike,
     t: Any,
@@ -131,10 +132,7 @@ def fit(
     >>> low < 4 < high
     True
     """
-    if isinstance(H, str | sympy.Expr):
-        H = Hamiltonian(H)
-    if not isinstance(H, Hamiltonian):
-        raise InputError(f"H must be a Hamiltonian or a formula, not {type(H).__name__}")
+    H = Hamiltonian.of(H, bound=False)
     require_whole("starts", starts, 1, 100_000)
     require_whole("seed", seed, 0)
     require_number("confidence", confidence, 0.0)
@@ -191,8 +189,8 @@ def _within(
     bounds: Any,
 ) -> tuple[Any, Any, Any]:
     """Return fixed components, fixed parameters and bounds, completed by those of a flow map."""
-    if (H.expr, H.names) != (flow.H.expr, flow.H.names):
-        raise InputError(f"H is not that of the flow map, {flow.H.formula}; give flow.H")
+    if (H.expr, H.names, H.forces) != (flow.H.expr, flow.H.names, flow.H.forces):
+        raise InputError(f"H is not that of the flow map, {flow.H.formulas}; give flow.H")
     given = [dict(part) if isinstance(part, Mapping) else part for part in (z0, parameters, bounds)]
     for part, names in ((0, H.names), (1, H.parameter_names)):
         if given[part] is None or isinstance(given[part], dict):

@@ -11,6 +11,7 @@ import numpy as np
 import sympy
 
 import hamsym
+from hamsym.description import attributes_of
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.fitting.motions import FlowLike, MappedMotions
@@ -18,8 +19,13 @@ from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
+from hamsym.suggestions import suggest_attributes
+from hamsym.support.shown import Shown
+from hamsym.support.tables import data_frame
+from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.figure import Figure
 
 __all__ = ["Fit", "Minimum"]
@@ -43,8 +49,9 @@ class Minimum:
     starts: int
 
 
+@suggest_attributes
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit:
+class Fit(Shown):
     """Free quantities estimated from observations, from :func:`hamsym.fit`.
 
     Of several sets of data, every array has a leading axis (sets,), written "..." below; of one
@@ -89,6 +96,12 @@ class Fit:
         Number of refined starts that reached the best minimum.
     solution : Solution, Solutions or None
         Motions with the estimates; None if a flow map was used.
+    flow : FlowMap or None
+        The map that was used in their place.
+    unknowns : Unknowns
+        What was free, with bounds and first guesses.
+    expressions : dict of str to sympy.Expr
+        Observables by the labels that were given.
     """
 
     H: Hamiltonian
@@ -174,12 +187,89 @@ class Fit:
     def _functions(self) -> dict[str, Any]:
         return {label: self.H.observable(expr) for label, expr in self.expressions.items()}
 
-    def plot(self, number: int = 0) -> Figure:
-        """Draw data with the fitted motion, and the residuals, of each observable.
+    def summary(self, rows: int | None = ROWS) -> str:
+        """Describe the outcome as text: the verdict, then the estimates with their errors.
 
         Parameters
         ----------
+        rows : int, optional
+            Most rows of a table; None for all.
+        """
+        if np.ndim(self.success):
+            failed = np.flatnonzero(~self.success)
+            first = "" if not len(failed) else f"; number {failed[0]:,}: {self.message[failed[0]]}"
+            return wrapped(f"{repr(self)[4:-1]}{first}")
+        errors = self.standard_errors
+        interval = f"{100 * self.confidence:g} % interval"
+        listed = []
+        for name, value in self.parameters.items():
+            low, high = self.confidence_intervals[name]
+            unit = self.H.units.get(name, "")
+            ends = f"{low:.8g} to {high:.8g}"
+            listed.append([name, unit, f"{value:.8g}", f"{errors[name]:.2g}", ends])
+        shown = listed if rows is None else listed[:rows]
+        header = ["", "unit", "estimate", "standard error", interval]
+        lines = [wrapped(self.message), "", *table(header, shown)]
+        lines += left_out(len(listed) - len(shown), "quantities")
+        worst = [
+            f"{label} {np.nanmax(np.abs(values)):.2g}"
+            for label, values in self.weighted_residuals.items()
+        ]
+        return "\n".join([*lines, "", wrapped(f"largest residuals in sigma: {', '.join(worst)}")])
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the estimates as a table of pandas, a row for each free quantity.
+
+        Columns are ``estimate``, ``standard_error``, ``low`` and ``high``, the ends of the
+        confidence interval. The index is ``name``, or ``set`` and ``name`` of several sets of data.
+        H, other parameters and units are in ``attrs``.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> t = np.linspace(0, 5, 40)
+        >>> H = hamsym.Hamiltonian("p**2/2 + k*x**2/2")
+        >>> x = np.cos(2 * t) + 0.01 * np.sin(99 * t)
+        >>> start = {"x": 1, "p": 0}
+        >>> found = hamsym.fit(H, t, {"x": x}, free={"k": 3.8}, z0=start, span=(0, 5), sigma=0.01)
+        >>> found.to_dataframe()["estimate"].round(1).to_dict()
+        {'k': 4.0}
+        """
+        ends = self.confidence_intervals.values()
+        values = {
+            "estimate": list(self.parameters.values()),
+            "standard_error": list(self.standard_errors.values()),
+            "low": [low for low, _ in ends],
+            "high": [high for _, high in ends],
+        }
+        columns = {name: np.array(own, dtype=float).T.ravel() for name, own in values.items()}
+        names = np.array(self.names, dtype=object)
+        index: dict[str, np.ndarray] = {"name": names}
+        if np.ndim(self.success):
+            sets = len(self.success)
+            index = {"set": np.repeat(np.arange(sets), len(names)), "name": np.tile(names, sets)}
+        attributes = {**attributes_of(self.H, self.names), "confidence": self.confidence}
+        return data_frame(columns, index, attributes)
+
+    def plot(self, *names: Any, number: int = 0, ax: Any = None) -> Figure:
+        """Draw data with the fitted motion above residuals, of each observable.
+
+        Parameters
+        ----------
+        *names : str
+            Observables; by default all, up to six.
         number : int
             Of the set, if there are several.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw the data of one observable into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name or a number is unknown, or ``ax`` is given for several observables.
         """
-        return hamsym.plot(self, number)
+        return hamsym.plot(self, *names, number=number, ax=ax)

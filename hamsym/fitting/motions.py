@@ -19,10 +19,10 @@ from hamsym.errors import HamsymError, InputError
 from hamsym.families.many import solve_many
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.numerics.symplectic import generators
 from hamsym.random_features.members import MemberSolver
 from hamsym.solution.solution import Solution
 from hamsym.solving import solve
+from hamsym.symbolic import derivatives
 
 __all__ = ["FlowLike", "LiftedMotions", "MappedMotions", "Motions", "SolvedMotions"]
 
@@ -170,9 +170,9 @@ def _rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
     rows = np.array([columns[name] for name in unknowns.H.parameter_names]).T if columns else None
     with np.errstate(all="ignore"):
         at = system.arguments(unknowns.starts(values), np.full(len(values), start))
-        hessians = np.asarray(system.hessian(*at, **system.keywords(rows)), dtype=float)
+        matrices = np.asarray(system.jacobian(*at, **system.keywords(rows)), dtype=float)
     shape = (len(values), unknowns.H.dim, unknowns.H.dim)
-    matrices = generators(np.broadcast_to(hessians, shape))
+    matrices = np.broadcast_to(matrices, shape)
     finite = np.isfinite(matrices).all(axis=(1, 2))
     rates = np.full(len(values), np.nan)
     rates[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(axis=1)
@@ -184,7 +184,7 @@ class LiftedMotions:
 
     With a direction (dz, dk) the Hamiltonian K = dz . grad H + dk . dH/dk, with pairs (q, dp) and
     (dq, p), has the equations of z and the variational equations of dz: all rows and directions
-    are members of one ensemble.
+    are members of one ensemble. Forces F of H act on p, and their changes dF on dp.
 
     Parameters
     ----------
@@ -303,9 +303,21 @@ def _lift_of(H: Hamiltonian, free: tuple[str, ...]) -> tuple[Hamiltonian, Mappin
         slope = sympy.diff(equations.expr, equations.parameters[name][0])
         terms.append(slope * sympy.Symbol(rate, real=True))
     z, dof = equations.z, H.dof
+    forces = {}
+    for i, force in enumerate(equations.forces):
+        forces[z[dof + i]] = force
+        slopes = derivatives.gradient(force, z)
+        changes = [slope * d for slope, d in zip(slopes, deviations, strict=True)]
+        for name, rate in rates.items():
+            slope = derivatives.gradient(force, [equations.parameters[name][0]])[0]
+            changes.append(slope * sympy.Symbol(rate, real=True))
+        forces[deviations[dof + i]] = sympy.Add(*changes)
     try:
         lifted = Hamiltonian(
-            sympy.Add(*terms), q=[*z[:dof], *deviations[:dof]], p=[*deviations[dof:], *z[dof:]]
+            sympy.Add(*terms),
+            q=[*z[:dof], *deviations[:dof]],
+            p=[*deviations[dof:], *z[dof:]],
+            forces=forces,
         )
         if not MemberSolver.applies(
             lifted.with_parameters(**dict.fromkeys(lifted.parameter_names, 1.0))

@@ -18,6 +18,7 @@ from hamsym.codegen.functions import compile_expressions
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.suggestions import did_you_mean, unknown
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
 
@@ -165,7 +166,8 @@ class Box:
         if own:
             listed = ", ".join(self.parameters) or "none"
             raise ParameterError(
-                f"'{min(own)}' is not a parameter that varies in this map; those are {listed}"
+                f"'{min(own)}' is not a parameter that varies in this map"
+                f"{did_you_mean(min(own), self.parameters)}; those are {listed}"
             )
         return found
 
@@ -179,9 +181,7 @@ class Box:
             for key, value in z0.items():
                 name = known.get(canonical_name(name_of(key)))
                 if name is None:
-                    raise VariableError(
-                        f"'{name_of(key)}' is not a component of z; z0 has {', '.join(names)}"
-                    )
+                    raise VariableError(unknown(name_of(key), names, "a component of z", "z0 has"))
                 found[name] = value
             return found
         array = z0 if hasattr(z0, "detach") else np.asarray(z0, dtype=float)
@@ -229,10 +229,7 @@ def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | Non
     >>> box.states(box.at(np.array([[0.0, 0.0]])))
     array([[1.5, 0. ]])
     """
-    if isinstance(H, str | sympy.Expr):
-        H = Hamiltonian(H)
-    if not isinstance(H, Hamiltonian):
-        H = Hamiltonian.of(H)
+    H = Hamiltonian.of(H, bound=False)
     if parameters is not None and not isinstance(parameters, Mapping):
         raise InputError(
             f'parameters={parameters!r} is not a mapping; give for example {{"k": (0.5, 2)}}'
@@ -259,7 +256,8 @@ def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | Non
         if canonical_name(name) not in own and canonical_name(name) not in used:
             listed = ", ".join(H.parameter_names) or "none"
             raise ParameterError(
-                f"'{name}' is not a parameter of H or of an expression in z0; H has {listed}"
+                f"'{name}' is not a parameter of H or of an expression in z0"
+                f"{did_you_mean(name, H.parameter_names)}; H has {listed}"
             )
         _sort(name, value, varied, numbers)
     unnamed = sorted(used - {canonical_name(name) for name in (*varied, *numbers)})
@@ -306,7 +304,8 @@ def _by_component(z0: Any, names: Sequence[str]) -> dict[str, Any]:
     known = {canonical_name(name): name for name in names}
     for key in given:
         if key not in known:
-            raise VariableError(f"'{key}' is not a component of z; z0 has {order}")
+            hint = did_you_mean(key, names)
+            raise VariableError(f"'{key}' is not a component of z{hint}; z0 has {order}")
     for key, name in known.items():
         if key not in given:
             raise VariableError(f"'{name}' is missing in z0; give all of {order}")

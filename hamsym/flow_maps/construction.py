@@ -21,6 +21,8 @@ from hamsym.flow_maps.judging import Judgement, judged
 from hamsym.flow_maps.options import FeatureMapOptions, NetworkMapOptions, checked_options
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.problem import checked_span
+from hamsym.suggestions import checked_keywords
+from hamsym.support.progress import is_shown
 from hamsym.support.validation import require, require_whole
 
 if TYPE_CHECKING:
@@ -39,6 +41,7 @@ _AIM = 0.4  # of the allowed error, in a further attempt
 _PROBES = 32  # solutions from which the sizes of the components are taken
 
 
+@checked_keywords
 def flow_map(
     H: HamiltonianLike,
     z0: Mapping[Any, Any] | Sequence[Any],
@@ -167,7 +170,7 @@ def flow_map(
     require_whole("seed", seed, 0)
     chosen = checked_options(method, options)
     absolute = np.broadcast_to(np.asarray(atol, dtype=float), box.H.dim)
-    show = sys.stderr.isatty() if progress is None else progress
+    show = is_shown(progress)
     workers = None
     if isinstance(chosen, NetworkMapOptions):
         from hamsym.flow_maps.workers import Workers  # imports torch, which is slow

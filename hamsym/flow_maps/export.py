@@ -59,7 +59,7 @@ def module_text(flow: Any) -> str:
     errors = ", ".join(
         f"{name} {error:.2g}" for name, error in zip(flow.H.names, flow.error_estimate, strict=True)
     )
-    return f'''"""Trajectories of H = {flow.H.formula}, for all starts in a box.
+    return f'''"""Trajectories of H = {flow.H.formulas}, for all starts in a box.
 
 ``state(t, inputs)`` returns ({", ".join(flow.H.names)}) at times t from {start!r} to {end!r},
 shape (n,). The inputs have shape (n, {len(flow.inputs)}) and the columns

@@ -18,7 +18,9 @@ from hamsym.flow_maps.export import export_flow_map
 from hamsym.flow_maps.judging import Judgement
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.times import is_tensor
+from hamsym.suggestions import suggest_attributes
 from hamsym.support.cores import available_cores
+from hamsym.support.shown import Shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,8 +31,9 @@ _QUERIES = 10_000  # for each core, from which on several are used
 _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 
 
+@suggest_attributes
 @dataclass(frozen=True, eq=False)
-class FlowMap:
+class FlowMap(Shown):
     """All trajectories from a box of initial states and parameters, as one function.
 
     Call it with times, initial states and parameters to get states; see :meth:`__call__`.
@@ -84,7 +87,7 @@ class FlowMap:
             for name, low, high in zip(self.inputs, self.region.low, self.region.high, strict=True)
         )
         return (
-            f"FlowMap({self.H.formula!r}, {intervals}, t from {start:.6g} to {end:.6g}: "
+            f"FlowMap({self.H.formulas!r}, {intervals}, t from {start:.6g} to {end:.6g}: "
             f"{'success' if self.success else 'no success'}, {self.message})"
         )
 
@@ -288,13 +291,25 @@ class FlowMap:
                 "inside it, or extrapolate=True"
             )
 
-    def plot(self) -> Figure:
-        """Draw what the box becomes; see :func:`hamsym.plot`.
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw what the box becomes.
 
-        If all components vary, the box is drawn in each phase plane at six times; otherwise the
+        Without names, if all components vary: the box in phase planes at six times; otherwise the
         range of each component over time, with eight trajectories.
+
+        Parameters
+        ----------
+        *names : str
+            One component, to draw its range over time, or two, to draw the box in their plane.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for several panels.
         """
-        return hamsym.plot(self)
+        return hamsym.plot(self, *names, ax=ax)
 
     # -- proofs ------------------------------------------------------------------------------
 

@@ -24,7 +24,6 @@ from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.domain import Domain, random_places
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
-from hamsym.numerics.symplectic import generators
 
 __all__ = ["Judgement", "judged", "linear_error"]
 
@@ -209,7 +208,7 @@ def linear_error(
             states, rates, _ = map.derivatives(np.tile(times, count), repeated)
             arguments = system.arguments(states, np.tile(times, count))
             residual = rates - system.vector_field(*arguments, **values)
-            matrices = generators(system.hessian(*arguments, **values))
+            matrices = system.jacobian(*arguments, **values)
             # From inside the piece, whatever the side to which its ends belong.
             first = _continued(map, inputs, low, length)
             last = _continued(map, inputs, high, -length)
@@ -247,7 +246,7 @@ def _symplecticity(
     random: np.random.Generator,
 ) -> float | None:
     """Return the largest entry of M^T J M - J, each in units of its components."""
-    if not box.is_whole:
+    if not box.is_whole or box.H.forces:
         return None
     dim, dof = box.H.dim, box.H.dof
     times = random.uniform(min(span), max(span), len(inputs))

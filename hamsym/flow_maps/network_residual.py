@@ -21,7 +21,6 @@ from hamsym.flow_maps.domain import Domain
 from hamsym.flow_maps.network_map import NetworkMap
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.network import layers_of, weights_of
-from hamsym.networks.objective import field_slopes
 from hamsym.networks.sensitivities import backward, forward
 
 __all__ = ["Points", "Residual", "Window"]
@@ -182,8 +181,8 @@ class Residual:
 
     def slopes(self, z: Tensor, points: Points) -> tuple[Tensor, Tensor]:
         """Return the derivatives of the rows in z, (dim, K, dim), and in dz, (dim, 1, dim)."""
-        hessian = self._system.hessian(*self._system.arguments(z, points.t), **points.values)
-        in_z = -(field_slopes(hessian) / self._unit[:, None]).transpose(0, 1)
+        jacobian = self._system.jacobian(*self._system.arguments(z, points.t), **points.values)
+        in_z = -(jacobian / self._unit[:, None]).transpose(0, 1)
         return in_z, torch.diag(1 / self._unit)[:, None]
 
 

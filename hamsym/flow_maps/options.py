@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from hamsym.errors import InputError
+from hamsym.errors import KeywordError
 from hamsym.flow_maps.network_map import ENVELOPES
+from hamsym.suggestions import advice, did_you_mean
 from hamsym.support.option_fields import option
 from hamsym.support.validation import require, require_positive, require_whole
 
@@ -108,9 +109,13 @@ def checked_options(
     names = {name: [field.name for field in fields(kind)] for name, kind in _METHODS.items()}
     for name in options:
         if name not in names[method]:
+            instead = advice(name, "flow_map", (*names[method], "tol", "atol"))
+            if instead is not None:
+                raise KeywordError(f"'{name}' is not an argument of flow_map; {instead}")
             others = [other for other, listed in names.items() if name in listed]
-            belongs = f", but of method '{others[0]}'" if others else ""
-            raise InputError(
+            hint = did_you_mean(name, names[method])
+            belongs = f", but of method '{others[0]}'" if others else hint
+            raise KeywordError(
                 f"'{name}' is not an option of method '{method}'{belongs}; it has "
                 f"{', '.join(names[method])}"
             )

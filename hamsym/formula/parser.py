@@ -32,6 +32,7 @@ from hamsym.formula.grammar import (
     readable,
     syntax_tree,
 )
+from hamsym.suggestions import did_you_mean
 
 __all__ = ["FUNCTIONS", "canonical_name", "check_name", "parse_expression", "parse_number"]
 
@@ -74,6 +75,7 @@ FUNCTIONS: dict[str, _Function] = {
     "atan2": _Function(sympy.atan2, 2, 2),
     "min": _Function(sympy.Min, 2, 16),
     "max": _Function(sympy.Max, 2, 16),
+    "Heaviside": _Function(sympy.Heaviside),
 }
 
 _CONSTANTS = {"pi": sympy.pi, "π": sympy.pi}
@@ -134,8 +136,8 @@ def parse_expression(text: str) -> sympy.Expr:
     Parameters
     ----------
     text : str
-        Numbers, ``pi``, names, ``+ - * / **``, parentheses and the functions in
-        :data:`FUNCTIONS`.
+        Numbers, ``pi``, names, ``+ - * / **``, parentheses, the functions in :data:`FUNCTIONS`,
+        and sums ``sum(i, 1, 8, p[i]**2/2)`` over integers, in which ``p[i]`` is p1, ..., p8.
 
     Returns
     -------
@@ -151,6 +153,8 @@ def parse_expression(text: str) -> sympy.Expr:
     --------
     >>> parse_expression("p**2/2 + 0.1*x**4")
     p**2/2 + x**4/10
+    >>> parse_expression("sum(i, 1, 2, sum(j, i + 1, 3, (x[i] - x[j])**2))")
+    (x1 - x2)**2 + (x1 - x3)**2 + (x2 - x3)**2
     >>> parse_expression("x^2")
     Traceback (most recent call last):
     ...
@@ -198,6 +202,9 @@ class _Visitor:
         self._text = readable(text)
         self._symbols: dict[str, str] = {}  # canonical name -> name as typed
         self._depth = self._calls = 0
+        self._indices: dict[str, int] = {}  # of the sums around the present node
+        self._index_names: set[str] = set()  # of all sums
+        self._parts = 0  # operands and operations in the terms of sums
 
     def result(self) -> sympy.Expr:
         tree = syntax_tree(self._text)
@@ -211,7 +218,7 @@ class _Visitor:
             )
         try:
             with call_limit(MAX_EFFORT, MAX_SECONDS):
-                return self.visit(tree.body)
+                found = self.visit(tree.body)
         except CallLimitExceededError:
             raise ParseError(
                 self._text.strip()[:12] + "...",
@@ -219,6 +226,14 @@ class _Visitor:
                 "begins a formula that takes too long to read",
                 "split it, or build a sympy expression",
             ) from None
+        for name in sorted(self._index_names & set(self._symbols.values())):
+            raise ParseError(
+                name,
+                self.column_of(name),
+                "is the index of a sum and a variable",
+                "use another letter for the index",
+            )
+        return found
 
     def visit(self, node: ast.AST) -> sympy.Expr:
         method = getattr(self, f"visit_{type(node).__name__}", None)
@@ -260,6 +275,8 @@ class _Visitor:
 
     def visit_Name(self, node: ast.Name) -> sympy.Expr:
         name = LAMBDA if node.id == LAMBDA_STAND_IN else node.id
+        if name in self._indices:
+            return sympy.Integer(self._indices[name])
         if name in _CONSTANTS:
             return _CONSTANTS[name]
         if name in FUNCTIONS:
@@ -269,10 +286,72 @@ class _Visitor:
         except VariableError as error:
             remedy = str(error).split("; ", 1)[1]
             raise self._error(node, "is not a usable name", remedy) from None
+        return self._symbol(name, node)
+
+    def _symbol(self, name: str, node: ast.AST) -> sympy.Symbol:
         first = self._symbols.setdefault(canonical_name(name), name)
         if first != name:
             raise self._error(node, f"is '{first}' in another spelling", "use one of the two")
         return sympy.Symbol(name, real=True)
+
+    def visit_Subscript(self, node: ast.Subscript) -> sympy.Expr:
+        """An element inside a sum: ``x[i + 1]`` is x4 for i = 3."""
+        if not self._indices:
+            raise self._error(node, *REFUSED_NODES[ast.Subscript])
+        if not isinstance(node.value, ast.Name) or isinstance(node.slice, (ast.Slice, ast.Tuple)):
+            raise self._error(node, "is not an element", "write x[i] with one index")
+        index = self._whole(node.slice)
+        if index < 0:
+            raise self._error(node, f"has the index {index}", "use indices from 0")
+        stem = LAMBDA if node.value.id == LAMBDA_STAND_IN else node.value.id
+        try:
+            check_name(stem)
+            check_name(f"{stem}{index}")
+        except VariableError as error:
+            raise self._error(node, "is not a usable name", str(error).split("; ", 1)[1]) from None
+        if stem in self._indices:
+            raise self._error(node, "is an element of an index", "use another letter")
+        return self._symbol(f"{stem}{index}", node)
+
+    def _whole(self, node: ast.expr) -> int:
+        """The value of an integer, or of an expression in the indices of sums."""
+        value = self.visit(node)
+        if not value.is_Integer:
+            raise self._error(
+                node, "is not an integer", "write numbers and indices of sums, for example i + 1"
+            )
+        if abs(value) > MAX_NODES:
+            raise self._error(node, "is too large an index", f"stay below {MAX_NODES}")
+        return int(value)
+
+    def _sum(self, node: ast.Call) -> sympy.Expr:
+        """Expand ``sum(i, first, last, term)``, bounds included."""
+        if len(node.args) != 4 or node.keywords:
+            raise self._error(
+                node.func, f"has {len(node.args)} arguments", "write sum(i, 1, 8, p[i]**2/2)"
+            )
+        index, first, last, term = node.args
+        if not isinstance(index, ast.Name):
+            raise self._error(
+                index, "is not an index", "begin with a name, as in sum(i, 1, 8, ...)"
+            )
+        name = index.id
+        if name in self._indices:
+            raise self._error(index, "is the index of the sum around it", "use another letter")
+        if name in FUNCTIONS or name in _CONSTANTS or name == LAMBDA_STAND_IN:
+            raise self._error(index, "cannot be an index", "use a letter such as i")
+        low, high = self._whole(first), self._whole(last)
+        self._index_names.add(name)
+        size = sum(isinstance(part, ast.expr) for part in ast.walk(term))
+        self._parts += size * max(high - low + 1, 0)
+        if self._parts > MAX_NODES:
+            raise self._error(node, f"has more than {MAX_NODES} parts", "build a sympy expression")
+        terms = []
+        for value in range(low, high + 1):
+            self._indices[name] = value
+            terms.append(self.visit(term))
+        self._indices.pop(name, None)
+        return sympy.Add(*terms)
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> sympy.Expr:
         if isinstance(node.op, ast.USub):
@@ -300,10 +379,12 @@ class _Visitor:
         if not isinstance(node.func, ast.Name):
             raise self._error(node.func, "is not a function name", "write * between factors")
         name = node.func.id
+        if name == "sum":
+            return self._sum(node)
         if name not in FUNCTIONS:
             raise self._error(
                 node.func,
-                "is not a known function",
+                f"is not a known function{did_you_mean(name, FUNCTIONS)}",
                 f"write * for products, for example x*(1 + y); known functions: {_function_list()}",
             )
         if node.keywords:
@@ -448,4 +529,4 @@ def _is_zero(expr: sympy.Expr) -> bool:
 
 
 def _function_list() -> str:
-    return ", ".join(sorted(set(FUNCTIONS) - set(_SPELLINGS)))
+    return ", ".join(sorted((set(FUNCTIONS) | {"sum"}) - set(_SPELLINGS)))

@@ -14,7 +14,7 @@ import sympy
 
 from hamsym.errors import CodeGenerationError
 
-__all__ = ["FormulaPrinter", "Printer", "rewritten_to"]
+__all__ = ["FormulaPrinter", "Printer", "exact_decimal", "ordered_terms", "rewritten_to"]
 
 _ADD, _MUL, _POW, _ATOM = range(4)  # precedences
 _READABLE = 1_000  # fractions up to here stay fractions in code
@@ -68,18 +68,32 @@ class Printer:
     ----------
     names : mapping of sympy.Symbol to str
         The identifier of each symbol.
+    state : frozenset of sympy.Symbol
+        Symbols that depend on the state.
+    like : str
+        Identifier of a component of the state, whose shape is that of the batch.
     """
 
     backend = ""
     functions: Mapping[type, str] = {}
     sqrt = "sqrt"
+    raised = "**"  # the operator of powers
 
-    def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
-        self.names = names
+    def __init__(
+        self,
+        names: Mapping[sympy.Symbol, str],
+        state: frozenset[sympy.Symbol] = frozenset(),
+        like: str = "",
+    ) -> None:
+        self.names, self.state, self.like = names, state, like
 
     def __call__(self, expr: sympy.Expr) -> str:
         """Return the text of one expression."""
         return self._render(self.lower(expr))[0]
+
+    def result(self, expr: sympy.Expr) -> str:
+        """Return the text of a result of a function."""
+        return self(expr)
 
     def lower(self, expr: sympy.Expr) -> sympy.Expr:
         """Rewrite functions that the backend lacks.
@@ -99,10 +113,15 @@ class Printer:
 
     # -- numbers ---------------------------------------------------------------------------
 
+    def integer(self, value: int) -> str:
+        """Print a small integer, which may be the numerator or denominator of a fraction."""
+        return str(value)
+
     def number(self, value: sympy.Expr) -> tuple[str, int]:
         """Print a symbol-free expression as a short fraction or a float literal."""
         if value.is_Rational and max(abs(value.p), value.q) <= _READABLE:
-            text = str(value.p) if value.q == 1 else f"{value.p}/{value.q}"
+            text = self.integer(value.p)
+            text += "" if value.q == 1 else f"/{self.integer(value.q)}"
             return text, _ADD if value.p < 0 else (_ATOM if value.q == 1 else _MUL)
         digits = value if value.is_Rational else value.evalf(30)
         if not (digits.is_Rational or digits.is_Float):
@@ -140,7 +159,7 @@ class Printer:
         return text if own >= precedence else f"({text})"
 
     def _sum(self, expr: sympy.Expr) -> str:
-        terms = [self._render(term)[0] for term in _ordered_terms(expr)]
+        terms = [self._render(term)[0] for term in ordered_terms(expr)]
         text = terms[0]
         for term in terms[1:]:
             text += f" - {term[1:]}" if term.startswith("-") else f" + {term}"
@@ -162,9 +181,9 @@ class Printer:
         bottoms = ([denominator] if denominator else []) + [self._wrapped(f, _POW) for f in below]
         if denominator and any(factor.is_Add for factor in [f.as_base_exp()[0] for f in below]):
             # 2/3/(x + y): sympy would multiply a number in front of the sum into it when parsing.
-            tops = [f"{numerator or 1}/{denominator}", *tops[bool(numerator) :]]
+            tops = [f"{numerator or self.integer(1)}/{denominator}", *tops[bool(numerator) :]]
             bottoms = bottoms[1:]
-        text = sign + ("*".join(tops) or "1")
+        text = sign + ("*".join(tops) or self.integer(1))
         if bottoms:
             text += "/" + (bottoms[0] if len(bottoms) == 1 else f"({'*'.join(bottoms)})")
         return text, _ADD if sign else _MUL
@@ -172,8 +191,8 @@ class Printer:
     def _fraction(self, constant: sympy.Expr) -> tuple[str, str]:
         """Return numerator and denominator of a positive coefficient, "" for 1."""
         if constant.is_Rational and max(constant.p, constant.q) <= _READABLE:
-            return ("" if constant.p == 1 else str(constant.p)), (
-                "" if constant.q == 1 else str(constant.q)
+            return ("" if constant.p == 1 else self.integer(constant.p)), (
+                "" if constant.q == 1 else self.integer(constant.q)
             )
         text, precedence = self.number(constant)
         return (text if precedence >= _MUL else f"({text})"), ""
@@ -195,8 +214,8 @@ class Printer:
     def power(self, base: sympy.Expr, exponent: sympy.Expr) -> tuple[str, int]:
         """Print ``base**exponent`` for an exponent other than 1/2 or a negative number."""
         if exponent.is_Rational and not exponent.is_Integer:
-            return f"{self._wrapped(base, _ATOM)}**{float(exponent)!r}", _POW
-        return f"{self._wrapped(base, _ATOM)}**{self._wrapped(exponent, _ATOM)}", _POW
+            return f"{self._wrapped(base, _ATOM)}{self.raised}{float(exponent)!r}", _POW
+        return f"{self._wrapped(base, _ATOM)}{self.raised}{self._wrapped(exponent, _ATOM)}", _POW
 
     def _call(self, expr: sympy.Expr) -> str:
         if isinstance(expr, (sympy.Min, sympy.Max)):
@@ -222,7 +241,7 @@ class Printer:
         return texts[0]
 
 
-def _ordered_terms(expr: sympy.Expr) -> list[sympy.Expr]:
+def ordered_terms(expr: sympy.Expr) -> list[sympy.Expr]:
     """Sort terms by degree, non-polynomial terms last; x - 1, not -1 + x."""
 
     def degree(term: sympy.Expr) -> float:
@@ -241,6 +260,20 @@ def _ordered_terms(expr: sympy.Expr) -> list[sympy.Expr]:
     if len(terms) == 2 and terms[0].could_extract_minus_sign():
         return terms[::-1] if not terms[1].could_extract_minus_sign() else terms
     return terms
+
+
+def exact_decimal(value: sympy.Rational) -> str:
+    """Return the decimal that equals a long fraction, "" of a short one or if there is none.
+
+    Examples
+    --------
+    >>> exact_decimal(sympy.Rational("0.12345")), exact_decimal(sympy.Rational(1, 3))
+    ('0.12345', '')
+    """
+    if value.q == 1 or max(abs(value.p), value.q) <= _READABLE:
+        return ""
+    decimal = repr(float(value))
+    return decimal if sympy.Rational(decimal) == value else ""
 
 
 class FormulaPrinter(Printer):
@@ -268,10 +301,8 @@ class FormulaPrinter(Printer):
     def number(self, value: sympy.Expr) -> tuple[str, int]:
         if value.is_Float:
             return repr(float(value)), _ADD if value < 0 else _ATOM
-        if value.q != 1 and max(abs(value.p), value.q) > _READABLE:
-            decimal = repr(float(value))
-            if sympy.Rational(decimal) == value:
-                return decimal, _ADD if value < 0 else _ATOM
+        if decimal := exact_decimal(value):
+            return decimal, _ADD if value < 0 else _ATOM
         text = str(value.p) if value.q == 1 else f"{value.p}/{value.q}"
         return text, _ADD if value.p < 0 else (_ATOM if value.q == 1 else _MUL)
 
@@ -292,4 +323,6 @@ class FormulaPrinter(Printer):
         name = expr.func.__name__
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise CodeGenerationError(f"{name!r} is not the name of a function; rename it")
-        return f"{name}({', '.join(self.argument(argument) for argument in expr.args)})"
+        # The second argument of Heaviside is its value at zero.
+        arguments = expr.args[:1] if isinstance(expr, sympy.Heaviside) else expr.args
+        return f"{name}({', '.join(self.argument(argument) for argument in arguments)})"

@@ -19,15 +19,15 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.coefficients import RungeKutta, Scheme
-from hamsym.numerics.symplectic import generators
 
-__all__ = ["AIM", "COARSE", "Attempt", "Choice", "EnergyDrift", "choose"]
+__all__ = ["AIM", "COARSE", "Attempt", "Choice", "EnergyDrift", "choose", "work_of"]
 
-#: Target drift of the choice of steps; for time-dependent H, target change by halving the step.
+#: Target drift of the choice of steps; where H is not conserved, target change by halving the step.
 AIM = 1e-9
 #: Drift above which the given steps do not represent the system.
 COARSE = 0.01
@@ -49,7 +49,7 @@ class EnergyDrift:
     Parameters
     ----------
     H : Hamiltonian
-        If it depends explicitly on time the drift is nan.
+        If it is not conserved, by explicit time or forces, the drift is nan.
     count : int
         Number of trajectories.
     parameters : numpy.ndarray, optional
@@ -71,7 +71,7 @@ class EnergyDrift:
 
         States after the end of a trajectory are not finite and are ignored.
         """
-        if self._H.time is not None:
+        if not self._H.conserves_energy:
             return
         rows = max(2, _MAX_COMPONENTS // (self._count * self._H.dim))
         for first in range(0, max(path.shape[1] - 1, 1), rows - 1):
@@ -111,14 +111,14 @@ class EnergyDrift:
     def relative(self, steps: int) -> np.ndarray:
         """Change of H in excess of round-off, divided by the scale, shape (count,).
 
-        Infinite where the quotient is not finite, nan if H depends on time.
+        Infinite where the quotient is not finite, nan if H is not conserved.
 
         Parameters
         ----------
         steps : int
             Steps of the run, from which the round-off is estimated.
         """
-        if self._H.time is not None:
+        if not self._H.conserves_energy:
             return np.full(self._count, np.nan)
         with np.errstate(all="ignore"):
             excess = np.maximum(self.change - _round_off(steps) * self._size, 0.0)
@@ -134,6 +134,41 @@ def _finite_or_zero(values: np.ndarray) -> np.ndarray:
 def _round_off(steps: int) -> float:
     """Relative round-off error that accumulates over a number of steps."""
     return 4 * _EPS * math.sqrt(1 + steps)
+
+
+def work_of(t: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """Integrate power over time by splines, from the first time to each.
+
+    Parameters
+    ----------
+    t : numpy.ndarray
+        Times in order, shape (n,).
+    power : numpy.ndarray
+        Shape (..., n); nan from the end of a trajectory on.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (..., n); nan where the power is.
+
+    Examples
+    --------
+    >>> t = np.linspace(0, 2, 21)
+    >>> float(work_of(t, t**4)[-1].round(12))
+    6.4
+    """
+    rows = power.reshape(-1, len(t))
+    work = np.full(rows.shape, np.nan)
+    elapsed, sign = np.abs(t - t[0]), np.sign(t[-1] - t[0])
+    for row, found in zip(rows, work, strict=True):
+        count = int(np.logical_and.accumulate(np.isfinite(row)).sum())
+        degree = 5 if count > 5 else 3 if count > 3 else 1
+        if count > 1:
+            spline = make_interp_spline(elapsed[:count], row[:count], k=degree)
+            found[:count] = sign * spline.antiderivative()(elapsed[:count])
+        elif count:
+            found[0] = 0.0
+    return work.reshape(power.shape)
 
 
 # -- number of steps ---------------------------------------------------------------------------
@@ -169,7 +204,8 @@ class Choice(Generic[AttemptT]):
     attempt : Attempt
     steps : int
     found : float
-        Largest energy drift of a trajectory; for time-dependent H, change by halving the step.
+        Largest energy drift of a trajectory; for H that is not conserved, change by
+        halving the step.
     met : bool
         Whether ``found`` is at most :data:`AIM` and the steps resolve the fastest linear motion.
     """
@@ -191,7 +227,7 @@ def choose(
 ) -> Choice[AttemptT]:
     """Double the number of steps until every trajectory conserves H to :data:`AIM`.
 
-    For time-dependent H, double until halving the step changes no component by more than this
+    Where H is not conserved, double until halving the step changes no component by more than this
     fraction of its range. Equal steps that are too long can conserve a quadratic H exactly, so the
     steps must also resolve the fastest linear motion along the trajectories. For a trajectory that
     ends early, the first nine tenths are tested, and two successive runs must end at the same time.
@@ -266,7 +302,7 @@ def _deviation(
     steps: int,
     parameters: np.ndarray | None,
 ) -> float:
-    if H.time is None:
+    if H.conserves_energy:
         drift = EnergyDrift(H, len(tested), parameters)
         drift.add(tested)
         return float(drift.relative(steps).max())
@@ -290,8 +326,7 @@ def _change(
     with np.errstate(all="ignore"):
         at, t, values = _sampled(z, times, parameters)
         given = system.keywords(values)
-        hessian = np.asarray(system.hessian(*system.arguments(at, t), **given))
-        matrices = np.abs(generators(hessian))
+        matrices = np.abs(system.jacobian(*system.arguments(at, t), **given))
         rates = np.abs(np.asarray(system.vector_field(*system.arguments(at, t), **given)))
         rounded = _finite_or_zero(np.einsum("nij,nj->ni", matrices, np.abs(at))).max(axis=0)
         size = np.where(there, np.abs(z), 0.0).max(axis=1)
@@ -336,7 +371,7 @@ def _fastest_rate(
     """Largest spectral radius of J Hess over the states where it is finite, per unit of time."""
     system = H.compile("numpy")
     with np.errstate(all="ignore"):
-        hessian = system.hessian(*system.arguments(states, times), **system.keywords(parameters))
-        matrices = generators(np.asarray(hessian))
+        arguments, given = system.arguments(states, times), system.keywords(parameters)
+        matrices = np.asarray(system.jacobian(*arguments, **given))
     matrices = matrices[np.isfinite(matrices).all(axis=(1, 2))]
     return float(np.abs(np.linalg.eigvals(matrices)).max(initial=0.0))

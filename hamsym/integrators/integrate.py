@@ -16,26 +16,42 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 import hamsym
+from hamsym.conservation import InvariantLike, KnownInvariants
+from hamsym.description import attributes_of
 from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError, SeparabilityError, StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.adaptive import Adaptive, reference
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Splitting
-from hamsym.integrators.energy_drift import AIM, COARSE, Attempt, Choice, EnergyDrift, choose
+from hamsym.integrators.energy_drift import (
+    AIM,
+    COARSE,
+    Attempt,
+    Choice,
+    EnergyDrift,
+    choose,
+    work_of,
+)
 from hamsym.integrators.fixed_step import NOT_ONLY_SEPARABLE, Stepper
+from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.table import ALIASES, INTEGRATORS
 from hamsym.integrators.tolerance import Tolerated, integrate_to_tolerance
-from hamsym.numerics.symplectic import generators
 from hamsym.problem import checked_span, checked_steps
+from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes, unknown
+from hamsym.support.shown import Shown
+from hamsym.support.tables import data_frame, data_set, member_axes, time_name
+from hamsym.support.text_tables import ROWS
 from hamsym.support.validation import require_number, require_positive, require_whole
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
     from matplotlib.figure import Figure
 
 __all__ = [
@@ -59,8 +75,9 @@ _MAX_SAVED, _MAX_SAVED_COMPONENTS = (
 _MAX_TESTED = 20_001  # saved states of a trajectory at which the drift of H is computed
 
 
+@suggest_attributes
 @dataclass(frozen=True)
-class Trajectory:
+class Trajectory(Shown):
     """States along a trajectory, or along each trajectory of an ensemble.
 
     An ensemble has the shape to which the initial states and the parameters broadcast, (batch,) for
@@ -102,12 +119,15 @@ class Trajectory:
         Largest change of H in excess of round-off, at the saved states (at 20,001 of them if there
         are more), relative to the energy that the motion exchanges between coordinates and momenta
         (:mod:`hamsym.integrators.energy_drift`); the largest of an ensemble. Infinite if H is not
-        finite along the trajectory, nan if H depends on time and with ``tol``.
+        finite along the trajectory, nan if H depends on time, forces act, and with ``tol``.
     error_estimate : numpy.ndarray, optional
         With ``tol``: largest estimated error of each component up to each time, shape of z, in the
         units of the components; infinite where it is unknown.
     verdicts : Tolerated, optional
         With ``tol``: steps, largest relative error and problem of each trajectory, in a flat order.
+    invariant_drift : mapping of str to float or numpy.ndarray
+        Largest change of each of the ``invariants`` at the saved times, by its formula, (*shape);
+        not part of files.
     """
 
     t: np.ndarray = field(repr=False)
@@ -125,6 +145,24 @@ class Trajectory:
     drift: float = math.nan
     error_estimate: np.ndarray | None = field(default=None, repr=False)
     verdicts: Tolerated | None = field(default=None, repr=False)
+    invariant_drift: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        success, found = np.asarray(self.success), self.verdicts
+        if success.ndim:
+            outcome = f"{int(success.sum()):,} of {success.size:,} succeeded"
+        else:
+            outcome = f"success={bool(success)}"
+        if found is not None:
+            error = f", estimated relative error {found.largest.max(initial=0.0):.1e}"
+        else:
+            kept = f"to {self.drift:.1e}" if self.drift else "to round-off"
+            error = "" if math.isnan(self.drift) else f", H kept {kept}"
+        shape = f"shape {self.ensemble.shape}, " if self.ensemble.shape else ""
+        return (
+            f"Trajectory({self.ensemble.H.formulas!r}, {shape}{len(self.t):,} states, t from "
+            f"{self.t[0]:.6g} to {self.t[-1]:.6g}, {self.method}{error}, {outcome})"
+        )
 
     @cached_property
     def messages(self) -> np.ndarray:
@@ -146,11 +184,266 @@ class Trajectory:
             arguments = system.arguments(self.z, self.t)
             return np.asarray(system.energy(*arguments, **system.keywords(values)))
 
-    def plot(self) -> Figure:
-        """Draw components, phase space and the change of H."""
-        return hamsym.plot(self)
+    @cached_property
+    def energy_drift(self) -> np.ndarray:
+        """H(t) - H(start), less the work of forces and explicit time, shape (*shape, n).
+
+        The work is the integral of ``H.power`` by splines through the saved states: save enough of
+        them. Without forces and explicit time this is the change of H.
+
+        Examples
+        --------
+        >>> H = Hamiltonian("p**2/2 + x**2/2", forces={"p": "-p/5"})
+        >>> trajectory = integrate(H, [1, 0], (0, 10), "gauss6", steps=1_000)
+        >>> bool(np.abs(trajectory.energy_drift).max() < 1e-11)
+        True
+        """
+        H, change = self.ensemble.H, self.energy - self.energy[..., :1]
+        if H.conserves_energy:
+            return change
+        values = None
+        if self.ensemble.varied:
+            values = self.ensemble.parameters.reshape(*self.ensemble.shape, 1, -1)
+        with np.errstate(all="ignore"):
+            power = H.observable(H.power)(self.z, self.t, values)
+        return change - work_of(self.t, power)
+
+    def summary(self, rows: int | None = ROWS, *, number: int = 0) -> str:
+        """Describe the outcome as text.
+
+        First the largest estimated error against ``tol``, or without it how well H is kept, then
+        the states at the ends of one trajectory, and the cost.
+
+        Parameters
+        ----------
+        rows : int, optional
+            Most components in the table; None for all.
+        number : int
+            Of the trajectory in the table, in a flat order of the ensemble.
+
+        Examples
+        --------
+        >>> trajectory = integrate("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-9)
+        >>> print(trajectory.summary())
+        largest estimated error ... in ..., ... % of tol 1.0e-09
+        blanes_moan6: ... steps to t = 5, estimated error ...
+        """
+        return hamsym.summary(self, rows, number=number)
+
+    # -- by name and by time ---------------------------------------------------------------------
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a component over the saved times, shape (*shape, n), as a view of ``z``.
+
+        Raises
+        ------
+        InputError
+            If no component has this name.
+
+        Examples
+        --------
+        >>> trajectory = integrate("p**2/2 + x**2/2", [1, 0], (0, np.pi), tol=1e-9, saves=2)
+        >>> trajectory["x"].round(8) + 0.0
+        array([ 1.,  0., -1.])
+        """
+        if isinstance(name, str) and name in self.names:
+            return self.z[..., self.names.index(name)]
+        raise InputError(unknown(name, self.names, "a component of this trajectory"))
+
+    def __iter__(self) -> NoReturn:
+        raise TypeError("a Trajectory is not a sequence; iterate over its t, its z or its names")
+
+    def __call__(self, t: Any) -> np.ndarray:
+        """Interpolate the states at times t between the saved ones.
+
+        On each interval between saved states this is the Hermite polynomial of degree 5 with the
+        states, the rates and their derivatives at both ends, from the generated equations. Its
+        error is h^6/46,080 max |d^6 z/dt^6|, with h the time between saved states. If H depends on
+        time, it is the polynomial of degree 3 with states and rates, with the error
+        h^4/384 max |d^4 z/dt^4|. The orders are lower where H is not smooth. This error comes on
+        top of that of the saved states; :meth:`interpolation_error` estimates it. At saved times
+        the states are those that were saved.
+
+        Parameters
+        ----------
+        t : float, sequence or array
+
+        Returns
+        -------
+        numpy.ndarray
+            Shape (*shape, m, dim) for m times, (*shape, dim) for one. After the end of a member of
+            an ensemble that stopped early, nan.
+
+        Raises
+        ------
+        InputError
+            If a time is outside the trajectory, or the saved states are so far apart that the
+            estimated error of the interpolation is above 1 % of the size of a component.
+
+        Examples
+        --------
+        >>> trajectory = integrate("p**2/2 + x**2/2", [1, 0], (0, 10), tol=1e-9)
+        >>> bool(abs(trajectory(np.pi)[0] + 1) < 1e-9)
+        True
+        >>> trajectory([0.5, 1.5, 2.5]).shape
+        (3, 2)
+        """
+        return self._interpolant.states(t)
+
+    def interpolation_error(self, t: Any) -> np.ndarray:
+        """Estimate the largest error of the interpolation between the saved states around t.
+
+        From the defect dz/dt - f(z) of the polynomial, to leading order in the time between saved
+        states; zero at saved times. In the units of the components, shaped as the states at t.
+
+        Raises
+        ------
+        InputError
+            If a time is outside the trajectory.
+
+        Examples
+        --------
+        >>> trajectory = integrate("p**2/2 + x**2/2", [1, 0], (0, 10), tol=1e-9)
+        >>> t = np.linspace(0, 10, 999)
+        >>> true = np.stack((np.cos(t), -np.sin(t)), axis=-1)
+        >>> largest = trajectory.interpolation_error(t).max()
+        >>> bool(0.5 < np.abs(trajectory(t) - true).max() / largest < 1.5)
+        True
+        """
+        return self._interpolant.errors(t)
+
+    @cached_property
+    def _interpolant(self) -> Interpolant:
+        return Interpolant(self.t, self.z, self.ensemble)
+
+    # -- tables and files ------------------------------------------------------------------------
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the states as a table of pandas: times as index, components as columns.
+
+        An ensemble has further levels of the index, ``member`` or ``axis_0``, ``axis_1``, ..., and
+        a column for each parameter that varies. H, parameters, units and the method are in
+        ``attrs``.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> table = integrate("p**2/2 + x**2/2", [1, 0], (0, 1), "gauss4", steps=2).to_dataframe()
+        >>> table.loc[0.5].round(4).to_dict()
+        {'x': 0.8776, 'p': -0.4794}
+        """
+        shape, n = self.ensemble.shape, len(self.t)
+        places = np.indices((*shape, n)).reshape(len(shape) + 1, -1)
+        index = dict(zip(member_axes(shape), places[:-1], strict=True))
+        index[time_name(self.names)] = self.t[places[-1]]
+        columns = dict(zip(self.names, self.z.reshape(-1, len(self.names)).T, strict=True))
+        members = np.repeat(np.arange(len(self.ensemble)), n)
+        columns |= {name: values[members] for name, values in self._varied.items()}
+        return data_frame(columns, index, self._attributes)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return states, energies, success and messages as a dataset of xarray.
+
+        Its axes are ``time`` and ``component``, and of an ensemble ``member``, or ``axis_0``,
+        ``axis_1``, ..., on which parameters that vary are coordinates. With ``tol`` it has
+        ``error_estimate`` too.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> data = integrate("p**2/2 + x**2/2", [1, 0], (0, 1), "gauss4", steps=2).to_xarray()
+        >>> round(float(data["state"].sel(time=0.5, component="x")), 4)
+        0.8776
+        """
+        shape = self.ensemble.shape
+        axes = member_axes(shape)
+        states = [*axes, "time", "component"]
+        success = np.array(np.broadcast_to(self.success, shape))
+        variables = {
+            "state": (states, self.z),
+            "energy": ([*axes, "time"], self.energy),
+            "success": (axes, success),
+            "message": (axes, self.messages),
+        }
+        if self.error_estimate is not None:
+            variables["error_estimate"] = (states, self.error_estimate)
+        varied = {name: (axes, own.reshape(shape)) for name, own in self._varied.items()}
+        return data_set(
+            variables,
+            {"time": self.t, "component": list(self.names), **varied},
+            self._attributes,
+        )
+
+    @property
+    def _varied(self) -> dict[str, np.ndarray]:
+        """Parameters that vary, of shape (count,)."""
+        members, names = self.ensemble, self.ensemble.H.parameter_names
+        return {name: members.parameters[:, names.index(name)] for name in members.varied}
+
+    @property
+    def _attributes(self) -> dict[str, Any]:
+        known = attributes_of(self.ensemble.H, self.ensemble.varied if self.ensemble.shape else ())
+        return {**known, "method": self.method, "dt": self.dt, "steps": self.steps}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the trajectory to a file that :func:`hamsym.load` reads; see :func:`hamsym.save`.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written, or the trajectory is not valid.
+        """
+        hamsym.save(self, path)
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the trajectory or the ensemble: an overview, or what the names say.
+
+        Without names: the components over time, coordinates beside momenta, one row for each of
+        six degrees of freedom at most; the orbit or the plane of two coordinates, and a phase
+        plane, of one degree of freedom with level sets of H; the energy error, less the work of
+        forces and explicit time; with ``tol`` the estimated error. Of more than 200 trajectories
+        200 are drawn, which the caption says.
+
+        Parameters
+        ----------
+        *names : str
+            One component: over time. Two: the paths in their plane, in one scale where both are
+            lengths or of one kind else. Three: the paths in space. Or ``"energy"``, ``"error"``.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A figure that notebooks show; ``savefig`` writes .png, .svg and .pdf.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for an overview.
+
+        Examples
+        --------
+        >>> trajectory = integrate("p**2/2 + x**2/2", [1, 0], (0, 6), dt=0.1)
+        >>> trajectory.plot("x", "p").axes[0].get_ylabel()
+        '$p$'
+        """
+        return hamsym.plot(self, *names, ax=ax)
+
+    def animate(self, *names: str, **options: Any) -> hamsym.Animation:
+        """Animate the motion, in a picture that names or options choose; :func:`hamsym.animate`."""
+        return hamsym.animate(self, *names, **options)
 
 
+@checked_keywords
 def integrate(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, Any] | np.ndarray,
@@ -168,6 +461,7 @@ def integrate(
     rtol: float | None = None,
     atol: float | None = None,
     progress: bool | None = None,
+    invariants: InvariantLike | Sequence[InvariantLike] = (),
 ) -> Trajectory:
     """Integrate Hamilton's equations from z0 over a time span.
 
@@ -230,6 +524,11 @@ def integrate(
         typical magnitude of the coordinates or of the momenta.
     progress : bool, optional
         Whether to show progress; by default on a terminal, after a second.
+    invariants : sequence of str, sympy.Expr or Invariant
+        Functions that H conserves, for all values of the parameters in ``parameters``; that is
+        checked first. Their changes are in ``invariant_drift``. With ``tol`` a trajectory succeeds
+        only if each changes by no more than the allowed errors explain, to second order; without
+        it a warning is issued if one changes by more than errors of 1 % explain.
 
     Returns
     -------
@@ -270,6 +569,7 @@ def integrate(
     """
     members = ensemble_of(H, z0, parameters, finite=tol is None)
     H = members.H
+    known = KnownInvariants(H, invariants, members.varied)
     name = usual_method(H) if method is None else usable_method(H, method)
     start, end = checked_span(span)
     if tol is not None:
@@ -277,7 +577,9 @@ def integrate(
         _check_tolerance(name, tol, saves, {**given, "omega": omega})
         if not members.shape:
             H.state_from(members.states[0])  # one start that is not finite is an invalid argument
-        return _to_tolerance(members, name, (start, end), tol, saves or 100, compensated, progress)
+        return _to_tolerance(
+            members, name, (start, end), tol, saves or 100, compensated, progress, known
+        )
     if saves is not None:
         raise InputError("saves applies with tol; give save_every instead")
     chosen = method is None and steps is None and dt is None
@@ -324,6 +626,11 @@ def integrate(
     found, warning = _describe_accuracy(H, drift, choice)
     if found:
         message = f"{message}, {found}"
+    drifts, changed = _invariant_drifts(members, known, z, times)
+    if changed and not warning:
+        warning = (
+            f"the invariant {changed} changes by more than errors of 1 % explain; take more steps"
+        )
     tested = not (chosen or every > 1 or problem or warning)
     if tested and (pole := _pole(members, z, times)) is not None:
         warning = (
@@ -332,7 +639,7 @@ def integrate(
         )
     if warning and not problem:
         message = f"{message}: {warning}"
-        warnings.warn(message, StepSizeWarning, stacklevel=2)
+        warnings.warn(message, StepSizeWarning, stacklevel=3)
     return Trajectory(
         t=times,
         z=z.reshape(*members.shape, *z.shape[1:]),
@@ -347,6 +654,7 @@ def integrate(
         ensemble=members,
         interrupted=run.interrupted,
         drift=drift,
+        invariant_drift=drifts,
     )
 
 
@@ -372,11 +680,16 @@ def _to_tolerance(
     saves: int,
     compensated: bool,
     progress: bool | None,
+    known: KnownInvariants,
 ) -> Trajectory:
     _require_memory(2 * saves, members.H.dim, len(members))  # states and error estimates
     began = time.perf_counter()
     found = integrate_to_tolerance(
         members, name, span, tol, saves, compensated=compensated, progress=progress
+    )
+    found.tol = tol
+    drifts, _ = _invariant_drifts(
+        members, known, found.z, np.linspace(*span, saves + 1), found, tol
     )
     seconds = time.perf_counter() - began
     shape, z, errors, times = (
@@ -407,7 +720,43 @@ def _to_tolerance(
         interrupted=found.interrupted,
         error_estimate=errors.reshape(*shape, *errors.shape[1:]),
         verdicts=found,
+        invariant_drift=drifts,
     )
+
+
+def _invariant_drifts(
+    members: Ensemble,
+    known: KnownInvariants,
+    z: np.ndarray,
+    times: np.ndarray,
+    found: Tolerated | None = None,
+    tol: float = COARSE,
+) -> tuple[dict[str, Any], str]:
+    """Return largest changes of invariants, and the first that ``tol`` does not explain.
+
+    Trajectories of ``found`` that drift more than that fail.
+    """
+    drifts = {name: np.zeros(len(members)) for name in known.formulas}
+    first = ""
+    for index in range(len(members) if known else 0):
+        path = z[index][np.isfinite(z[index]).all(axis=-1)]
+        if not len(path):
+            continue
+        allowed = tol * np.abs(path).max(axis=0)
+        if found is not None:  # zero components have larger tolerances
+            errors = found.errors[index, : len(path)]
+            allowed = np.maximum(allowed, np.where(np.isfinite(errors), errors, 0).max(axis=0))
+        own = members.parameters[index : index + 1] if members.varied else None
+        change, explained = known.drifts(path[:1], times[0], path, times[: len(path)], allowed, own)
+        for name, largest in known.largest(change).items():
+            drifts[name][index] = largest
+        if reason := known.verdict(change, explained):
+            first = first or known.formulas[int(np.argmin((change <= explained).all(axis=1)))]
+            if found is not None and found.success[index]:
+                found.success[index] = False
+                found.problems[index] = reason
+    shape = members.shape
+    return {n: own.reshape(shape) if shape else float(own[0]) for n, own in drifts.items()}, first
 
 
 def _verdict(found: Tolerated, index: int, name: str, end: float) -> str:
@@ -461,7 +810,7 @@ def _describe_accuracy(
     H: Hamiltonian, drift: float, choice: Choice[_Run] | None
 ) -> tuple[str, str]:
     """Describe the accuracy of the steps, with a warning or ""."""
-    if H.time is None:
+    if H.conserves_energy:
         kept = "kept to round-off" if drift == 0 else f"kept to {drift:.1e} of its scale"
         said = f"H {kept}" if math.isfinite(drift) else "H is not finite on the trajectory"
         fine = drift <= COARSE
@@ -603,12 +952,17 @@ def usable_method(H: Hamiltonian, method: str) -> str:
     InputError
         If the table has no such method.
     SeparabilityError
-        If it is a splitting method and H is not separable.
+        If it is a splitting method, and H is not separable or a force depends on momenta.
     """
     name = ALIASES.get(method, method) if isinstance(method, str) else ""
     if name not in INTEGRATORS:
-        raise InputError(f"'{method}' is not a method; choose one of {', '.join(INTEGRATORS)}")
+        hint = did_you_mean(method, [*INTEGRATORS, *ALIASES])
+        raise InputError(
+            f"'{method}' is not a method{hint}; choose one of {', '.join(INTEGRATORS)}"
+        )
     split = isinstance(INTEGRATORS[name].scheme, Splitting) and name not in NOT_ONLY_SEPARABLE
+    if H.forces:
+        _require_general(H, name, method)
     if split and not H.is_separable:
         raise SeparabilityError(
             f"{method} needs H = T(p) + V(q), and this H is not separable; choose a method for any "
@@ -617,8 +971,23 @@ def usable_method(H: Hamiltonian, method: str) -> str:
     return name
 
 
+def _require_general(H: Hamiltonian, name: str, method: str) -> None:
+    """Refuse a method whose steps solve other equations than those with forces."""
+    scheme = INTEGRATORS[name].scheme
+    if isinstance(scheme, Doubled):
+        raise InputError(
+            f"{method} steps in a doubled phase space, which forces beyond H do not have; choose "
+            "gauss4, gauss6 or dop853"
+        )
+    if isinstance(scheme, Splitting) and not H.is_separable:
+        raise SeparabilityError(
+            f"{method} alternates steps of q at constant p and of p at constant q, which needs H = "
+            "T(p) + V(q) and forces without momenta; choose gauss4, gauss6 or dop853"
+        )
+
+
 def usual_method(H: Hamiltonian) -> str:
-    """Name of the default method: a splitting if H is separable, else Gauss."""
+    """Name of the default method: a splitting if the equations are separable, else Gauss."""
     return "blanes_moan6" if H.is_separable else "gauss6"
 
 
@@ -680,7 +1049,7 @@ def fastest_rate(
     system = H.compile("numpy")
     with np.errstate(all="ignore"):
         arguments = system.arguments(states, times)
-        matrices = generators(system.hessian(*arguments, **system.keywords(parameters)))
+        matrices = system.jacobian(*arguments, **system.keywords(parameters))
     if not np.isfinite(matrices).all():
         return math.inf
     return float(np.abs(np.linalg.eigvals(matrices)).max())

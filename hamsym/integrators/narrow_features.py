@@ -19,7 +19,6 @@ import numpy as np
 from hamsym.codegen.functions import compile_expressions
 from hamsym.codegen.names import Names
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.symbolic import derivatives
 from hamsym.symbolic.derivatives import Narrow
 
 __all__ = ["NarrowFeatures", "narrow_features"]
@@ -42,17 +41,21 @@ class NarrowFeatures:
         self._identifiers = [name for name, _ in names.parameters]
         self._system = H.compile("numpy")
         variables = [*equations.z, *([] if equations.time is None else [equations.time])]
-        found = derivatives.narrow_arguments(equations.expr, variables)
+        found = equations.narrow_arguments_with({})
         self._kinds = np.array([kind for _, kind in found], dtype=int)
         self._arguments = compile_expressions([argument for argument, _ in found], equations)
-        switches = derivatives.switches(equations.expr, equations.gradient, variables)
+        switches = equations.switches(variables)
         self._jumps = [
             (compile_expressions([switch], equations), compile_expressions(jumps, equations))
             for switch, jumps in switches
         ]
 
     def unresolved(
-        self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None
+        self,
+        z: np.ndarray,
+        t: np.ndarray,
+        parameters: np.ndarray | None,
+        allowed: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Largest factor by which the steps are too long, and its place.
 
@@ -64,6 +67,8 @@ class NarrowFeatures:
             Shape (times,).
         parameters : numpy.ndarray, optional
             Values of each trajectory, shape (n, k).
+        allowed : numpy.ndarray
+            Errors that the tolerance allows, shape (n, dim).
 
         Returns
         -------
@@ -80,12 +85,12 @@ class NarrowFeatures:
                 elif kind == Narrow.BASE:
                     found = _base_excess(g[..., k])
                 else:
-                    continue
+                    found = _touch_excess(g[..., k])
                 # A value that is not finite is no sign of a resolved feature.
                 excess = np.maximum(excess, np.where(np.isnan(found), np.inf, found))
             excess = np.maximum(excess, self._switched_twice(g))
             for argument, jumps in self._jumps:
-                excess = np.maximum(excess, self._jump(argument, jumps, z, t, parameters))
+                excess = np.maximum(excess, self._jump(argument, jumps, z, t, parameters, allowed))
         place = excess.argmax(axis=1)
         return excess[np.arange(len(z)), place], place
 
@@ -137,8 +142,13 @@ class NarrowFeatures:
         z: np.ndarray,
         t: np.ndarray,
         parameters: np.ndarray | None,
+        allowed: np.ndarray,
     ) -> np.ndarray:
-        """Infinite in the steps in which H or its gradient jumps."""
+        """Infinite in the steps in which H or its gradient jumps; else the error of small jumps.
+
+        A step over a jump has no order: its error depends on where the jump lies in it, so that
+        runs with different steps may agree by chance.
+        """
         found = np.zeros((len(z), len(t) - 1))
         values = self._evaluated(argument, z, t, parameters)[..., 0]
         rows, steps = np.nonzero(~(values[:, 1:] * values[:, :-1] > 0) & (values[:, 1:] != 0))
@@ -152,20 +162,21 @@ class NarrowFeatures:
         sizes = np.abs(self._evaluated(jumps, at[:, None], times[:, None], some)[:, 0])
         given = self._system.keywords(some)
         arguments = self._system.arguments(at, times)
-        force = np.abs(self._system.gradient(*arguments, **given)).max(axis=1)
+        force = np.abs(self._system.vector_field(*arguments, **given)).max(axis=1)
         energy = np.abs(self._system.energy(*arguments, **given))
         small = (sizes[:, :-1] <= _FORCE_JUMP * force[:, None]).all(axis=1)
         small &= sizes[:, -1] <= _ENERGY_JUMP * energy
-        found[rows, steps] = np.where(small, 0.0, np.inf)
+        changes = np.roll(sizes[:, :-1], z.shape[-1] // 2, axis=1)  # of the rates of (q, p)
+        errors = changes * np.abs(t[steps + 1] - t[steps])[:, None]
+        shares = np.where(errors == 0, 0.0, errors / allowed[rows]).max(axis=1)
+        found[rows, steps] = np.where(small, shares, np.inf)
         return found
 
 
 @functools.lru_cache(maxsize=64)
 def narrow_features(H: Hamiltonian) -> NarrowFeatures | None:
     """Make the check of a Hamiltonian; None if its formula has no such features."""
-    equations = H.real_equations
-    variables = [*equations.z, *([] if equations.time is None else [equations.time])]
-    return NarrowFeatures(H) if derivatives.narrow_arguments(equations.expr, variables) else None
+    return NarrowFeatures(H) if H.real_equations.narrow_arguments_with({}) else None
 
 
 def _function_excess(g: np.ndarray) -> np.ndarray:
@@ -181,15 +192,29 @@ def _function_excess(g: np.ndarray) -> np.ndarray:
 
 
 def _base_excess(g: np.ndarray) -> np.ndarray:
-    """Curvature of a base at the minima of its magnitude in units of the minimum."""
+    """Curvature of a base at the minima of its magnitude, in units of the minimum."""
     excess = np.where(g[:, 1:] * g[:, :-1] > 0, 0.0, np.inf)
-    if g.shape[1] < 3:
-        return excess
-    size = np.abs(g)
+    excess[:, 1:] = np.maximum(excess[:, 1:], _dips(np.abs(g)))
+    return excess
+
+
+def _touch_excess(g: np.ndarray) -> np.ndarray:
+    """Curvature of a switch at minima of its magnitude where it keeps its sign.
+
+    A switch that comes close to zero may pass it twice within a step: what is between the zeros, a
+    pulse, is not seen.
+    """
+    signs = np.sign(g)
+    kept = (signs[:, 2:] == signs[:, 1:-1]) & (signs[:, 1:-1] == signs[:, :-2])
+    excess = np.zeros((len(g), g.shape[1] - 1))
+    excess[:, 1:] = np.where(kept, _dips(np.abs(g)), 0.0)
+    return excess
+
+
+def _dips(size: np.ndarray) -> np.ndarray:
+    """Curvature at the minima of a magnitude in units of the minimum, for each three states."""
     before, middle, after = size[:, :-2], size[:, 1:-1], size[:, 2:]
     curvature = before - 2 * middle + after
     lowest = middle - (after - before) ** 2 / (8 * curvature)
     found = np.where(lowest > 0, curvature / lowest, np.inf)
-    found = np.where((middle > before) | (middle > after) | (curvature <= 0), 0.0, found)
-    excess[:, 1:] = np.maximum(excess[:, 1:], found)
-    return excess
+    return np.where((middle > before) | (middle > after) | (curvature <= 0), 0.0, found)

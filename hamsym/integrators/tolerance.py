@@ -33,7 +33,6 @@ from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
-from hamsym.numerics.symplectic import generators
 from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
 
@@ -80,6 +79,7 @@ class Tolerated:
         Reason for each trajectory that did not succeed, by its index.
     evaluations : int
     interrupted : bool
+    tol : float
     """
 
     z: np.ndarray = field(repr=False)
@@ -90,6 +90,7 @@ class Tolerated:
     problems: dict[int, str]
     evaluations: int = 0
     interrupted: bool = False
+    tol: float = math.nan
 
 
 class _Round(NamedTuple):
@@ -244,7 +245,7 @@ class _Search:
         with np.errstate(all="ignore"):
             arguments = self._system.arguments(states, self._span[0])
             given = self._system.keywords(self._parameters(rows))
-            matrices = generators(np.asarray(self._system.hessian(*arguments, **given)))
+            matrices = np.asarray(self._system.jacobian(*arguments, **given))
             squares = matrices @ matrices
             traces = np.einsum("nij,nji->n", squares, squares)
         return np.asarray(np.abs(traces / 2) ** 0.25)
@@ -256,8 +257,8 @@ class _Search:
         arguments = self._system.arguments(states, self._span[0])
         with np.errstate(all="ignore"):
             energy = np.asarray(self._system.energy(*arguments, **given))
-            gradient = np.asarray(self._system.gradient(*arguments, **given))
-        return np.asarray(np.isfinite(energy) & np.isfinite(gradient).all(axis=1))
+            rates = np.asarray(self._system.vector_field(*arguments, **given))
+        return np.asarray(np.isfinite(energy) & np.isfinite(rates).all(axis=1))
 
     def _rounded(self, steps: np.ndarray, digits: int) -> np.ndarray:
         """Round up to multiples of the samples with this number of binary digits.
@@ -317,11 +318,6 @@ class _Search:
         dense, three = self._path(rows, starts, 2 * coarse, self._middle_saves(coarse))
         last, four = self._path(rows, starts, 4 * coarse, self._sampled)
         evaluations = one + two + three + four
-        narrow, narrow_times = np.zeros(len(rows)), np.zeros(len(rows))
-        if self._narrow is not None:
-            times = np.linspace(*self._span, dense.shape[1])
-            narrow, place = self._narrow.unresolved(dense, times, self._parameters(rows))
-            narrow_times = times[place]
         finite = np.isfinite(last[:, -1]).all(axis=1)  # and so it was before
         found = extrapolate(
             first,
@@ -335,6 +331,13 @@ class _Search:
             self._rounding(rows),
             self._least[rows],
         )
+        narrow, narrow_times = np.zeros(len(rows)), np.zeros(len(rows))
+        if self._narrow is not None:
+            times = np.linspace(*self._span, dense.shape[1])
+            narrow, place = self._narrow.unresolved(
+                dense, times, self._parameters(rows), self._tol * found.sizes
+            )
+            narrow_times = times[place]
         states = found.states[:, :: self._sampled // self._saves]
         changes = self._energy_changes(rows, states, found.sizes, 4 * coarse)
         return _Round(
@@ -389,7 +392,7 @@ class _Search:
         self, rows: np.ndarray, states: np.ndarray, sizes: np.ndarray, steps: int
     ) -> np.ndarray:
         """Largest change of H, in units of the change that errors of the tolerance can cause."""
-        if self._members.H.time is not None:
+        if not self._members.H.conserves_energy:
             return np.zeros(len(rows))
         z = states.transpose(1, 0, 2)
         given = self._system.keywords(self._parameters(rows))
@@ -465,8 +468,8 @@ class _Search:
         times = np.linspace(*self._span, len(z))
         given = self._system.keywords(self._parameters(np.array([member])))
         with np.errstate(all="ignore"):
-            hessian = self._system.hessian(*self._system.arguments(z, times), **given)
-            coupling = np.abs(generators(np.asarray(hessian))).mean(axis=0)
+            jacobian = self._system.jacobian(*self._system.arguments(z, times), **given)
+            coupling = np.abs(np.asarray(jacobian)).mean(axis=0)
         length = abs(self._span[1] - self._span[0])
         if np.isfinite(sizes).all():
             self._least[member] = SMALLEST * coupled_sizes(sizes, coupling, length)

@@ -22,7 +22,6 @@ from hamsym.networks.chain import Chain, ChainTraining
 from hamsym.networks.chain_training import points_of
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import resolved_sizes
-from hamsym.numerics.symplectic import generators
 from hamsym.numerics.tangent_maps import TangentMaps
 from hamsym.solution.window_error import WindowError
 
@@ -89,7 +88,7 @@ def estimate_chain_error(
     with np.errstate(all="ignore"):
         z, dz = chain.states_and_rates(t)
         rates = np.asarray(system.vector_field(*system.arguments(z, t)))
-        jacobians = generators(system.hessian(*system.arguments(z, t)))
+        jacobians = system.jacobian(*system.arguments(z, t))
         scale = resolved_sizes(
             np.abs(z).max(axis=0),
             np.abs(jacobians).mean(axis=0),

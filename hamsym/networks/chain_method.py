@@ -27,13 +27,13 @@ from hamsym.networks.window_training import late
 from hamsym.problem import InitialValueProblem
 from hamsym.solution.accuracy import (
     checked_atol,
-    checked_breakpoints,
     checked_tol,
     checked_window,
+    window_ends,
 )
 from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.solution import Solution
-from hamsym.solution.window_error import relative_tolerance
+from hamsym.solution.window_error import allowed_errors
 from hamsym.support.progress import stepping_progress
 from hamsym.support.validation import require_positive, require_whole
 
@@ -80,7 +80,7 @@ def solve_by_chain(problem: InitialValueProblem, options: LevenbergMarquardtOpti
     settings = ChainSettings(
         min(max(_LOCAL * tol, _LEAST_LOCAL), _LARGEST_LOCAL),
         _HIDDEN_STEPS if options.train_hidden else 0,
-        checked_breakpoints(options.breakpoints, span),
+        window_ends(H, options.breakpoints, span),
         checked_window(options.max_window, span, whole / _FEWEST_WINDOWS, MAX_WINDOWS),
         None if options.time_limit is None else time.perf_counter() + options.time_limit,
         max(_LOCAL * tol, _LEAST_LOCAL),
@@ -104,7 +104,7 @@ def solve_by_chain(problem: InitialValueProblem, options: LevenbergMarquardtOpti
             evaluations += trained.training.point_evaluations
             rejected += trained.training.rejected
             estimate = estimate_chain_error(H, trained.chain, trained.training)
-            allowed = absolute + relative_tolerance(tol) * estimate.error.scale
+            allowed = allowed_errors(tol, absolute, estimate.error.scale)
             found = _Pass(trained, estimate, allowed)
             if best is None or (
                 trained.reached == best.trained.reached and found.excess < best.excess

@@ -22,11 +22,9 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain import MAX_WINDOWS, Chain, ChainTraining
 from hamsym.networks.chain_checks import ChainChecks
 from hamsym.networks.network import Network
-from hamsym.networks.objective import field_slopes
 from hamsym.networks.trial import TrialSolution
 from hamsym.networks.window_training import Equations, Fit, Settings, late, train_window
 from hamsym.numerics.scales import coupled_sizes
-from hamsym.numerics.symplectic import generators
 
 __all__ = [
     "REACH",
@@ -159,7 +157,7 @@ class Flow:
             return h * (system.vector_field(*arguments(u, y)) / unit)
 
         def jacobian(u: Tensor, y: Tensor) -> Tensor:
-            return h * ratio * field_slopes(system.hessian(*arguments(u, y)))
+            return h * ratio * system.jacobian(*arguments(u, y))
 
         def places(u: Tensor) -> Tensor:
             return ((t + h * u) - t) / h
@@ -171,7 +169,7 @@ class Flow:
 
     def generator(self, z: np.ndarray, t: float) -> np.ndarray:
         """Return J Hess at a state."""
-        return np.asarray(generators(self.numpy.hessian(*self.numpy.arguments(z, t))), dtype=float)
+        return np.asarray(self.numpy.jacobian(*self.numpy.arguments(z, t)), dtype=float)
 
 
 def train_chain(

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from hamsym.codegen.system import System
 from hamsym.description import settings_text
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
@@ -26,9 +27,10 @@ from hamsym.networks.devices import available_device
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
 from hamsym.networks.network import ComponentNetworks, Network
-from hamsym.networks.objective import Objective, Regularizer, field_slopes
+from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.optimizers import LBFGS, Adam
 from hamsym.networks.options import (
+    CONVERGED,
     AdamOptions,
     DeepOptions,
     LBFGSOptions,
@@ -52,8 +54,6 @@ from hamsym.support.validation import require_positive
 __all__ = ["solve_by_training"]
 
 _DTYPES = {"float32": torch.float32, "float64": torch.float64}
-# Largest estimated error of a converged solution, relative to its scale.
-_CONVERGED = 0.01
 # Largest input of the network for methods of second order, on any span.
 _INPUT_RANGE = 4 * math.pi
 _STALLED_AFTER = 60  # iterations of Levenberg-Marquardt on one span
@@ -100,6 +100,7 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
         trial = ModuleTrial(checked_copy(options.trial, H.dim, longest, precision), **form)
     if options.initial is not None:
         _take_over(options.initial, trial)
+    trial.hold([H.dof + H.q.index(q) for q in H.cyclic_coordinates])  # their momenta
     trial.to(device)
     if isinstance(trial, ModuleTrial):
         trial.check_evaluation()
@@ -119,7 +120,11 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
     with training_progress(options.total, problem.progress) as callbacks:
         training = train(
             trial,
-            _objective(H, problem.energy_0, options.energy_weight, tuple(options.regularizers)),
+            _objective(
+                H,
+                _penalties(problem, options),
+                tuple(options.regularizers),
+            ),
             problem.span,
             _optimizer(options, points),
             stopping,
@@ -129,6 +134,8 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
             checkpoint=_checkpoint(problem, options),
         )
     trial.requires_grad_(False).to("cpu")
+    if isinstance(trial, TrialSolution):
+        trial.release()
     found = solution(training)
     return found.judged(*_verdict(found, training, options))
 
@@ -187,40 +194,65 @@ def _checkpoint(problem: InitialValueProblem, options: DeepOptions) -> Checkpoin
     return Checkpoint(options.checkpoint, settings, options.checkpoint_every)
 
 
+@dataclass(frozen=True)
+class _Penalty:
+    """The penalty weight * mean((I - I(start))^2) on changes of the energy or an invariant."""
+
+    system: System
+    start: float
+    weight: float
+
+    def change(self, z: Tensor, t: Tensor) -> Tensor:
+        """Return sqrt(weight) * (I - I(start)), shape (K,)."""
+        value = self.system.energy(*self.system.arguments(z, t))
+        return math.sqrt(self.weight) * (value - self.start)
+
+    def slope(self, z: Tensor, t: Tensor) -> Tensor:
+        """Return the derivative of the change in z, shape (K, dim)."""
+        gradient: Tensor = self.system.gradient(*self.system.arguments(z, t))
+        return math.sqrt(self.weight) * gradient
+
+
+def _penalties(problem: InitialValueProblem, options: DeepOptions) -> list[_Penalty]:
+    """Return the penalty on the energy, which has weight 0 by default, and those on invariants."""
+    found = [_Penalty(problem.H.compile("torch"), problem.energy_0, options.energy_weight)]
+    functions = options.invariants.functions if options.invariants is not None else ()
+    for function in functions:
+        exact = function.compile("numpy")
+        start = float(exact.energy(*exact.arguments(problem.z0, problem.span[0])))
+        found.append(_Penalty(function.compile("torch"), start, options.invariant_weight))
+    return found
+
+
 def _objective(
-    H: Hamiltonian,
-    energy_0: float,
-    energy_weight: float,
-    regularizers: tuple[Regularizer, ...],
+    H: Hamiltonian, penalties: Sequence[_Penalty], regularizers: tuple[Regularizer, ...]
 ) -> Objective:
     """Return the objective made of the functions generated for H."""
-    system = H.compile("torch")
-
-    def arguments(z: Tensor, t: Tensor) -> tuple[Any, ...]:
-        return system.arguments(z, t)
+    system, (energy, *others) = H.compile("torch"), penalties
+    weighted = [*([energy] if energy.weight else []), *others]
 
     def residual(t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
-        return system.residual(z, *arguments(dz, t))
+        return system.residual(z, *system.arguments(dz, t))
 
     def loss(t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
-        if system.time_dependent:
-            return system.loss(z, dz, t)
-        return system.loss(z, dz, energy_0, energy_weight)
+        constants = (energy.start, energy.weight) if H.conserves_energy else ()
+        value: Tensor = system.loss(z, *system.arguments(dz, t), *constants)
+        for penalty in others:
+            value = value + penalty.change(z, t).square().mean()
+        return value
 
     def rows(t: Tensor, z: Tensor, dz: Tensor) -> Tensor:
+        changes = [penalty.change(z, t).unsqueeze(-1) for penalty in weighted]
         ell = residual(t, z, dz)
-        if not energy_weight:
-            return ell
-        change = system.energy(*arguments(z, t)) - energy_0
-        return torch.cat((ell, math.sqrt(energy_weight) * change.unsqueeze(-1)), -1)
+        return torch.cat((ell, *changes), -1) if changes else ell
 
     def slopes(t: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
-        in_z = -field_slopes(system.hessian(*arguments(z, t)))
+        in_z = -system.jacobian(*system.arguments(z, t))
         in_dz = torch.eye(H.dim, dtype=z.dtype, device=z.device).expand_as(in_z)
-        if energy_weight:
-            slope = math.sqrt(energy_weight) * system.gradient(*arguments(z, t))
-            in_z = torch.cat((in_z, slope.unsqueeze(1)), 1)
-            in_dz = torch.cat((in_dz, torch.zeros_like(slope).unsqueeze(1)), 1)
+        if weighted:
+            own = torch.stack([penalty.slope(z, t) for penalty in weighted], 1)
+            in_z = torch.cat((in_z, own), 1)
+            in_dz = torch.cat((in_dz, torch.zeros_like(own)), 1)
         return in_z, in_dz
 
     return Objective(residual, loss, regularizers, rows, slopes)
@@ -301,7 +333,7 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
     targets = _targets(options)
     reached = targets.get(training.stopped)
     # Estimated errors are not valid beyond a discontinuity of H.
-    if training.stopped == Stopped.TARGET_ERROR or (not targets and relative <= _CONVERGED):
+    if training.stopped == Stopped.TARGET_ERROR or (not targets and relative <= CONVERGED):
         jump = first_jump(solution, solution.scan_times, unresolved(solution))
         if jump is not None:
             return False, f"{jump} ({state})"
@@ -313,9 +345,9 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
         if options.accuracy is not None and solution.sigma_min == 0:
             reason += "; accuracy is undefined: sigma_min = 0 on this trajectory"
         return False, f"{missed} not reached after {done}: {state}{reason}"
-    if relative <= _CONVERGED:
-        return True, f"error below {_CONVERGED:.0%} of the motion after {done}: {state}{reason}"
-    return False, f"not converged after {done}: {state}, more than {_CONVERGED:g}{reason}"
+    if relative <= CONVERGED:
+        return True, f"error below {CONVERGED:.0%} of the motion after {done}: {state}{reason}"
+    return False, f"not converged after {done}: {state}, more than {CONVERGED:g}{reason}"
 
 
 def _rates_agree(solution: Solution, trial: ModuleTrial) -> bool:

@@ -8,7 +8,7 @@ is tested again before an error is estimated from it.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -96,7 +96,7 @@ class ModuleTrial(EnvelopedNetwork):
         return {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (self.network, self.z0, self.t0, self.tau, self.envelope)
+        return _restored, (self.network, self.z0, self.t0, self.tau, self.envelope, self.held)
 
     def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
         """Raise ValueError if this is not a trial solution from z0 over the span."""
@@ -104,9 +104,16 @@ class ModuleTrial(EnvelopedNetwork):
 
 
 def _restored(
-    network: torch.nn.Module, z0: Tensor, t0: float, tau: float, envelope: str
+    network: torch.nn.Module,
+    z0: Tensor,
+    t0: float,
+    tau: float,
+    envelope: str,
+    held: Sequence[int] = (),
 ) -> ModuleTrial:
-    return ModuleTrial(network, z0, t0=t0, tau=tau, envelope=envelope)
+    trial = ModuleTrial(network, z0, t0=t0, tau=tau, envelope=envelope)
+    trial.hold(held)
+    return trial
 
 
 def _reset_of(layer: torch.nn.Module) -> Callable[[], None] | None:

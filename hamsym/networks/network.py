@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from hamsym.errors import InputError
+from hamsym.suggestions import require_known
 
 __all__ = [
     "ACTIVATIONS",
@@ -233,6 +234,5 @@ def has_explicit_gradient(weights: Tensor, s: Tensor) -> bool:
 
 def chosen(name: str, table: dict[str, Any], kind: str) -> Any:
     """Return an entry of a table by name, or raise InputError."""
-    if not isinstance(name, str) or name not in table:
-        raise InputError(f"'{name}' is not an {kind}; choose one of {', '.join(table)}")
+    require_known(name, table, f"an {kind}")
     return table[name]

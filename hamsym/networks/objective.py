@@ -5,18 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from hamsym.support.validation import require, require_number
 
-__all__ = ["Objective", "Regularizer", "field_slopes"]
-
-
-def field_slopes(hessian: Tensor) -> Tensor:
-    """Return J Hess, the derivative of the vector field in z, from Hessians (..., dim, dim)."""
-    half = hessian.shape[-1] // 2
-    return torch.cat((hessian[..., half:, :], -hessian[..., :half, :]), -2)
+__all__ = ["Objective", "Regularizer"]
 
 
 @dataclass(frozen=True)

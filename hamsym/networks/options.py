@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from hamsym.conservation import KnownInvariants
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.solution import Solution
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from hamsym.networks.objective import Regularizer
 
 __all__ = [
+    "CONVERGED",
     "AdamOptions",
     "DeepOptions",
     "LBFGSOptions",
@@ -31,6 +33,8 @@ __all__ = [
 
 _OF_CHAINS = ("tol", "atol", "breakpoints", "max_window", "windows", "train_hidden")
 _OF_BOTH = ("hidden", "activation", "envelope", "frequency", "time_limit", "device")
+#: Estimated error, relative to the motion, below which a network without targets has succeeded.
+CONVERGED = 0.01
 _FREQUENCY = 3.0  # of the first layer at the start, for methods of second order
 
 
@@ -56,6 +60,8 @@ class DeepOptions:
     sampling: str = option("uniform", "Density of the points.", choices=("uniform", "residual"))
     stages: int = option(12, "Spans of sequential training.")
     energy_weight: float = option(0.0, "Weight of the energy penalty.")
+    invariants: KnownInvariants | None = None
+    invariant_weight: float = option(0.0, "Weight of the penalty on changes of invariants.")
     regularizers: Sequence[Regularizer] = ()
     target_loss: float | None = option(None, "Stop at this loss.")
     target_ell_max: float | None = option(None, "Stop at this largest residual.")
@@ -210,10 +216,25 @@ def check_options(H: Hamiltonian, options: DeepOptions) -> None:
         )
     if energy_weight != 0 and not is_positive(energy_weight):
         raise InputError(f"energy_weight={energy_weight!r} cannot be used; give 0 or more")
-    if energy_weight and H.time is not None:
+    if energy_weight and not H.conserves_energy:
+        cause = "of the forces" if H.forces else "H depends on t"
         raise InputError(
             f"energy_weight={energy_weight!r} penalises changes of an energy that is not "
-            "conserved, because H depends on t; leave it at 0"
+            f"conserved, because {cause}; leave it at 0"
+        )
+    if H.forces and getattr(options, "accuracy", None) is not None:
+        raise InputError(
+            f"accuracy={options.accuracy!r} rests on the paper's bound ell_max/sigma_min, which "
+            "needs equations without forces; give target_error"
+        )
+    if options.invariant_weight != 0 and not is_positive(options.invariant_weight):
+        raise InputError(
+            f"invariant_weight={options.invariant_weight!r} cannot be used; give 0 or more"
+        )
+    if options.invariant_weight and not options.invariants:
+        raise InputError(
+            f"invariant_weight={options.invariant_weight!r} needs invariants; give for example "
+            'invariants=["x*p_y - y*p_x"]'
         )
     if options.sampling != "uniform" and not isinstance(options.points, int):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Progress bar of a training, drawn on terminals only."""
+"""Progress bar of a training, drawn on terminals and in notebooks."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from hamsym.networks.record import TrainingState
+from hamsym.support.progress import CellBar, is_shown, notebook_display
 
 __all__ = ["training_progress"]
 
@@ -24,10 +25,24 @@ def training_progress(
     iterations : int
         Largest number of iterations.
     show : bool or callable, optional
-        By default the bar is drawn if standard error is a terminal. A callable replaces the bar.
+        By default the bar is drawn if standard error is a terminal, and in notebooks. A callable
+        replaces the bar.
     """
     if callable(show):
         yield [show]
+        return
+    in_cell = notebook_display() if is_shown(show) else None
+    if in_cell is not None:
+        bar, done = CellBar(iterations, "training", in_cell), 0
+
+        def advance(state: TrainingState) -> None:
+            nonlocal done
+            note = f"loss {state.best_loss:.1e}, ell_max {state.ell_max:.1e}"
+            bar.advance(state.iteration - done, note)
+            done = state.iteration
+
+        with bar.running():
+            yield [advance]
         return
     console = Console(stderr=True, force_terminal=show)
     if not (console.is_terminal if show is None else show):

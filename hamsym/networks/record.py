@@ -30,7 +30,19 @@ class Stopped(StrEnum):
 
 @dataclass(frozen=True)
 class TrainingState:
-    """State of a training, passed to callbacks after each evaluation at the fixed points."""
+    """State of a training, passed to callbacks after each evaluation at the fixed points.
+
+    Attributes
+    ----------
+    iteration, iterations : int
+        Number of the iteration, and of all that are allowed.
+    loss, best_loss : float
+        The loss at the fixed points, and the lowest so far.
+    ell_max : float
+        Largest residual at the fixed points.
+    seconds : float
+        Time since the start.
+    """
 
     iteration: int
     iterations: int

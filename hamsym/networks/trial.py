@@ -7,7 +7,7 @@ par_sol and f_param).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
@@ -82,6 +82,7 @@ class EnvelopedNetwork(torch.nn.Module):
     """
 
     z0: Tensor
+    moving: Tensor | None  # 0 for components that are constant, else 1
 
     def __init__(
         self,
@@ -95,6 +96,7 @@ class EnvelopedNetwork(torch.nn.Module):
         super().__init__()
         self.network = network
         self.register_buffer("z0", z0)
+        self.register_buffer("moving", None, persistent=False)
         self.t0, self.tau, self.envelope = float(t0), float(tau), envelope
         self._envelope = chosen(envelope, ENVELOPES, "envelope")
 
@@ -102,6 +104,17 @@ class EnvelopedNetwork(torch.nn.Module):
         """Return s, f(s) and f'(s) at times t of shape (K,)."""
         s = (t - self.t0) / self.tau
         return s, *self._envelope(s)
+
+    def hold(self, components: Sequence[int]) -> None:
+        """Make components constant: their N is zero, for any weights."""
+        if components:
+            self.moving = torch.ones_like(self.z0)
+            self.moving[list(components)] = 0
+
+    @property
+    def held(self) -> list[int]:
+        """The components that :meth:`hold` made constant."""
+        return [] if self.moving is None else torch.nonzero(self.moving == 0).flatten().tolist()
 
     def network_at(self, s: Tensor) -> tuple[Tensor, Tensor]:
         """Return N(s) and dN/ds at s of shape (K,); each of shape (K, dim)."""
@@ -111,6 +124,8 @@ class EnvelopedNetwork(torch.nn.Module):
         """Return z^ and dz^/dt at times t of shape (K,); each of shape (K, dim)."""
         s, *envelope = self.envelope_at(t)
         value, rate = self.network_at(s)
+        if self.moving is not None:
+            value, rate = value * self.moving, rate * self.moving
         f, f_dot = (part.unsqueeze(-1) for part in envelope)
         if has_explicit_gradient(value, s):
             z, dz = _Envelope.apply(self.z0, f, f_dot / self.tau, self.tau, value, rate)
@@ -130,6 +145,8 @@ class EnvelopedNetwork(torch.nn.Module):
         _, f, f_dot = (part.unsqueeze(1) for part in self.envelope_at(t))
         # z = z0 + f N and dz = (f' N + f dN/ds) / tau.
         in_z, in_dz = in_z.transpose(0, 1), in_dz.transpose(0, 1)
+        if self.moving is not None:
+            in_z, in_dz = in_z * self.moving, in_dz * self.moving
         return f * in_z + f_dot / self.tau * in_dz, f / self.tau * in_dz
 
     # -- as a part of a solution ---------------------------------------------------------------
@@ -212,6 +229,17 @@ class TrialSolution(EnvelopedNetwork):
         """The network, or the networks of the components."""
         whole = self.network
         return [whole] if isinstance(whole, Network) else list(whole.networks)  # type: ignore[arg-type]
+
+    @torch.no_grad()
+    def release(self) -> None:
+        """Put zeros into the last layer for the components that are held: the same function."""
+        parts = self.parts
+        for component in self.held:
+            shared = len(parts) == 1 and parts[0].sizes[-1] > 1
+            matrix, bias = parts[0 if shared else component].layers[-1]
+            row = component if shared else 0
+            matrix[row], bias[row] = 0, 0
+        self.moving = None
 
     def describe(self) -> dict[str, Any]:
         """Return form and settings as JSON values."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["SMALLEST", "coupled_sizes", "resolved_sizes"]
+__all__ = ["SMALLEST", "coupled_sizes", "floored_sizes", "resolved_sizes"]
 
 #: Smallest size of a component, as a share of its coupled size: smaller values cannot be
 #: distinguished from the round-off of the terms in its own equation.
@@ -57,3 +57,17 @@ def resolved_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.n
     array([2.e+00, 6.e-08])
     """
     return np.asarray(np.maximum(sizes, SMALLEST * coupled_sizes(sizes, coupling, time)))
+
+
+def floored_sizes(sizes: np.ndarray, share: float) -> np.ndarray:
+    """Raise sizes to a share of the largest of their half, q or p; where that is zero, to one.
+
+    Examples
+    --------
+    >>> floored_sizes(np.array([3.0, 0.0, 0.0, 0.0]), 0.1)
+    array([3. , 0.3, 1. , 1. ])
+    """
+    half = len(sizes) // 2
+    floors = np.repeat([sizes[:half].max(), sizes[half:].max()], half) * share
+    found = np.maximum(sizes, floors)
+    return np.where(found > 0, found, 1.0)

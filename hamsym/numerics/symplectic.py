@@ -1,10 +1,10 @@
-"""The Poisson matrix J applied to vectors and Hessians."""
+"""The Poisson matrix J, by itself and applied to vectors and Hessians."""
 
 from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["generators"]
+__all__ = ["generators", "poisson_matrix", "poisson_product", "symplectic_inverse"]
 
 
 def generators(hessians: np.ndarray) -> np.ndarray:
@@ -17,3 +17,21 @@ def poisson_product(vectors: np.ndarray) -> np.ndarray:
     """Return J v for v with the components along the first axis."""
     half = len(vectors) // 2
     return np.concatenate((vectors[half:], -vectors[:half]))
+
+
+def poisson_matrix(dof: int) -> np.ndarray:
+    """Return J for coordinates first, shape (2 dof, 2 dof)."""
+    return np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(dof))
+
+
+def symplectic_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Return the inverse -J M^T J of a symplectic matrix.
+
+    Examples
+    --------
+    >>> symplectic_inverse(np.array([[2.0, 1.0], [1.0, 1.0]])) + 0.0
+    array([[ 1., -1.],
+           [-1.,  2.]])
+    """
+    J = poisson_matrix(len(matrix) // 2)
+    return np.asarray(-J @ matrix.T @ J)

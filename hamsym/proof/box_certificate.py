@@ -7,12 +7,18 @@ import json
 import math
 import re
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import hamsym
 from hamsym.description import described
 from hamsym.errors import FileError
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.proof.balls import decimal_above
+from hamsym.suggestions import suggest_attributes
+from hamsym.support.shown import Shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["BoxCertificate", "map_digest"]
 
@@ -20,8 +26,9 @@ _KIND, _VERSION = "hamsym flow map certificate", 1
 _LONGEST_TEXT = 2**20
 
 
+@suggest_attributes
 @dataclass(frozen=True)
-class BoxCertificate:
+class BoxCertificate(Shown):
     """A proven bound on the error of a flow map, for all starts and parameters in a box.
 
     Attributes
@@ -58,6 +65,24 @@ class BoxCertificate:
     parts: int
     digest: str = field(repr=False)
     seconds: float = field(compare=False)
+
+    def plot(self, *, ax: Any = None) -> Figure:
+        """Draw the proven bound of each component.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into, in your own style.
+        """
+        return hamsym.plot(self, ax=ax)
+
+    def __repr__(self) -> str:
+        bounds = ", ".join(
+            f"{name} {decimal_above(value)}"
+            for name, value in zip(self.components, self.bound, strict=True)
+        )
+        box = ", ".join(f"{name} in [{a!r}, {b!r}]" for name, (a, b) in self.box.items())
+        return f"BoxCertificate({self.formula!r}, {box}: errors at most {bounds})"
 
     @property
     def statement(self) -> str:

@@ -88,7 +88,7 @@ def certify_box(
         fixed={name: float(value) for name, value in flow.fixed.items()},
         expressions=dict(flow.region.expressions),
         span=(float(flow.span[0]), float(flow.span[1])),
-        formula=flow.H.formula,
+        formula=flow.H.formulas,
         parts=parts,
         digest=map_digest(flow),
         seconds=time.monotonic() - began,

@@ -7,16 +7,23 @@ import math
 import re
 import reprlib
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import hamsym
 from hamsym.errors import FileError, InputError
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
 from hamsym.proof.error_bounds import MOST_LEAVES
+from hamsym.suggestions import suggest_attributes
+from hamsym.support.shown import Shown
+from hamsym.support.text_tables import ROWS, left_out, table, wrapped
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["ARB", "FLOAT64", "Certificate", "check"]
 
@@ -36,8 +43,9 @@ _MOST_EDGES = MOST_LEAVES + 2  # of a proof: one more leaf is not halved
 _LONGEST_TEXT = 16 * 2**20  # characters of a certificate with so many edges
 
 
+@suggest_attributes
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(Shown):
     """Proven two-sided bounds on the error of one solution, the largest over its span.
 
     Attributes
@@ -87,6 +95,13 @@ class Certificate:
     arithmetic: str = ARB
     asked: tuple[float, ...] | None = None
 
+    def __repr__(self) -> str:
+        start, end = self.edges[0], self.edges[-1]
+        return (
+            f"Certificate(error at least {decimal(self.lower)} and at most {decimal(self.bound)}, "
+            f"t from {start:.6g} to {end:.6g}, {self.arithmetic})"
+        )
+
     def bound_at(self, t: Any) -> Any:
         """A proven bound on |z^(t) - z(t)|, the 2-norm, at times t of the span.
 
@@ -124,6 +139,26 @@ class Certificate:
         places = range(max(first, 0), min(last, len(self.piece_bounds) - 1) + 1)
         return max(self.piece_bounds[place] for place in places)
 
+    def plot(self, *names: Any, ax: Any = None, components: Sequence[str] | None = None) -> Figure:
+        """Draw the proven bound over time, and the bounds of each component.
+
+        Parameters
+        ----------
+        *names : {"bound", "components"}
+            One of these panels alone.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+        components : sequence of str, optional
+            Names of the components, ``solution.H.names``; a certificate holds no H, and calls them
+            z_1, z_2, ...
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, ``ax`` is given for two panels, or the components are not as many.
+        """
+        return hamsym.plot(self, *names, ax=ax, components=components)
+
     @property
     def statement(self) -> str:
         """The claim in words."""
@@ -159,6 +194,40 @@ class Certificate:
             f"solves the equation once more: {proof}; verify() runs it again. "
             f"SHA-256 of the solution: {self.digest}."
         )
+
+    def summary(self, names: Sequence[str] | None = None, rows: int | None = ROWS) -> str:
+        """Describe the claim as text: the bounds, then the statement.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            Names of the components.
+        rows : int, optional
+            Most rows of the table; None for all.
+        """
+        labels = list(names or (f"z[{k}]" for k in range(len(self.component_bounds))))
+        worst = max(range(len(labels)), key=self.component_bounds.__getitem__)
+        first = (
+            f"proven: error at most {decimal(self.bound)} (2-norm); the largest of a component is "
+            f"that of {labels[worst]}, at most {decimal(self.component_bounds[worst])}"
+        )
+        if self.asked is not None:
+            first += f", where {decimal(self.asked[worst])} was asked"
+        asked = [""] * len(labels) if self.asked is None else list(map(decimal, self.asked))
+        parts = list(zip(labels, self.component_lowers, self.component_bounds, asked, strict=True))
+        order = sorted(range(len(parts)), key=self.component_bounds.__getitem__, reverse=True)
+        shown = order if rows is None else sorted(order[:rows])
+        listed = [
+            ("|z|", self.lower, self.bound, ""),
+            *(parts[k] for k in sorted(shown)),
+            ("H", self.energy_lower, self.energy_bound, ""),
+            ("ell_max", self.ell_max_lower, self.ell_max_bound, ""),
+        ]
+        cells = [[name, decimal(low), decimal(high), limit] for name, low, high, limit in listed]
+        lines = [wrapped(first), "", *table(["error of", "at least", "at most", "asked"], cells)]
+        count = len(parts) - len(shown)
+        lines += left_out(count, "components with smaller bounds")
+        return "\n".join([*lines, "", wrapped(self.statement), f"proven in {self.seconds:.2f} s"])
 
     # -- as text ---------------------------------------------------------------------------
 

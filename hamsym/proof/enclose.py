@@ -8,10 +8,11 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import hamsym
 from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import InitialValueProblem
@@ -21,7 +22,12 @@ from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import split
 from hamsym.proof.windows import ErrorSet, Window, WindowStepper, equation_of
 from hamsym.solution.times import times_in_span
+from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
+from hamsym.support.shown import Shown
 from hamsym.support.validation import require_positive
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["Enclosure", "enclose"]
 
@@ -29,9 +35,10 @@ __all__ = ["Enclosure", "enclose"]
 _ACCURACIES = ((2.0**-70, 32), (2.0**-86, 48))
 
 
+@checked_keywords
 def enclose(
     H: HamiltonianLike,
-    z0: Sequence[Any] | Mapping[Any, Any] | np.ndarray,
+    z0: Sequence[Any] | Mapping[Any, Any] | np.ndarray | Ball,
     span: tuple[float, float],
     *,
     parameters: Mapping[str, Any] | None = None,
@@ -141,7 +148,8 @@ def _parameter_balls(H: Hamiltonian, parameters: Any) -> dict[str, Ball]:
     for name in parameters:
         if name not in H.parameter_names:
             known = ", ".join(H.parameter_names) or "none"
-            raise InputError(f"H has no parameter '{name}'; its parameters are: {known}")
+            hint = did_you_mean(name, H.parameter_names)
+            raise InputError(f"H has no parameter '{name}'{hint}; its parameters are: {known}")
     return {str(name): Ball.of(value) for name, value in parameters.items()}
 
 
@@ -168,8 +176,9 @@ def _initial_balls(H: Hamiltonian, z0: Any) -> list[Ball]:
     return found
 
 
+@suggest_attributes
 @dataclass(frozen=True, eq=False, repr=False)
-class Enclosure:
+class Enclosure(Shown):
     """Balls around the true state at every time of a span, from :func:`hamsym.enclose`.
 
     Attributes
@@ -196,7 +205,7 @@ class Enclosure:
     def __repr__(self) -> str:
         start, end = self.span
         return (
-            f"Enclosure({self.H.formula!r}, t from {start:.6g} to {end:.6g}, width at the end "
+            f"Enclosure({self.H.formulas!r}, t from {start:.6g} to {end:.6g}, width at the end "
             f"{self(end).width:.2g})"
         )
 
@@ -253,6 +262,24 @@ class Enclosure:
         return self._at(
             t, lambda *place: [part[:, dim:] for part in self._slopes(*place)], (dim, count)
         )
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the enclosures of components as bands over time, and their widths.
+
+        Parameters
+        ----------
+        *names : str
+            One component, for its band, or ``"width"``; by default the components, up to six, and
+            the widths of all.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for several panels.
+        """
+        return hamsym.plot(self, *names, ax=ax)
 
     def _at(self, t: Any, value: Any, shape: tuple[int, ...]) -> Ball:
         times = times_in_span(t, self.span, extrapolate=True)

@@ -1,4 +1,4 @@
-"""H, its vector field and its Hessian in ball arithmetic.
+"""H, its vector field and its derivatives in ball arithmetic.
 
 Input:  a Hamiltonian; its derivatives are those of :class:`~hamsym.symbolic.equations.Equations`,
         with floating-point numbers as the exact binary fractions that they are.
@@ -45,7 +45,8 @@ class Enclosures:
 
     def __init__(self, H: Hamiltonian) -> None:
         H.require_parameters()
-        self.dim, self.time_dependent = H.dim, H.time is not None
+        self.dim, self.conserved = H.dim, H.conserves_energy
+        self._forced = bool(H.forces)
         self._functions = GeneratedFunctions(H, BALLS)
 
     def energy(self, z: Sequence[Enclosed], t: Enclosed) -> Enclosed:
@@ -53,9 +54,29 @@ class Enclosures:
         return self._functions("energy", z, t)
 
     def vector_field(self, z: Sequence[Enclosed], t: Enclosed) -> list[Enclosed]:
-        """J grad H, dim entries."""
+        """J grad H with the forces, dim entries."""
         return list(self._functions("vector_field", z, t))
+
+    def gradient(self, z: Sequence[Enclosed], t: Enclosed) -> list[Enclosed]:
+        """Derivatives of H, up to their signs, dim entries."""
+        if self._forced:
+            return list(self._functions("gradient", z, t))
+        # J grad H has the slopes in p first, then minus those in q.
+        rates = self.vector_field(z, t)
+        return rates[self.dim // 2 :] + rates[: self.dim // 2]
 
     def hessian(self, z: Sequence[Enclosed], t: Enclosed) -> dict[tuple[int, int], Enclosed]:
         """The entries (i, j), i <= j, of the second derivatives that do not vanish."""
         return dict(self._functions("hessian", z, t))
+
+    def jacobian(self, z: Sequence[Enclosed], t: Enclosed) -> dict[tuple[int, int], Enclosed]:
+        """The derivatives (i, j) of the vector field that do not vanish."""
+        if self._forced:
+            return dict(self._functions("jacobian", z, t))
+        found, half = {}, self.dim // 2
+        for (i, j), entry in self.hessian(z, t).items():
+            for row, column in {(i, j), (j, i)}:
+                # J grad H: the rates of q are the slopes in p, those of p are minus those in q.
+                target = row - half if row >= half else row + half
+                found[target, column] = entry if row >= half else -entry
+        return found

@@ -53,13 +53,13 @@ class TrialError:
     solution : SolutionEnclosure
         The exact solution.
     energy_0 : arb or None
-        H at the start, if H does not depend on time.
+        H at the start, if H is conserved.
     """
 
     def __init__(self, H: Enclosures, z0: np.ndarray, solution: SolutionEnclosure) -> None:
         self.H, self.solution = H, solution
         self.energy_0: arb | None = None
-        if not H.time_dependent:
+        if H.conserved:
             start = ball(Fraction(solution.start))
             self.energy_0 = H.energy([arb(float(value)) for value in z0], start)
 
@@ -128,12 +128,12 @@ class Expansion:
 
     @cached_property
     def energy(self) -> arb_poly:
-        """H(z^, t) - H(y, t), or H(z^) - H(z0) if H does not depend on t."""
+        """H(z^, t) - H(y, t), or H(z^) - H(z0) if H is conserved."""
         H = self._error.H
         with working(ctx.prec, ORDER + 2):
             value = H.energy(self._exact, self._clock)
             rest = H.energy(self._around, self._clock_around)
-            if H.time_dependent:
+            if not H.conserved:
                 value -= H.energy(_series(self._true_exact), self._clock)
                 rest -= H.energy(_series(self._true_around), self._clock_around)
             else:
@@ -145,7 +145,7 @@ class Expansion:
     @cached_property
     def energy_slack(self) -> arb:
         """A bound on |H(z) - H(y)|."""
-        if not self._error.H.time_dependent:
+        if self._error.H.conserved:
             return arb(0)
         H = self._error.H
         widths = self.step.widths
@@ -154,10 +154,7 @@ class Expansion:
             for polynomial, width in zip(self._true_around, widths, strict=True)
         ]
         H.energy(state, self._clock_around[0])  # finite: H is smooth between z and y
-        slopes = H.vector_field(state, self._clock_around[0])
-        # J grad H has the slopes in p first, then minus those in q.
-        dof = len(slopes) // 2
-        slopes = slopes[dof:] + slopes[:dof]
+        slopes = H.gradient(state, self._clock_around[0])
         return sum((abs(s) * w for s, w in zip(slopes, widths, strict=True)), arb(0)).upper()
 
 

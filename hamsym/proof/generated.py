@@ -22,7 +22,6 @@ from hamsym.codegen.system import load
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.functions import Arithmetic, SingularityError
-from hamsym.symbolic.equations import Equations
 
 __all__ = ["GeneratedFunctions", "evaluated", "require_smooth"]
 
@@ -54,10 +53,12 @@ class GeneratedFunctions:
     ) -> None:
         own = H.real_equations
         require_smooth(own.expr)  # a kink of H may be absent from its derivatives
+        for force in own.forces:
+            require_smooth(force, "a force or its derivatives contain")
         values = {
             name: None if name in varied else value for name, (_, value) in own.parameters.items()
         }
-        form = Equations(own.expr, own.z, own.time, values) if varied else own
+        form = own.with_values(values) if varied else own
         names = [keyword for keyword, _ in Names(form).parameters]
         keywords = dict(zip(form.parameters, names, strict=True))
         inserted = inserted_parameters(form)
@@ -107,7 +108,7 @@ def evaluated(function: Callable[..., Any], *arguments: Any, **keywords: Any) ->
         raise SingularityError(text or "a term") from None
 
 
-def require_smooth(expression: sympy.Expr) -> None:
+def require_smooth(expression: sympy.Expr, where: str = "H or its derivatives contain") -> None:
     """Refuse an expression with a function that is not smooth or has no enclosure.
 
     Raises
@@ -118,6 +119,6 @@ def require_smooth(expression: sympy.Expr) -> None:
     name = without_arithmetic(expression)
     if name is not None:
         raise CertificationError(
-            f"H or its derivatives contain '{name}', which has no enclosure by Taylor series; "
-            "a proof needs H in smooth functions"
+            f"{where} '{name}', which has no enclosure by Taylor series; a proof needs H in smooth "
+            "functions"
         )

@@ -55,6 +55,13 @@ class Deadline:
         """Whether the limit has passed."""
         return self.limit is not None and not time.monotonic() - self.began <= self.limit
 
+    @property
+    def left(self) -> float | None:
+        """Seconds until the limit, at least a millisecond; None without a limit."""
+        if self.limit is None:
+            return None
+        return max(self.limit - (time.monotonic() - self.began), 1e-3)
+
     def check(self, stage: str) -> None:
         """Require that the limit is not exceeded.
 

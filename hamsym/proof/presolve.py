@@ -14,7 +14,6 @@ import scipy.integrate
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.call_limit import TooManyCallsError, limited
-from hamsym.numerics.symplectic import generators
 
 __all__ = ["Presolution", "presolve"]
 
@@ -88,7 +87,7 @@ def presolve(
     with np.errstate(all="ignore"):
         times, states = _trajectory(H, z0, span, guess)
         system = H.compile("numpy")
-        matrices = generators(np.asarray(system.hessian(*system.arguments(states, times))))
+        matrices = np.asarray(system.jacobian(*system.arguments(states, times)))
         rates = np.asarray(system.vector_field(*system.arguments(states, times)))
         usable = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(rates).all(axis=1)
         times, matrices, rates = times[usable], matrices[usable], rates[usable]

@@ -49,6 +49,7 @@ from hamsym.proof.trials import require_exact, segments
 from hamsym.proof.window_proof import WindowBounds, WindowProof
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
+from hamsym.suggestions import checked_keywords
 from hamsym.support.progress import share_progress
 from hamsym.support.validation import require, require_number, require_positive, require_whole
 
@@ -145,7 +146,8 @@ def _asked(bound: Any, names: Sequence[str]) -> tuple[float, ...]:
         raise InputError(
             f"bound={bound!r} is neither a number nor {len(names)} numbers, one for each component"
         ) from None
-    if not ((values > 0) & np.isfinite(values)).all():
+    # A component that rests at zero may be asked to be exactly zero.
+    if not ((values >= 0) & np.isfinite(values)).all() or (np.ndim(bound) == 0 and not bound > 0):
         raise InputError(f"bound={bound!r} must be positive and finite; give e.g. 1e-9")
     return tuple(values.tolist())
 
@@ -223,6 +225,7 @@ def _by_taylor_steps(
     return _numbers(uppers, lowers) | profile | {"bits": used, "arithmetic": ARB}
 
 
+@checked_keywords
 def verify(
     certificate: Certificate | str,
     solution: Solution | str | os.PathLike[str],

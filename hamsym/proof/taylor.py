@@ -273,14 +273,10 @@ class _ElapsedEquation:
 
     def logarithmic_norm(self, state: list[arb], clock: arb, units: Sequence[arb]) -> arb:
         """m >= 0, a bound on the eigenvalues of the symmetric part of U^-1 DG U."""
-        dim, dof = len(state), len(state) // 2
+        dim = len(state)
         rows = [[arb(0)] * dim for _ in range(dim)]
-        for (i, j), entry in self.H.hessian(state, clock).items():
-            for row, column in {(i, j), (j, i)}:
-                # J grad H: the rates of q are the slopes in p, those of p are minus those in q.
-                target, sign = (row - dof, 1) if row >= dof else (row + dof, -1)
-                scaled = entry * (units[column] / units[target])
-                rows[target][column] = sign * self.direction * scaled
+        for (i, j), entry in self.H.jacobian(state, clock).items():
+            rows[i][j] = self.direction * (entry * (units[j] / units[i]))
         largest = arb(0)
         for i in range(dim):
             circle = rows[i][i]
@@ -365,7 +361,7 @@ class _TaylorStepper:
             width = arb(2) ** size * arb(0, 1)
             state = [value + width * unit for value, unit in zip(start, self._units, strict=True)]
             try:
-                self._equation.H.hessian(state, self._equation.clock(ball(elapsed)))
+                self._equation.H.jacobian(state, self._equation.clock(ball(elapsed)))
             except SingularityError as error:
                 return str(error)
         return ""

@@ -176,7 +176,7 @@ class TaylorProof:
     @property
     def floors(self) -> dict[str, np.ndarray]:
         """Differences of bounds that are always small enough, in the units of each quantity."""
-        energy = FLOOR if self._enclosures.time_dependent else _FLOOR_WITHOUT_SOLUTION
+        energy = _FLOOR_WITHOUT_SOLUTION if self._enclosures.conserved else FLOOR
         floors = {
             "error": FLOOR * np.array(self._presolution.scales),
             "energy": np.array(energy * self._presolution.energy_scale),

@@ -22,7 +22,7 @@ from hamsym.proof.compiled import loops
 from hamsym.proof.programs import ModelRows, Program, Recorder, Rows, split, tables
 from hamsym.random_features.trial import FeatureTrial
 
-__all__ = ["Piece", "trial_pieces"]
+__all__ = ["Piece", "trial_pieces", "zero_components"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +69,14 @@ def trial_pieces(trial: Any, span: tuple[float, float]) -> list[Piece]:
     ):
         raise CertificationError("the windows do not cover the span; solve again")
     return pieces
+
+
+def zero_components(trial: Any) -> set[int]:
+    """Components of a trial solution whose weights are all zero."""
+    if not isinstance(trial, FeatureTrial):
+        return set()
+    weights = np.abs(trial.states).sum(axis=0) + np.abs(trial.readouts).sum(axis=(0, 1))
+    return set(np.flatnonzero(weights == 0).tolist())
 
 
 # -- features ----------------------------------------------------------------------------------

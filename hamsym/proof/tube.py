@@ -72,12 +72,12 @@ class Flow:
 
     def __init__(self, box: Box) -> None:
         H = box.H
-        if H.real_equations.expr.has(sympy.atan2):
+        if H.real_equations.has(sympy.atan2):
             raise CertificationError(
                 "H contains 'atan2', of which there are no Taylor models; a proof over a box needs "
                 "H without it"
             )
-        self.dim, self.dof = H.dim, H.dof
+        self.dim, self.dof, self.forced = H.dim, H.dof, bool(H.forces)
         self.parameters = [name for name in box.parameters if name in H.parameter_names]
         self._functions = GeneratedFunctions(H, MODELS, self.parameters)
 
@@ -110,6 +110,10 @@ class Flow:
     def jacobian(self, arguments: list[Model]) -> list[list[Model | None]]:
         """DF; None for entries that vanish."""
         found: list[list[Model | None]] = [[None] * self.dim for _ in range(self.dim)]
+        if self.forced:
+            for (i, j), entry in self._tensor("jacobian", arguments).items():
+                found[i][j] = entry
+            return found
         for (i, j), entry in self._tensor("hessian", arguments).items():
             for row, column in {(i, j), (j, i)}:
                 target, sign = self._target(row)
@@ -127,6 +131,12 @@ class Flow:
         # H finite as a model is analytic there, which its derivatives alone do not show.
         energy = self.energy(arguments).largest()
         found[:, :, :, ~np.isfinite(energy)] = np.inf
+        if self.forced:
+            for rate in self.field(arguments):
+                found[:, :, :, ~np.isfinite(rate.largest())] = np.inf
+            for (i, j, k), entry in self._tensor("third_derivatives", arguments).items():
+                found[self._target(i)[0], j, k] = found[self._target(i)[0], k, j] = entry.largest()
+            return found
         for index, entry in self._tensor("third_derivatives", arguments).items():
             size = entry.largest()
             for row, *columns in set(itertools.permutations(index)):
@@ -257,20 +267,16 @@ class Stepper:
         ]
         jacobian = flow.jacobian(arguments)
         found = self._fundamental(jacobian, half, matrices)
-        dim, dof = flow.dim, flow.dof
-        fundamental = [
-            [self._nodes.model(found[:, :, :, i, j].reshape(len(found), -1)) for j in range(dim)]
-            for i in range(dim)
-        ]
-        signs = np.array([1.0] * dof + [-1.0] * dof)
-        swap = [*range(dof, dim), *range(dof)]
-        adjoint = [
-            [
-                Model(space, signs[i] * signs[j] * entry.coefficients, entry.radius)
-                for j, entry in enumerate([fundamental[swap[j]][swap[i]] for j in range(dim)])
-            ]
-            for i in range(dim)
-        ]
+        dim = flow.dim
+        fundamental = self._fitted(found)
+        if flow.forced:
+            try:
+                inverses = np.linalg.inv(found)
+            except np.linalg.LinAlgError:
+                inverses = np.full(found.shape, np.nan)  # the mismatch then refuses the step
+            adjoint = self._fitted(inverses)
+        else:
+            adjoint = self._adjoint(fundamental, space)
         mismatch = np.zeros((dim, dim, len(found)))
         rest = np.zeros((dim, dim, len(found)))
         for i in range(dim):
@@ -287,6 +293,27 @@ class Stepper:
         return StepModels(
             step, arguments, states, defect, fundamental, adjoint, end, mismatch, rest
         )
+
+    def _fitted(self, values: np.ndarray) -> list[list[Model]]:
+        """Models of matrices at the nodes."""
+        count, dim = len(values), values.shape[-1]
+        return [
+            [self._nodes.model(values[:, :, :, i, j].reshape(count, -1)) for j in range(dim)]
+            for i in range(dim)
+        ]
+
+    def _adjoint(self, fundamental: list[list[Model]], space: Space) -> list[list[Model]]:
+        """-J M^T J, the inverse of a symplectic matrix M."""
+        dim, dof = self.flow.dim, self.flow.dof
+        signs = np.array([1.0] * dof + [-1.0] * dof)
+        swap = [*range(dof, dim), *range(dof)]
+        return [
+            [
+                Model(space, signs[i] * signs[j] * entry.coefficients, entry.radius)
+                for j, entry in enumerate([fundamental[swap[j]][swap[i]] for j in range(dim)])
+            ]
+            for i in range(dim)
+        ]
 
     def _fundamental(
         self, jacobian: list[list[Model | None]], half: float, matrices: np.ndarray

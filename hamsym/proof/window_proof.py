@@ -32,7 +32,7 @@ from hamsym.proof.balls import SMALLEST, at_least, at_most, working
 from hamsym.proof.certificate import FLOOR, Certificate
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import BITS, ModelRows, Rows, split, tables
-from hamsym.proof.trial_models import Piece, trial_pieces
+from hamsym.proof.trial_models import Piece, trial_pieces, zero_components
 from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of, set_sizes
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
@@ -121,6 +121,8 @@ class WindowProof:
         self._total = abs(end - self._begin)
         self._equation = equation_of(solution.H)
         self._pieces = trial_pieces(solution.trial, solution.span)
+        # Rows of the bounds whose errors are exactly zero.
+        self._exact = [1 + i for i in self._equation.resting(zero_components(solution.trial))]
 
     def bounds(self, rtol: float, asked: Sequence[float] | None) -> WindowBounds:
         """Bounds that are as close as required, or decide whether errors are as small as asked.
@@ -215,6 +217,7 @@ class WindowProof:
                     upper, lower, scale = comparison.bounds(piece, window, whole)
                     if not np.isfinite(upper if whole else upper[:-2]).all():
                         raise CertificationError("the trial solution was not resolved")
+                    upper[self._exact] = lower[self._exact] = 0.0
                     uppers, lowers = np.maximum(uppers, upper), np.maximum(lowers, lower)
                     scales = np.maximum(scales, scale)
                     edges.append(window.end)
@@ -222,7 +225,7 @@ class WindowProof:
                     if self._progress:
                         self._progress(float(stepper.elapsed / self._total))
         floors = scales * FLOOR
-        if not equation.time_dependent:
+        if equation.conserved:
             floors[-2] = scales[-2] * _FLOOR_WITHOUT_SOLUTION
         floors[-1] = scales[-1] * _FLOOR_WITHOUT_SOLUTION
         floors = np.where(np.isfinite(floors), floors, 0.0).clip(SMALLEST)
@@ -253,7 +256,7 @@ class _Comparison:
         self._rates = ModelRows(equation.rates, _TERMS)
         self._energy = ModelRows(equation.energy, _TERMS)
         self._start: tuple[float, float, float] | None = None
-        if not equation.time_dependent:
+        if equation.conserved:
             place = ModelRows(equation.energy, 4)
             for i, value in enumerate(z0.tolist()):
                 place.set_number(i, (value, 0.0, 0.0))
@@ -340,18 +343,19 @@ class _Comparison:
         slope: tuple[float, float, float],
     ) -> float:
         """A bound on |H(z) - H(y)|."""
-        dim = self._equation.dim
-        rows = ModelRows(self._equation.rates, window.high.shape[1])
+        dim, program = self._equation.dim, self._equation.slopes
+        rows = ModelRows(program, window.high.shape[1])
         rows.high[:dim], rows.low[:dim] = window.high, window.low
         rows.length[:dim] = window.high.shape[1]
         rows.radius[:dim] = window.tube
         rows.set_line(dim, centre, slope)
         rows.run(tables(window.high.shape[1]), False)
-        found = rows.taken(self._equation.rates.results)
+        found = rows.taken(program.results)
         slopes = (np.abs(found.high).sum(axis=1) + found.radius) * _ROOM
-        # J grad H has the slopes in p first, then minus those in q.
-        half = dim // 2
-        return float(np.concatenate([slopes[half:], slopes[:half]]) @ width) * _ROOM
+        if program is self._equation.rates:
+            # J grad H has the slopes in p first, then minus those in q.
+            slopes = np.concatenate([slopes[dim // 2 :], slopes[: dim // 2]])
+        return float(slopes @ width) * _ROOM
 
     def _norm_and_parts(
         self, series: np.ndarray, radius: np.ndarray

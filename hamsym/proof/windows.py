@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -33,6 +33,7 @@ from hamsym.proof.compiled import loops
 from hamsym.proof.generated import GeneratedFunctions, evaluated
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, split, tables
+from hamsym.symbolic.exact import rational
 
 __all__ = ["Equation", "ErrorSet", "Window", "WindowStepper", "equation_of", "set_sizes"]
 
@@ -67,6 +68,8 @@ class Equation:
     dim, columns : int
         2 dof, and dim plus the number of unknown parameters.
     rates, jacobian, energy : Program
+    slopes : Program
+        Derivatives of H with forces; without them ``rates``, which are those up to order and sign.
     entries, signs : numpy.ndarray
         Rows (i, j, place): DG_ij is a sign times the result ``place`` of ``jacobian``.
     """
@@ -74,15 +77,16 @@ class Equation:
     def __init__(self, H: Hamiltonian, unknown: Sequence[str] = ()) -> None:
         H.require_parameters()
         self.dim, self.columns = H.dim, H.dim + len(unknown)
-        self.time_dependent = H.time is not None
+        self.conserved = H.conserves_energy
         self._H, self._unknown = H, list(unknown)
         self.rates, _ = self._recorded("vector_field")
         self.energy, _ = self._recorded("energy")
-        self.jacobian, indices = self._recorded("hessian")
+        self.slopes = self._recorded("gradient")[0] if H.forces else self.rates
+        self.jacobian, indices = self._recorded("jacobian" if H.forces else "hessian")
         dof = H.dof
         rows: list[tuple[int, int, int, int]] = []
         for place, (i, j) in enumerate(indices):
-            if j >= H.dim:  # a rate by a parameter
+            if j >= H.dim or H.forces:  # a rate by a parameter, or by the state itself
                 rows.append((i, j, place, 1))
                 continue
             for row, column in {(i, j), (j, i)}:
@@ -93,6 +97,17 @@ class Equation:
         #: The same with registers in place of results.
         self.placed = self.entries.copy()
         self.placed[:, 2] = self.jacobian.results[self.entries[:, 2]]
+
+    def resting(self, zero: Iterable[int]) -> set[int]:
+        """Components that stay exactly zero, of those that are zero at the start."""
+        own, found = self._H.real_equations, set(zero)
+        while found:
+            values = {own.z[i]: sympy.Integer(0) for i in found}
+            moving = {i for i in found if own.vector_field[i].xreplace(values) != 0}
+            if not moving:
+                break
+            found -= moving
+        return found
 
     def _recorded(self, name: str) -> tuple[Program, list[tuple[int, ...]]]:
         """A generated function as a program, and the indices of its results."""
@@ -117,9 +132,7 @@ class Equation:
         own = self._H.real_equations
         values = {s: value for n, (s, value) in own.parameters.items() if n not in self._unknown}
         known = {s: value for s, value in values.items() if value is not None}
-        slopes = [own.exact.with_fractions(entry, known) for entry in own.exact.gradient]
-        dof = self.dim // 2
-        rates = [*slopes[dof:], *(-slope for slope in slopes[:dof])]
+        rates = [own.exact.with_fractions(entry, known) for entry in own.exact.vector_field]
         found = {
             (i, self.dim + k): slope
             for k, name in enumerate(self._unknown)
@@ -128,7 +141,7 @@ class Equation:
         }
         if not found:
             return {}
-        exact = {s: sympy.Rational(*float(v).as_integer_ratio()) for s, v in known.items()}
+        exact = {s: rational(v) for s, v in known.items()}
         symbols = [
             *own.z,
             *(own.parameters[name][0] for name in self._unknown),

@@ -117,7 +117,7 @@ def estimate_error(
     count, _, dim = windows.readouts.shape
     scale = _scales(windows, flow)
     settings = error_settings(flow, tables, windows.edges, scale, tolerance)
-    actions = halves(flow.entries, settings.scale)
+    actions = halves(flow.entries, settings.scale, flow.symmetric)
     series = np.full((count, tables.lift.shape[1], dim), np.inf)
     floors, largest = np.full((count, dim), np.inf), np.zeros(dim)
     joint, history = np.zeros(dim * (error_loop.PERTURBATIONS + 2)), np.zeros(2)
@@ -259,12 +259,18 @@ def kicks(dim: int) -> np.ndarray:
     return np.random.default_rng(1).choice((-1.0, 1.0), size=shape)
 
 
-def halves(entries: np.ndarray, scale: np.ndarray) -> tuple[Actions, Actions]:
-    """Return the terms of J Hess v in units of the scale: those of the momenta, and the others."""
+def halves(
+    entries: np.ndarray, scale: np.ndarray, symmetric: bool = True
+) -> tuple[Actions, Actions]:
+    """Return the terms of J C v in units of the scale: those of the momenta, and the others.
+
+    Of the matrix C, the Hessian without forces, the entries are given, which are mirrored if it is
+    symmetric.
+    """
     half = len(scale) // 2
     terms: dict[int, list[tuple[int, int, float]]] = {}
     for entry, (i, j) in enumerate(entries.tolist()):
-        for row, source in {(i, j), (j, i)}:
+        for row, source in {(i, j), (j, i)} if symmetric else [(i, j)]:
             target, sign = (row + half, -1.0) if row < half else (row - half, 1.0)
             factor = sign * scale[source] / scale[target]
             terms.setdefault(target, []).append((source, entry, factor))

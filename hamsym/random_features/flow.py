@@ -12,11 +12,10 @@ import sympy
 
 from hamsym.codegen.functions import compile_expressions
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.numerics.symplectic import generators
 from hamsym.random_features.compiled_loop import PLAIN, Loops, compiled_loops, compiled_rows
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["Flow", "RowFunctions", "flow_of", "has_rounded_numbers", "upper_entries"]
+__all__ = ["Flow", "RowFunctions", "flow_of", "has_rounded_numbers", "stored_entries"]
 
 NarrowArguments: TypeAlias = tuple[np.ndarray, np.ndarray]
 Rows: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
@@ -32,7 +31,8 @@ class RowFunctions(NamedTuple):
     velocity, force : callable
         dq/dt and dp/dt, shape (dof, n).
     hessian : callable
-        The nonzero second derivatives of H in the upper triangle, shape (entries, n).
+        The nonzero second derivatives of H in the upper triangle, shape (entries, n); with forces
+        the nonzero derivatives of dH/dq - F and dH/dp.
     """
 
     velocity: Rows
@@ -52,19 +52,23 @@ class Flow:
         Values of the parameters, shape (k,).
     entries : numpy.ndarray
         Row and column of each value of ``rows.hessian``, shape (entries, 2).
+    symmetric : bool
+        Whether each entry also stands for its mirror image, without forces.
     separable : bool
-        Whether H is separable.
+        Whether dq/dt depends on p only, and dp/dt on q only, beside the time.
     vector_field : callable
         (z, t) -> F, shapes (n, dim), (n,) -> (n, dim).
     jacobian : callable
         (z, t) -> dF/dz, shape (n, dim, dim).
     energy : callable, optional
         (z, t) -> H, shape (n,), where H is conserved.
+    autonomous : bool
+        Whether the time does not occur.
     narrow_arguments : callable, optional
         (z, t) -> arguments of the functions in H that may act briefly, shape (n, k), and their
         kinds (:class:`~hamsym.symbolic.derivatives.Narrow`), shape (k,).
     rounded : bool
-        Whether H has numbers that float64 cannot represent.
+        Whether the formulas have numbers that float64 cannot represent.
     loops : Loops
         The loops over windows, plain or compiled.
     compiled : bool
@@ -76,10 +80,12 @@ class Flow:
     rows: RowFunctions
     parameters: np.ndarray
     entries: np.ndarray
+    symmetric: bool
     separable: bool
     vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray]
     jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray]
     energy: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    autonomous: bool = False
     narrow_arguments: Callable[[np.ndarray, np.ndarray], NarrowArguments] | None = None
     rounded: bool = False
     loops: Loops = PLAIN
@@ -95,7 +101,7 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
         return np.asarray(system.vector_field(*system.arguments(z, t)))
 
     def jacobian(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return generators(system.hessian(*system.arguments(z, t)))
+        return np.asarray(system.jacobian(*system.arguments(z, t)))
 
     def energy(z: np.ndarray, t: np.ndarray) -> np.ndarray:
         return np.asarray(system.energy(*system.arguments(z, t)))
@@ -103,22 +109,23 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
     plain = Flow(
         RowFunctions(*(system.function(f"{name}_rows") for name in RowFunctions._fields)),
         np.array([H.parameters[name] for name in H.parameter_names], dtype=float),
-        upper_entries(H.real_equations),
+        stored_entries(H.real_equations),
+        not H.forces,
         H.is_separable,
         vector_field,
         jacobian,
-        energy=energy if H.time is None else None,
+        energy=energy if H.conserves_energy else None,
+        autonomous=H.time is None,
         narrow_arguments=_narrow_arguments(H),
-        rounded=has_rounded_numbers(H.expr),
+        rounded=any(map(has_rounded_numbers, H.real_equations.formulas)),
         compile=(lambda: _compiled(H, plain)) if compiled == "auto" else None,
     )
     return _compiled(H, plain) if compiled is True else plain
 
 
-def upper_entries(equations: Equations) -> np.ndarray:
-    """Return row and column of the nonzero second derivatives in the upper triangle, (n, 2)."""
-    entries = [index for index in equations.hessian if index[0] <= index[1]]
-    return np.array(entries, dtype=np.int64).reshape(-1, 2)
+def stored_entries(equations: Equations) -> np.ndarray:
+    """Return row and column of the values of ``rows.hessian``, shape (entries, 2)."""
+    return np.array([*equations.stored_curvature], dtype=np.int64).reshape(-1, 2)
 
 
 def _compiled(H: Hamiltonian, plain: Flow) -> Flow:

@@ -112,7 +112,7 @@ class _Marching:
         self._began, self._cpu_began = time.perf_counter(), time.process_time()
         self._flow, self._basis = flow, basis
         self._max_windows = max_windows
-        self._origin = origin_of(flow.energy is not None, span)
+        self._origin = origin_of(flow.autonomous, span)
         self._start, self._end = (t - self._origin for t in span)
         self._whole = abs(self._end - self._start)
         self._direction = 1.0 if self._end > self._start else -1.0
@@ -228,7 +228,7 @@ class _Marching:
         )
         if max(abs(self._start), abs(self._end)) > 100 * self._whole:
             reason += ", or t is too large for float64 to resolve: shift the time towards 0"
-        if self._flow.energy is None:
+        if not self._flow.autonomous:
             reason += "; give times at which H is discontinuous as breakpoints"
         return reason
 

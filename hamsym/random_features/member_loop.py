@@ -75,7 +75,7 @@ class Span(NamedTuple):
     longest, shortest : float
         Lengths of windows.
     separable, conserved, rounded : bool
-        Whether H is separable, independent of time, and has rounded numbers.
+        Whether H is separable and conserved, and the formulas have rounded numbers.
     kinds : array
         Kinds of the arguments that may act briefly.
     """

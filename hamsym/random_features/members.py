@@ -27,13 +27,13 @@ from hamsym.random_features.error_estimate import (
     resolution_for,
 )
 from hamsym.random_features.error_loop import Actions
-from hamsym.random_features.flow import flow_of, has_rounded_numbers, upper_entries
+from hamsym.random_features.flow import flow_of, has_rounded_numbers, stored_entries
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
 from hamsym.random_features.member_loop import Members, Span
 from hamsym.random_features.window_checks import WindowChecks
 from hamsym.random_features.window_loop import Windows
 from hamsym.random_features.windows import March
-from hamsym.solution.discontinuities import has_switches
+from hamsym.solution.discontinuities import has_switches, has_time_switches
 from hamsym.solution.window_error import relative_tolerance
 
 __all__ = ["Batch", "MemberSolver"]
@@ -110,7 +110,7 @@ class MemberSolver:
         equations, kernels = H.kernels.equations, H.kernels
         kinds = [int(kind) for _, kind in equations.narrow_arguments]
         names = ["velocity", "force", "hessian", "velocity", "velocity"]
-        if H.time is None:
+        if H.conserves_energy:
             names[3] = "energy"
         if kinds:
             names[4] = "argument"
@@ -133,8 +133,8 @@ class MemberSolver:
                 longest,
                 shortest_window(start, end),
                 H.is_separable,
-                H.time is None,
-                has_rounded_numbers(H.expr),
+                H.conserves_energy,
+                any(map(has_rounded_numbers, H.real_equations.formulas)),
                 np.array(kinds, dtype=np.int64),
             ),
         )
@@ -143,8 +143,8 @@ class MemberSolver:
 
     @staticmethod
     def applies(H: Hamiltonian) -> bool:
-        """Return whether H has no switches, at which the general search for jumps is needed."""
-        return not has_switches(H)
+        """Return whether H has no switches: those in time end windows, others need a search."""
+        return not (has_switches(H) or has_time_switches(H))
 
     def solve(self, states: np.ndarray, parameters: np.ndarray, *, keep_error: bool) -> Batch:
         """Solve members from states of shape (members, dim) with parameters (members, k)."""
@@ -278,7 +278,7 @@ def _selected(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
 @functools.lru_cache(maxsize=64)
 def _terms(H: Hamiltonian) -> tuple[Actions, Actions]:
     """Return the terms of J Hess v in the units of H."""
-    return halves(upper_entries(H.kernels.equations), np.ones(H.dim))
+    return halves(stored_entries(H.kernels.equations), np.ones(H.dim), not H.forces)
 
 
 def march_of(

@@ -37,10 +37,11 @@ from hamsym.solution.accuracy import (
     checked_breakpoints,
     checked_tol,
     checked_window,
+    window_ends,
 )
 from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.solution import Solution
-from hamsym.solution.window_error import largest_ratio, relative_tolerance
+from hamsym.solution.window_error import allowed_errors, largest_ratio
 from hamsym.support.option_fields import option
 
 __all__ = [
@@ -103,7 +104,7 @@ class Accuracy:
 
     def allowed(self, sizes: np.ndarray) -> np.ndarray:
         """Return the allowed error of components of these computed sizes, shape (dim,)."""
-        return self.absolute + relative_tolerance(self.tol) * sizes
+        return allowed_errors(self.tol, self.absolute, sizes)
 
 
 def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: int) -> Accuracy:
@@ -204,6 +205,7 @@ def solve_by_march(
     H = problem.H
     accuracy = checked_accuracy(options, problem.span, H.dim)
     tol, local = accuracy.tol, accuracy.local
+    stops = window_ends(H, accuracy.stops, problem.span)
     flow = flow_of(H, options.compiled)
     best: _Attempt | None = None
     loosened = False
@@ -215,7 +217,7 @@ def solve_by_march(
                 problem.span,
                 local,
                 basis,
-                breakpoints=accuracy.stops,
+                breakpoints=stops,
                 longest=accuracy.longest,
             )
             if not len(windows.readouts):
@@ -316,7 +318,8 @@ def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
             f"{until}"
         )
     if windows.doubt:
-        return False, f"{windows.doubt}: a narrow pulse, a step or a jump; {state}"
+        cause = "a close encounter, a narrow pulse, a step or a jump"
+        return False, f"{windows.doubt}: {cause}; {state}"
     if excess <= 1:
         return True, success_message(tol, len(windows.readouts), excess)
     if limit:

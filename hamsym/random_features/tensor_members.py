@@ -31,7 +31,7 @@ from hamsym.random_features.error_estimate import (
     resolution_for,
 )
 from hamsym.random_features.error_loop import PERTURBATIONS, TIGHTER
-from hamsym.random_features.flow import has_rounded_numbers, upper_entries
+from hamsym.random_features.flow import has_rounded_numbers, stored_entries
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
 from hamsym.random_features.member_loop import ATTEMPTS, MARGIN, MOST, SMALLEST, STEP
 from hamsym.random_features.members import MAX_WINDOWS, Batch, MemberSolver
@@ -146,14 +146,14 @@ class TensorSolver(MemberSolver):
         self._error_tables = ErrorTables(
             *(self._tensor(getattr(tables, name)) for name in ErrorTables._fields)
         )
-        entries = upper_entries(equations)
-        forces, velocities = halves(entries, np.ones(H.dim))
+        entries = stored_entries(equations)
+        forces, velocities = halves(entries, np.ones(H.dim), not H.forces)
         self._error_settings = ErrorSettings(
             forces=Half.of(forces, H.dof, -1.0),
             velocities=Half.of(velocities, H.dof, 1.0),
             entries=len(entries),
             whole=abs(self._end - self._start),
-            rounded=float(has_rounded_numbers(H.expr)),
+            rounded=float(any(map(has_rounded_numbers, equations.formulas))),
             signs=self._tensor(disturbances(tables.places.shape, H.dim))[:, :, None],
             kicks=self._tensor(kicks(H.dim))[..., None],
         )
@@ -259,7 +259,7 @@ class TensorSolver(MemberSolver):
             largest[:, todo] = torch.where(known, errors.largest, largest[:, todo])
             excess[todo] = torch.where(known, ratios, excess[todo])
             good = known & (ratios <= 1.0) & ~errors.marked
-            if self.H.time is None:
+            if self.H.conserves_energy:
                 energies = path, marched.sizes, local[todo], own
                 good &= keeps_energy(self._functions, *energies)
             if len(self._kinds):

@@ -9,8 +9,17 @@ from typing import Any
 import numpy as np
 
 from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.symbolic.switching import switch_times
 
-__all__ = ["SMALLEST_TOL", "checked_atol", "checked_breakpoints", "checked_tol", "checked_window"]
+__all__ = [
+    "SMALLEST_TOL",
+    "checked_atol",
+    "checked_breakpoints",
+    "checked_tol",
+    "checked_window",
+    "window_ends",
+]
 
 #: Smallest tolerance that float64 allows.
 SMALLEST_TOL = 1e-12
@@ -56,6 +65,23 @@ def checked_window(
             f"{shortest:.3g} or more, or a shorter span"
         )
     return float(max_window)
+
+
+def window_ends(
+    H: Hamiltonian, breakpoints: Sequence[float], span: tuple[float, float]
+) -> list[float]:
+    """Breakpoints and the times at which t switches H, in the direction of the span.
+
+    Raises
+    ------
+    InputError
+        If a breakpoint is not a time inside the span.
+    """
+    given = checked_breakpoints(breakpoints, span)
+    apart = 1e-12 * max(map(abs, span))
+    times = switch_times(H.real_equations, span)
+    found = [t for t in times if all(abs(t - stop) > apart for stop in given)]
+    return sorted([*given, *found], reverse=bool(span[1] < span[0]))
 
 
 def checked_breakpoints(breakpoints: Sequence[float], span: tuple[float, float]) -> list[float]:

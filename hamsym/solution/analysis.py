@@ -129,7 +129,8 @@ class Analysis:
         """Smallest singular value of the Hessian along the trajectory.
 
         Zero if an eigenvalue changes its sign, which a grid of times alone would miss, or if the
-        Hessian is not finite somewhere.
+        Hessian is not finite somewhere. It is nan with forces: the equation of the error has
+        another matrix then, which is not symmetric.
         """
         return self._smallest[0]
 
@@ -140,6 +141,8 @@ class Analysis:
 
     @cached_property
     def _smallest(self) -> tuple[float, float]:
+        if self.solution.H.forces:
+            return math.nan, math.nan
         largest = np.abs(self._scanned).max()
         if not np.isfinite(largest):
             lost = np.flatnonzero(np.isnan(self._scanned).any(axis=1))
@@ -154,8 +157,16 @@ class Analysis:
     # -- bounds --------------------------------------------------------------------------------
 
     @property
+    def vacuous(self) -> str:
+        """The reason why the bound is infinite."""
+        reason = "the Hessian is singular on the trajectory"
+        if self.solution.H.forces:
+            reason = "it rests on a symmetric Hessian, and forces act"
+        return f"the bound ell_max/sigma_min is infinite: {reason}"
+
+    @property
     def bound(self) -> float:
-        """Heuristic bound ell_max / sigma_min, eq. (dz); infinite if sigma_min is zero."""
+        """Heuristic bound ell_max / sigma_min, eq. (dz); infinite if sigma_min is zero or nan."""
         return self.ell_max_regularized / self.sigma_min if self.sigma_min > 0 else math.inf
 
     def linearized_error(self, t: np.ndarray) -> np.ndarray:
@@ -176,10 +187,10 @@ class Analysis:
 
         It combines ell_max and sigma_min of the whole trajectory with the norm of the Hessian and
         the rate of the linearised error at t, and bounds the 2-norm of that error. It is infinite
-        if sigma_min is zero.
+        if sigma_min is zero or nan.
         """
         times = np.asarray(t, dtype=float)
-        if self.sigma_min == 0:
+        if not self.sigma_min > 0:
             return np.full(times.shape, math.inf)
         hessians = self.solution.hessians(times)
         error = self.linearized_error(times)[..., None]

@@ -23,7 +23,7 @@ from hamsym.solution.path import Path
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["first_jump", "has_switches", "parameter_jump", "unresolved"]
+__all__ = ["first_jump", "has_switches", "has_time_switches", "parameter_jump", "unresolved"]
 
 _RESOLVED = 1e-2  # residual, relative to the largest rate of the component
 _MOST_PLACES = 20  # places of a trained network that are searched for a jump
@@ -129,7 +129,9 @@ def _symbolic_jumps(
     z = solution(times)
     with np.errstate(all="ignore"):
         # A jump is compared with the largest rate of the same component.
-        sizes = np.abs(system.gradient(*system.arguments(z, times))).max(axis=0)
+        # The rates are the slopes with their halves exchanged, up to signs.
+        rates = np.abs(system.vector_field(*system.arguments(z, times))).max(axis=0)
+        sizes = np.roll(rates, H.dof)
         sizes = np.append(sizes, np.abs(system.energy(*system.arguments(z, times))).max())
         for switch in switches:
             values = switch.argument(z, times)[..., 0]
@@ -151,8 +153,20 @@ def _symbolic_jumps(
 
 
 def has_switches(H: Hamiltonian) -> bool:
-    """Return whether H has functions at which it or its gradient may jump."""
+    """Return whether H or a force has functions at which it or its derivative may jump."""
     return bool(_switches(H))
+
+
+def has_time_switches(H: Hamiltonian) -> bool:
+    """Return whether functions of the time alone switch H."""
+    if H.time is None:
+        return False
+    equations = H.real_equations
+    return bool(
+        derivatives.switch_arguments(
+            sympy.Tuple(*equations.formulas), {equations.time}, {*equations.z}
+        )
+    )
 
 
 class _Switch(NamedTuple):
@@ -175,7 +189,7 @@ def _switches(H: Hamiltonian, parameters: tuple[str, ...] = ()) -> tuple[_Switch
     equations = H.real_equations
     variables = [*equations.z, *(equations.parameters[name][0] for name in parameters)]
     found = []
-    for argument, jumps in derivatives.switches(equations.expr, equations.gradient, variables):
+    for argument, jumps in equations.switches(variables):
         if not argument.free_symbols & set(equations.z):
             jumps[-1] = sympy.Integer(0)  # H jumps everywhere at once, without a force
         found.append(_switch(argument, jumps, equations))
@@ -186,7 +200,7 @@ def _switches(H: Hamiltonian, parameters: tuple[str, ...] = ()) -> tuple[_Switch
 def _corners(H: Hamiltonian, parameter: str) -> tuple[tuple[sympy.Expr, _Switch], ...]:
     """Switches in a parameter, of the gradient and of its derivative in the parameter."""
     equations = H.real_equations
-    forces = [*equations.gradient_in(parameter), *equations.gradient]
+    forces = [*equations.slopes_in(parameter), *equations.slopes]
     symbols = [equations.parameters[parameter][0]]
     return tuple(
         (argument, _switch(argument, jumps, equations))

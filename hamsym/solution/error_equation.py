@@ -15,7 +15,6 @@ import numpy as np
 import scipy.integrate
 
 from hamsym.numerics.call_limit import TooManyCallsError, limited
-from hamsym.numerics.symplectic import generators
 from hamsym.solution.path import Path
 
 __all__ = ["RESOLUTIONS", "integrated_error"]
@@ -51,7 +50,7 @@ def integrated_error(
         z, dz = solution.evaluate(t, extrapolate=True)
         if linear:
             residual = dz - system.vector_field(*system.arguments(z, t))
-            jacobian = generators(system.hessian(*system.arguments(z, t)))
+            jacobian = system.jacobian(*system.arguments(z, t))
             return np.asarray(jacobian @ error - residual / size)
         flow = system.vector_field(*system.arguments(z + size * error, t))
         return np.asarray((flow - dz) / size)

@@ -13,6 +13,7 @@ from hamsym.errors import InputError, ParameterError
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.times import is_tensor
+from hamsym.suggestions import did_you_mean
 from hamsym.symbolic.checks import as_list, name_of
 
 if TYPE_CHECKING:  # torch is imported only by callers that have tensors
@@ -44,7 +45,8 @@ def parameter_names(H: Hamiltonian, parameters: Any) -> tuple[str, ...]:
     for name in given:
         if canonical_name(name) not in known:
             listed = ", ".join(H.parameter_names) or "none"
-            raise ParameterError(f"'{name}' is not a parameter of H; it has {listed}")
+            hint = did_you_mean(name, H.parameter_names)
+            raise ParameterError(f"'{name}' is not a parameter of H{hint}; it has {listed}")
     return tuple(known[canonical_name(name)] for name in given)
 
 
@@ -83,7 +85,9 @@ def parameter_tensors(H: Hamiltonian, parameters: Any) -> dict[str, Tensor]:
 
 
 class ParameterForcing:
-    """J d(grad H)/dk for some parameters k; its length is their number.
+    """Derivatives of the rates by some parameters k; its length is their number.
+
+    Without forces they are J d(grad H)/dk.
 
     Examples
     --------
@@ -124,6 +128,6 @@ class ParameterForcing:
 def _compiled(H: Hamiltonian, names: tuple[str, ...]) -> Callable[..., np.ndarray]:
     equations, rates = H.real_equations, []
     for name in names:
-        slopes = equations.gradient_in(name)
+        slopes = equations.slopes_in(name)
         rates += [*slopes[H.dof :], *(-slope for slope in slopes[: H.dof])]
     return compile_expressions(rates, equations)

@@ -133,13 +133,16 @@ class Path(Protocol):
         """The state and its time derivative."""
 
     def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
-        """dz^/dt - J grad H(z^)."""
+        """dz^/dt less the rates at z^."""
 
     def energy(self, t: Any, *, extrapolate: bool = False) -> Any:
         """H along the trajectory."""
 
     def hessians(self, t: np.ndarray) -> np.ndarray:
         """The Hessian along the trajectory, shape (*t.shape, dim, dim)."""
+
+    def jacobians(self, t: np.ndarray) -> np.ndarray:
+        """Derivatives of the rates along the trajectory, shape (*t.shape, dim, dim)."""
 
     @property
     def scan_times(self) -> np.ndarray:

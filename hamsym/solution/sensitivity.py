@@ -18,7 +18,6 @@ from typing import Protocol
 import numpy as np
 
 from hamsym.numerics.chebyshev import chebyshev_values
-from hamsym.numerics.symplectic import generators
 from hamsym.numerics.tangent_maps import TangentMaps
 from hamsym.numerics.windows import locate
 from hamsym.solution.path import Path
@@ -178,7 +177,7 @@ class Sensitivity:
             z = self._path(t, extrapolate=True) * (1 + eps * generator.choice((-1.0, 1.0), z.shape))
         system = self._path.H.compile("numpy")
         with np.errstate(all="ignore"):
-            parts = [generators(np.asarray(system.hessian(*system.arguments(z, t)), dtype=float))]
+            parts = [np.asarray(system.jacobian(*system.arguments(z, t)), dtype=float)]
             if self._forcing is not None:
                 parts.append(self._forcing(z, t))
         return np.concatenate(parts, axis=-1).reshape(*times.shape, self._dim, self._columns)
@@ -189,8 +188,8 @@ class Sensitivity:
 
     def _own_edges(self) -> np.ndarray:
         start, end = self._path.span
-        hessians = self._path.hessians(self._path.scan_times)
+        jacobians = self._path.jacobians(self._path.scan_times)
         # J Hess in units of the scales has the size of the rates at which nearby states separate.
-        sizes = np.abs(generators(hessians) * self._units / self._units[:, None])
+        sizes = np.abs(jacobians * self._units / self._units[:, None])
         needed = float(sizes.sum(axis=-1).max()) * abs(end - start) / 2
         return np.linspace(start, end, 2 + int(min(np.nan_to_num(needed), _MOST_WINDOWS)))

@@ -6,17 +6,17 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 import hamsym
+from hamsym.description import attributes_of
 from hamsym.errors import InputError, ParameterError, VacuousBoundWarning
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
-from hamsym.numerics.symplectic import generators
 from hamsym.solution.analysis import Analysis
 from hamsym.solution.discontinuities import parameter_jump
 from hamsym.solution.error_equation import integrated_error
@@ -24,10 +24,18 @@ from hamsym.solution.events import Event, Events, find_events
 from hamsym.solution.parameters import ParameterForcing, parameter_names, parameter_tensors
 from hamsym.solution.path import ErrorEstimate, Record, Trial
 from hamsym.solution.sensitivity import Sensitivity
+from hamsym.solution.settings import Settings
 from hamsym.solution.times import evaluate_in_parts, is_tensor, tensor_of, times_in_span
+from hamsym.solution.work import Work
+from hamsym.suggestions import suggest_attributes
+from hamsym.support.shown import Shown
+from hamsym.support.tables import data_frame, data_set, time_name
+from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:  # torch and matplotlib are imported only where they are used
+    import pandas
     import sympy
+    import xarray
     from matplotlib.figure import Figure
     from torch import Tensor
 
@@ -36,8 +44,9 @@ __all__ = ["Solution"]
 _SCAN = 4_001  # times of the scan that precedes the search for an extremum over time
 
 
+@suggest_attributes
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution:
+class Solution(Shown):
     """A closed-form trajectory z^(t) over a time span, from :func:`hamsym.solve`.
 
     Call it with times to get states: shape (n,) gives (n, dim), a scalar gives (dim,); numpy in,
@@ -65,6 +74,11 @@ class Solution:
         Outcome of the method.
     certificate : Certificate or None
         Proof that errors are within the tolerance, with ``prove=True``; not part of files.
+    invariant_drift : mapping of str to float
+        Largest change of each of the ``invariants`` that were given, by its formula; not part of
+        files.
+    settings : Settings or None
+        Tolerance, seed, span and options with which it was solved, where they are known.
     """
 
     H: Hamiltonian
@@ -78,11 +92,13 @@ class Solution:
     success: bool = False
     message: str = ""
     certificate: hamsym.Certificate | None = None
+    invariant_drift: Mapping[str, float] = field(default_factory=dict)
+    settings: Settings | None = None
 
     def __repr__(self) -> str:
         start, end = self.span
         return (
-            f"Solution({self.H.formula!r}, t from {start:.6g} to {end:.6g}, {self.method}, "
+            f"Solution({self.H.formulas!r}, t from {start:.6g} to {end:.6g}, {self.method}, "
             f"success={self.success})"
         )
 
@@ -111,6 +127,22 @@ class Solution:
     def history(self) -> Any:
         """Loss and ell_max during the training, or the windows of a march."""
         return self.record.history
+
+    @property
+    def allowed_error(self) -> np.ndarray | None:
+        """Error that the tolerance allows each component, shape (dim,); None without a tolerance.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve("p**2/2 + 2*x**2", [1, 0], (0, 5), tol=1e-6)
+        >>> solution.allowed_error.round(8)
+        array([1.e-06, 2.e-06])
+        """
+        # One network that was trained jointly is not judged by a tolerance.
+        if self.settings is None or self.error is None:
+            return None
+        return self.settings.allowed(self.error.scale)
 
     # -- evaluation --------------------------------------------------------------------------
 
@@ -274,7 +306,10 @@ class Solution:
         return np.where(units > 0, units, 1.0)
 
     def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
-        """Return ell(t) = dz^/dt - J grad H(z^), shaped as the state: eq. (partial_loss)."""
+        """Return ell(t) = dz^/dt - J grad H(z^), shaped as the state: eq. (partial_loss).
+
+        Forces are subtracted too.
+        """
         z, dz = self.evaluate(t, extrapolate=extrapolate)
         system = self.H.compile("torch" if is_tensor(t) else "numpy")
         return system.residual(z, *system.arguments(dz, t))
@@ -285,12 +320,58 @@ class Solution:
         system = self.H.compile("torch" if is_tensor(t) else "numpy")
         return system.energy(*system.arguments(z, t))
 
+    def work(self, t: Any) -> Any:
+        """Return the energy that the trajectory has gained since the start, by its power.
+
+        The integral of ``H.power``, F . dH/dp + (partial H)/(partial t), along z^ from the start to
+        t, in the units of H. It is the work of the forces if H does not depend on time. A jump of H
+        at a time is left out.
+
+        Parameters
+        ----------
+        t : float, sequence or array
+
+        Returns
+        -------
+        numpy.ndarray or float
+            Shape (n,), or a scalar for a scalar t.
+
+        Raises
+        ------
+        InputError
+            If a time is outside the span.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> H = hamsym.Hamiltonian("p**2/2", forces={"p": "-p"}, q=["x"], p=["p"])
+        >>> solution = hamsym.solve(H, [0, 1], (0, 5))
+        >>> float(np.round(solution.work(5.0), 9)), float(np.round(np.exp(-10) / 2 - 0.5, 9))
+        (-0.4999773, -0.4999773)
+        """
+        times = times_in_span(t, self.span)
+        return self._work(np.atleast_1d(times)).reshape(times.shape)[()]
+
+    def energy_drift(self, t: Any) -> Any:
+        """Return H(t) - H(start) - work(t), zero for an exact trajectory if H has no jump in time.
+
+        Without forces and explicit time it is the change of H. Shapes and errors as for
+        :meth:`work`.
+        """
+        start = float(self.energy(self.span[0]))
+        change = self.energy(np.asarray(t, dtype=float)) - start
+        return change if self.H.conserves_energy else change - self.work(t)
+
+    @cached_property
+    def _work(self) -> Work:
+        return Work(self, self.record.edges, self.record.origin)
+
     def loss(self, t: Any, *, extrapolate: bool = False) -> Any:
         """Return the generated loss of z^ at times t: the paper's eq. (Loss), a scalar.
 
         It is the mean over the times of the squared 2-norm of the residual, plus
-        ``energy_weight`` times the mean of (H - E0)^2, without regularizers. For t as a tensor it
-        is a tensor.
+        ``energy_weight`` times the mean of (H - E0)^2, without invariants and regularizers. For t
+        as a tensor it is a tensor.
 
         Parameters
         ----------
@@ -313,10 +394,11 @@ class Solution:
         """
         z, dz = self.evaluate(t, extrapolate=extrapolate)
         system = self.H.compile("torch" if is_tensor(t) else "numpy")
-        if system.time_dependent:
-            return system.loss(z, dz, t if is_tensor(t) else np.asarray(t, dtype=float))
+        given = system.arguments(dz, t if is_tensor(t) else np.asarray(t, dtype=float))
+        if not self.H.conserves_energy:
+            return system.loss(z, *given)
         exact = self.H.compile("numpy")
-        return system.loss(z, dz, float(exact.energy(self.z0)), self.energy_weight)
+        return system.loss(z, *given, float(exact.energy(self.z0)), self.energy_weight)
 
     def _state(self, t: Any, extrapolate: bool) -> Any:
         if is_tensor(t):
@@ -357,7 +439,10 @@ class Solution:
 
     @property
     def sigma_min(self) -> float:
-        """Smallest singular value of the Hessian along the trajectory; zero if it is singular."""
+        """Smallest singular value of the Hessian along the trajectory; zero if it is singular.
+
+        With forces it is nan: the equation of the error then has another matrix.
+        """
         return self.analysis.sigma_min
 
     @overload
@@ -427,7 +512,7 @@ class Solution:
     def _coupled_scales(self) -> np.ndarray:
         start, end = self.span
         with np.errstate(all="ignore"):
-            coupling = np.abs(generators(self.hessians(self.scan_times))).mean(axis=0)
+            coupling = np.abs(self.jacobians(self.scan_times)).mean(axis=0)
         # A short span has the scales of a span ten times as long.
         return coupled_sizes(self.scale, coupling, 10 * abs(end - start))
 
@@ -442,12 +527,13 @@ class Solution:
         It is a heuristic: it assumes an error in one component only, is violated by a residual in
         resonance with the motion, and mixes the units of q and p. It is infinite, with a
         :class:`~hamsym.errors.VacuousBoundWarning`, where the Hessian is singular along the
-        trajectory, for example in every system with a cyclic coordinate.
+        trajectory, for example in every system with a cyclic coordinate, and with forces: it rests
+        on the symmetry of the Hessian.
         """
         if self.sigma_min > 0:
             return self.analysis.bound
         warnings.warn(
-            "the bound ell_max/sigma_min is infinite: the Hessian is singular on the trajectory",
+            self.analysis.vacuous,
             VacuousBoundWarning,
             stacklevel=2,
         )
@@ -457,6 +543,15 @@ class Solution:
         """Return the Hessian of H along the trajectory, shape (*t.shape, dim, dim)."""
         system = self.H.compile("numpy")
         matrices = system.hessian(*system.arguments(self(t), t))
+        return np.asarray(matrices, dtype=float)
+
+    def jacobians(self, t: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the rates along the trajectory, J Hess without forces.
+
+        Shape (*t.shape, dim, dim).
+        """
+        system = self.H.compile("numpy")
+        matrices = system.jacobian(*system.arguments(self(t), t))
         return np.asarray(matrices, dtype=float)
 
     @cached_property
@@ -499,9 +594,89 @@ class Solution:
         """
         return find_events(self, events, self.scan_times)
 
+    def to_dataframe(self, t: Any) -> pandas.DataFrame:
+        """Return states at times t as a table of pandas: times as index, components as columns.
+
+        H, parameters, units and the method are in ``attrs``.
+
+        Parameters
+        ----------
+        t : sequence or array
+            Times, shape (n,); a scalar counts as one time.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed, or a time is outside the span.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5))
+        >>> solution.to_dataframe([0.0, np.pi])["x"].round(6).tolist()
+        [1.0, -1.0]
+        """
+        times = np.atleast_1d(times_in_span(t, self.span))
+        columns = dict(zip(self.H.names, self(times).T, strict=True))
+        return data_frame(columns, {time_name(self.H.names): times}, self._attributes)
+
+    def to_xarray(self, t: Any) -> xarray.Dataset:
+        """Return states, energies and estimated errors at times t as a dataset of xarray.
+
+        Its axes are ``time`` and ``component``; its variables ``state``, ``energy``,
+        ``error_estimate``, ``success``, ``message`` and ``z0``.
+
+        Parameters
+        ----------
+        t : sequence or array
+            Times, shape (n,); a scalar counts as one time.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed, or a time is outside the span.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5))
+        >>> solution.to_xarray([0.0, 1.0])["state"].dims
+        ('time', 'component')
+        """
+        times = np.atleast_1d(times_in_span(t, self.span))
+        return data_set(
+            {
+                "state": (["time", "component"], self(times)),
+                "energy": (["time"], self.energy(times)),
+                "error_estimate": (["time", "component"], np.abs(self.error_estimate(times))),
+                "success": ([], self.success),
+                "message": ([], self.message),
+                "z0": (["component"], self.z0),
+            },
+            {"time": times, "component": list(self.H.names)},
+            self._attributes,
+        )
+
+    @property
+    def _attributes(self) -> dict[str, Any]:
+        return {**attributes_of(self.H), "method": self.method, "span": list(self.span)}
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solution to a file that :func:`hamsym.load` reads; see :func:`hamsym.save`."""
         hamsym.save(self, path)
+
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        certificate: hamsym.Certificate | None = None,
+        allow_failed: bool = False,
+    ) -> None:
+        """Write a module of Python (.py), JSON (.json), C (.h) or torch (.pt2).
+
+        Its functions need no hamsym; see :func:`hamsym.export`.
+        """
+        hamsym.export(self, path, certificate=certificate, allow_failed=allow_failed)
 
     def certify(
         self,
@@ -556,6 +731,71 @@ class Solution:
         """
         return hamsym.certify(self, rtol, time_limit, bits, progress, bound=bound)
 
-    def plot(self) -> Figure:
-        """Draw the trajectory, its residual, its energy and the training."""
-        return hamsym.plot(self)
+    def summary(self, rows: int | None = ROWS, *, analysis: bool = False) -> str:
+        """Describe the outcome as text.
+
+        First the largest estimated error, against what the tolerance asked, then the components,
+        the conservation of H and of invariants, and the time.
+
+        Parameters
+        ----------
+        rows : int, optional
+            Most components in the table, those with the largest errors; None for all.
+        analysis : bool
+            Whether the paper's bound ell_max / sigma_min is given also where it is infinite, is
+            violated or exceeds the motion.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-6)
+        >>> print(solution.summary())
+        converged: largest estimated error ... in ..., ... % of the 1.0e-06 asked
+        tol 1.0e-06 met: ...
+        """
+        return hamsym.summary(self, rows, analysis=analysis)
+
+    def plot(self, *names: Any, ax: Any = None, **options: Any) -> Figure:
+        """Draw the solution: an overview, or what the names say.
+
+        Without names: the components over time, coordinates beside momenta, one row for each of
+        six degrees of freedom at most; the orbit or the plane of two coordinates, and a phase
+        plane, of one degree of freedom with level sets of H; estimated error, energy error,
+        residual, and windows or loss. The caption has H, the parameters and the method; a failed
+        solution is marked in red.
+
+        Parameters
+        ----------
+        *names : str
+            One component: over time. Two: the path in their plane, in one scale where both are
+            lengths or of one kind else. Three: the path in space. Or ``"error"``, the estimated
+            errors relative to the sizes of the components, with the tolerance; ``"residual"``,
+            ``"energy"``, or ``"search"``: lengths of the windows, or the loss.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+        certificate : Certificate, optional
+            Its bound is drawn with the errors; by default that of ``prove=True``.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A figure that notebooks show; ``savefig`` writes .png, .svg and .pdf.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for an overview.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> H = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
+        >>> solution = hamsym.solve(H, [1, 0, 0, 1.1], (0, 9))
+        >>> solution.plot("x", "y").axes[0].get_xlabel()
+        '$x$'
+        """
+        return hamsym.plot(self, *names, ax=ax, **options)
+
+    def animate(self, *names: str, **options: Any) -> hamsym.Animation:
+        """Animate the motion, in a picture that names or options choose; :func:`hamsym.animate`."""
+        return hamsym.animate(self, *names, **options)

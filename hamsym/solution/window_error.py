@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -12,7 +13,7 @@ from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.windows import locate
 from hamsym.support.checked_data import require_array
 
-__all__ = ["WindowError", "largest_ratio", "relative_tolerance"]
+__all__ = ["WindowError", "allowed_errors", "largest_ratio", "relative_tolerance"]
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,11 @@ def relative_tolerance(tol: float) -> float:
     An error of this share of the computed size is at most ``tol`` times the true one.
     """
     return tol / (1 + tol)
+
+
+def allowed_errors(tol: float, atol: Any, sizes: np.ndarray) -> np.ndarray:
+    """Return the error that a tolerance allows each component of these computed sizes."""
+    return np.asarray(np.asarray(atol, dtype=float) + relative_tolerance(tol) * sizes)
 
 
 @functools.cache

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
+from hamsym.description import attributes_of
 from hamsym.errors import InputError
 from hamsym.integrators.integrate import Trajectory, reference, usable_method
 from hamsym.integrators.table import INTEGRATORS
@@ -23,9 +24,14 @@ from hamsym.study.matching import (
     tolerance_to_match,
     trajectory,
 )
+from hamsym.suggestions import checked_keywords, suggest_attributes
+from hamsym.support.shown import Shown
+from hamsym.support.tables import data_frame
+from hamsym.support.text_tables import wrapped
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.figure import Figure
 
 __all__ = ["Comparison", "Match", "Row", "compare", "measure"]
@@ -70,8 +76,9 @@ class Row:
     tolerance: float | None = None
 
 
+@suggest_attributes
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Shown):
     """Result of :func:`compare`; its text is two tables.
 
     Attributes
@@ -96,6 +103,10 @@ class Comparison:
     reference: Callable[[np.ndarray], np.ndarray] = field(repr=False)
     reference_error: float = 0.0
 
+    def __repr__(self) -> str:
+        methods = ", ".join(dict.fromkeys(row.label for row in self.rows[1:]))
+        return f"Comparison(network with error {self.rows[0].error:.2e}, with {methods})"
+
     def __str__(self) -> str:
         width = max(18, *(len(name) for name in self.matches))
         header = (
@@ -119,14 +130,87 @@ class Comparison:
             lines.append(line)
         return "\n".join(lines)
 
-    def plot(self) -> Figure:
-        """Draw errors and energies of the network and of the integrators."""
-        return hamsym.plot(self)
+    def summary(self) -> str:
+        """Describe the outcome in text: the error of the network, then the two tables."""
+        network, solution = self.rows[0], self.solution
+        worst = int(np.argmax(network.component_errors))
+        name = solution.H.names[worst]
+        against = "the exact solution"
+        if self.reference_error:
+            against = f"DOP853, whose error is about {self.reference_error:.0e}"
+        verdict = "converged: " if solution.success else "not converged: "
+        first = (
+            f"{verdict}error {network.error:.2e} (2-norm) against {against}; largest in {name}, "
+            f"{solution.H.quantity(name, network.component_errors[worst])}, where "
+            f"{solution.H.quantity(name, float(solution.largest_error[worst]))} was estimated"
+        )
+        if solution.allowed_error is not None:
+            first += f" and {solution.H.quantity(name, float(solution.allowed_error[worst]))} asked"
+        return "\n".join([wrapped(first), wrapped(solution.message), "", str(self)])
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the rows as a table of pandas, with the errors of each component.
+
+        H, parameters and units are in ``attrs``.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5))
+        >>> def exact(t):
+        ...     return np.stack([np.cos(t), -np.sin(t)], axis=-1)
+        >>> compare(solution, "stormer_verlet", exact=exact).to_dataframe()["points"].nunique()
+        3
+        """
+        columns: dict[str, Any] = {
+            "method": [row.label for row in self.rows],
+            **{
+                name: [getattr(row, name) for row in self.rows]
+                for name in ("points", "evaluations", "error", "energy_error", "seconds")
+            },
+            "tolerance": np.array([row.tolerance for row in self.rows], dtype=float),
+        }
+        errors = np.array([row.component_errors for row in self.rows]).T
+        names = self.solution.H.names
+        columns |= {f"error of {name}": own for name, own in zip(names, errors, strict=True)}
+        attributes = {
+            **attributes_of(self.solution.H),
+            "span": list(self.solution.span),
+            "reference_error": self.reference_error,
+        }
+        return data_frame(columns, None, attributes)
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw errors of the network and of the integrators.
+
+        Four panels: the 2-norm of the error and the energy error over time, the errors in the first
+        phase plane of the network and of the integrator that is nearest to it, and errors against
+        evaluations. Of one integrator all runs are drawn, of several the middle one of each.
+
+        Parameters
+        ----------
+        *names : {"error", "energy", "plane", "work"}
+            One panel alone.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If there is no such panel, or ``ax`` is given for all of them.
+        """
+        return hamsym.plot(self, *names, ax=ax)
 
 
+@checked_keywords
 def compare(
     solution: Solution,
-    methods: str | Sequence[str] = ("symplectic_euler",),
+    methods: str | Sequence[str] | None = None,
     *,
     points: int | None = None,
     exact: Callable[[np.ndarray], np.ndarray] | None = None,
@@ -143,7 +227,8 @@ def compare(
     ----------
     solution : Solution
     methods : str or sequence of str
-        Names in :data:`hamsym.integrators.table.INTEGRATORS`.
+        Names in :data:`hamsym.integrators.table.INTEGRATORS`; by default ``symplectic_euler``, or
+        ``implicit_midpoint`` if a force depends on momenta.
     points : int, optional
         Number K, by default that of the network's collocation points.
     exact : callable, optional
@@ -162,6 +247,9 @@ def compare(
     """
     if not isinstance(solution, Solution):
         raise InputError(f"expected a Solution, not {type(solution).__name__}; call solve first")
+    if methods is None:
+        general = solution.H.forces and not solution.H.is_separable
+        methods = "implicit_midpoint" if general else "symplectic_euler"
     given = [methods] if isinstance(methods, str) else methods
     names = list(dict.fromkeys(usable_method(solution.H, method) for method in given))
     if not names:

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from hamsym.support.progress import CellBar, notebook_display
+
 __all__ = ["Display", "display"]
 
 
@@ -67,9 +69,35 @@ class _Bar(Display):
         self.progress.update(self.task, completed=completed, ended=self.count, now=now)
 
 
+class _Cell(Display):
+    """A progress bar in the cell of a notebook, with the run that reported last."""
+
+    def __init__(self, total: int, bar: CellBar) -> None:
+        super().__init__(total)
+        self.bar, self.shares, self.finished = bar, dict[str, float](), set[str]()
+        self.drawn = 0.0
+
+    def put(self, item: tuple[str, float, float]) -> None:
+        label, share, loss = item
+        if label not in self.finished:
+            self.shares[label] = share
+            self.draw(f"{label}: loss {loss:.1e}")
+
+    def ended(self, label: str) -> None:
+        super().ended(label)
+        self.shares.pop(label, None)
+        self.finished.add(label)
+        self.draw(f"{self.count} of {self.total} runs")
+
+    def draw(self, note: str) -> None:
+        completed = self.count + sum(self.shares.values())
+        self.bar.advance(completed - self.drawn, note)
+        self.drawn = completed
+
+
 @contextmanager
 def display(total: int, show: bool | None) -> Iterator[Display]:
-    """Yield a bar on a terminal, or lines elsewhere if ``show`` is true.
+    """Yield a bar on a terminal or in a notebook, or lines elsewhere if ``show`` is true.
 
     Parameters
     ----------
@@ -78,6 +106,12 @@ def display(total: int, show: bool | None) -> Iterator[Display]:
     show : bool, optional
         False for no bar, True for lines.
     """
+    in_cell = notebook_display() if show is not False else None
+    if in_cell is not None:
+        bar = CellBar(total, "sweep", in_cell)
+        with bar.running():
+            yield _Cell(total, bar)
+        return
     console = Console(stderr=True)
     if console.is_terminal and show is not False:
         columns = (

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import sympy
 
 import hamsym
 from hamsym.cluster import Task, cluster_results, require_client
@@ -30,6 +29,7 @@ from hamsym.study.grid_stores import Box, GridStore, box_shape, store_at
 from hamsym.study.grid_tasks import Columns, checked_options, computed
 from hamsym.support.locking import exclusive
 from hamsym.support.progress import stepping_progress
+from hamsym.support.shown import Shown
 from hamsym.support.validation import plain, require_whole
 
 if TYPE_CHECKING:  # an optional package
@@ -48,7 +48,7 @@ _RESERVED = {
 
 
 @dataclass(frozen=True)
-class StoredSweep:
+class StoredSweep(Shown):
     """A sweep over a grid in a store.
 
     Attributes
@@ -234,10 +234,7 @@ def _members(
         If an axis is neither a parameter, a component nor the energy, or its values are not
         different finite numbers.
     """
-    if isinstance(H, str | sympy.Expr):
-        H = Hamiltonian(H)
-    if not isinstance(H, Hamiltonian):
-        H = Hamiltonian.of(H)  # which refuses it
+    H = Hamiltonian.of(H, bound=False)
     if not isinstance(over, Mapping) or not over:
         raise InputError(f'over={over!r} is not a mapping; give for example {{"k": [1.0, 2.0]}}')
     axes: dict[str, np.ndarray] = {}
@@ -286,7 +283,7 @@ def _attributes(
     H = members.H
     fixed = {name: H.parameters[name] for name in H.parameter_names if name not in members.varied}
     values: dict[str, Any] = {
-        "H": H.formula,
+        "H": H.formulas,
         "parameters": fixed,
         "span": list(span),
         "task": task if isinstance(task, str) else f"{task.__module__}.{task.__qualname__}",

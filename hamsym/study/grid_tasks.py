@@ -19,6 +19,7 @@ from hamsym.errors import HamsymError, InputError, StepSizeWarning
 from hamsym.families.many import solve_many
 from hamsym.problem import checked_span
 from hamsym.solution.times import times_in_span
+from hamsym.suggestions import did_you_mean, unknown
 
 __all__ = ["OPTIONS", "TASKS", "Columns", "checked_options", "computed"]
 
@@ -53,11 +54,12 @@ def checked_options(
             )
         return found
     if task not in TASKS:
-        raise InputError(f"task={task!r} is unknown; give {', '.join(TASKS)}, or a function")
+        hint = did_you_mean(task, TASKS)
+        raise InputError(f"task={task!r} is unknown{hint}; give {', '.join(TASKS)}, or a function")
     for name in found:
         if name not in OPTIONS[task]:
-            listed = ", ".join(OPTIONS[task])
-            raise InputError(f"'{name}' is not an option of the task {task!r}; it has {listed}")
+            kind = f"an option of the task {task!r}"
+            raise InputError(unknown(name, OPTIONS[task], kind, "it has"))
     if task == "solve":
         times = np.atleast_1d(found.get("t", checked_span(span)[1]))
         found["t"] = np.atleast_1d(times_in_span(times, checked_span(span)))

@@ -25,8 +25,10 @@ from hamsym.study.compare import Row, measure
 from hamsym.study.grid import sweep_to_store
 from hamsym.study.processes import carry_out, carry_out_on
 from hamsym.study.runs import planned_run
+from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.cores import available_cores
 from hamsym.support.locking import exclusive
+from hamsym.support.shown import Shown
 from hamsym.support.validation import require_positive, require_whole
 
 if TYPE_CHECKING:  # an optional package
@@ -38,8 +40,9 @@ __all__ = ["Sweep", "sweep"]
 Settings = Mapping[str, Any] | Callable[[int], Mapping[str, Any]]
 
 
+@suggest_attributes
 @dataclass(frozen=True)
-class Sweep:
+class Sweep(Shown):
     """Solutions of one problem by settings and seed.
 
     Attributes
@@ -58,6 +61,11 @@ class Sweep:
     span: tuple[float, float]
     solutions: Mapping[str, tuple[Solution, ...]]
     certificates: Mapping[str, tuple[Certificate | str, ...]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        solved = {name: sum(s.success for s in found) for name, found in self.solutions.items()}
+        listed = ", ".join(f"{n}: {k} of {len(self.seeds)} succeeded" for n, k in solved.items())
+        return f"Sweep({len(self.seeds)} seeds; {listed})"
 
     def rows(self, truth: Callable[[np.ndarray], np.ndarray]) -> dict[str, tuple[Row, ...]]:
         """Return the errors of all solutions; infinite for one that does not reach the end.
@@ -88,6 +96,7 @@ class Sweep:
         return row
 
 
+@checked_keywords
 def sweep(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,

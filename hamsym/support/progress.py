@@ -1,18 +1,23 @@
-"""Progress bar of work in many steps, drawn on terminals only."""
+"""Progress bar of work in many steps: drawn on terminals, and in the cell of a notebook."""
 
 from __future__ import annotations
 
+import html
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-__all__ = ["share_progress", "stepping_progress"]
+__all__ = ["CellBar", "is_shown", "notebook_display", "share_progress", "stepping_progress"]
 
 _TICKS = 1_000
+_BEGIN = 1.0  # seconds without a bar
+_PAUSE = 0.2  # seconds between two drawings in a notebook
 
 
 @contextmanager
@@ -21,17 +26,25 @@ def stepping_progress(
 ) -> Iterator[Callable[[int], None]]:
     """Yield a function that takes a number of further steps and, after a second, draws a bar.
 
+    In a notebook the bar is in the cell and becomes one line with the time that the work took; on
+    a terminal it disappears.
+
     Parameters
     ----------
     steps : int
         Number of all steps.
     show : bool, optional
-        By default the bar is drawn if standard error is a terminal.
+        By default the bar is drawn if standard error is a terminal, and in notebooks.
     text : str
         What is in progress, before the bar.
     """
-    if not (sys.stderr.isatty() if show is None else show):
+    if not is_shown(show):
         yield lambda _: None
+        return
+    if (display := notebook_display()) is not None:
+        bar = CellBar(steps, text, display)
+        with bar.running():
+            yield bar.advance
         return
     columns = (
         TextColumn(text),
@@ -46,7 +59,7 @@ def stepping_progress(
 
     def update(more: int) -> None:
         progress.update(task, advance=more)
-        if time.monotonic() - began > 1 and not progress.live.is_started:
+        if time.monotonic() - began > _BEGIN and not progress.live.is_started:
             progress.start()
 
     try:
@@ -70,3 +83,101 @@ def share_progress(
             done = now
 
         yield report
+
+
+def is_shown(show: bool | None) -> bool:
+    """Whether progress is drawn: as asked, or by default on a terminal and in a notebook."""
+    if show is not None:
+        return show
+    return sys.stderr.isatty() or notebook_display() is not None
+
+
+def notebook_display() -> Callable[..., Any] | None:
+    """Return the function that displays in the cell of a notebook, or None outside of one.
+
+    IPython is not imported: a process with a kernel has it already.
+    """
+    module = sys.modules.get("IPython")
+    shell = module.get_ipython() if module is not None else None
+    if shell is None or getattr(shell, "kernel", None) is None:
+        return None
+    from IPython.display import display
+
+    found: Callable[..., Any] = display
+    return found
+
+
+class CellBar:
+    """A bar in the cell of a notebook, which becomes one line at the end.
+
+    Parameters
+    ----------
+    steps : int
+        Number of all steps.
+    text : str
+        What is in progress.
+    display : callable
+        IPython's ``display``.
+    """
+
+    def __init__(self, steps: int, text: str, display: Callable[..., Any]) -> None:
+        self._steps, self._text, self._display = max(steps, 1), text, display
+        self._done, self._note = 0.0, ""
+        self._began = time.monotonic()
+        self._drawn = -float("inf")
+        self._handle: Any = None
+        self._lock = threading.Lock()  # several threads may report
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Leave the line at the end, if there was a bar."""
+        try:
+            yield
+        finally:
+            if self._handle is not None:
+                self._handle.update(self._last(), raw=True)
+
+    def advance(self, more: float, note: str = "") -> None:
+        """Add completed steps; draw after the first second, a few times a second."""
+        with self._lock:
+            self._done += more
+            self._note = note
+            now = time.monotonic()
+            if now - self._began < _BEGIN or now - self._drawn < _PAUSE:
+                return
+            self._drawn = now
+            if self._handle is None:
+                self._handle = self._display(self._bar(now), raw=True, display_id=True)
+            else:
+                self._handle.update(self._bar(now), raw=True)
+
+    def _share(self) -> float:
+        return min(max(self._done / self._steps, 0.0), 1.0)
+
+    def _bar(self, now: float) -> dict[str, str]:
+        share, elapsed = self._share(), now - self._began
+        left = f", {_time(elapsed * (1 - share) / share)} left" if share > 0 else ""
+        line = f"{self._text}: {share:.0%}{left}{', ' if self._note else ''}{self._note}"
+        return {
+            "text/plain": line,
+            "text/html": (
+                f'<progress max="1" value="{share:.3f}" style="width: 16em; vertical-align: '
+                f'middle"></progress> {html.escape(line)}'
+            ),
+        }
+
+    def _last(self) -> dict[str, str]:
+        elapsed = _time(time.monotonic() - self._began)
+        early = f"ended at {self._share():.0%} after " if self._share() < 0.995 else ""
+        line = f"{self._text}: {early}{elapsed}{', ' if self._note else ''}{self._note}"
+        return {"text/plain": line, "text/html": html.escape(line)}
+
+
+def _time(seconds: float) -> str:
+    """A time in words: 4.2 s, 3 min 20 s, 2 h 5 min."""
+    if seconds < 60:
+        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    return f"{minutes // 60} h {minutes % 60} min"

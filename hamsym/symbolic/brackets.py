@@ -8,6 +8,7 @@ import sympy
 
 from hamsym.errors import VariableError
 from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.suggestions import did_you_mean
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.checks import checked_expression
 
@@ -40,7 +41,8 @@ def phase_function(f: str | sympy.Expr, names: Iterable[str]) -> sympy.Expr:
         name = known.get(canonical_name(symbol.name))
         if name is None:
             raise VariableError(
-                f"'{symbol.name}' does not occur in H; use only {', '.join(known.values())}"
+                f"'{symbol.name}' does not occur in H{did_you_mean(symbol.name, known.values())}; "
+                f"use only {', '.join(known.values())}"
             )
         replaced[symbol] = sympy.Symbol(name, real=True)
     return expr.xreplace(replaced)
@@ -61,10 +63,17 @@ def poisson_bracket(f: sympy.Expr, g: sympy.Expr, z: Sequence[sympy.Symbol]) -> 
 
 
 def evolution(
-    f: sympy.Expr, H: sympy.Expr, z: Sequence[sympy.Symbol], time: sympy.Symbol | None
+    f: sympy.Expr,
+    H: sympy.Expr,
+    z: Sequence[sympy.Symbol],
+    time: sympy.Symbol | None,
+    forces: Sequence[sympy.Expr] = (),
 ) -> sympy.Expr:
-    """Time derivative df/dt = {f, H} + (partial f)/(partial t) along trajectories of H."""
+    """Time derivative df/dt = {f, H} + F . df/dp + (partial f)/(partial t) along trajectories."""
     rate = poisson_bracket(f, H, z)
+    if forces:
+        slopes = derivatives.gradient(f, z[len(z) // 2 :])
+        rate += sympy.Add(*(force * slope for force, slope in zip(forces, slopes, strict=True)))
     return rate if time is None else rate + f.diff(time)
 
 
@@ -74,12 +83,12 @@ def variational_equations(
     time: sympy.Symbol,
     taken: Iterable[str],
 ) -> list[sympy.Eq]:
-    """Linear equations d(delta)/dt = J Hess(z) delta of a small deviation delta.
+    """Linear equations d(delta)/dt = A(z) delta of a small deviation delta.
 
     Parameters
     ----------
     generator : sympy.Matrix
-        J Hess(z), dim x dim.
+        The derivatives A of the rates, J Hess(z) without forces, dim x dim.
     names : sequence of str
         Names of the state; the deviations are named ``delta_x`` or similar.
     time : sympy.Symbol

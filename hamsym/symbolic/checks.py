@@ -16,7 +16,9 @@ from sympy.core.function import AppliedUndef
 
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name, check_name
+from hamsym.suggestions import did_you_mean
 from hamsym.symbolic.pairing import natural_order
+from hamsym.symbolic.plain_symbols import plain_name
 
 __all__ = [
     "as_list",
@@ -25,6 +27,7 @@ __all__ = [
     "checked_expression",
     "checked_values",
     "name_of",
+    "quoted",
     "real_symbols",
     "state_symbol",
 ]
@@ -32,19 +35,19 @@ __all__ = [
 
 def as_list(symbols: Sequence[str | sympy.Symbol]) -> list[str | sympy.Symbol]:
     """Names or symbols as a list; a single one becomes a list of one."""
-    if isinstance(symbols, (str, sympy.Symbol)):
-        return [symbols]
-    return list(symbols)
+    if isinstance(symbols, (str, sympy.Expr)):
+        symbols = [symbols]
+    return [plain_name(symbol) or symbol for symbol in symbols]
 
 
-def _quoted(name: str) -> str:
+def quoted(name: str) -> str:
     """A name in quotes, with escapes for characters that cannot be printed."""
     return f"'{name}'" if name.isprintable() else ascii(name)
 
 
 def name_of(key: object) -> str:
-    """The name of a symbol, or a key as text."""
-    return key.name if isinstance(key, sympy.Symbol) else str(key)
+    """The name of a symbol, an element of an array or a function of time; other keys as text."""
+    return key.name if isinstance(key, sympy.Symbol) else plain_name(key) or str(key)
 
 
 def real_symbols(symbols: Iterable[sympy.Symbol]) -> dict[sympy.Symbol, sympy.Symbol]:
@@ -72,8 +75,10 @@ def by_name(symbols: Iterable[sympy.Symbol]) -> dict[str, sympy.Symbol]:
     return found
 
 
-def checked_expression(expression: object) -> sympy.Expr:
-    """Return a sympy expression that can be a Hamiltonian, or a number as one.
+def checked_expression(expression: object, kind: str = "a Hamiltonian") -> sympy.Expr:
+    """Return a sympy expression that can be a Hamiltonian or a force, or a number as one.
+
+    ``kind`` names the function in messages.
 
     Raises
     ------
@@ -86,7 +91,7 @@ def checked_expression(expression: object) -> sympy.Expr:
         expression = sympy.Number(expression)
     if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
         raise InputError(
-            f"a Hamiltonian must be a str or a sympy expression, not {type(expression).__name__}"
+            f"{kind} must be a str or a sympy expression, not {type(expression).__name__}"
         )
     undefined = expression.atoms(AppliedUndef, sympy.Derivative, sympy.Integral, sympy.Indexed)
     if undefined:
@@ -99,16 +104,14 @@ def checked_expression(expression: object) -> sympy.Expr:
             "evaluate sums, products and substitutions first with .doit()"
         )
     if expression.has(sympy.I, sympy.zoo, sympy.nan, sympy.oo, -sympy.oo):
-        raise InputError(
-            f"'{str(expression)[:40]}' is not real and finite; give a real Hamiltonian"
-        )
+        raise InputError(f"'{str(expression)[:40]}' is not real and finite; {kind} is real")
     return expression
 
 
 def checked_values(
-    parameters: Mapping[Any, float], symbols: Mapping[str, sympy.Symbol]
+    parameters: Mapping[Any, float], symbols: Mapping[str, sympy.Symbol], of: str = "H"
 ) -> dict[str, float]:
-    """Return parameter values by the names in H, in natural order.
+    """Return parameter values by the names in H (or ``of``), in natural order.
 
     Raises
     ------
@@ -121,7 +124,10 @@ def checked_values(
         name = spelled.get(canonical_name(name_of(key)))
         if name is None:
             listed = ", ".join(sorted(symbols)) or "no symbols"
-            raise ParameterError(f"{_quoted(name_of(key))} does not occur in H; it has {listed}")
+            hint = did_you_mean(name_of(key), symbols)
+            raise ParameterError(
+                f"{quoted(name_of(key))} does not occur in {of}{hint}; it has {listed}"
+            )
         try:
             number = float(value)
         except (TypeError, ValueError):

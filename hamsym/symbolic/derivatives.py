@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import enum
 import itertools
+import math
 import random
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
 from itertools import pairwise
@@ -31,8 +32,10 @@ __all__ = [
     "gradient",
     "hessian",
     "narrow_arguments",
+    "poisson_rows",
     "smallest_singular_value",
     "split",
+    "switch_arguments",
     "switches",
     "vanishes",
 ]
@@ -58,6 +61,7 @@ _MOST_GROWTH = 100  # the limit per operation and symbol of H; many bodies stay 
 _LONG_PRODUCT = 8  # number of factors from which parts of products are shared
 
 
+_MOST_ANGLES = 3  # in fractions that are expanded to see whether they vanish
 _HIGH_POWER = 4  # exponent above which a power varies much faster than its base
 
 
@@ -204,6 +208,24 @@ def hessian(
         if entry != 0:
             entries[i, j] = entries[j, i] = entry
     return entries
+
+
+def poisson_rows(
+    entries: Mapping[tuple[int, int], sympy.Expr], half: int
+) -> dict[tuple[int, int], sympy.Expr]:
+    """Multiply a sparse matrix with 2 half rows by J from the left; sorted by (i, j).
+
+    Examples
+    --------
+    >>> x = sympy.Symbol("x")
+    >>> poisson_rows({(0, 1): x}, 1)
+    {(1, 1): -x}
+    """
+    found = {
+        (i - half, j) if i >= half else (i + half, j): entry if i >= half else -entry
+        for (i, j), entry in entries.items()
+    }
+    return dict(sorted(found.items()))
 
 
 @dataclass(frozen=True)
@@ -438,6 +460,11 @@ def vanishes(expr: sympy.Expr) -> bool:
     """
     if expr.is_zero is not None:
         return bool(expr.is_zero)
+    return is_zero_at_random_points(expr) and (_cancels(expr) or bool(sympy.simplify(expr) == 0))
+
+
+def is_zero_at_random_points(expr: sympy.Expr) -> bool:
+    """Whether an expression is zero to 20 digits at three random points, or has no value there."""
     generator = random.Random(0)
     symbols = sorted(expr.free_symbols, key=str)
     for _ in range(3):
@@ -445,7 +472,36 @@ def vanishes(expr: sympy.Expr) -> bool:
         value = expr.xreplace(point).evalf(30)
         if value.is_Float and abs(value) > 1e-20:
             return False
-    return bool(sympy.simplify(expr) == 0)
+    return True
+
+
+def _cancels(expr: sympy.Expr) -> bool:
+    """Whether all terms cancel once expanded, or as a fraction of polynomials in sines and cosines.
+
+    That is all it takes for most brackets, and far faster than to simplify them.
+    """
+    if sympy.expand(expr) == 0:
+        return True
+    angles = [function.args[0] for function in expr.atoms(sympy.sin, sympy.cos)]
+    # sin(x/2) beside sin(x): with x twice as long, both are polynomials in sin(x) and cos(x).
+    parts = {symbol: 1 for angle in angles for symbol in angle.free_symbols}
+    for angle, symbol in itertools.product(angles, parts):
+        if (factor := angle.coeff(symbol)).is_Rational:
+            parts[symbol] = math.lcm(parts[symbol], factor.q)
+    expr = sympy.expand_trig(expr.xreplace({s: part * s for s, part in parts.items()}))
+    arguments = {function.args[0] for function in expr.atoms(sympy.sin, sympy.cos)}
+    if not arguments or len(arguments) > _MOST_ANGLES:
+        return False
+    pairs = {argument: (sympy.Dummy(), sympy.Dummy()) for argument in arguments}
+    values = {
+        function(argument): symbol
+        for argument, pair in pairs.items()
+        for function, symbol in zip((sympy.sin, sympy.cos), pair, strict=True)
+    }
+    rest = sympy.expand(sympy.numer(sympy.together(expr.xreplace(values))))
+    for sine, cosine in pairs.values():
+        rest = sympy.expand(sympy.rem(rest, sine**2 + cosine**2 - 1, sine))
+    return bool(rest == 0)
 
 
 def switches(
@@ -468,6 +524,26 @@ def switches(
         jumps = [term.xreplace({step: 1}) - term.xreplace({step: low}) for term in jumping]
         found.append((step.args[0], jumps))
     return found
+
+
+def switch_arguments(
+    expr: sympy.Expr, wanted: Collection[sympy.Symbol], excluded: Collection[sympy.Symbol]
+) -> list[sympy.Expr]:
+    """Arguments of abs, sign, Heaviside, Min and Max that contain some symbols and not others.
+
+    Examples
+    --------
+    >>> x, t = sympy.symbols("x t", real=True)
+    >>> switch_arguments(x*sympy.sign(t - 1) + abs(x) + sympy.Max(t, 2), {t}, {x})
+    [t - 1, t - 2]
+    """
+    found = {f.args[0] for f in expr.atoms(sympy.Abs, sympy.sign, sympy.Heaviside)}
+    for choice in expr.atoms(sympy.Min, sympy.Max):
+        ordered = sorted(choice.args, key=str, reverse=True)
+        found |= {one - other for one, other in itertools.combinations(ordered, 2)}
+    known, others = {*wanted}, {*excluded}
+    kept = (g for g in found if g.free_symbols & known and not g.free_symbols & others)
+    return sorted(kept, key=str)
 
 
 class Narrow(enum.IntEnum):

@@ -1,22 +1,29 @@
-"""Hamilton's equations in real symbols, derived once for all users."""
+"""Hamilton's equations, with forces or without, in real symbols, derived once for all users."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import sympy
 
+from hamsym.support.shown import Shown
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.checks import real_symbols
 from hamsym.symbolic.exact import ExactDerivatives
+from hamsym.symbolic.formulas import aligned
 
-__all__ = ["Equations"]
+__all__ = ["Equations", "free_symbols"]
 
 
-class Equations:
-    """H with its gradient and Hessian, in real symbols.
+class Equations(Shown):
+    """H with its gradient and Hessian, forces, and the derivatives of the rates, in real symbols.
+
+    The equations are dz/dt = J grad H + (0, F), with no forces F by default. With the vector g =
+    -J dz/dt, which is grad H without forces, they are dz/dt = J g, and small deviations obey
+    d(delta)/dt = J (dg/dz) delta. Code that applies J needs g (``slopes``) and dg/dz
+    (``curvature``) only. The latter is the Hessian, a symmetric matrix, if there are no forces.
 
     For symbols that are not declared real, sympy differentiates abs(x) into derivatives of re(x)
     and im(x). Code generation, proofs and the search for discontinuities use these derivatives.
@@ -32,6 +39,8 @@ class Equations:
         Degrees of freedom.
     parameters : dict of name to (sympy.Symbol, float or None)
         Parameters with their values, None for a parameter without a value.
+    forces : tuple of sympy.Expr
+        A force for each momentum; empty without forces.
     back : dict of sympy.Symbol to sympy.Symbol
         The caller's symbols, by the real symbols that replace them.
     """
@@ -42,8 +51,9 @@ class Equations:
         z: Sequence[sympy.Symbol],
         time: sympy.Symbol | None,
         parameters: Mapping[str, float | None],
+        forces: Sequence[sympy.Expr] = (),
     ) -> None:
-        forward = real_symbols({*expr.free_symbols, *z})
+        forward = real_symbols({*expr.free_symbols, *z, *free_symbols(forces)})
         self.expr: sympy.Expr = expr.xreplace(forward) if forward else expr
         self.z = tuple(forward.get(symbol, symbol) for symbol in z)
         self.time = None if time is None else forward.get(time, time)
@@ -51,14 +61,19 @@ class Equations:
         self.parameters = {
             name: (sympy.Symbol(name, real=True), value) for name, value in parameters.items()
         }
+        self.forces = tuple(force.xreplace(forward) if forward else force for force in forces)
         self.back = {real: own for own, real in forward.items()}
-        self._effort = derivatives.Effort(self.expr)
+        self._effort = self._new_effort()
         self._identity = (
             self.expr,
             self.z,
             self.time,
             tuple(self.parameters.values()),
+            self.forces,
         )
+
+    def __repr__(self) -> str:
+        return f"Equations({str(self.expr)!r}, {self.z})"
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Equations):
@@ -70,7 +85,35 @@ class Equations:
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {name: value for name, (_, value) in self.parameters.items()}
-        return Equations, (self.expr, self.z, self.time, values)
+        return Equations, (self.expr, self.z, self.time, values, self.forces)
+
+    def _repr_latex_(self) -> str:
+        rates = zip(self.z, self.vector_field, strict=True)
+        lines = [(rf"\dot{{{sympy.latex(symbol)}}}", rate) for symbol, rate in rates]
+        return aligned([("H", self.expr), *lines])
+
+    def with_values(self, values: Mapping[str, float | None]) -> Equations:
+        """Return the same equations with other values of the parameters."""
+        return Equations(self.expr, self.z, self.time, values, self.forces)
+
+    def _new_effort(self) -> derivatives.Effort:
+        return derivatives.Effort(
+            sympy.Tuple(self.expr, *self.forces) if self.forces else self.expr
+        )
+
+    @property
+    def formulas(self) -> tuple[sympy.Expr, ...]:
+        """H and the forces."""
+        return (self.expr, *self.forces)
+
+    def has(self, *kinds: Any) -> bool:
+        """Whether H or a force contains one of some functions."""
+        return any(formula.has(*kinds) for formula in self.formulas)
+
+    @property
+    def conserves_energy(self) -> bool:
+        """Whether H is constant along trajectories: it does not depend on time, without forces."""
+        return self.time is None and not self.forces
 
     @cached_property
     def gradient(self) -> list[sympy.Expr]:
@@ -84,26 +127,65 @@ class Equations:
     @cached_property
     def exact(self) -> ExactDerivatives:
         """H, gradient and Hessian with a symbol for each floating-point number."""
-        return ExactDerivatives(self.expr, self.z, self._effort)
+        return ExactDerivatives(self.expr, self.z, self._effort, self.forces)
 
     @cached_property
     def vector_field(self) -> list[sympy.Expr]:
-        return [*self.gradient[self.dof :], *(-slope for slope in self.gradient[: self.dof])]
+        """dz/dt, in the order of z."""
+        return [*self.slopes[self.dof :], *(-slope for slope in self.slopes[: self.dof])]
 
-    def gradient_in(self, parameter: str) -> list[sympy.Expr]:
-        """Derivative of the gradient with respect to a parameter, in the order of z.
+    @cached_property
+    def slopes(self) -> list[sympy.Expr]:
+        """g = -J dz/dt: (dH/dq - F, dH/dp), the gradient without forces."""
+        if not self.forces:
+            return self.gradient
+        return [self.exact.rounded(entry) for entry in self.exact.slopes]
+
+    @cached_property
+    def curvature(self) -> dict[tuple[int, int], sympy.Expr]:
+        """Nonzero derivatives of ``slopes`` by (i, j): the Hessian without forces."""
+        if not self.forces:
+            return self.hessian
+        entries = {k: self.exact.rounded(entry) for k, entry in self.exact.curvature.items()}
+        return {index: entry for index, entry in entries.items() if entry != 0}
+
+    @cached_property
+    def stored_curvature(self) -> dict[tuple[int, int], sympy.Expr]:
+        """The entries of ``curvature`` that determine it: the upper triangle without forces."""
+        if self.forces:
+            return self.curvature
+        return {(i, j): entry for (i, j), entry in self.hessian.items() if i <= j}
+
+    @cached_property
+    def jacobian(self) -> dict[tuple[int, int], sympy.Expr]:
+        """Nonzero derivatives of the rates by the state, by (i, j)."""
+        return derivatives.poisson_rows(self.curvature, self.dof)
+
+    @cached_property
+    def power(self) -> sympy.Expr:
+        """dH/dt along trajectories: the power of the forces, and the explicit time derivative."""
+        velocity = self.gradient[self.dof :]
+        terms = [force * rate for force, rate in zip(self.forces, velocity, strict=False)]
+        if self.time is not None:
+            terms += derivatives.gradient(self.expr, (self.time,))
+        return sympy.Add(*terms)
+
+    def slopes_in(self, parameter: str) -> list[sympy.Expr]:
+        """Derivative of ``slopes`` with respect to a parameter, in the order of z.
 
         Delta distributions, at steps of functions of the parameter, are left out.
 
         Examples
         --------
         >>> x, p, k = sympy.symbols("x p k", real=True)
-        >>> Equations(p**2/2 + k*x**2/2, [x, p], None, {"k": 3.0}).gradient_in("k")
+        >>> Equations(p**2/2 + k*x**2/2, [x, p], None, {"k": 3.0}).slopes_in("k")
         [x, 0]
         """
-        symbol, effort = self.parameters[parameter][0], derivatives.Effort(self.expr)
+        symbol, effort = self.parameters[parameter][0], self._new_effort()
         slope = derivatives.gradient(self.exact.expr, (symbol,), effort)[0]
         mixed = derivatives.gradient(slope, self.z, effort)
+        for i, force in enumerate(self.exact.forces):
+            mixed[i] -= derivatives.gradient(force, (symbol,), effort)[0]
         return [
             self.exact.rounded(entry).replace(sympy.DiracDelta, lambda *_: sympy.Integer(0))
             for entry in mixed
@@ -111,17 +193,45 @@ class Equations:
 
     @cached_property
     def narrow_arguments(self) -> list[tuple[sympy.Expr, derivatives.Narrow]]:
-        """Arguments of functions in H that may act briefly, with the values of the parameters."""
-        given = {symbol: value for symbol, value in self.parameters.values() if value is not None}
+        """Arguments of functions that may act briefly, with the values of the parameters."""
+        return self.narrow_arguments_with(
+            {symbol: value for symbol, value in self.parameters.values() if value is not None}
+        )
+
+    def narrow_arguments_with(
+        self, given: Mapping[sympy.Symbol, float]
+    ) -> list[tuple[sympy.Expr, derivatives.Narrow]]:
+        """Arguments of functions that may act briefly, with given values of parameters."""
         variables = [*self.z, *([] if self.time is None else [self.time])]
-        return derivatives.narrow_arguments(self.expr.xreplace(given), variables)
+        found = [
+            derivatives.narrow_arguments(formula.xreplace(dict(given)), variables)
+            for formula in self.formulas
+        ]
+        return list(dict.fromkeys(entry for entries in found for entry in entries))
+
+    def switches(
+        self, symbols: Sequence[sympy.Symbol]
+    ) -> list[tuple[sympy.Expr, list[sympy.Expr]]]:
+        """Discontinuities in some symbols: pairs (function, jumps of ``slopes`` and H at zeros)."""
+        return derivatives.switches(self.expr, self.slopes, symbols)
 
     @cached_property
     def is_separable(self) -> bool:
-        """Whether all mixed second derivatives vanish identically."""
+        """Whether dq/dt depends on p only, and dp/dt on q only, beside the time."""
+        momenta = set(self.z[self.dof :])
+        return self.has_separable_energy and not free_symbols(self.forces) & momenta
+
+    @cached_property
+    def has_separable_energy(self) -> bool:
+        """Whether H = T(p) + V(q): all mixed second derivatives vanish identically."""
         q, p = set(self.z[: self.dof]), set(self.z[self.dof :])
         terms = sympy.Add.make_args(self.expr)
         coupled = [term for term in terms if term.free_symbols & q and term.free_symbols & p]
         slopes = derivatives.gradient(sympy.Add(*coupled), self.z[: self.dof], self._effort)
         mixed = [derivatives.gradient(s, self.z[self.dof :], self._effort) for s in slopes]
         return all(derivatives.vanishes(entry) for row in mixed for entry in row)
+
+
+def free_symbols(formulas: Iterable[sympy.Expr]) -> set[sympy.Symbol]:
+    """Symbols that occur in formulas."""
+    return {symbol for formula in formulas for symbol in formula.free_symbols}

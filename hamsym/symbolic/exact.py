@@ -16,11 +16,11 @@ import sympy
 from hamsym.formula.parser import MAX_EXPONENT
 from hamsym.symbolic import derivatives
 
-__all__ = ["ExactDerivatives", "fraction"]
+__all__ = ["ExactDerivatives", "fraction", "rational", "without_floats"]
 
 
 class ExactDerivatives:
-    """H, its gradient and its Hessian, with a symbol for each floating-point number.
+    """H, forces, and their derivatives, with a symbol for each floating-point number.
 
     Parameters
     ----------
@@ -30,6 +30,8 @@ class ExactDerivatives:
         The state.
     effort : Effort
         Limit on the size of the derivatives.
+    forces : sequence of sympy.Expr
+        A force for each momentum, or none.
 
     Attributes
     ----------
@@ -37,6 +39,8 @@ class ExactDerivatives:
         H with the symbols.
     gradient : list of sympy.Expr
     hessian : dict of (int, int) to sympy.Expr
+    forces : list of sympy.Expr
+        With the symbols.
 
     Examples
     --------
@@ -50,15 +54,20 @@ class ExactDerivatives:
     """
 
     def __init__(
-        self, expr: sympy.Expr, z: Sequence[sympy.Symbol], effort: derivatives.Effort
+        self,
+        expr: sympy.Expr,
+        z: Sequence[sympy.Symbol],
+        effort: derivatives.Effort,
+        forces: Sequence[sympy.Expr] = (),
     ) -> None:
         self._z, self._effort = z, effort
         self._numbers: dict[sympy.Symbol, sympy.Float] = {
             sympy.Dummy(f"number{k}", real=True, positive=bool(number > 0)): number
-            for k, number in enumerate(sorted(expr.atoms(sympy.Float), key=str))
+            for k, number in enumerate(sorted(_floats(expr, *forces), key=str))
         }
         marks = {number: symbol for symbol, number in self._numbers.items()}
         self.expr: sympy.Expr = expr.xreplace(marks) if marks else expr
+        self.forces = [force.xreplace(marks) if marks else force for force in forces]
 
     @cached_property
     def gradient(self) -> list[sympy.Expr]:
@@ -69,8 +78,46 @@ class ExactDerivatives:
         return derivatives.hessian(self.gradient, self._z, self._effort)
 
     @cached_property
+    def slopes(self) -> list[sympy.Expr]:
+        """g = -J dz/dt: (dH/dq - F, dH/dp), the gradient without forces."""
+        forces = [*self.forces, *[sympy.Integer(0)] * (len(self.gradient) - len(self.forces))]
+        return [slope - force for slope, force in zip(self.gradient, forces, strict=True)]
+
+    @cached_property
+    def vector_field(self) -> list[sympy.Expr]:
+        """dz/dt."""
+        half = len(self.slopes) // 2
+        return [*self.slopes[half:], *(-slope for slope in self.slopes[:half])]
+
+    @cached_property
+    def curvature(self) -> dict[tuple[int, int], sympy.Expr]:
+        """Nonzero derivatives of ``slopes`` by (i, j)."""
+        entries = dict(self.hessian)
+        acting = ((i, force) for i, force in enumerate(self.forces) if force != 0)
+        for i, force in acting:
+            for j, slope in enumerate(derivatives.gradient(force, self._z, self._effort)):
+                if slope != 0:
+                    entries[i, j] = entries.get((i, j), sympy.Integer(0)) - slope
+        return {index: entries[index] for index in sorted(entries) if entries[index] != 0}
+
+    @cached_property
+    def jacobian(self) -> dict[tuple[int, int], sympy.Expr]:
+        """Nonzero derivatives of the rates by the state, by (i, j)."""
+        return derivatives.poisson_rows(self.curvature, len(self.gradient) // 2)
+
+    @cached_property
     def third_derivatives(self) -> dict[tuple[int, int, int], sympy.Expr]:
-        """Third derivatives by (i, j, k), i <= j <= k, that do not vanish."""
+        """Derivatives of ``curvature`` by (i, j, k), j <= k, that do not vanish.
+
+        Without forces they are the third derivatives of H, i <= j <= k.
+        """
+        if self.forces:
+            return {
+                (i, j, k): slope
+                for (i, j), entry in self.curvature.items()
+                for k, slope in enumerate(derivatives.gradient(entry, self._z, self._effort))
+                if k >= j and slope != 0
+            }
         effort = derivatives.Effort(self.expr)
         found = {}
         for (i, j), entry in self.hessian.items():
@@ -103,17 +150,22 @@ class ExactDerivatives:
         self, parameters: Mapping[sympy.Symbol, float]
     ) -> dict[sympy.Symbol, sympy.Rational]:
         """Values of the parameters that occur in exponents, if no exponent becomes large."""
-        values = {symbol: _rational(value) for symbol, value in parameters.items()}
+        values = {symbol: rational(value) for symbol, value in parameters.items()}
         known = values | self._fractions
         found: set[sympy.Symbol] = set()
         refused: set[sympy.Symbol] = set()
-        for power in self.expr.atoms(sympy.Pow):
+        formulas = (self.expr, *self.forces)
+        for power in {power for formula in formulas for power in formula.atoms(sympy.Pow)}:
             symbols = power.exp.free_symbols & values.keys()
             if symbols:
                 exponent = power.exp.xreplace(known)
                 small = exponent.is_number and abs(exponent) <= MAX_EXPONENT
                 (found if small else refused).update(symbols)
         return {symbol: values[symbol] for symbol in found - refused}
+
+
+def _floats(*formulas: sympy.Expr) -> set[sympy.Float]:
+    return {number for formula in formulas for number in formula.atoms(sympy.Float)}
 
 
 def fraction(number: sympy.Float) -> sympy.Rational:
@@ -123,5 +175,19 @@ def fraction(number: sympy.Float) -> sympy.Rational:
     return -value if sign else value
 
 
-def _rational(value: float) -> sympy.Rational:
+def rational(value: float) -> sympy.Rational:
+    """Convert a number of Python to the equal fraction."""
     return sympy.Rational(*Fraction(value).as_integer_ratio())
+
+
+def without_floats(expr: sympy.Expr) -> sympy.Expr:
+    """Replace floating-point numbers by the equal fractions.
+
+    Sympy rounds products of floating-point and rational numbers.
+
+    Examples
+    --------
+    >>> without_floats(sympy.Float(0.5) * sympy.Symbol("x"))
+    x/2
+    """
+    return expr.xreplace({number: fraction(number) for number in expr.atoms(sympy.Float)})

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from hamsym.errors import VariableError
 from hamsym.formula.parser import canonical_name
 
-__all__ = ["find_pairs", "natural_order"]
+__all__ = ["conventional", "find_pairs", "natural_order"]
 
 # A bare p belongs to q or x; without these, to the only other conventional coordinate.
 _FIRST_CHOICE = ("q", "x")
@@ -35,6 +35,17 @@ def natural_order(name: str) -> list[tuple[int, int | str]]:
     """
     parts = re.split(r"(\d+)", canonical_name(name).replace("_", ""))
     return [(0, int(part)) if part.isdigit() else (1, part) for part in parts if part]
+
+
+def conventional(name: str) -> bool:
+    """Whether a name is one that coordinates usually have, with or without an index.
+
+    Examples
+    --------
+    >>> conventional("theta1"), conventional("m1")
+    (True, False)
+    """
+    return re.sub(r"_?\d+$", "", canonical_name(name)) in _CONVENTIONAL
 
 
 def find_pairs(names: Iterable[str]) -> list[tuple[str, str]]:

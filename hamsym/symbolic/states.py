@@ -9,6 +9,7 @@ import numpy as np
 
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name
+from hamsym.suggestions import did_you_mean
 from hamsym.symbolic.checks import name_of
 
 __all__ = ["parameter_arrays", "state_array", "states_array"]
@@ -73,7 +74,8 @@ def _in_order(z0: Mapping[Any, Any], names: Sequence[str]) -> list[np.ndarray]:
     unknown = [name for name in given if name not in wanted]
     missing = [name for name, key in zip(names, wanted, strict=True) if key not in given]
     if unknown:
-        raise VariableError(f"'{unknown[0]}' is not a component of z; z0 has {_order(names)}")
+        hint = did_you_mean(unknown[0], names)
+        raise VariableError(f"'{unknown[0]}' is not a component of z{hint}; z0 has {_order(names)}")
     if missing:
         raise VariableError(f"'{missing[0]}' is missing in z0; give all of {_order(names)}")
     return [np.array(given[key], dtype=float) for key in wanted]
@@ -99,7 +101,8 @@ def parameter_arrays(parameters: Mapping[Any, Any], names: Sequence[str]) -> dic
         name = known.get(canonical_name(name_of(key)))
         if name is None:
             listed = ", ".join(names) or "none"
-            raise ParameterError(f"'{name_of(key)}' is not a parameter of H; it has {listed}")
+            hint = did_you_mean(name_of(key), names)
+            raise ParameterError(f"'{name_of(key)}' is not a parameter of H{hint}; it has {listed}")
         try:
             values = np.array(value, dtype=float)
         except (TypeError, ValueError, OverflowError, RuntimeError):

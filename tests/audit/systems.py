@@ -459,7 +459,6 @@ SYSTEMS: tuple[System, ...] = (
         z0=(0.0, 3e-4, 1.0, 0.0),
         span=(0.0, 9.0),
         focus=(("x-5", 1e-3),),
-        fast=(1e-8,),
     ),
     System(
         name="scatterer_after_flight_0.1",

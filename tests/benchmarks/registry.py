@@ -24,6 +24,7 @@ from . import (
     loops,
     networks,
     objectives,
+    periodic_orbits,
     pyhamsys_steps,
     span,
     trained_networks,
@@ -75,4 +76,5 @@ BENCHMARKS: dict[str, Benchmark] = {
     "derivation": derivation,
     "certificates": certificates,
     "enclosures": enclosures,
+    "periodic-orbits": periodic_orbits,
 }

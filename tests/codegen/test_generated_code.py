@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import builtins
 import inspect
 import itertools
 import keyword
@@ -23,17 +22,13 @@ import sympy
 import torch
 
 from hamsym import Hamiltonian, InputError, integrate
+from hamsym.codegen.backends import FUNCTIONS, PYTHON_NAMES
 from hamsym.codegen.generate import Source, _wrapped
-from hamsym.codegen.names import RESERVED
-from hamsym.codegen.printers import PRINTERS
 from hamsym.codegen.system import System
 from hamsym.errors import CodeGenerationError
 from hamsym.formula import parser
 from hamsym.symbolic import derivatives
 from hamsym.systems import CATALOGUE, Problem
-
-FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss")
-
 
 # One degree of freedom, explicit time, two, many temporaries, not separable.
 SYSTEMS = ["nonlinear_oscillator", "driven_oscillator", "kepler", "three_bodies", "double_pendulum"]
@@ -72,7 +67,12 @@ def call(system: System, name: str, *arguments: object, **keywords: object) -> n
         arguments = (*arguments, TIME)
     if system.backend == "torch":
         arguments = tuple(torch.tensor(a) if isinstance(a, np.ndarray) else a for a in arguments)
-    return array(getattr(system, name)(*arguments, **keywords))
+    function = getattr(system, name)
+    if system.backend == "jax":
+        import jax
+
+        function = jax.jit(function)
+    return array(function(*arguments, **keywords))
 
 
 def sympy_values(H: Hamiltonian, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -171,7 +171,7 @@ def test_shapes_and_dtypes_follow_the_state(name: str, backend: str) -> None:
     H = problem.H
     system, dim = H.compile(backend), H.dim
     for dtype in (np.float32, np.float64):
-        for batch in ((), (4,), (2, 3)):
+        for batch in ((), (2, 3)):
             z = np.broadcast_to(np.array(problem.z0, dtype), (*batch, dim)).copy()
             for function, shape in [
                 ("energy", batch),
@@ -289,7 +289,6 @@ REFUSED = {
     "besselj": sympy.besselj(0, x),
     "LambertW": sympy.LambertW(x),
     "floor": sympy.floor(x),
-    "Piecewise": sympy.Piecewise((x, x > 0), (0, True)),
     "zeta": sympy.zeta(x),
 }
 
@@ -430,7 +429,7 @@ def test_tracebacks_show_the_generated_line() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("jax",), "'jax' is not a backend; choose one of torch, numpy, numba"),
+        (("rust",), "'rust' is not a backend; choose one of torch, numpy, numba, jax, c, julia"),
         (
             ("torch", "lagrangian"),
             "'lagrangian' is not a function of the module; choose one of energy",
@@ -485,7 +484,7 @@ def test_names_in_templates_are_reserved(example: Problem, backend: str) -> None
         if {a.arg for a in ast.walk(node) if isinstance(a, ast.arg)} & {"states", "tangents", "x"}:
             continue  # a loop of the integrators, or a kernel of tuples
         own = {name for name in bound - users if not re.fullmatch(r"u\d+", name)}
-        assert own - {"njit"} <= RESERVED | set(dir(builtins)), node.name
+        assert own - {"njit"} <= PYTHON_NAMES, node.name
 
 
 AWKWARD = [
@@ -536,7 +535,7 @@ def test_reserved_names_are_usable_in_formulas(
             np.testing.assert_allclose((first - z[0]) / 1e-3, z[0] - residual[0], atol=0.1)
 
 
-def test_large_systems_extract_common_subexpressions() -> None:
+def test_large_systems_extract_common_subexpressions(backend: str) -> None:
     """Results with temporaries equal sympy's."""
     terms = " + ".join(f"exp(-(q{i} - q{i + 1})**2)*cos(q{i} - q{i + 1})" for i in range(1, 8))
     kinetic = " + ".join(f"p{i}**2/2" for i in range(1, 9))
@@ -544,9 +543,18 @@ def test_large_systems_extract_common_subexpressions() -> None:
     assert "u0 = " in H.source("torch", part="gradient")
     z = states(H, np.zeros(H.dim), count=2)
     _, gradient, hessian = sympy_values(H, z)
-    for backend in PRINTERS:
-        np.testing.assert_allclose(call(H.compile(backend), "gradient", z), gradient, atol=1e-13)
-        np.testing.assert_allclose(call(H.compile(backend), "hessian", z), hessian, atol=1e-12)
+    np.testing.assert_allclose(call(H.compile(backend), "gradient", z), gradient, atol=1e-13)
+    np.testing.assert_allclose(call(H.compile(backend), "hessian", z), hessian, atol=1e-12)
+
+
+@pytest.mark.parametrize("dof", [1, 4])
+def test_linear_hamiltonian_has_no_second_derivatives(dof: int, backend: str) -> None:
+    H = Hamiltonian(" + ".join(f"x{i} + 2*p{i}" for i in range(dof)))
+    system = H.compile(backend)
+    field = call(system, "vector_field", np.ones((3, 2 * dof)))
+    np.testing.assert_array_equal(field, [[2] * dof + [-1] * dof] * 3)
+    hessian = call(system, "hessian", np.ones((3, 2 * dof)))
+    np.testing.assert_array_equal(hessian, np.zeros((3, 2 * dof, 2 * dof)))
 
 
 _SHAPES = {
@@ -701,15 +709,16 @@ print(float(generated.hessian(z).sum()))
 def test_source_file_runs_without_hamsym(backend: str, tmp_path: Path) -> None:
     H = Hamiltonian("p**2/2 + x**4/4 + erf(x) + x*p")
     (tmp_path / "generated.py").write_text(H.source(backend), encoding="utf-8")
-    make = "torch.tensor([[1.0, 2.0], [0.5, 0.1]], dtype=torch.float64)"
-    make = f"__import__('torch') and {make}" if backend == "torch" else make
-    script = "import torch\n" if backend == "torch" else "import numpy as np\n"
-    if backend != "torch":
-        make = "np.array([[1.0, 2.0], [0.5, 0.1]])"
-    forbidden = {"hamsym", "scipy", "jinja2"} | ({"torch", "numba"} - {backend})
-    script += _ALONE.format(forbidden=sorted(forbidden), folder=str(tmp_path), make=make)
+    script, make = "import numpy as np\n", "np.array([[1.0, 2.0], [0.5, 0.1]])"
     if backend == "torch":
-        script = script.replace("__import__('torch') and ", "")
+        script = "import torch\n"
+        make = "torch.tensor([[1.0, 2.0], [0.5, 0.1]], dtype=torch.float64)"
+    elif backend == "jax":
+        script += 'import jax\njax.config.update("jax_enable_x64", True)\n'
+    forbidden = {"hamsym", "jinja2", "scipy", "torch", "numba"} - {backend}
+    if backend == "jax":
+        forbidden -= {"scipy"}  # jax may import it
+    script += _ALONE.format(forbidden=sorted(forbidden), folder=str(tmp_path), make=make)
     result = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False
     )

@@ -267,6 +267,7 @@ def _all_but_the_loop(folder: str, names: list[str]) -> list[str]:
     return [name for name in names if not name.startswith(("window_loop_", "__pycache__"))]
 
 
+@pytest.mark.slow
 def test_damaged_cache_is_replaced(tmp_path: Path) -> None:
     code = (
         "import hamsym; H = hamsym.Hamiltonian('p**2/2 + x**4');"

@@ -159,6 +159,48 @@ def test_largest_exponent_comes_first(make: Callable[[], Problem], count: int) -
     assert drawn[-1] == found.maximal
 
 
+MASS, RATE, LENGTH = 9.1e-31, 6.3e8, 1e-4  # of an electron in a trap, in SI units
+
+
+def test_exponents_of_a_saddle_in_SI_units_are_its_rates() -> None:
+    H = Hamiltonian("p**2/(2*m) - k*x**2/2", parameters={"m": MASS, "k": MASS * RATE**2})
+    found = hamsym.lyapunov(H, [1e-14, 0.0], (0, 20 / RATE), count=2)
+    assert found.success
+    np.testing.assert_allclose(found.exponents[-1] / RATE, [1, -1], rtol=0.05)
+
+
+@pytest.fixture(scope="module")
+def henon_heiles_in_SI_units() -> Hamiltonian:
+    quadratic = "(p_x**2 + p_y**2)/(2*m) + m*w**2*(x**2 + y**2)/2"
+    values = {"m": MASS, "w": RATE, "L": LENGTH}
+    return Hamiltonian(f"{quadratic} + m*w**2*(x**2*y - y**3/3)/L", parameters=values)
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_exponents_do_not_depend_on_units(
+    henon_heiles_in_SI_units: Hamiltonian, count: int
+) -> None:
+    starts = np.array([[0.0, -0.15, 0.5555, 0.0], [0.3, -0.3, 0.3, 0.15]])  # chaotic, regular
+    sizes = np.array([LENGTH, LENGTH, MASS * RATE * LENGTH, MASS * RATE * LENGTH])
+    known = hamsym.lyapunov(henon_heiles().H, starts, (0, 2_000), count=count)
+    H = henon_heiles_in_SI_units
+    found = hamsym.lyapunov(H, starts * sizes, (0, 2_000 / RATE), count=count)
+    one = hamsym.lyapunov(H, starts[0] * sizes, (0, 2_000 / RATE), count=count)
+    assert found.success.all()
+    assert one.success
+    np.testing.assert_allclose(found.exponents / RATE, known.exponents, rtol=0.15, atol=1.5e-3)
+    np.testing.assert_allclose(one.exponents[-1] / RATE, known.exponents[0], rtol=0.15, atol=1.5e-3)
+
+
+def test_indicators_do_not_depend_on_units(henon_heiles_in_SI_units: Hamiltonian) -> None:
+    z0 = np.array([0.3, -0.3, 0.3, 0.15])  # regular: MEGNO tends to 2, SALI stays away from 0
+    sizes = np.array([LENGTH, LENGTH, MASS * RATE * LENGTH, MASS * RATE * LENGTH])
+    found = hamsym.chaos_indicators(henon_heiles_in_SI_units, z0 * sizes, (0, 2_000 / RATE))
+    assert found.success
+    assert abs(found.mean_megno[-1] - 2) < 0.3
+    assert found.sali[-1] > 0.1
+
+
 def test_exponents_without_energy_fail() -> None:
     """log(x) has a force where x is negative, but no value."""
     found = hamsym.lyapunov(Hamiltonian("p**2/2 + log(x)"), [-1.0, 1.0], (0, 0.5), dt=1e-3)
@@ -293,7 +335,8 @@ def test_exponents_are_drawn() -> None:
     problem = henon_heiles()
     figure = hamsym.lyapunov(problem.H, problem.z0, (0, 1e3)).plot()
     labels = [line.get_label() for line in figure.axes[0].lines]
-    assert labels == ["finite-time exponent", "log(t)/t"]
+    assert labels[0].startswith(r"$\lambda_{1}$ = ")
+    assert labels[1] == "~ log(t)/t"
 
 
 @pytest.mark.parametrize(

@@ -262,7 +262,7 @@ def test_maps_are_drawn() -> None:
     assert np.isnan(plane[:, 0]).all()  # the axis is continued where there is no start
     found = hamsym.lyapunov(H, plane, (0, 20))
     axis = found.plot().axes[0]
-    assert (axis.get_xlabel(), axis.get_ylabel()) == ("y", "p_y")
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("$y$", "$p_{y}$")
     mesh = axis.collections[0]
     np.testing.assert_array_equal(
         np.ma.filled(mesh.get_array(), np.nan).reshape(5, 8), found.maximal
@@ -276,7 +276,7 @@ def test_rows_are_drawn_over_a_parameter(starts: np.ndarray) -> None:
     k = np.linspace(0.5, 1.0, 4)
     found = hamsym.lyapunov(ESCAPING, starts[0, 0], (0, 20), parameters={"k": k})
     axis = found.plot().axes[0]
-    assert axis.get_xlabel() == "k"
+    assert axis.get_xlabel() == "$k$"
     np.testing.assert_array_equal(axis.lines[0].get_xdata(), k)
     np.testing.assert_array_equal(axis.lines[0].get_ydata(), found.maximal)
     cube = hamsym.lyapunov(ESCAPING, starts[None], (0, 20))

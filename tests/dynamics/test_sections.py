@@ -218,10 +218,12 @@ def test_unusable_section_options_are_rejected(options: dict[str, object], messa
 def test_section_is_drawn_in_the_free_plane(start: np.ndarray) -> None:
     found = hamsym.section(henon_heiles().H, start, (0, 100), "x = 0, p_x > 0", dt=0.1)
     axis = found.plot().axes[0]
-    assert (axis.get_xlabel(), axis.get_ylabel()) == ("y", "p_y")
-    assert found.plot("p_x", "y").axes[0].get_xlabel() == "p_x"
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("$y$", "$p_{y}$")
+    assert found.plot("p_x", "y").axes[0].get_xlabel() == "$p_{x}$"
     with pytest.raises(InputError, match="'q' is not a component of z; choose one of x"):
-        found.plot("q")
+        found.plot("q", "y")
+    with pytest.raises(InputError, match="in the plane of two components, not of 1"):
+        found.plot("y")
 
 
 def both_sides(level: float, end: float) -> np.ndarray:
@@ -268,14 +270,24 @@ def test_steps_of_a_section_are_chosen() -> None:
     assert np.isnan(found.drift)
 
 
-def test_energy_drift_warns() -> None:
+def test_energy_drift_fails_and_warns() -> None:
     problem = kepler(0.9)
     with pytest.warns(StepSizeWarning, match="of its scale: take smaller steps"):
         found = hamsym.section(problem.H, problem.z0, (0, 100), "y = 0", dt=0.1)
     assert found.drift > 0.01
+    assert found.success is False
     assert found.message.endswith("take smaller steps")
     with pytest.warns(StepSizeWarning, match="steps were chosen for 1e-09"):
         hamsym.section("p**2/2 + abs(x)", [1.0, 0.0], (0, 30), "x = 1/2")
+
+
+def test_section_beyond_a_close_encounter_fails() -> None:
+    two_centres = hamsym.Hamiltonian(
+        "(p_x**2 + p_y**2)/2 - 1/sqrt((x + 1)**2 + y**2) - 1/sqrt((x - 1)**2 + y**2)"
+    )
+    with pytest.warns(StepSizeWarning, match="take smaller steps"):
+        found = hamsym.section(two_centres, [0, 1.5, 0.3, 0.2], (0, 40), "x = 0", dt=0.02)
+    assert found.success is False
 
 
 def test_surface_without_value_fails() -> None:

@@ -588,14 +588,14 @@ def test_values_fixed_by_the_user_are_inputs_of_a_flow_map() -> None:
 def test_figures_show_data_and_residuals(swing: np.ndarray) -> None:
     found = fit_pendulum({"theta": swing[:, 0] + noise(0.02), "p": swing[:, 1] + noise(0.02)})
     figure = found.plot()
-    assert [axis.get_title() for axis in figure.axes[:2]] == ["theta", "p"]
-    assert "g = 1.6" in figure.get_suptitle() or "g = 1.5" in figure.get_suptitle()
+    assert [axis.get_title(loc="left") for axis in figure.axes[::2]] == [r"$\theta$", "$p$"]
+    assert "$g$ = 1.6" in figure.caption or "$g$ = 1.5" in figure.caption
     with pytest.raises(InputError, match="no set"):
-        found.plot(1)
+        found.plot(number=1)
     t, data = tracks(3, 0.05)
     free = {"k": 3.8, "x": 1.0}
     sets = hamsym.fit(OSCILLATOR, t, {"x": data}, free=free, sigma=0.05, flow=Oscillation())
-    assert hamsym.plot(sets, 2).get_suptitle().startswith("set 2: k = ")
+    assert "Set 2. Fitted: $k$ = " in hamsym.plot(sets, number=2).caption
 
 
 def test_results_can_be_pickled_and_printed(swing: np.ndarray) -> None:

@@ -211,7 +211,7 @@ def test_same_seed_gives_the_same_weights() -> None:
     ("options", "text"),
     [
         ({"max_solutions": 5}, "of method 'features'"),
-        ({"width": 5}, "'width' is not an option of method 'network'"),
+        ({"width": 5}, "'width' is not an argument of flow_map; give hidden="),
         ({"hidden": ()}, "hidden="),
         ({"hidden": (8, 0)}, "hidden="),
         ({"hidden": "8"}, "hidden="),

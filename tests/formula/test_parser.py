@@ -57,6 +57,61 @@ def test_formula_has_its_usual_meaning(text: str, meaning: sympy.Expr) -> None:
     assert parse_expression(text) == meaning
 
 
+@pytest.mark.parametrize(
+    ("text", "meaning"),
+    [
+        ("sum(i, 1, 3, p[i]**2/2)", "p1**2/2 + p2**2/2 + p3**2/2"),
+        ("sum(i, 0, 2, i*x[i + 1])", "x2 + 2*x3"),
+        ("sum(i, 1, 2, sum(j, i + 1, 3, q[i]*q[j]))", "q1*q2 + q1*q3 + q2*q3"),
+        ("sum(i, 1, 3, x[i])*sum(i, 1, 2, y)", "2*y*(x1 + x2 + x3)"),
+        ("sum(i, 2, 1, x[i])", "0"),
+        ("sum(i, 1, 2, p_x[i]*λ[2*i])", "p_x1*λ2 + p_x2*λ4"),
+        ("sum(i, 1, sum(j, 1, 2, j), x[i]**i)", "x1 + x2**2 + x3**3"),
+        ("sum*x", "x*sum"),
+    ],
+)
+def test_sums_over_integers_are_expanded(text: str, meaning: str) -> None:
+    assert parse_expression(text) == parse_expression(meaning)
+
+
+def test_chain_as_a_sum_is_the_chain() -> None:
+    H = Hamiltonian("sum(i, 1, 8, p[i]**2/2) + sum(i, 1, 7, (x[i+1] - x[i])**2/2)")
+    assert H.names == tuple(f"{kind}{i}" for kind in "xp" for i in range(1, 9))
+    assert Hamiltonian(H.formula) == H
+
+
+@pytest.mark.parametrize(
+    ("text", "token", "problem"),
+    [
+        ("sum(i, 1, N, x[i])", "N", "not an integer"),
+        ("sum(i, 1, 2.5, x)", "2.5", "not an integer"),
+        ("sum(i, 1, 3, x[i/2])", "i/2", "not an integer"),
+        ("sum(i, 1, 2, x[x[1]])", "x[1]", "not an integer"),
+        ("sum(i, 1, 10**6, x)", "10**6", "too large an index"),
+        ("sum(i, 1, 9999, x*i)", "sum", "more than 10000 parts"),
+        ("sum(i,1,99,sum(j,1,99,sum(k,1,99,x[i]*x[k])))", "sum(k", "more than 10000 parts"),
+        ("sum(i, 1, 3, i*x) + i", "i", "index of a sum and a variable"),
+        ("sum(i, 1, 3, sum(i, 1, 2, x[i]))", "i", "index of the sum around it"),
+        ("sum(1, 1, 3, x)", "1", "not an index"),
+        ("sum(sin, 1, 3, x)", "sin", "cannot be an index"),
+        ("sum(i, 1, x)", "sum", "3 arguments"),
+        ("sum(i, 1, 3, i=2)", "sum", "3 arguments"),
+        ("x[1]", "x[1]", "subscript"),
+        ("sum(i, 1, 3, x[-i])", "x[-i]", "index -1"),
+        ("sum(i, 1, 3, x[i, i])", "x[i, i]", "one index"),
+        ("sum(i, 1, 3, x[1:2])", "x[1:2]", "one index"),
+        ("sum(i, 1, 3, sin[i])", "sin[i]", "usable name"),
+        ("sum(i, 1, 3, i[i])", "i[i]", "element of an index"),
+        ("sum(i, 1, 3, 1/(i - 2))", "i - 2", "zero"),
+        ("sum(i, 1, 3, x.real)", "x.real", "attribute"),
+    ],
+)
+def test_unusable_sums_are_refused(text: str, token: str, problem: str) -> None:
+    with pytest.raises(ParseError, match=problem) as caught:
+        parse_expression(text)
+    assert caught.value.token.startswith(token)
+
+
 @pytest.mark.parametrize("name", sorted(FUNCTIONS))
 def test_every_function_evaluates_as_in_python(name: str) -> None:
     arguments = {"atan2": "x, y", "min": "x, y", "max": "x, y"}.get(name, "x")
@@ -66,6 +121,7 @@ def test_every_function_evaluates_as_in_python(name: str) -> None:
     value = float(expr.evalf(subs={x: at, y: 0.9}))
     simple = name.replace("arc", "a")
     python = {"ln": math.log, "min": min, "max": max, "abs": abs, "sign": lambda v: 1.0}
+    python["Heaviside"] = lambda v: 1.0
     inverse = {"asec": "acos", "acsc": "asin", "acot": "atan", "asech": "acosh"}
     inverse |= {"acsch": "asinh", "acoth": "atanh"}
     reciprocal = {"sec": "cos", "csc": "sin", "cot": "tan", "sech": "cosh", "csch": "sinh"}

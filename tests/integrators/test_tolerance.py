@@ -273,6 +273,45 @@ def test_weak_pole_is_refused() -> None:
     assert "pole" in found.message
 
 
+@pytest.mark.parametrize(
+    "pulse",
+    [
+        "1e5*Heaviside(1e-10 - (t - 5.00013)**2)",
+        "1e7*Heaviside(1e-7 - abs(t - 5.00013))",
+        "1e21*max(0, 1e-14 - (t - 5.00013)**2)",
+    ],
+)
+def test_pulse_between_two_zeros_of_a_switch_is_seen(pulse: str) -> None:
+    H = Hamiltonian("p**2/2 + x**2/2", forces={"p": pulse})
+    found = hamsym.integrate(H, [1.0, 0.0], (0, 10), tol=1e-8)
+    assert found.success is False
+    assert "feature narrower than a step near t = " in found.message
+
+
+def test_switch_that_stays_away_from_zero_is_resolved() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2", forces={"p": "sign(2 + sin(3*t))/10"})
+    found = hamsym.integrate(H, [1.0, 0.0], (0, 10), tol=1e-8)
+    assert found.success
+    assert found.z[-1, 0] == pytest.approx(0.1 + 0.9 * np.cos(10), abs=1e-8)
+
+
+@pytest.mark.parametrize(("friction", "tol"), [(1e-4, 1e-7), (1e-5, 1e-8)])
+def test_small_jumps_of_the_force_keep_the_tolerance(friction: float, tol: float) -> None:
+    H = Hamiltonian("p**2/2 + x**2/2", forces={"p": f"-{friction!r}*sign(p)"})
+    # Steps that are too long for these jumps differ by less than their errors.
+    starts = np.array([[0.538, 0.502], [0.527, 0.686], [0.582, 0.558], [0.636, 0.91]])
+    found = hamsym.integrate(H, starts, (0, 3), tol=tol)
+    # Circles about -c until p = 0, then about c.
+    size = np.hypot(starts[:, 0] + friction, starts[:, 1])
+    rest = 3 - np.arctan2(starts[:, 1], starts[:, 0] + friction)
+    exact = np.stack([friction, 0.0]) + (size - 2 * friction)[:, None] * np.column_stack(
+        [np.cos(rest), -np.sin(rest)]
+    )
+    errors = np.abs(found.z[:, -1] - exact) / np.abs(found.z).max(axis=1)
+    assert found.success.all()
+    assert (errors <= tol).all()
+
+
 def test_argument_that_is_not_a_number_is_not_resolved() -> None:
     # The second value may be a minimum of the first argument.
     with np.errstate(all="ignore"):
@@ -288,7 +327,11 @@ def test_search_that_finds_no_number_ends_the_refinement(monkeypatch: pytest.Mon
     calls = []
 
     def unknown(
-        self: NarrowFeatures, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None
+        self: NarrowFeatures,
+        z: np.ndarray,
+        t: np.ndarray,
+        parameters: np.ndarray | None,
+        allowed: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         calls.append(len(t))
         return np.full(len(z), np.nan), np.zeros(len(z), dtype=int)

@@ -81,7 +81,7 @@ def test_cost_grows_in_proportion_to_the_span() -> None:
     assert long.evaluations <= 40 * short.evaluations
 
 
-@pytest.mark.parametrize("hidden", [(10, 10), (50, 50)])
+@pytest.mark.parametrize("hidden", [(10, 10), pytest.param((50, 50), marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("activation", "envelope"), [("sin", "linear"), ("tanh", "exponential")])
 def test_other_networks(hidden: tuple[int, ...], activation: str, envelope: str) -> None:
     solution = hamsym.solve(

@@ -18,7 +18,7 @@ import torch
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import FileError
-from hamsym.networks.method import _objective
+from hamsym.networks.method import _objective, _Penalty
 from hamsym.networks.network import ACTIVATIONS
 from hamsym.networks.options import DeepOptions
 from hamsym.networks.trial import ENVELOPES
@@ -78,7 +78,7 @@ DRIVEN = "p1**2/2 + p2**2/3 + x1**4/4 + x1**2*x2 - x2*sin(3*t)"
 @pytest.mark.parametrize(("formula", "energy_weight"), [(None, 0.0), (None, 0.7), (DRIVEN, 0.0)])
 def test_slopes_are_those_of_the_rows(formula: str | None, energy_weight: float) -> None:
     H = Hamiltonian(formula) if formula else hamsym.systems.henon_heiles().H
-    objective = _objective(H, 0.1, energy_weight, ())
+    objective = _objective(H, [_Penalty(H.compile("torch"), 0.1, energy_weight)], ())
     generator = torch.Generator().manual_seed(0)
     t, z, dz = (
         torch.randn(5, *n, generator=generator, dtype=torch.float64) for n in ((), (4,), (4,))

@@ -97,10 +97,15 @@ def test_bounds_that_are_not_below_are_refused(solution, monkeypatch, upper):
         solution.certify(bound=1e-8)
 
 
+def test_moving_component_is_not_proven_to_be_exact(solution):
+    with pytest.raises(CertificationError, match="of p is proven to be at least"):
+        solution.certify(bound=[1e-6, 0])
+
+
 @pytest.mark.parametrize(
     "bound",
     [
-        *(0, -1, math.nan, math.inf, "x", [1, 2, 3], [1e-6, 0], [1e-6, math.nan], 10**400),
+        *(0, -1, math.nan, math.inf, "x", [1, 2, 3], [1e-6, -0.1], [1e-6, math.nan], 10**400),
         *([], {}, 1j, [[1, 2], [3, 4]]),
     ],
     ids=lambda bound: str(bound)[:20],

@@ -12,6 +12,7 @@ import pytest
 
 import hamsym
 from hamsym import Comparison, Solution
+from hamsym.errors import InputError
 from hamsym.integrators import fixed_step
 from hamsym.study.compare import Match
 from hamsym.systems import Problem, charged_particle, harmonic_oscillator, nonlinear_oscillator
@@ -161,6 +162,7 @@ def test_error_of_the_size_of_the_motion_is_not_round_off() -> None:
     assert "round-off" not in match.reason
 
 
+@pytest.mark.slow
 def test_comparison_independent_of_units() -> None:
     m, w = 9.1e-31, 1e15
     H = hamsym.Hamiltonian("p**2/(2*m) + m*w**2*x**2/2", parameters={"m": m, "w": w})
@@ -275,9 +277,12 @@ def test_reference_without_an_exact_solution() -> None:
 
 def test_figure(comparison: Comparison) -> None:
     figure = comparison.plot()
-    assert len(figure.axes) == 4
-    assert all(axis.lines for axis in figure.axes)
-    assert [len(axis.lines) for axis in figure.axes] == [4, 4, 2, 3]
+    *panels, legend = figure.axes
+    assert [len(axis.lines) for axis in panels] == [4, 4, 2, 3]
+    assert len(legend.get_legend().get_texts()) == 4
+    assert len(comparison.plot("work").axes[0].lines) == 3
+    with pytest.raises(InputError, match="'werk' is not a panel of a comparison; did you mean"):
+        comparison.plot("werk")
 
 
 def test_figure_of_many(several: Comparison) -> None:

@@ -1,0 +1,260 @@
+"""Commands of the command line: grouped options, examples, and results as text or as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from hamsym.suggestions import did_you_mean, unknown
+
+__all__ = [
+    "Choice",
+    "ClosedPipeError",
+    "Command",
+    "Group",
+    "InterruptError",
+    "Report",
+    "completing",
+    "strict",
+]
+
+_OF_SECTIONS = {
+    "Problem": "q p param force lagrangian velocities z0 t-start t-end energy at box guess free "
+    "bounds sigma near period symmetry invariant degree basis start",
+    "Accuracy": "tol rtol atol steps dt prove bits bound confidence max-steps max-boxes "
+    "time-limit compensated",
+    "Output": "output plot save-every saves full analysis latex certificate out json",
+    "Help": "help list version",
+}
+_SECTIONS = {name: title for title, names in _OF_SECTIONS.items() for name in names.split()}
+_ORDER = ("Problem", "Accuracy", "Method")  # other sections follow, then these:
+_LAST = ("Output", "Help")
+
+
+class InterruptError(Exception):
+    """Ctrl-C, which click would answer with an empty line of its own."""
+
+
+class ClosedPipeError(Exception):
+    """A closed standard output, for which click would exit with status 1."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a command prints, and the exit status.
+
+    Attributes
+    ----------
+    text : str
+        For a terminal.
+    values : mapping
+        The same as data, for ``--json``.
+    success : bool
+        Whether the exit status is 0.
+    files : list of str
+        Files that were written.
+    """
+
+    text: str
+    values: Mapping[str, Any]
+    success: bool = True
+    files: list[str] = field(default_factory=list)
+
+
+def strict(value: Any) -> Any:
+    """Return a value as strict JSON has it: nan is null, infinities are "inf" and "-inf".
+
+    Arrays are lists, and a complex number is a pair of its real and imaginary part.
+
+    Examples
+    --------
+    >>> strict({"t": (1, math.nan), "bound": math.inf, "multiplier": 1j})
+    {'t': [1, None], 'bound': 'inf', 'multiplier': [0.0, 1.0]}
+    """
+    if isinstance(value, Mapping):
+        return {str(name): strict(part) for name, part in value.items()}
+    if hasattr(value, "tolist"):  # numpy
+        return strict(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [strict(part) for part in value]
+    if isinstance(value, complex):
+        return strict([value.real, value.imag])
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    return value
+
+
+def _echo(report: Report, as_json: bool) -> None:
+    if as_json:
+        values = {**report.values, "success": bool(report.success)}
+        if report.files:
+            values["files"] = report.files
+        click.echo(json.dumps(strict(values), allow_nan=False, ensure_ascii=False))
+        return
+    if report.text:
+        click.echo(report.text, nl=not report.text.endswith("\n"))
+    for path in report.files:
+        click.echo(f"wrote {path}")
+
+
+class Command(click.Command):
+    """A command that returns a :class:`Report`, with ``--json`` and examples in its help.
+
+    Parameters
+    ----------
+    examples : sequence of str
+        Command lines.
+    """
+
+    def __init__(self, *arguments: Any, examples: Sequence[str] = (), **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self.examples = tuple(examples)
+        self.params.append(
+            click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON object.")
+        )
+
+    def invoke(self, ctx: click.Context) -> int:
+        as_json = ctx.params.pop("as_json", False)
+        ctx.meta["hamsym.json"] = as_json
+        report = super().invoke(ctx)
+        if not isinstance(report, Report):
+            return int(report or 0)
+        _echo(report, as_json)
+        return 0 if report.success else 1
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options in sections."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None and isinstance(parameter, click.Option):
+                sections.setdefault(_section(parameter), []).append(record)
+        middle = [title for title in sections if title not in (*_ORDER, *_LAST)]
+        for title in (*_ORDER, *middle, *_LAST):
+            if title in sections:
+                with formatter.section(title):
+                    formatter.write_dl(sections[title])
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the examples, then the epilog."""
+        if self.examples:
+            with formatter.section("Examples"):
+                for example in self.examples:
+                    for line in _continued(example, formatter.width - 4):
+                        formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
+        super().format_epilog(ctx, formatter)
+
+
+def _section(parameter: click.Parameter) -> str:
+    given = getattr(parameter, "section", None)
+    if given is not None:
+        return str(given)
+    for option in parameter.opts:
+        title = _SECTIONS.get(option.lstrip("-"))
+        if title is not None:
+            return title
+    return "Method"
+
+
+def _continued(command: str, width: int) -> list[str]:
+    """Return a command line in lines that end with a backslash, broken before options."""
+    lines = [""]
+    for part in command.replace(" --", "\0--").replace(" -P ", "\0-P ").split("\0"):
+        if lines[-1] and len(lines[-1]) + len(part) + 3 > width:
+            lines[-1] += " \\"
+            lines.append(f"    {part}")
+        else:
+            lines[-1] += f" {part}" if lines[-1] else part
+    return lines
+
+
+@contextmanager
+def _own_errors() -> Iterator[None]:
+    """Raise own errors for those that click would answer itself."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise InterruptError from None
+    except BrokenPipeError:
+        raise ClosedPipeError from None
+
+
+class Group(click.Group):
+    """A group that lists its commands by subject and suggests similar ones.
+
+    Parameters
+    ----------
+    subjects : mapping of str to str
+        Titles of the parts of the list, and the names of their commands.
+    """
+
+    def __init__(
+        self, *arguments: Any, subjects: Mapping[str, str] | None = None, **settings: Any
+    ) -> None:
+        super().__init__(*arguments, **settings)
+        self.subjects = subjects or {}
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            hint = did_you_mean(args[0], self.list_commands(ctx))
+            ctx.fail(f"No such command '{args[0]}'{hint}; 'hamsym --help' lists them")
+        return super().resolve_command(ctx, args)
+
+    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
+        with _own_errors():  # --help prints here
+            return super().make_context(*arguments, **options)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        with _own_errors():
+            return super().invoke(ctx)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands by subject, then those without one."""
+        subjects = {title: names.split() for title, names in self.subjects.items()}
+        placed = {name for names in subjects.values() for name in names}
+        subjects["Further commands"] = [n for n in self.list_commands(ctx) if n not in placed]
+        for title, names in subjects.items():
+            rows = []
+            for name in names:
+                command = self.get_command(ctx, name)
+                if command is not None and not command.hidden:
+                    rows.append((name, command.get_short_help_str(limit=62)))
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
+class Choice(click.Choice):
+    """A choice among names, whose error suggests a similar one."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        super().__init__(list(names))
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        names = [str(name) for name in self.choices]
+        if value not in names:
+            self.fail(unknown(value, names, "one of them"), param, ctx)
+        return value
+
+
+def completing(
+    names: Callable[[], Iterable[str]],
+) -> Callable[[click.Context, click.Parameter, str], list[CompletionItem]]:
+    """Return a completion of names, also of the last one in a list between commas."""
+
+    def complete(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        before, comma, last = incomplete.rpartition(",")
+        return [
+            CompletionItem(f"{before}{comma}{name}") for name in names() if name.startswith(last)
+        ]
+
+    return complete

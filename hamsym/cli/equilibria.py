@@ -1,0 +1,97 @@
+"""The command that finds equilibria."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from hamsym.cli.command import Command, Report
+from hamsym.cli.options import hamiltonian_options, rows_option
+from hamsym.cli.texts import listed, number, state
+from hamsym.errors import InputError
+from hamsym.support.text_tables import ROWS
+
+if TYPE_CHECKING:
+    from hamsym.hamiltonian import Hamiltonian
+
+__all__ = ["equilibria"]
+
+
+@click.command(
+    cls=Command,
+    short_help="Find equilibria, with proof in a box.",
+    examples=[
+        'hamsym equilibria "p**2/2 - x**2/2 + x**4/4" --box x=-2:2,p=-1:1',
+        'hamsym equilibria "p**2/2 - k*cos(x)" -P k=2 --guess 0.1,0',
+    ],
+)
+@hamiltonian_options
+@click.option(
+    "--box",
+    "intervals",
+    multiple=True,
+    metavar="NAME=LOW:HIGH",
+    help="Find all in a box, with proof; an interval for each component of z.",
+)
+@click.option(
+    "--guess", "guesses", multiple=True, metavar="STATE", help="Start of Newton's method."
+)
+@click.option("--max-boxes", type=int, default=100_000, show_default=True)
+@click.option("--time-limit", metavar="SECONDS", help="Of the search of a box.")
+@rows_option(ROWS)
+def equilibria(
+    H: Hamiltonian,
+    intervals: tuple[str, ...],
+    guesses: tuple[str, ...],
+    max_boxes: int,
+    time_limit: str | None,
+    rows: int | None,
+) -> Report:
+    """Show equilibria with their types, frequencies and Krein signatures.
+
+    With --box the exit status is 0 if the table is proven to be complete, else 1.
+    """
+    import numpy as np
+
+    box = _box(intervals) if intervals else None
+    guess = np.array([H.state_from(state(text)) for text in guesses]) if guesses else None
+    limit = None if time_limit is None else number(time_limit)
+    found = H.equilibria(guess, box, max_boxes=max_boxes, time_limit=limit)
+    values = {
+        "message": found.message,
+        "complete": found.complete,
+        "equilibria": [
+            {
+                "state": dict(zip(H.names, each.z, strict=True)),
+                "exact": None if each.exact is None else [str(value) for value in each.exact],
+                "type": each.type,
+                "energy": each.energy,
+                "stable": each.stable,
+                "frequencies": None if each.linear is None else each.frequencies,
+                "signatures": None if each.linear is None else each.signatures,
+                "eigenvalues": None if each.linear is None else each.eigenvalues,
+                "how": each.how,
+                "radius": each.radius,
+                "family": each.family,
+            }
+            for each in found
+        ],
+        "undecided": [str(region) for region in found.undecided],
+        "seconds": found.seconds,
+    }
+    return Report(found.summary(rows), values, box is None or found.complete)
+
+
+def _box(intervals: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """Return the intervals of NAME=LOW:HIGH parts, which may also be between commas."""
+    box: dict[str, tuple[float, float]] = {}
+    for part in (part for text in intervals for part in listed(text)):
+        name, equals, ends = (piece.strip() for piece in part.partition("="))
+        low, colon, high = (piece.strip() for piece in ends.partition(":"))
+        if not (name and equals and low and colon and high):
+            raise InputError(f"'{part}' in --box is not NAME=LOW:HIGH; write e.g. x=-2:2")
+        if name in box:
+            raise InputError(f"'{name}' occurs twice in --box; give it once")
+        box[name] = number(low), number(high)
+    return box

@@ -1,0 +1,81 @@
+"""Command that exports: export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hamsym.cli.command import Command, Report
+from hamsym.cli.output import CERTIFICATE, check_directory
+from hamsym.cli.texts import saved_solution
+from hamsym.errors import InputError
+
+__all__ = ["check_export", "export"]
+
+
+@click.command(
+    cls=Command,
+    short_help="Write a saved solution as code without hamsym.",
+    examples=["hamsym export orbit.hamsym -o orbit.py", "hamsym export orbit.hamsym -o orbit.h"],
+)
+@click.argument("file", type=click.Path())
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(),
+    metavar="FILE",
+    help="Ends in .py, .json, .h or .pt2.",
+)
+@click.option(
+    "--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate, if there]"
+)
+@click.option("--allow-failed", is_flag=True, help="Export a solution that did not converge.")
+def export(file: str, output: str, certificate: str | None, allow_failed: bool) -> Report:
+    """Write a saved solution as Python, JSON, C or torch code that needs no hamsym.
+
+    FILE is a solution saved by `hamsym solve -o FILE`. The file says what it is, its error and its
+    certificate, which is compared with the solution and not proven again.
+    """
+    check_export(output)
+    solution = saved_solution(file)
+    path = Path(certificate or f"{file}{CERTIFICATE}")
+    proof = None
+    if certificate is not None or path.exists():
+        proof = _certificate(path, solution)
+    solution.export(output, certificate=proof, allow_failed=allow_failed)
+    size = Path(output).stat().st_size
+    return Report(f"wrote {output} ({_size(size)})", {"files": [output], "bytes": size})
+
+
+def _certificate(path: Path, solution: Any) -> Any:
+    """Return the certificate in a file, if it is that of a solution."""
+    from hamsym.proof.certificate_files import read_certificate
+    from hamsym.solution.digest import digest
+
+    found = read_certificate(path)
+    if found.digest != digest(solution):
+        raise InputError(
+            f"'{path}' is the certificate of another solution; remove it, or give the one of this "
+            "solution with --certificate"
+        )
+    return found
+
+
+def check_export(path: str | None) -> None:
+    """Raise InputError if an export could not be written, before hours of work."""
+    if path is not None:
+        from hamsym.exporting.export import check_target
+
+        check_target(path)
+        check_directory(path)
+
+
+def _size(count: int) -> str:
+    """A number of bytes with a unit."""
+    size, units = float(count), ["B", "kB", "MB", "GB"]
+    while size >= 999.5 and len(units) > 1:
+        size, units = size / 1_000, units[1:]
+    return f"{size:.3g} {units[0]}"

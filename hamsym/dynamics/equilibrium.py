@@ -1,0 +1,417 @@
+"""Equilibria: points where the gradient of H vanishes, with their stability.
+
+Output of :func:`hamsym.equilibria`: :class:`Equilibria`, a sequence of :class:`Equilibrium`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+
+import hamsym
+from hamsym.dynamics.linear_stability import LinearStability
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.proof.ball import Ball
+from hamsym.suggestions import suggest_attributes
+from hamsym.support.shown import Shown
+from hamsym.support.text_tables import ROWS, left_out
+
+if TYPE_CHECKING:
+    import sympy
+    from matplotlib.figure import Figure
+
+__all__ = ["Equilibria", "Equilibrium", "Region"]
+
+_WIDTH = 80
+_SHOWN_REGIONS = 3
+
+
+@suggest_attributes
+@dataclass(frozen=True, eq=False)
+class Equilibrium(Shown):
+    """An equilibrium of a Hamiltonian.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Components of z.
+    z : numpy.ndarray
+        The state, shape (dim,); of a continuum of equilibria one point. NaN where a parameter has
+        no value.
+    energy : float
+        H there.
+    how : str
+        ``"proven"``: it exists, and is the only one in ``enclosure`` if that is given;
+        ``"symbolic"``: ``exact`` was verified by substitution; ``"numerical"``: neither.
+    enclosure : Ball or None
+        Contains exactly one equilibrium, shape (dim,); None if that is not proven.
+    exact : sympy matrix or None
+        The state in closed form, a column.
+    family : str
+        Empty for an isolated equilibrium or one that was not found to be part of a continuum; else
+        what is known of the continuum.
+    on_edge : bool
+        Whether it may be on the edge of the box that was searched, or outside within ``radius``.
+    linear : LinearStability or None
+        None where a parameter has no value.
+    """
+
+    names: tuple[str, ...]
+    z: np.ndarray
+    energy: float
+    how: str
+    enclosure: Ball | None = field(default=None, repr=False)
+    exact: sympy.ImmutableDenseMatrix | None = field(default=None, repr=False)
+    family: str = ""
+    on_edge: bool = False
+    linear: LinearStability | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        return f"Equilibrium({self.lines[0]}, {self.how})"
+
+    @property
+    def radius(self) -> float:
+        """A proven bound on the distance of z from the true equilibrium, in the 2-norm; or inf."""
+        if self.enclosure is None:
+            return math.inf
+        size = math.hypot(*self.enclosure.radius)
+        return math.nextafter(size * (1 + 1e-15), math.inf) if size else 0.0
+
+    @property
+    def type(self) -> str:
+        """Type of the linearised motion, for example ``"saddle-centre"``, or ``"degenerate"``."""
+        return "unknown" if self.linear is None else self.linear.type
+
+    @property
+    def eigenvalues(self) -> np.ndarray:
+        """Eigenvalues of J Hess, shape (dim,)."""
+        return self._linear.eigenvalues
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """Angular frequencies of the centres, ascending, shape (k,)."""
+        return self._linear.frequencies
+
+    @property
+    def signatures(self) -> np.ndarray:
+        """Krein signatures of these modes: the signs of their energies, shape (k,)."""
+        return self._linear.signatures
+
+    @property
+    def modes(self) -> np.ndarray:
+        """Vectors v of these modes with \\|v* J v\\| = 1, columns of shape (dim, k)."""
+        return self._linear.modes
+
+    @property
+    def stable(self) -> bool | None:
+        """Whether the linearised motion is bounded; None if that is not decided."""
+        return None if self.linear is None else self.linear.stable
+
+    @property
+    def lyapunov_stable(self) -> bool | None:
+        """Whether the motion itself is stable.
+
+        True where the Hessian is definite (Dirichlet), False where an eigenvalue has a positive
+        real part, None in between: linear stability does not decide.
+        """
+        if self.linear is None:
+            return None
+        if self.linear.definite:
+            return True
+        return False if self.linear.stable is False else None
+
+    @property
+    def _linear(self) -> LinearStability:
+        if self.linear is None:
+            raise AttributeError("the stability is unknown, because a parameter has no value")
+        return self.linear
+
+    def __str__(self) -> str:
+        return "\n".join(_wrapped(line) for line in self.lines)
+
+    def plot(self, *, ax: Any = None) -> Figure:
+        """Draw the eigenvalues in the complex plane, with Krein signatures of the frequencies.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a parameter has no value.
+        """
+        return hamsym.plot(self, ax=ax)
+
+    @property
+    def lines(self) -> list[str]:
+        """What is known of it, in words: a line each."""
+        values = self.z if self.exact is None or self.linear is not None else list(self.exact)
+        state = ", ".join(f"{n} = {_number(v)}" for n, v in zip(self.names, values, strict=True))
+        lines = [f"{self.type} at {state}"]
+        if self.linear is not None:
+            lines += [f"energy {self.energy:.10g}, {self.stability}", self.spectrum]
+        lines += [self.evidence]
+        if self.family:
+            lines += [f"part of a continuum: {self.family}"]
+        return lines
+
+    @property
+    def stability(self) -> str:
+        """Stability in words."""
+        if self.lyapunov_stable:
+            return "stable (the Hessian is definite)"
+        words = {True: "linearly stable", False: "unstable", None: "stability not decided"}
+        return words[self.stable]
+
+    @property
+    def spectrum(self) -> str:
+        """Frequencies with their signatures, and exponents, in words."""
+        parts = []
+        if len(self.frequencies):
+            found = [
+                f"{w:.8g} ({'+' if s > 0 else '-'})"
+                for w, s in zip(self.frequencies, self.signatures, strict=True)
+            ]
+            parts.append(f"frequencies {', '.join(found)}")
+        others = [k for k in self.eigenvalues if k.real > 0 and k.imag >= 0]
+        if self.type == "degenerate":
+            return "eigenvalues near " + ", ".join(_complex(k) for k in self.eigenvalues)
+        if others:
+            parts.append(f"exponents +-{', +-'.join(_complex(k) for k in others)}")
+        return "; ".join(parts)
+
+    @property
+    def evidence(self) -> str:
+        """How it was found, in words."""
+        if self.enclosure is not None:
+            text = f"proven, to {self.radius:.1e}"
+        elif self.how == "proven":
+            text = "proven"
+        elif self.how == "symbolic":
+            text = "exact"
+        else:
+            text = "found numerically, not proven"
+        if self.exact is not None:
+            text += ": " + ", ".join(
+                f"{name} = {value}" for name, value in zip(self.names, self.exact, strict=True)
+            )
+        return text + (" (on the edge of the box)" if self.on_edge else "")
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of a box in which equilibria could be neither found nor excluded.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Components of z.
+    low, high : tuple of float
+        Its corners.
+    boxes : int
+        Undecided boxes in it.
+    reason : str
+    """
+
+    names: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    boxes: int
+    reason: str
+
+    def __str__(self) -> str:
+        ends = zip(self.names, self.low, self.high, strict=True)
+        return ", ".join(itertools.starmap(_interval, ends)) + f": {self.reason}"
+
+
+@suggest_attributes
+@dataclass(frozen=True, eq=False, repr=False)
+class Equilibria(Shown, Sequence[Equilibrium]):
+    """Equilibria of a Hamiltonian, in the order of their energies; a sequence.
+
+    Attributes
+    ----------
+    H : Hamiltonian
+    found : tuple of Equilibrium
+    complete : bool
+        Whether these are proven to be all equilibria in the box that was given; False without one.
+    message : str
+    undecided : tuple of Region
+        The parts of the box that could not be decided.
+    boxes : int
+        Boxes that were examined.
+    seconds : float
+        Run time.
+    """
+
+    H: Hamiltonian
+    found: tuple[Equilibrium, ...]
+    complete: bool
+    message: str
+    undecided: tuple[Region, ...] = ()
+    boxes: int = 0
+    seconds: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.found)
+
+    @overload
+    def __getitem__(self, index: int) -> Equilibrium: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Equilibrium, ...]: ...
+    def __getitem__(self, index: Any) -> Any:
+        return self.found[index]
+
+    def __iter__(self) -> Iterator[Equilibrium]:
+        return iter(self.found)
+
+    def __repr__(self) -> str:
+        return f"Equilibria({self.H.formula!r}: {self.message})"
+
+    @property
+    def z(self) -> np.ndarray:
+        """The states, shape (n, dim)."""
+        return np.array([each.z for each in self.found]).reshape(len(self.found), self.H.dim)
+
+    @property
+    def energies(self) -> np.ndarray:
+        """Their energies, shape (n,)."""
+        return np.array([each.energy for each in self.found])
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the equilibria in a plane, with their types.
+
+        The numbers are those of the table. Behind them are level sets: of H with one degree of
+        freedom, and with two, if H is quadratic in the momenta, of its value at zero velocity, in
+        the plane of the coordinates.
+
+        Parameters
+        ----------
+        *names : str
+            Two components; by default the first two coordinates, or the coordinate and momentum.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or there is nothing to draw.
+        """
+        return hamsym.plot(self, *names, ax=ax)
+
+    def __str__(self) -> str:
+        lines = [self.table(), ""] if self.found else []
+        return "\n".join([*lines, *self._completeness()])
+
+    def summary(self, rows: int | None = ROWS) -> str:
+        """Describe the outcome in text: whether these are all, then the equilibria.
+
+        Parameters
+        ----------
+        rows : int, optional
+            Most equilibria; None for all.
+        """
+        count = len(self.found) if rows is None else min(rows, len(self.found))
+        shown = replace(self, found=self.found[:count])
+        lines = self._completeness() + (["", shown.table()] if count else [])
+        lines += left_out(len(self.found) - count, "equilibria")
+        return "\n".join(lines)
+
+    def _completeness(self) -> list[str]:
+        """Whether the list is complete, and the parts of the box that are not decided."""
+        lines = [_wrapped(self.message)]
+        for region in self.undecided[:_SHOWN_REGIONS]:
+            lines.append(_wrapped(f"undecided: {region}"))
+        if len(self.undecided) > _SHOWN_REGIONS:
+            lines.append(f"and {len(self.undecided) - _SHOWN_REGIONS:,} further undecided regions")
+        return lines
+
+    def _cells(self, digits: int) -> list[list[str]]:
+        """Rows of the table, the header first."""
+        words = {True: "yes", False: "no", None: "?"}
+        rows = [["", "type", *self.H.names, "energy", "stable"]]
+        for number, each in enumerate(self.found, 1):
+            exact = each.exact if each.linear is None else None
+            values = each.z if exact is None else list(exact)
+            energy = "" if math.isnan(each.energy) else f"{each.energy:.{digits}g}"
+            state = [_number(value, digits) for value in values]
+            rows.append([f"{number}", each.type, *state, energy, words[each.stable]])
+        return rows
+
+    def table(self) -> str:
+        """Types, states and energies, a row each, with frequencies and exponents, as text."""
+        for digits in (8, 6):
+            header, *rows = cells = self._cells(digits)
+            widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+            if sum(widths) + 2 * (len(widths) - 1) <= _WIDTH:
+                break
+        else:
+            return "\n".join(itertools.starmap(_paragraph, enumerate(self.found, 1)))
+        lines = [_row(header, widths)]
+        for row, each in zip(rows, self.found, strict=True):
+            lines.append(_row(row, widths))
+            notes = [] if each.linear is None else [each.spectrum]
+            if each.how == "numerical":
+                notes.append("not proven")
+            if each.family:
+                notes.append(f"part of a continuum: {each.family}")
+            if each.on_edge:
+                notes.append("on the edge of the box")
+            if any(notes):
+                start = " " * (widths[0] + 2)
+                note = "; ".join(filter(None, notes))
+                lines.append(textwrap.fill(note, _WIDTH, initial_indent=start,
+                                           subsequent_indent=start))  # fmt: skip
+        return "\n".join(lines)
+
+
+def _paragraph(number: int, each: Equilibrium) -> str:
+    """An equilibrium with too many components for a row."""
+    marks = [f"{number:<3} ", *["    "] * len(each.lines)]
+    return "\n".join(map(_wrapped, each.lines, marks))
+
+
+def _row(cells: Sequence[str], widths: Sequence[int]) -> str:
+    aligned = [
+        cell.ljust(width) if k == 1 else cell.rjust(width)
+        for k, (cell, width) in enumerate(zip(cells, widths, strict=True))
+    ]
+    return "  ".join(aligned).rstrip()
+
+
+def _number(value: Any, digits: int = 10) -> str:
+    return f"{value + 0.0:.{digits}g}" if isinstance(value, float) else str(value)
+
+
+def _interval(name: str, low: float, high: float) -> str:
+    """An interval with as many digits as its width has."""
+    middle, half = (low + high) / 2, (high - low) / 2
+    if not half < 1e-3 * abs(middle):
+        return f"{name} from {low:.3g} to {high:.3g}"
+    return f"{name} = {middle:.8g} +- {half:.1g}"
+
+
+def _complex(value: complex) -> str:
+    if value.imag == 0:
+        return f"{value.real:.8g}"
+    if value.real == 0:
+        return f"{value.imag:.8g}i"
+    return f"({value.real:.8g} {'+' if value.imag > 0 else '-'} {abs(value.imag):.8g}i)"
+
+
+def _wrapped(text: str, mark: str = "") -> str:
+    return textwrap.fill(
+        text,
+        _WIDTH,
+        initial_indent=mark,
+        subsequent_indent=" " * len(mark) + "  ",
+        break_on_hyphens=False,
+    )

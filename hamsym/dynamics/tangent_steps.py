@@ -1,0 +1,163 @@
+"""Steps of one trajectory with tangent vectors: their choice and their judgement.
+
+Input:  a Hamiltonian, an initial state, a time span; later the states that the steps reached.
+Output: the number and size of the steps; the change of H, and what makes the run a failure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hamsym.dynamics.growth import STEPS_PER_RADIAN, UNRESOLVED, tangent_scales
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.integrators.energy_drift import COARSE, EnergyDrift
+from hamsym.integrators.integrate import fastest_rate, fixed_step
+from hamsym.problem import checked_steps
+
+__all__ = ["KEPT", "LOST", "TangentSteps"]
+
+#: Points of a history.
+KEPT = 2_000
+#: Outcome where a step did not end in a finite state.
+LOST = "the states overflowed, or a step could not be solved"
+
+_PILOT_STEPS, _PILOTS = 1_000, 8
+
+
+@dataclass(frozen=True)
+class TangentSteps:
+    """Equal steps of one trajectory.
+
+    Attributes
+    ----------
+    H : Hamiltonian
+    method : str
+    span : (float, float)
+    number : int
+    size : float
+        Negative where time runs backward.
+    rate : float
+        Fastest rate of the linear motion at the beginning of the trajectory, per unit of time.
+    chosen : bool
+        Whether the steps follow from the rate, not from the user.
+    scales : numpy.ndarray
+        Units of tangent vectors, by :func:`hamsym.dynamics.growth.tangent_scales`, shape (dim, 1).
+    """
+
+    H: Hamiltonian
+    method: str
+    span: tuple[float, float]
+    number: int
+    size: float
+    rate: float
+    chosen: bool
+    scales: np.ndarray = field(repr=False)
+
+    @classmethod
+    def choose(
+        cls,
+        H: Hamiltonian,
+        method: str,
+        state: np.ndarray,
+        span: tuple[float, float],
+        steps: int | None,
+        dt: float | None,
+    ) -> TangentSteps:
+        """Choose the steps where neither their number nor their largest size is given.
+
+        Raises
+        ------
+        InputError
+            If the Hessian is not finite at the state, or steps or dt cannot be used.
+        """
+        rate, path, times = _fastest_rate(H, method, state, span)
+        chosen = steps is None and dt is None
+        if chosen:
+            whole = abs(span[1] - span[0])
+            dt = min(whole, 1 / (STEPS_PER_RADIAN * rate) if rate > 0 else whole / 20_000)
+        number = checked_steps(span[1] - span[0], steps, dt)
+        size, system = (span[1] - span[0]) / number, H.compile("numpy")
+        with np.errstate(all="ignore"):
+            jacobians = np.asarray(system.jacobian(*system.arguments(path, times)))
+        scales = tangent_scales(jacobians)[:, None]
+        return cls(H, method, span, number, size, rate, chosen, scales)
+
+    def block(self, growth: float) -> int:
+        """Return how many steps grow a tangent vector by no more than this number of e-folds.
+
+        There are at least :data:`KEPT` blocks, where there are as many steps.
+        """
+        fits = int(growth / max(self.rate * abs(self.size), 1e-3))
+        return max(1, min(self.number // KEPT, fits))
+
+    def judged(
+        self, times: Sequence[float] | np.ndarray, path: np.ndarray, problem: str
+    ) -> tuple[float, str]:
+        """Return the largest change of H, and why the run failed, empty if it did not.
+
+        Parameters
+        ----------
+        times : sequence
+            Times after the start, shape (n,).
+        path : numpy.ndarray
+            States at the start and at these times, shape (n + 1, dim).
+        problem : str
+            What ended the run early, or an empty text.
+        """
+        H = self.H
+        drift = EnergyDrift(H, 1)
+        drift.add(path[None])
+        change = float(drift.change[0]) if H.conserves_energy else math.nan
+        if problem:
+            return change, f"stopped after t = {times[-1]:.6g}: {problem}"
+        share = float(drift.relative(self.number)[0])
+        if H.conserves_energy and not share <= COARSE:
+            return change, f"H changed by {change:.1e}, {share:.0%} of its scale: take a smaller dt"
+        if self.chosen:
+            fastest = fastest_rate(H, path, np.append(self.span[0], times))
+            if not fastest <= UNRESOLVED * max(self.rate, 1 / abs(self.size)):
+                return change, (
+                    f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
+                )
+        return change, ""
+
+    @property
+    def description(self) -> str:
+        """Method, number of steps and end of the span."""
+        return f"{self.method}: {self.number:,} steps to t = {self.span[1]:.6g}"
+
+
+def _fastest_rate(
+    H: Hamiltonian, method: str, state: np.ndarray, span: tuple[float, float]
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Estimate the spectral radius of J Hess along the beginning of the trajectory.
+
+    Return it with states and times of that part. Each pilot run uses steps from the rate that the
+    previous one found, so that a slow start does not set the steps for the rest.
+    """
+    start, end = span
+    rate = fastest_rate(H, state[None], start)
+    path, times = state[None], np.array([start])
+    if not math.isfinite(rate):
+        raise InputError("the Hessian of H is not finite at z0; choose another initial state")
+    whole = abs(end - start)
+    length = whole / 1_000 if rate == 0 else min(whole, _PILOT_STEPS / (STEPS_PER_RADIAN * rate))
+    for _ in range(_PILOTS):
+        size = math.copysign(length / _PILOT_STEPS, end - start)
+        stepper = fixed_step(H, method, state[None], np.array([start]), np.array([size]))
+        reached = stepper.advance(_PILOT_STEPS, show=False).states[0]
+        if not np.isfinite(reached).all():
+            length /= 30
+            continue
+        path, times = reached, start + size * np.arange(1, len(reached) + 1)
+        found = fastest_rate(H, path, times)
+        if not rate * 1.5 < found < math.inf:
+            return rate if math.isinf(found) else max(rate, found), path, times
+        rate = found
+        length = min(length, _PILOT_STEPS / (STEPS_PER_RADIAN * rate))
+    return rate, path, times

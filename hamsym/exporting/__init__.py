@@ -1,0 +1,1 @@
+"""Exports: solutions as files that are evaluated without hamsym."""

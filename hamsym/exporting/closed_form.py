@@ -1,0 +1,212 @@
+"""The numbers of a solution as a closed form, in the arrangement that all exports share."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.random_features.basis import rate_series
+from hamsym.random_features.trial import FeatureTrial
+from hamsym.solution.solution import Solution
+
+if TYPE_CHECKING:  # torch is imported only by solutions that are networks
+    from hamsym.networks.trial import TrialSolution
+
+__all__ = ["ClosedForm", "FeatureForm", "NetworkForm", "closed_form"]
+
+#: Matrix and bias of each layer, shapes (neurons, inputs) and (neurons,).
+Layers = list[tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureForm:
+    """z^ = z_a + f(s) (T(2 s - 1) series) readout on each window, with s = (t - t_a)/(t_b - t_a).
+
+    Here f(s) = 1 - exp(-s), T are the Chebyshev polynomials from degree 0 on, and t_a and t_b the
+    ends of the window, which are counted from the origin.
+
+    Attributes
+    ----------
+    origin : float
+    edges : numpy.ndarray
+        Ends of the windows, shape (n + 1,).
+    states : numpy.ndarray
+        z_a of the windows, and z at the end, shape (n + 1, dim).
+    readouts : numpy.ndarray
+        Shape (n, m, dim).
+    series, rates : numpy.ndarray
+        Chebyshev series of the m columns, and of their derivatives in s, shape (degree + 1, m).
+    """
+
+    origin: float
+    edges: np.ndarray
+    states: np.ndarray
+    readouts: np.ndarray
+    series: np.ndarray
+    rates: np.ndarray
+
+    kind = "features"
+
+    @property
+    def windows(self) -> int:
+        """Number of windows."""
+        return len(self.readouts)
+
+    @property
+    def dim(self) -> int:
+        """Number of components."""
+        return self.states.shape[1]
+
+    @property
+    def numbers(self) -> int:
+        """Number of float64 numbers."""
+        arrays = (getattr(self, entry.name) for entry in fields(self))
+        return sum(np.size(array) for array in arrays)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkForm:
+    """z^ = z_a + f(s) N(s) on each window, with s = (t - t_a)/tau and a network N of the window.
+
+    Attributes
+    ----------
+    activation : {"sin", "sigmoid", "tanh"}
+        Of all layers but the last.
+    envelope : {"exponential", "linear"}
+        f(s) = 1 - exp(-s) or f(s) = s.
+    edges : numpy.ndarray
+        Ends of the windows, shape (n + 1,).
+    starts : numpy.ndarray
+        z_a, shape (n, dim).
+    taus : numpy.ndarray
+        Shape (n,); negative for a span that runs backwards.
+    networks : list of list of list of (numpy.ndarray, numpy.ndarray)
+        For each window one network with dim outputs, or dim networks with one output; for each
+        network matrix and bias of its layers, shapes (neurons, inputs) and (neurons,).
+    """
+
+    activation: str
+    envelope: str
+    edges: np.ndarray
+    starts: np.ndarray
+    taus: np.ndarray
+    networks: list[list[Layers]]
+
+    kind = "networks"
+
+    @property
+    def windows(self) -> int:
+        """Number of windows."""
+        return len(self.taus)
+
+    @property
+    def dim(self) -> int:
+        """Number of components."""
+        return self.starts.shape[1]
+
+    @property
+    def per_window(self) -> int:
+        """Number of networks in a window."""
+        return len(self.networks[0])
+
+    @property
+    def sizes(self) -> list[list[int]]:
+        """Inputs of each layer, and outputs, of the networks of each window."""
+        return [[1, *(len(bias) for _, bias in networks[0])] for networks in self.networks]
+
+    @property
+    def offsets(self) -> list[int]:
+        """Place of the first of the :attr:`weights` of each window."""
+        counts = [
+            sum(matrix.size + bias.size for layers in networks for matrix, bias in layers)
+            for networks in self.networks
+        ]
+        return [0, *itertools.accumulate(counts[:-1])]
+
+    @property
+    def weights(self) -> np.ndarray:
+        """All weights by window, network and layer: each matrix by rows, then its bias."""
+        return np.concatenate(
+            [
+                part.ravel()
+                for networks in self.networks
+                for layers in networks
+                for layer in layers
+                for part in layer
+            ]
+        )
+
+    @property
+    def numbers(self) -> int:
+        """Number of float64 numbers."""
+        return self.edges.size + self.starts.size + self.taus.size + self.weights.size
+
+
+ClosedForm = FeatureForm | NetworkForm
+
+
+def closed_form(solution: Solution) -> ClosedForm:
+    """Return the numbers that define a solution; float32 weights are widened.
+
+    Raises
+    ------
+    InputError
+        If its network is a module of the caller's, or its windows have networks of several kinds.
+    """
+    trial: Any = solution.trial
+    if isinstance(trial, FeatureTrial):
+        return FeatureForm(
+            float(trial.origin),
+            trial.edges,
+            trial.states,
+            trial.readouts,
+            trial.series,
+            rate_series(trial.series),
+        )
+    from hamsym.networks.chain import Chain
+    from hamsym.networks.trial import TrialSolution
+
+    pieces = trial.pieces if isinstance(trial, Chain) else (trial,)
+    if not all(isinstance(piece, TrialSolution) for piece in pieces):
+        raise InputError(
+            "the network of this solution is a module of your own, which only a file of torch can "
+            "hold; give a name that ends in .pt2"
+        )
+    form = NetworkForm(
+        pieces[0].parts[0].activation,
+        pieces[0].envelope,
+        trial.edges if isinstance(trial, Chain) else np.array(solution.span),
+        np.array([piece.z0.numpy() for piece in pieces], dtype=float),
+        np.array([piece.tau for piece in pieces]),
+        [_networks(piece) for piece in pieces],
+    )
+    kinds = {
+        (piece.parts[0].activation, piece.envelope, len(piece.parts), len(piece.parts[0].sizes))
+        for piece in pieces
+    }
+    if len(kinds) > 1 or any(
+        piece.t0 != start for piece, start in zip(pieces, form.edges, strict=False)
+    ):
+        raise InputError("the windows of this solution have networks of several kinds; solve again")
+    return form
+
+
+def _networks(piece: TrialSolution) -> list[Layers]:
+    """Return the layers of the networks of a window; those of held components are zero."""
+    networks = [
+        [
+            tuple(part.detach().cpu().numpy().astype(float) for part in layer)
+            for layer in network.layers
+        ]
+        for network in piece.parts
+    ]
+    for component in piece.held:
+        shared = len(networks) == 1
+        matrix, bias = networks[0 if shared else component][-1]
+        row = component if shared else 0
+        matrix[row], bias[row] = 0.0, 0.0
+    return networks  # type: ignore[return-value]

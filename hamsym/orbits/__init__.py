@@ -1,0 +1,1 @@
+"""Periodic orbits: their search, their families and their proofs."""

@@ -1,0 +1,380 @@
+"""Pseudo-arclength continuation of periodic orbits, with bifurcations on the way.
+
+The orbits of a conservative H with one symmetry form curves. From an orbit, the next one is looked
+for at a given distance along the tangent of its curve, in the space of states and period (and a
+parameter), where the curve has no folds (Keller 1977). The distance grows after an orbit that was
+found and shrinks after one that was not, or that is too unlike its neighbour. Bifurcations are sign
+changes of test functions between neighbours, located by Brent's method.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from hamsym.numerics.collocation import collocation
+from hamsym.orbits.arc import Arc, NewtonSystem, Problem
+from hamsym.orbits.orbit import PeriodicOrbit, solved_orbit
+from hamsym.orbits.period import period_of
+from hamsym.orbits.search import anchor_of
+
+__all__ = ["Aim", "Bifurcation", "Continuation"]
+
+_FIRST, _SMALLEST = 0.02, 1e-6  # steps in scaled unknowns
+_GROWTH, _CUT = 1.4, 0.4  # of a step after an easy and after a failed orbit
+_MOST_CHANGE = 0.5  # of m + 1/m of the multipliers m between neighbours
+_TURN = 0.9  # cosine of the largest angle between neighbouring tangents
+_CONSTANT = 1e-10  # relative change of a period that is round-off, per distance along the family
+_SHRUNK = 1e-7  # extent of an orbit, relative to the first one, that counts as an equilibrium
+_LOCATED = 1e-9  # distance along the family up to which a bifurcation is located
+
+# A kind of bifurcation, which is no bifurcation of the orbits with given energies.
+_PERIOD_FOLD = "fold of the period"
+
+
+class _LostError(Exception):
+    """No orbit was found between neighbours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bifurcation:
+    """A bifurcation along a family.
+
+    Attributes
+    ----------
+    kind : str
+        "fold" of the energy, the period or the parameter that is named; "branching", where a pair
+        of multipliers meets at 1; "period doubling", where one meets at -1; "symmetry breaking",
+        where one of a shift of even order does; or "collision", where two pairs meet and leave the
+        unit circle, or come back to it. Multipliers that touch 1 or -1 and stay on the unit circle,
+        as those of integrable systems do, are not reported.
+    orbit : PeriodicOrbit
+        The orbit next to the bifurcation.
+    after : int
+        Number of the orbit of the family before it.
+    uncertainty : float
+        Distance along the family, in states relative to their sizes, between the two orbits that
+        enclose it. At a fold the energy or the parameter is accurate to its square.
+    """
+
+    kind: str
+    orbit: PeriodicOrbit
+    after: int
+    uncertainty: float
+
+    def __repr__(self) -> str:
+        return (
+            f"Bifurcation({self.kind}, energy {self.orbit.energy:.10g}, period "
+            f"{self.orbit.period:.10g})"
+        )
+
+
+@dataclass(frozen=True)
+class Aim:
+    """A function of orbits and the value at which a family ends."""
+
+    name: str
+    value: float
+    of: Callable[[PeriodicOrbit], float]
+
+    def excess(self, orbit: PeriodicOrbit) -> float:
+        return self.of(orbit) - self.value
+
+
+@dataclass
+class _Point:
+    """An orbit with the tangent of the family there.
+
+    Attributes
+    ----------
+    orbit : PeriodicOrbit
+    system : NewtonSystem
+    tangent : numpy.ndarray
+    tests : dict of str to float
+        Functions that change sign at bifurcations.
+    """
+
+    orbit: PeriodicOrbit
+    system: NewtonSystem
+    tangent: np.ndarray
+    tests: dict[str, float] = field(default_factory=dict)
+
+
+class Continuation:
+    """A family in the making."""
+
+    def __init__(
+        self, orbit: PeriodicOrbit, problem: Problem, aim: Aim, longest: float, tol: float
+    ) -> None:
+        self._problem, self._aim, self._longest, self._tol = problem, aim, longest, tol
+        self._step = min(_FIRST, longest)
+        self.orbits = [orbit]
+        self.bifurcations: list[Bifurcation] = []
+        self.problem = ""
+        self.open = aim.excess(orbit) != 0
+        self._here = self._point(orbit, None)
+        if self.open:
+            self._face_the_aim()
+
+    def _face_the_aim(self) -> None:
+        """Turn the tangent towards the target."""
+        here = self._here
+        found = self._neighbour(here, 1e-4)
+        if found is None:
+            return
+        change = self._aim.of(found) - self._aim.of(here.orbit)
+        if change * self._aim.excess(here.orbit) > 0:
+            here.tangent = -here.tangent
+            here.tests = _tests(here, self._problem)
+
+    def advance(self) -> None:
+        """Compute the next orbit; shorten the step until it succeeds."""
+        here, aim = self._here, self._aim
+        while self._step > _SMALLEST:
+            orbit = self._neighbour(here, self._step)
+            there = None if orbit is None else self._point(orbit, here)
+            if there is None or not (_aligned(here, there) and _close(here, there)):
+                self._step *= _CUT
+                continue
+            self._locate(here, there)
+            if aim.excess(here.orbit) * aim.excess(there.orbit) <= 0:
+                self._end(here, there)
+                return
+            self.orbits.append(there.orbit)
+            if not (_extent(there.orbit) > _SHRUNK * _extent(self.orbits[0])).any():
+                self.open, self.problem = False, "the family ends at an equilibrium"
+                return
+            self._here = there
+            self._step = min(self._step * _GROWTH, self._longest)
+            return
+        self.open, self.problem = (
+            False,
+            (
+                f"the family ends, or could not be followed, beyond {aim.name} "
+                f"{aim.of(here.orbit):.10g}: no orbit nearby"
+            ),
+        )
+
+    def _problem_of(self, orbit: PeriodicOrbit) -> Problem:
+        return replace(self._problem, H=orbit.H)
+
+    def _point(self, orbit: PeriodicOrbit, before: _Point | None) -> _Point:
+        problem = self._problem_of(orbit)
+        system = NewtonSystem(problem, orbit.arc, anchor_of(problem, orbit.arc))
+        earlier = None if before is None else _carried(before, orbit.arc)
+        point = _Point(orbit, system, system.direction(earlier))
+        point.tests = _tests(point, problem)
+        return point
+
+    def _neighbour(self, here: _Point, distance: float) -> PeriodicOrbit | None:
+        """The orbit at a distance along the tangent, or None."""
+        orbit, system = here.orbit, here.system
+        change = distance * _unweighted(here.tangent, orbit.arc) * system.units
+        count = orbit.arc.ends.size
+        ends = orbit.arc.ends + change[:count].reshape(orbit.arc.ends.shape)
+        values = orbit.arc.values + _between(orbit.arc, change[:count])
+        arc = Arc(orbit.arc.edges, ends, values, orbit.arc.period + float(change[count]))
+        problem = self._problem_of(orbit)
+        if problem.parameter is not None:
+            problem = _varied(problem, float(change[count + 2]))
+        if not arc.period > 0:
+            return None
+        found = _converged_across(problem, arc, here.tangent, system.units)
+        if found is None:
+            return None
+        problem, arc = found
+        final = _pinned(problem, arc)
+        made = solved_orbit(final, arc, self._tol)
+        if not made.success:
+            return None
+        return replace(made, problem=replace(made.problem, parameter=None))
+
+    def _locate(self, here: _Point, there: _Point) -> None:
+        """Add the bifurcations between neighbours."""
+        kinds = [
+            kind
+            for kind, value in here.tests.items()
+            if value * there.tests.get(kind, math.nan) < 0
+        ]
+        # A pair of multipliers meets at 1 where the energy or the parameter has a fold.
+        if any(kind.startswith("fold") and kind != _PERIOD_FOLD for kind in kinds):
+            kinds = [kind for kind in kinds if kind != "branching"]
+        for kind in kinds:
+            orbit, width = self._zero(
+                here,
+                there,
+                lambda point, kind=kind: point.tests[kind],  # type: ignore[misc]
+            )
+            self.bifurcations.append(Bifurcation(kind, orbit, len(self.orbits) - 1, width))
+
+    def _zero(
+        self, here: _Point, there: _Point, function: Callable[[_Point], float]
+    ) -> tuple[PeriodicOrbit, float]:
+        """The orbit between neighbours nearest to the zero of a function, and the distance of two
+        orbits that enclose the zero.
+        """
+        closest = min((here, there), key=lambda point: abs(function(point)))
+        known = {0.0: function(here), self._step: function(there)}
+
+        def value(distance: float) -> float:
+            nonlocal closest
+            if distance not in known:
+                orbit = self._neighbour(here, distance)
+                if orbit is None:
+                    raise _LostError
+                point = self._point(orbit, here)
+                known[distance] = function(point)
+                if abs(known[distance]) <= abs(function(closest)):
+                    closest = point
+            return known[distance]
+
+        with contextlib.suppress(_LostError):
+            brentq(value, 0.0, self._step, xtol=_LOCATED, rtol=1e-12, maxiter=60, disp=False)
+        places = sorted(known)
+        signs = [known[place] > 0 for place in places]
+        change = next(k for k in range(1, len(places)) if signs[k] != signs[0])
+        return closest.orbit, places[change] - places[change - 1]
+
+    def _end(self, here: _Point, there: _Point) -> None:
+        """Compute the orbit at the target."""
+        self.open = False
+        near, _ = self._zero(here, there, lambda point: self._aim.excess(point.orbit))
+        exact = self._aimed(near)
+        if exact is None:
+            self.problem = f"no orbit at {self._aim.name} {self._aim.value:.10g}"
+            return
+        self.orbits.append(exact)
+
+    def _aimed(self, orbit: PeriodicOrbit) -> PeriodicOrbit | None:
+        """The orbit exactly at the target, from one nearby."""
+        problem, value = orbit.problem, self._aim.value
+        if self._problem.parameter is not None:
+            H = problem.H.with_parameters(**{self._problem.parameter: value})
+            problem = replace(problem, H=H)
+        elif self._aim.name == "energy":
+            problem = replace(problem, energy=value, period=None, exact_period=None)
+        else:
+            exact = period_of(problem.H, value)
+            problem = replace(problem, energy=None, period=value, exact_period=exact)
+        found = solved_orbit(problem, orbit.arc, self._tol)
+        return found if found.success else None
+
+
+def _extent(orbit: PeriodicOrbit) -> np.ndarray:
+    return np.asarray(np.ptp(orbit.arc.ends, axis=0))
+
+
+def _pinned(problem: Problem, arc: Arc) -> Problem:
+    """The problem of one orbit of a family."""
+    if problem.energy is not None or problem.period is not None:
+        return replace(problem, parameter=None)
+    energy = float(problem.H.compile("numpy").energy(arc.ends[0]))
+    return replace(problem, energy=energy, parameter=None)
+
+
+def _varied(problem: Problem, change: float) -> Problem:
+    name = problem.parameter
+    assert name is not None
+    return replace(
+        problem, H=problem.H.with_parameters(**{name: problem.H.parameters[name] + change})
+    )
+
+
+def _converged_across(
+    problem: Problem, arc: Arc, tangent: np.ndarray, units: np.ndarray
+) -> tuple[Problem, Arc] | None:
+    """Newton's method across the tangent, or None."""
+    anchor = anchor_of(problem, arc)
+    before = math.inf
+    for _ in range(12):
+        system = NewtonSystem(problem, arc, anchor)
+        step = system.solved(tangent * system.units / units)
+        if not math.isfinite(step.size) or step.size > 0.5 or step.size > 2 * before:
+            return None
+        arc = step.applied(arc)
+        if problem.parameter is not None:
+            problem = _varied(problem, step.parameter)
+        if not arc.period > 0:
+            return None
+        if step.size < 1e-9:
+            return problem, arc
+        before = step.size
+    return None
+
+
+def _between(arc: Arc, ends: np.ndarray) -> np.ndarray:
+    """Changes at the points of windows, linear between those at their ends."""
+    change = ends.reshape(arc.ends.shape)
+    s = collocation(arc.values.shape[1]).nodes[:, None]
+    return np.asarray(change[:-1, None] * (1 - s) + change[1:, None] * s)
+
+
+def _unweighted(tangent: np.ndarray, arc: Arc) -> np.ndarray:
+    found = tangent.copy()
+    found[: arc.ends.size] *= len(arc.ends)
+    return found
+
+
+def _carried(before: _Point, arc: Arc) -> np.ndarray:
+    """The tangent of a point on the windows of another arc, for its sense only."""
+    old = before.orbit.arc
+    count = old.ends.size
+    change = _unweighted(before.tangent, old)[:count].reshape(old.ends.shape)
+    moved = np.stack(
+        [np.interp(arc.edges, old.edges, column) for column in change.T], axis=1
+    ).ravel() / len(arc.ends)
+    return np.concatenate([moved, before.tangent[count:]])
+
+
+def _aligned(here: _Point, there: _Point) -> bool:
+    """Whether the tangents of neighbours differ little."""
+    earlier, arc = _carried(here, there.orbit.arc), there.orbit.arc
+    weights = np.ones(len(earlier))
+    weights[: arc.ends.size] = 1 / len(arc.ends)
+
+    def product(a: np.ndarray, b: np.ndarray) -> float:
+        return float(np.sum(a * b / weights))
+
+    sizes = math.sqrt(product(earlier, earlier) * product(there.tangent, there.tangent))
+    return product(earlier, there.tangent) >= _TURN * sizes
+
+
+def _close(here: _Point, there: _Point) -> bool:
+    """Whether the multipliers of neighbours are so close that no two bifurcations are skipped."""
+    sums = []
+    for point in (here, there):
+        multipliers = point.orbit.shift_multipliers
+        with np.errstate(all="ignore"):
+            sums.append(np.sort_complex(multipliers + 1 / multipliers))
+    change = np.abs(sums[1] - sums[0])
+    return bool((change <= _MOST_CHANGE * np.maximum(1.0, np.abs(sums[0]))).all())
+
+
+def _tests(point: _Point, problem: Problem) -> dict[str, float]:
+    """Functions of an orbit that change sign at bifurcations."""
+    orbit, tangent = point.orbit, _unweighted(point.tangent, point.orbit.arc)
+    count = orbit.arc.ends.size
+    tests = {}
+    if problem.parameter is not None:
+        tests[f"fold of {problem.parameter}"] = float(tangent[count + 2])
+    else:
+        slope = np.asarray(orbit.H.compile("numpy").gradient(orbit.z0))
+        change = (tangent * point.system.units)[: orbit.H.dim]
+        tests["fold of the energy"] = float(slope @ change)
+        change_of_period = float(tangent[count])
+        tests[_PERIOD_FOLD] = change_of_period if abs(change_of_period) > _CONSTANT else 0.0
+    multipliers = orbit.shift_multipliers
+    tests["branching"] = float(np.prod(multipliers - 1).real)
+    odd = orbit.problem.closing.order % 2
+    meeting = "period doubling" if odd else "symmetry breaking"
+    tests[meeting] = float(np.prod(multipliers + 1).real)
+    if len(multipliers) >= 4:
+        sums = multipliers + 1 / multipliers
+        real = np.abs(sums.imag) <= 1e-4 * np.abs(sums).max()
+        tests["collision"] = 1.0 if real.all() else -1.0
+    return tests

@@ -1,0 +1,237 @@
+"""Families of periodic orbits: hamsym.orbit_family."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+
+import hamsym
+from hamsym.errors import InputError
+from hamsym.orbits.continuation import Aim, Bifurcation, Continuation
+from hamsym.orbits.orbit import PeriodicOrbit
+from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
+from hamsym.support.progress import stepping_progress
+from hamsym.support.shown import Shown
+from hamsym.support.text_tables import left_out, table, wrapped
+from hamsym.support.validation import require_number, require_positive, require_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["OrbitFamily", "orbit_family"]
+
+
+@suggest_attributes
+@dataclass(frozen=True, eq=False)
+class OrbitFamily(Shown, Sequence[PeriodicOrbit]):
+    """Orbits along a family, in the order of their computation; a sequence of PeriodicOrbit.
+
+    Attributes
+    ----------
+    orbits : tuple of PeriodicOrbit
+    bifurcations : tuple of Bifurcation
+    success : bool
+        Whether the target was reached.
+    message : str
+    parameter : str or None
+        The parameter that varies.
+    """
+
+    orbits: tuple[PeriodicOrbit, ...]
+    bifurcations: tuple[Bifurcation, ...]
+    success: bool
+    message: str
+    parameter: str | None = None
+
+    def __len__(self) -> int:
+        return len(self.orbits)
+
+    @overload
+    def __getitem__(self, index: int) -> PeriodicOrbit: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[PeriodicOrbit, ...]: ...
+    def __getitem__(self, index: int | slice) -> PeriodicOrbit | tuple[PeriodicOrbit, ...]:
+        return self.orbits[index]
+
+    def __iter__(self) -> Iterator[PeriodicOrbit]:
+        return iter(self.orbits)
+
+    def __repr__(self) -> str:
+        return (
+            f"OrbitFamily({len(self)} orbits, energy {self.energies.min():.6g} to "
+            f"{self.energies.max():.6g}, period {self.periods.min():.6g} to "
+            f"{self.periods.max():.6g}, {len(self.bifurcations)} bifurcations; {self.message})"
+        )
+
+    @property
+    def energies(self) -> np.ndarray:
+        """Energies of the orbits, shape (n,)."""
+        return np.array([orbit.energy for orbit in self.orbits])
+
+    @property
+    def periods(self) -> np.ndarray:
+        """Periods of the orbits, shape (n,)."""
+        return np.array([orbit.period for orbit in self.orbits])
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values of the parameter that varies."""
+        if self.parameter is None:
+            raise InputError("no parameter varies along this family; see energies and periods")
+        return np.array([orbit.H.parameters[self.parameter] for orbit in self.orbits])
+
+    @property
+    def stabilities(self) -> list[str]:
+        """Stability of each orbit, as :attr:`hamsym.PeriodicOrbit.stability`."""
+        return [orbit.stability for orbit in self.orbits]
+
+    def summary(self, rows: int | None = 10) -> str:
+        """Describe the outcome as text: the range, then orbits along it.
+
+        Parameters
+        ----------
+        rows : int, optional
+            Most rows of a table; None for all.
+        """
+        count = len(self)
+        places: Sequence[int] = range(count)
+        if rows is not None and count > rows:
+            places = sorted({round(k * (count - 1) / (rows - 1)) for k in range(rows)})
+        listed = [
+            [f"{self[k].energy:.10g}", f"{self[k].period:.10g}", self[k].stability] for k in places
+        ]
+        lines = [wrapped(self.message, "family: ")]
+        lines += table(["energy", "period", "stability"], listed)
+        lines += left_out(count - len(listed), "orbits between them")
+        for found in self.bifurcations:
+            lines.append(f"{found.kind}: energy {found.orbit.energy:.10g}")
+        return "\n".join(lines)
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw period, orbits and largest multiplier over the energy or the parameter.
+
+        Parameters
+        ----------
+        *names : str
+            ``"period"`` or ``"multipliers"`` alone, with stability and bifurcations; or two or
+            three components, for orbits of the family in their plane or space.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for several panels.
+        """
+        return hamsym.plot(self, *names, ax=ax)
+
+
+@checked_keywords
+def orbit_family(
+    orbit: PeriodicOrbit,
+    *,
+    energy: float | None = None,
+    period: float | None = None,
+    parameter: tuple[str, float] | None = None,
+    max_orbits: int = 200,
+    max_step: float = 0.3,
+    tol: float = 1e-10,
+    progress: bool | None = None,
+) -> OrbitFamily:
+    """Continue a periodic orbit along its family until a target.
+
+    Parameters
+    ----------
+    orbit : PeriodicOrbit
+        Successful; of an H without explicit time for ``energy`` and ``period``.
+    energy, period : float, optional
+        Where to end. The family starts towards it, and may turn at folds.
+    parameter : (str, float), optional
+        A parameter of H and its value at the end. The energy, or the period if the orbit was
+        found with one, stays.
+    max_orbits : int
+    max_step : float
+        Largest distance between neighbours, in states relative to their largest sizes, relative
+        period and relative parameter.
+    tol : float
+        As in :func:`hamsym.periodic_orbit`, for every orbit.
+    progress : bool, optional
+
+    Returns
+    -------
+    OrbitFamily
+        ``success`` is false if the target is not reached; ``message`` says why.
+
+    Raises
+    ------
+    InputError
+        If an argument is not valid.
+
+    Examples
+    --------
+    >>> orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0])
+    >>> family = orbit_family(orbit, energy=2.0)
+    >>> family.success, round(family[-1].energy, 9), round(family[-1].period, 6)
+    (True, 2.0, 4.00431)
+    """
+    if not isinstance(orbit, PeriodicOrbit):
+        raise InputError(f"orbit must be a PeriodicOrbit, not {type(orbit).__name__}")
+    if not orbit.success:
+        raise InputError("the orbit did not succeed; find one first")
+    given = [value for value in (energy, period, parameter) if value is not None]
+    if len(given) != 1:
+        raise InputError("give one of energy, period and parameter as the target")
+    require_whole("max_orbits", max_orbits, 2)
+    require_positive("max_step", max_step)
+    require_positive("tol", tol)
+    problem = orbit.problem
+    if parameter is not None:
+        name, value = _parameter(orbit, parameter)
+        problem = replace(problem, parameter=name)
+        aim = Aim(f"parameter {name}", value, lambda o: o.H.parameters[name])
+    else:
+        if not problem.conservative:
+            raise InputError(
+                "orbits of this H do not come in families of energies; give parameter=(name, value)"
+            )
+        problem = replace(problem, energy=None, period=None, exact_period=None)
+        if energy is not None:
+            require_number("energy", energy)
+            aim = Aim("energy", float(energy), lambda o: o.energy)
+        else:
+            require_positive("period", period)
+            aim = Aim("period", float(period), lambda o: o.period)  # type: ignore[arg-type]
+    run = Continuation(orbit, problem, aim, max_step, tol)
+    with stepping_progress(max_orbits, progress, "continuing") as advance:
+        while run.open and len(run.orbits) < max_orbits:
+            run.advance()
+            advance(1)
+    message = run.problem or f"{aim.name} {aim.value:.10g} reached in {len(run.orbits)} orbits"
+    if run.open:
+        message = f"{aim.name} {aim.value:.10g} not reached in {max_orbits} orbits"
+    return OrbitFamily(
+        tuple(run.orbits),
+        tuple(run.bifurcations),
+        not run.open and not run.problem,
+        message,
+        problem.parameter,
+    )
+
+
+def _parameter(orbit: PeriodicOrbit, parameter: Any) -> tuple[str, float]:
+    if not (isinstance(parameter, (tuple, list)) and len(parameter) == 2):
+        raise InputError('parameter must be a pair of a name and a value, such as ("mu", 0.1)')
+    name, value = parameter
+    if name not in orbit.H.parameter_names:
+        known = ", ".join(orbit.H.parameter_names) or "none"
+        hint = did_you_mean(name, orbit.H.parameter_names)
+        raise InputError(f"H has no parameter '{name}'{hint}; its parameters are: {known}")
+    require_number(f"the value of {name}", value)
+    if orbit.problem.exact_period is not None and orbit.problem.exact_period.formula.free_symbols:
+        raise InputError(
+            "the period depends on parameters; continue an orbit with a period that is a number"
+        )
+    return str(name), float(value)

@@ -1,0 +1,506 @@
+"""Periodic orbits: hamsym.periodic_orbit."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+import hamsym
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.numerics.scales import floored_sizes
+from hamsym.numerics.symplectic import symplectic_inverse
+from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.multipliers import reduced_map, stability_of
+from hamsym.orbits.period import period_of
+from hamsym.orbits.search import check, first_arc, first_return, refined, vector_field_at
+from hamsym.orbits.symmetry import closing_of
+from hamsym.random_features.flow import flow_of
+from hamsym.solution.discontinuities import first_jump, has_switches
+from hamsym.solution.path import Path
+from hamsym.suggestions import checked_keywords, suggest_attributes
+from hamsym.support.shown import Shown
+from hamsym.support.text_tables import ROWS, left_out, table, wrapped
+from hamsym.support.validation import require_number, require_positive
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hamsym.solution.solution import Solution
+
+__all__ = ["PeriodicOrbit", "periodic_orbit"]
+
+_REPETITIONS = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31)
+_SAME = 1e-6  # distance of states that are the same, relative to the motion
+_POINTS = 400  # of an arc, for its extent
+_LARGE = 1e3  # multiplier whose inverse is more accurate than the computed one
+
+
+@suggest_attributes
+@dataclass(frozen=True, eq=False)
+class PeriodicOrbit(Shown):
+    """A periodic orbit, from :func:`hamsym.periodic_orbit`.
+
+    Attributes
+    ----------
+    problem : Problem
+        H, the symmetry, and what was given.
+    arc : Arc
+        States along the part of the period that its symmetry leaves.
+    success : bool
+        Whether the estimated error is within the tolerance.
+    message : str
+    error_estimate : float
+        Estimated error of the states and of the period, relative to the largest size of each
+        component and to the period.
+    is_isolated : bool
+        Whether the orbit is the only one near it with its energy or period and its symmetry. If
+        not, H has more conserved quantities, or the orbit is at a bifurcation.
+    repetitions : int
+        Number of times that the orbit is run through in its period.
+    """
+
+    problem: Problem
+    arc: Arc
+    success: bool
+    message: str
+    error_estimate: float
+    is_isolated: bool
+    repetitions: int
+    _maps: np.ndarray = field(repr=False)
+
+    def __repr__(self) -> str:
+        return (
+            f"PeriodicOrbit({self.H.formula!r}, period {self.period:.10g}, energy "
+            f"{self.energy:.10g}, {self.stability}, success={self.success})"
+        )
+
+    # -- what it is ---------------------------------------------------------------------------
+
+    @property
+    def H(self) -> Hamiltonian:
+        """Hamiltonian of the orbit, with its parameters."""
+        return self.problem.H
+
+    @property
+    def z0(self) -> np.ndarray:
+        """The state at the start, shape (dim,)."""
+        return self.arc.ends[0].copy()
+
+    @property
+    def period(self) -> float:
+        """Period, in the unit of time of H."""
+        return self.arc.period
+
+    @cached_property
+    def energy(self) -> float:
+        """H at the start."""
+        system = self.H.compile("numpy")
+        return float(system.energy(*system.arguments(self.z0, self.problem.start)))
+
+    def __call__(self, t: Any) -> np.ndarray:
+        """Evaluate the orbit at any times.
+
+        Parameters
+        ----------
+        t : float or array
+            In the units of H; the orbit starts at 0, or at the time ``start`` of the search.
+
+        Returns
+        -------
+        numpy.ndarray
+            Shape (dim,) for a scalar, else (n, dim).
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0])
+        >>> bool(np.allclose(orbit(3 * orbit.period), orbit.z0))
+        True
+        """
+        try:
+            times = np.asarray(t, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            times = np.array(math.nan)
+        if times.ndim > 1 or not np.isfinite(times).all():
+            raise InputError("t must be a number or a sequence of numbers")
+        closing = self.problem.closing
+        turns = np.atleast_1d(times - self.problem.start) / self.period
+        place = (turns - np.floor(turns)) * closing.parts
+        part = np.minimum(place.astype(int), closing.parts - 1)
+        fraction = place - part
+        found = np.empty((len(place), self.H.dim))
+        for k in np.unique(part):
+            rows = part == k
+            along = 1 - fraction[rows] if closing.reversing and k % 2 else fraction[rows]
+            found[rows] = closing.unfolded(int(k), self.arc.at(along))
+        return found[0] if times.ndim == 0 else found
+
+    # -- stability ----------------------------------------------------------------------------
+
+    @cached_property
+    def shift_map(self) -> np.ndarray:
+        """Derivative of the flow over one shift of the symmetry, and back by it, (dim, dim).
+
+        Its power ``problem.closing.order`` is the monodromy matrix.
+        """
+        closing, through = self.problem.closing, np.eye(self.H.dim)
+        for window in self._maps:
+            through = window @ through
+        if closing.last is not None:
+            last = closing.last.matrix
+            through = last @ symplectic_inverse(through) @ last @ through
+        return np.asarray(closing.shift.matrix.T @ through)
+
+    @cached_property
+    def monodromy(self) -> np.ndarray:
+        """dz(period)/dz0, shape (dim, dim)."""
+        return np.linalg.matrix_power(self.shift_map, self.problem.closing.order)
+
+    @cached_property
+    def _reduced(self) -> np.ndarray:
+        """The shift map without the direction of the flow and without that across energies."""
+        if not self.problem.autonomous:
+            return self.shift_map
+        system, scale = self.H.compile("numpy"), self.arc.scale
+        slope = np.asarray(system.gradient(self.z0)) if self.problem.conservative else None
+        rate = vector_field_at(self.H, self.z0, self.problem.start)
+        return reduced_map(self.shift_map, rate, slope, scale)
+
+    @cached_property
+    def shift_multipliers(self) -> np.ndarray:
+        """Eigenvalues of ``shift_map`` other than the trivial ones, complex."""
+        if not np.isfinite(self._reduced).all():
+            return np.full(len(self._reduced), math.nan, dtype=complex)
+        found = np.linalg.eigvals(self._reduced).astype(complex)
+        if self.H.forces:
+            return found
+        # Round-off of the large multipliers exceeds the small ones, which are their inverses.
+        found = found[np.argsort(-np.abs(found), kind="stable")]
+        large = np.flatnonzero(np.abs(found[: len(found) // 2]) > _LARGE)
+        found[-1 - large] = 1 / found[large]
+        return found
+
+    @cached_property
+    def multipliers(self) -> np.ndarray:
+        """Eigenvalues of the monodromy matrix, the largest first, shape (dim,), complex.
+
+        If H has no explicit time one of them is 1, and two if energy is conserved; these are set.
+        """
+        found = self.shift_multipliers**self.problem.closing.order
+        found = np.append(found, np.ones(self.H.dim - len(found)))
+        return found[np.argsort(-np.abs(found), kind="stable")]
+
+    @cached_property
+    def stability(self) -> str:
+        """ "elliptic", "hyperbolic", "inverse hyperbolic", "complex", "mixed", or "parabolic".
+
+        Linear stability, from the multipliers other than the trivial ones: all on the unit circle;
+        off it, positive, negative or complex; of different kinds; or too close to 1 or -1 to tell;
+        "unknown" where a failed orbit is not finite.
+        For an H with forces: "attracting", "repelling", or "mixed".
+        """
+        multipliers = self.shift_multipliers**self.problem.closing.order
+        return stability_of(multipliers, conservative=not self.H.forces)
+
+    # -- consumers ----------------------------------------------------------------------------
+
+    def solution(self, *, tol: float = 1e-9, periods: float = 1.0, **options: Any) -> Solution:
+        """Compute the neural trajectory from ``z0`` over a number of periods (hamsym.solve)."""
+        require_positive("periods", periods)
+        start = self.problem.start
+        return hamsym.solve(
+            self.H, self.z0, (start, start + periods * self.period), tol=tol, **options
+        )
+
+    def family(self, **target: Any) -> hamsym.OrbitFamily:
+        """Continue the orbit along its family; see :func:`hamsym.orbit_family`."""
+        return hamsym.orbit_family(self, **target)
+
+    def certify(self, *, time_limit: float | None = None) -> hamsym.OrbitCertificate:
+        """Prove that a true periodic orbit exists, the only one nearby.
+
+        See :func:`hamsym.prove_orbit`.
+        """
+        return hamsym.prove_orbit(self, time_limit=time_limit)
+
+    def summary(self, rows: int | None = ROWS) -> str:
+        """Describe the outcome as text: the error, then period, stability and start.
+
+        Parameters
+        ----------
+        rows : int, optional
+            Most rows of a table; None for all.
+        """
+        error = self.error_estimate
+        first = f"largest estimated error {error:.1e} of each component's size"
+        words = [f"converged: {first}", self.message] if self.success else [self.message]
+        lines = [wrapped(text) for text in words]
+        lines += ["", f"period {self.period:.15g}", f"energy {self.energy:.15g}"]
+        lines.append(f"stability: {self.stability}")
+        multipliers = ", ".join(_complex(value) for value in self.multipliers[:rows])
+        lines.append(wrapped(multipliers, "multipliers: "))
+        names = self.H.names
+        shown = len(names) if rows is None else min(rows, len(names))
+        listed = [
+            [name, self.H.units.get(name, ""), f"{value: .16g}"]
+            for name, value in zip(names[:shown], self.z0, strict=False)
+        ]
+        lines += ["", *table(["", "unit", "start"], listed)]
+        return "\n".join([*lines, *left_out(len(names) - shown, "components")])
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the orbit in the plane of its first two components, and its multipliers.
+
+        Parameters
+        ----------
+        *names : str
+            One component, to draw it over a period; two, for their plane; three, for their space;
+            or ``"multipliers"``.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for several panels.
+        """
+        return hamsym.plot(self, *names, ax=ax)
+
+    def animate(self, *names: str, **options: Any) -> hamsym.Animation:
+        """Animate one period, in a picture that names or options choose; :func:`hamsym.animate`."""
+        return hamsym.animate(self, *names, **options)
+
+
+def _complex(value: complex) -> str:
+    """Return a complex number as text, without an imaginary part of round-off."""
+    if abs(value.imag) < 1e-12 * abs(value):
+        return f"{value.real:.8g}"
+    return f"{value.real:.8g}{value.imag:+.8g}i"
+
+
+@checked_keywords
+def periodic_orbit(
+    H: HamiltonianLike,
+    guess: Any,
+    *,
+    energy: float | None = None,
+    period: float | str | None = None,
+    symmetry: Any = None,
+    tol: float = 1e-10,
+    start: float = 0.0,
+) -> PeriodicOrbit:
+    """Find a periodic orbit near a guess.
+
+    The orbit, its period and, where it is not given, its energy solve one boundary-value problem by
+    Newton's method with the symbolic Hessian; see :mod:`hamsym.orbits.arc`. Windows are refined
+    until they resolve the orbit to round-off.
+
+    Parameters
+    ----------
+    H : Hamiltonian, str or sympy.Expr
+    guess : sequence, mapping or pair
+        A state near the orbit, in the order of H.z or by name; or a pair (state, period). Without
+        a period the first near return of the trajectory gives it.
+    energy : float, optional
+        The energy of the orbit; by default that of the guess.
+    period : float or str, optional
+        The period, in place of the energy. If H depends on time it must be given, as a multiple
+        of the period of H; proofs need the exact value, for example "2*pi/omega" with a
+        parameter omega.
+    symmetry : mapping or pair of mappings, optional
+        Components to components, with signs; the others are unchanged. A symplectic map S makes
+        orbits with z(T/k) = S z(0), where k is the order of S; a map R that reverses time makes
+        orbits that start in the set z = R z and meet it again at T/2, and of a pair the orbit
+        meets the set of the second one. H must not change under them. The states of the guess
+        should satisfy them nearly.
+    tol : float
+        Tolerance of the estimated error, relative to the largest size of each component, and of
+        the period.
+    start : float
+        Time at the start, for an H that depends on it.
+
+    Returns
+    -------
+    PeriodicOrbit
+        ``success`` is false if Newton's method does not converge, the estimated error is above
+        the tolerance, H or its gradient jumps on the way, or an H that depends on time does not
+        have the period; ``message`` says why.
+
+    Raises
+    ------
+    InputError
+        If an argument is not valid, or the guess has no near return.
+
+    Examples
+    --------
+    >>> H = Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3")
+    >>> z0 = H.state_at_energy(1 / 12, {"x": 0, "y": 0, "p_y": 0})
+    >>> orbit = periodic_orbit(H, z0, energy=1 / 12, symmetry={"x": "-x", "p_y": "-p_y"})
+    >>> orbit.success, orbit.stability, round(orbit.period, 6)
+    (True, 'hyperbolic', 6.715956)
+    """
+    began = time.perf_counter()
+    H = Hamiltonian.of(H)
+    require_positive("tol", tol)
+    require_number("start", start)
+    if energy is not None:
+        require_number("energy", energy)
+    closing = closing_of(H, symmetry)
+    exact = period_of(H, period)
+    conservative = H.conserves_energy
+    if not conservative and energy is not None:
+        raise InputError("H does not conserve energy; leave energy out")
+    if H.time is not None and exact is None:
+        raise InputError("H depends on time; give period=, a multiple of the period of H")
+    if H.forces and H.time is None and exact is not None:
+        raise InputError(
+            "with forces an orbit has a period of its own; give it as a guess: (state, period)"
+        )
+    if energy is not None and exact is not None:
+        raise InputError("give energy or period, not both: one follows from the other")
+    state, duration = _guess(H, guess)
+    if closing.first is not None:
+        state = (state + closing.first(state)) / 2
+    if exact is not None:
+        duration = exact.value
+    elif duration is None:
+        duration = first_return(H, closing, state)
+    if conservative and energy is None and exact is None:
+        energy = float(H.compile("numpy").energy(state))
+        if not math.isfinite(energy):
+            raise InputError("H is not finite at the guess; give another guess")
+    fixed = None if exact is None else exact.value
+    problem = Problem(H, closing, energy, fixed, start, exact_period=exact)
+    return solved_orbit(problem, first_arc(problem, state, duration), tol, began)
+
+
+def solved_orbit(
+    problem: Problem, arc: Arc, tol: float, began: float | None = None, *, reduce: bool = True
+) -> PeriodicOrbit:
+    """Solve a problem from a first arc, estimate the error, and judge.
+
+    With ``reduce``, an orbit that is run through several times is solved again once.
+    """
+    found = refined(problem, arc)
+    finer, step, error = check(problem, found.arc)
+    if problem.closing.first is not None:  # exactly in its fixed set, for signed zeros too
+        finer.ends[0] = (finer.ends[0] + problem.closing.first(finer.ends[0])) / 2 + 0.0
+    failure = found.failure or _degenerate(problem, finer)
+    if not failure and not error <= tol:
+        failure = f"the estimated error {error:.1e} is above tol {tol:.1e}"
+    failure = failure or _jump(problem, finer) or _other_period(problem, finer, tol)
+    elapsed = "" if began is None else f" in {time.perf_counter() - began:.2g} s"
+    count = len(found.arc.edges) - 1
+    message = failure or f"{count} windows, estimated error {error:.1e}{elapsed}"
+    if not failure and step.singular:
+        message += "; not isolated: H has more conserved quantities, or this is a bifurcation"
+    repetitions = 1 if failure else _repetitions(problem, finer, tol)
+    if repetitions > 1 and problem.period is None and reduce:
+        once = solved_orbit(problem, _first_part(finer, repetitions), tol, began, reduce=False)
+        if once.success and once.repetitions == 1:
+            return once
+    if repetitions > 1:
+        message += f"; the period is {repetitions} times the shortest one"
+    return PeriodicOrbit(
+        problem, finer, not failure, message, error, not step.singular, repetitions, step.maps
+    )
+
+
+def _guess(H: Hamiltonian, guess: Any) -> tuple[np.ndarray, float | None]:
+    """The state of a guess, and its period if there is one."""
+    if isinstance(guess, PeriodicOrbit):
+        if guess.H.names != H.names:
+            raise InputError("the guess is an orbit of another Hamiltonian; give a state")
+        return guess.z0, guess.period
+    if (
+        isinstance(guess, (tuple, list))
+        and len(guess) == 2
+        and (isinstance(guess[0], (Mapping, Sequence, np.ndarray)))
+        and not isinstance(guess[0], str)
+    ):
+        state, duration = guess
+        require_positive("the period of the guess", duration)
+        return H.state_from(state), float(duration)
+    return H.state_from(guess), None
+
+
+def _first_part(arc: Arc, repetitions: int) -> Arc:
+    """The first of several equal parts of an arc, on windows of its own."""
+    whole = arc.on(arc.edges / repetitions, arc.values.shape[1])
+    return replace(whole, edges=arc.edges, period=arc.period / repetitions)
+
+
+def _degenerate(problem: Problem, arc: Arc) -> str:
+    """Why a solution of the equations is no periodic orbit, or an empty text."""
+    rate = vector_field_at(problem.H, arc.ends[0], problem.start)
+    moves = np.abs(rate) * abs(arc.period) / arc.scale
+    if not arc.period > 0:
+        return "the period became zero"
+    extent = np.ptp(arc.at(np.linspace(0, 1, _POINTS)), axis=0)
+    if problem.autonomous and not (moves.max() > _SAME and (extent / arc.scale).max() > _SAME):
+        return "Newton's method ended at an equilibrium; give a guess farther from it"
+    return ""
+
+
+def _unjudged(problem: Problem, arc: Arc) -> PeriodicOrbit:
+    dim = problem.H.dim
+    return PeriodicOrbit(problem, arc, True, "", 0.0, True, 1, np.zeros((0, dim, dim)))
+
+
+def _jump(problem: Problem, arc: Arc) -> str:
+    """Where H or its gradient jumps along an orbit, or an empty text.
+
+    The equations then lack a pulse, or the multipliers and Newton's method the jump of the force.
+    """
+    if not has_switches(problem.H):
+        return ""
+    orbit = cast(Path, _unjudged(problem, arc))  # for its H and its values
+    # Beyond the period, because the start may be at a jump.
+    times = problem.start + arc.period * np.linspace(0, 1.01, 4 * _POINTS)
+    found = first_jump(orbit, times, [])
+    return "" if found is None else f"not a smooth orbit: {found.split(',')[0]}"
+
+
+def _other_period(problem: Problem, arc: Arc, tol: float) -> str:
+    """Why an H that depends on time does not have the period of an orbit, or an empty text."""
+    if problem.autonomous:
+        return ""
+    flow, turns = flow_of(problem.H), np.linspace(0, 1, _POINTS)
+    states, times = arc.at(turns), problem.start + turns * arc.period
+    scale = arc.scale
+    later = times + arc.period
+    rounded = later + 4 * np.spacing(np.abs(later))
+    for function, units in (
+        (flow.vector_field, scale),
+        (flow.jacobian, scale[:, None] / scale),
+    ):
+        now, then, near = (function(states, t) / units for t in (times, later, rounded))
+        allowed = tol * np.abs(now).max() + np.abs(near - then).max()
+        if not np.abs(then - now).max() <= allowed + 1e-12 * np.abs(now).max():
+            return (
+                f"H does not have the period {arc.period:.10g} in time; give a multiple of its own"
+            )
+    return ""
+
+
+def _repetitions(problem: Problem, arc: Arc, tol: float) -> int:
+    """The number of times that the orbit, and H in time, close in the period."""
+    orbit = _unjudged(problem, arc)
+    units = np.ptp(orbit(problem.start + np.linspace(0, arc.period, _POINTS)), axis=0)
+    units = floored_sizes(units, _SAME)
+    found, shortest = 1, arc.period
+    for prime in _REPETITIONS:
+        while np.abs((orbit(problem.start + shortest / prime) - orbit.z0) / units).max() < _SAME:
+            if _other_period(problem, replace(arc, period=shortest / prime), tol):
+                break
+            found, shortest = found * prime, shortest / prime
+            if found > 100:
+                return found
+    return found

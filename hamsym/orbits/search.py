@@ -1,0 +1,287 @@
+"""Search for a periodic orbit: a first arc from a guess, Newton's method, refinement of windows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.integrate import DOP853, DenseOutput, OdeSolution
+
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.collocation import collocation
+from hamsym.numerics.scales import floored_sizes
+from hamsym.orbits.arc import Arc, NewtonSystem, Problem, Step
+from hamsym.orbits.symmetry import Closing
+from hamsym.random_features.flow import flow_of
+
+__all__ = [
+    "Found",
+    "anchor_of",
+    "check",
+    "converged",
+    "first_arc",
+    "first_return",
+    "refined",
+    "vector_field_at",
+]
+
+_NODES, _FEW_NODES, _MANY = 20, 12, 20  # points in a window; fewer from so many components on
+_EXTRA_NODES = 8  # of the check
+_ITERATIONS = 30
+_HALVINGS = 6  # of a Newton step
+_SLOW, _MOST_SLOW = 0.1, 4  # share of a step that is slow, and the number of slow ones
+_CONVERGED = 1e-12  # size of a correction; later ones are round-off
+_TAIL = 1e-13  # coefficients that a window leaves out, relative to the components
+_REFINEMENTS = 12
+_MOST_WINDOWS = 200
+_STEPS_PER_WINDOW = 2  # of DOP853 with a tolerance of 1e-10
+_MOST_STEPS = 5000  # of DOP853 in the search for a return
+_HORIZONS = 6  # times that the search for a return doubles its time
+_NEAR = 0.1  # distance of a return that ends the search, relative to the motion
+_LEAST = 1e-3  # size of a component relative to the largest of its half
+_FAR = 0.5  # distance of a return from which Newton's method has no chance
+
+
+@dataclass(frozen=True)
+class Found:
+    """Result of Newton's method.
+
+    Attributes
+    ----------
+    arc : Arc
+    step : Step
+        The last linear system.
+    failure : str
+        Reason of a failure, or an empty text.
+    """
+
+    arc: Arc
+    step: Step
+    failure: str = ""
+
+
+def anchor_of(problem: Problem, arc: Arc) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first state of an arc and the vector field there."""
+    return arc.ends[0], vector_field_at(problem.H, arc.ends[0], problem.start)
+
+
+def vector_field_at(H: Hamiltonian, state: np.ndarray, time: float) -> np.ndarray:
+    """Return the vector field at one state, shape (dim,)."""
+    return np.asarray(flow_of(H).vector_field(state[None], np.array([time]))[0])
+
+
+def _nodes(H: Hamiltonian) -> int:
+    """Number of points in a window."""
+    return _NODES if H.dim < _MANY else _FEW_NODES
+
+
+def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
+    """Integrate an arc from a guess.
+
+    Raises
+    ------
+    InputError
+        If the trajectory does not reach the end of the arc.
+    """
+    duration = period / problem.closing.parts
+    span = (problem.start, problem.start + duration)
+    sizes = _sizes(problem.H, state, problem.start)[1]
+    most = _STEPS_PER_WINDOW * (_MOST_WINDOWS + 1)
+    found, reached = _integrated(_rates(problem.H), span, state, 1e-10, sizes, most)
+    if not reached and len(found.ts) <= most:
+        raise InputError(
+            f"the trajectory of the guess ends at t = {found.ts[-1]:.6g}, before its period; give "
+            "another guess"
+        )
+    if not reached:
+        raise InputError(
+            f"the period {period:.6g} of the guess is too long for the motion: it would take more "
+            f"than {_MOST_WINDOWS} windows; give a guess with a shorter period"
+        )
+    edges = (found.ts[::_STEPS_PER_WINDOW] - problem.start) / duration
+    edges = np.append(edges[: -1 if len(edges) > 1 and edges[-1] > 1 - 1e-9 else None], 1.0)
+    edges = edges if len(edges) > 3 else np.linspace(0, 1, 4)
+    nodes = _nodes(problem.H)
+    points = edges[:-1, None] + np.diff(edges)[:, None] * collocation(nodes).nodes
+    states = found(problem.start + points.ravel() * duration).T
+    ends = found(problem.start + edges * duration).T
+    return Arc(edges, ends, states.reshape(*points.shape, -1), period)
+
+
+def first_return(H: Hamiltonian, closing: Closing, state: np.ndarray) -> float:
+    """Return the period for which the trajectory of a guess nearly closes first.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    rates = _rates(H)
+    rate, sizes = _sizes(H, state, 0.0)
+    if not rate > 0:
+        raise InputError("the guess is an equilibrium; give a state on or near a periodic orbit")
+    horizon = 4 / rate
+    best = (math.inf, 0.0)
+    for _ in range(_HORIZONS):
+        horizon *= 2
+        found, reached = _integrated(rates, (0.0, horizon), state, 1e-9, sizes, _MOST_STEPS)
+        times = np.linspace(0, found.ts[-1], 40 * len(found.ts))
+        path = found(times).T
+        if not np.isfinite(path).all():
+            break
+        distances = _distances(closing, path)
+        low = np.flatnonzero(
+            (distances[1:-1] <= distances[:-2]) & (distances[1:-1] < distances[2:])
+        )
+        low = low[np.maximum.accumulate(distances)[low] > _FAR / 2] + 1
+        for k in low:
+            if distances[k] < best[0]:
+                best = (float(distances[k]), float(times[k]))
+            if distances[k] < _NEAR:
+                return float(times[k]) * closing.parts
+        if best[0] < _FAR / 2 or not reached:
+            break
+    if not best[0] < _FAR:
+        raise InputError(
+            "the trajectory of the guess does not come back near its start; give a guess with a "
+            "period: (state, period)"
+        )
+    return best[1] * closing.parts
+
+
+def _integrated(
+    rates: Callable[[float, np.ndarray], np.ndarray],
+    span: tuple[float, float],
+    state: np.ndarray,
+    rtol: float,
+    sizes: np.ndarray,
+    most: int,
+) -> tuple[OdeSolution, bool]:
+    """Integrate by DOP853, at most so many steps: the path, and whether it reaches the end."""
+    times, pieces = [span[0]], list[DenseOutput]()
+    with np.errstate(all="ignore"):
+        solver = DOP853(rates, span[0], state, span[1], rtol=rtol, atol=1e-3 * rtol * sizes)
+        while solver.status == "running" and len(pieces) < most:
+            solver.step()
+            if solver.status == "failed" or not np.isfinite(solver.y).all():
+                break
+            times.append(solver.t)
+            pieces.append(solver.dense_output())
+    if not pieces:
+        raise InputError("the trajectory of the guess ends at its start; give another guess")
+    return OdeSolution(times, pieces), solver.status == "finished"
+
+
+def _sizes(H: Hamiltonian, state: np.ndarray, time: float) -> tuple[float, np.ndarray]:
+    """The rate of the motion at a state, 0 at an equilibrium, and sizes of the components."""
+    flow = flow_of(H)
+    field = vector_field_at(H, state, time)
+    jacobian = flow.jacobian(state[None], np.array([time]))[0]
+    if not (np.isfinite(field).all() and np.isfinite(jacobian).all()):
+        raise InputError("H or its derivatives are not finite at the guess; give another guess")
+    rate, sizes = 0.0, np.abs(state)
+    if field.any():
+        rate = float(np.abs(np.linalg.eigvals(jacobian)).max())
+        moving = state != 0
+        if not rate > 0 and moving.any():
+            rate = float(np.abs(field[moving] / state[moving]).max())
+        rate = rate if rate > 0 else 1.0
+        sizes = np.maximum(sizes, np.abs(field) / rate)
+    return rate, floored_sizes(sizes, _LEAST)
+
+
+def _distances(closing: Closing, path: np.ndarray) -> np.ndarray:
+    """Distances of a path from closing, relative to its extent."""
+    units = floored_sizes(np.ptp(path, axis=0), _LEAST)
+    if closing.last is not None:
+        gaps = path @ closing.last.conditions.T / (np.abs(closing.last.conditions) @ units)
+    else:
+        gaps = (path - closing.shift(path[0])) / units
+    return np.asarray(np.abs(gaps).max(axis=1))
+
+
+def _rates(H: Hamiltonian) -> Callable[[float, np.ndarray], np.ndarray]:
+    flow = flow_of(H)
+
+    def rates(t: float, z: np.ndarray) -> np.ndarray:
+        return np.asarray(flow.vector_field(z[None], np.array([t]))[0])
+
+    return rates
+
+
+def converged(problem: Problem, arc: Arc) -> Found:
+    """Apply Newton's method with step control until corrections are round-off."""
+    anchor = anchor_of(problem, arc)
+    with np.errstate(all="ignore"):
+        step = NewtonSystem(problem, arc, anchor).solved()
+        slow = 0
+        for _ in range(_ITERATIONS):
+            if not math.isfinite(step.size):
+                return Found(arc, step, "the equations are not finite along the guess")
+            if step.size <= _CONVERGED:
+                return Found(step.applied(arc), step)
+            share = min(1.0, 1.0 / step.size)
+            for _ in range(_HALVINGS):
+                trial = step.applied(arc, share)
+                after = NewtonSystem(problem, trial, anchor).solved()
+                # Smaller corrections are progress as well as smaller residuals, in any units.
+                less = 1 - share / 4
+                progress = after.residual <= less * step.residual or after.size <= less * step.size
+                if trial.period > 0 and progress:
+                    break
+                # Near the solution corrections do not fall below their round-off.
+                if after.residual < 1e-11 and after.size <= step.size and trial.period > 0:
+                    break
+                share /= 2
+            else:
+                if step.size <= 1e-8 and step.residual <= 1e-11:
+                    return Found(arc, step)
+                return Found(arc, step, "Newton's method made no more progress")
+            slow += share < _SLOW
+            if slow > _MOST_SLOW:
+                return Found(trial, after, "Newton's method is too slow from this guess")
+            stalled = step.size <= 1e-9 and after.size > 0.3 * step.size
+            arc, step = trial, after
+            if stalled:
+                return Found(arc, step)
+    return Found(arc, step, f"Newton's method did not converge in {_ITERATIONS} iterations")
+
+
+def refined(problem: Problem, arc: Arc) -> Found:
+    """Alternate Newton's method and halving of windows that are not resolved."""
+    nodes = _nodes(problem.H)
+    if arc.values.shape[1] != nodes:
+        arc = arc.on(arc.edges, nodes)
+    found = converged(problem, arc)
+    for _ in range(_REFINEMENTS):
+        if found.failure:
+            return found
+        wide = found.arc.tails() > _TAIL
+        if not wide.any():
+            return found
+        edges = found.arc.edges
+        middles = (edges[1:] + edges[:-1])[wide] / 2
+        if len(edges) + len(middles) > _MOST_WINDOWS:
+            return replace(found, failure="the orbit was not resolved by the windows")
+        found = converged(problem, found.arc.on(np.sort(np.append(edges, middles)), nodes))
+    return replace(found, failure="the orbit was not resolved by the windows")
+
+
+def check(problem: Problem, arc: Arc) -> tuple[Arc, Step, float]:
+    """Correct an arc with more points in each window.
+
+    Returns
+    -------
+    Arc, Step, float
+        The corrected arc, the linear system, and the size of the correction: the estimated error.
+    """
+    finer = arc.on(arc.edges, arc.values.shape[1] + _EXTRA_NODES)
+    anchor = anchor_of(problem, arc)
+    with np.errstate(all="ignore"):
+        step = NewtonSystem(problem, finer, anchor).solved()
+    ends = np.abs(step.ends / arc.scale).max()
+    error = float(max(ends, abs(step.period) / arc.period))
+    return (step.applied(finer) if math.isfinite(step.size) else arc), step, error

@@ -1,0 +1,116 @@
+"""Captions of figures: H, its parameters, and sentences about a result."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import sympy
+from matplotlib.font_manager import FontProperties
+from matplotlib.mathtext import MathTextParser
+
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.plotting.figure import CAPTION_SIZE
+from hamsym.plotting.names import latex_of, math_name, math_unit, number, words_of
+from hamsym.plotting.style import COLUMN
+
+_MAX_TERMS, _MAX_PARAMETERS = 12, 10
+
+
+def formula_words(H: Hamiltonian) -> list[str]:
+    """Return H = ... for a caption, broken between terms; of a long sum the first terms."""
+    found = _terms_of(H.expr, H)
+    words = ["$H\\,=\\," + found[0][1:], *found[1:]] if found else []
+    words = words or words_of(_limited(f"H = {H.formula}"))
+    for name, force in H.forces.items():
+        own = _terms_of(force, H)
+        head = ["force", "of", math_name(name), "="]
+        words[-1] += ";"
+        words += [*head, *own] if own else [*head, *words_of(_limited(H.force_texts[name]))]
+    return words
+
+
+def _limited(text: str) -> str:
+    return text if len(text) <= 300 else f"{text[:280]} ... ({len(text):,} characters)"
+
+
+def _terms_of(expr: sympy.Expr, H: Hamiltonian) -> list[str]:
+    """Return the terms of a sum as mathematics, [] if matplotlib cannot draw them."""
+    if expr.count_ops() > 2_000:
+        return []
+    padded = {  # q2 precedes q10
+        symbol: sympy.Symbol(re.sub("[0-9]+", lambda found: found[0].zfill(6), symbol.name))
+        for symbol in expr.free_symbols
+    }
+    renamed = {other: symbol for symbol, other in padded.items()}
+    ordered = expr.xreplace(padded).as_ordered_terms()
+    terms = [term.xreplace(renamed) for term in ordered]
+    symbols = sympy.Add(*terms[:_MAX_TERMS]).free_symbols
+    names = {symbol: math_name(symbol.name).strip("$") for symbol in symbols}
+    if any(latex_of(symbol.name) is None for symbol in symbols):
+        return []
+    found = []
+    for place, term in enumerate(terms[:_MAX_TERMS]):
+        text = sympy.latex(term, symbol_names=names, fold_short_frac=True)
+        if place:
+            negative = text.startswith("-")
+            text = (r"-\," if negative else r"+\,") + text.removeprefix("-").strip()
+        large = text.replace(r"\frac", r"\dfrac")
+        drawable = [form for form in (f"${large}$", f"${text}$") if _drawable(form)]
+        if not drawable:
+            return []
+        found.append(drawable[0])
+    if len(terms) > _MAX_TERMS:
+        found += ["+", "…", f"({len(terms) - _MAX_TERMS:,}", "more", "terms)"]
+    return found
+
+
+def _drawable(text: str) -> bool:
+    """Whether matplotlib can draw this mathematics, and it fits into a column."""
+    if len(text) > 800:
+        return False
+    try:
+        width = MathTextParser("path").parse(text, 72, FontProperties(size=CAPTION_SIZE)).width
+    except ValueError:
+        return False
+    return bool(width / 72 < 0.8 * COLUMN / 2.54)
+
+
+def parameter_words(values: Mapping[str, float], H: Hamiltonian | None = None) -> list[str]:
+    """Return parameters with values and units for a caption; of many the first and a count."""
+    words = []
+    for name in list(values)[:_MAX_PARAMETERS]:
+        unit = math_unit(H.units.get(name, "1")) if H is not None else ""
+        value = number(values[name]) + (f" {unit}" if unit else "")
+        words.append(f"{math_name(name)} = {value},")
+    if len(values) > _MAX_PARAMETERS:
+        more = len(values) - _MAX_PARAMETERS
+        words += ["and", f"{more:,}", "more", f"parameter{'s' if more > 1 else ''},"]
+    if words:
+        words[-1] = words[-1].removesuffix(",")
+    return words
+
+
+def caption_words(
+    H: Hamiltonian,
+    *sentences: str | Sequence[str],
+    parameters: Mapping[str, float] | None = None,
+) -> list[str]:
+    """Return the caption of a figure as words: H, its parameters, then sentences.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+    *sentences : str or sequence of str
+        Plain text, or words.
+    parameters : mapping, optional
+        Values to show instead of those of H.
+    """
+    values = dict(H.parameters) if parameters is None else parameters
+    parts: list[Sequence[str]] = [formula_words(H), parameter_words(values, H)]
+    parts += [words_of(given) if isinstance(given, str) else given for given in sentences]
+    words: list[str] = []
+    for part in parts:
+        if part:
+            words += [*part[:-1], part[-1] if part[-1].endswith(".") else part[-1] + "."]
+    return words

@@ -1,0 +1,344 @@
+"""Figures of Lyapunov exponents and chaos indicators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+
+from hamsym.dynamics.chaos_indicators import ChaosIndicators
+from hamsym.dynamics.lyapunov import LyapunovExponents
+from hamsym.dynamics.lyapunov_map import LyapunovMap
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.plotting.captions import caption_words
+from hamsym.plotting.figure import figure_of, label, legend, one_panel
+from hamsym.plotting.motions import parameters_of
+from hamsym.plotting.names import (
+    known_name,
+    math_name,
+    math_unit,
+    number,
+    quantity,
+    time_name,
+    words_of,
+)
+from hamsym.plotting.panels import Panel, draw_panels, log_scales
+from hamsym.plotting.style import (
+    COLUMN,
+    GREY,
+    MAX_LINES,
+    SEQUENTIAL,
+    color_of,
+    line_styles,
+    positive,
+    style_for,
+)
+
+__all__ = ["draw_chaos_indicators", "draw_lyapunov", "draw_lyapunov_map"]
+
+_FEWEST = 1e-3  # part of the time from which on log(t)/t is drawn
+_PIECES = 80  # of the logarithm of time
+_MEANS = f"Drawn are means over {_PIECES} pieces of the logarithm of time, and the last values"
+
+
+def _caption(
+    H: Hamiltonian | None,
+    title: str,
+    *sentences: Any,
+    parameters: Mapping[str, float] | None = None,
+) -> list[str]:
+    if H is not None:
+        return caption_words(H, *filter(len, sentences), parameters=parameters)
+    texts = [text if isinstance(text, str) else " ".join(text) for text in sentences]
+    return " ".join(f"{text}." for text in [f"H = {title}", *texts] if text).split()
+
+
+def _rate_unit(H: Hamiltonian | None) -> str:
+    """Return the unit of a growth rate."""
+    unit = "1" if H is None else H.units.get(time_name(H), "1")
+    return "" if unit == "1" else f"1/{math_unit(unit)}"
+
+
+def _label_elapsed(axes: Axes, H: Hamiltonian | None, start: float) -> None:
+    text = "elapsed time" if start else "time"
+    name, unit = ("$t$", "") if H is None else quantity(H, time_name(H))
+    label(axes.xaxis, f"{text} {name}" if not start else text, unit)
+
+
+# -- exponents -------------------------------------------------------------------------------------
+
+
+def draw_lyapunov(found: LyapunovExponents, *names: Any, ax: Any = None) -> Any:
+    """Draw finite-time exponents over time; see :meth:`hamsym.LyapunovExponents.plot`."""
+    unit, count = _rate_unit(found.H), found.exponents.shape[1]
+    panels = {
+        "convergence": Panel(lambda axes: _draw_convergence(axes, found)),
+        "exponents": Panel(lambda axes: _draw_exponents(axes, found)),
+    }
+    negative = count > 1 and bool((found.exponents[-1] <= 0).any())
+    shown = ["convergence", "exponents"] if negative else ["convergence"]
+    largest = f"{number(found.maximal, 3)} {unit}".split()
+    sentences: list[Any] = [["Largest", "exponent", *largest, *words_of(f"by {found.method}")]]
+    if found.H is not None and count == found.H.dim and not found.H.forces:
+        sums = found.exponents[-1] + found.exponents[-1, ::-1]
+        text = ["Exponents", "come", "in", "pairs", r"$\pm\lambda$:", "their", "sums", "are", "at"]
+        sentences.append([*text, "most", number(float(np.abs(sums).max()), 2), *unit.split()])
+    if len(found.t) > 2 * _PIECES:
+        sentences.append(_MEANS)
+    warning = "" if found.success else f"Failed: {found.message}"
+    caption = _caption(found.H, found.title, *sentences)
+    return draw_panels(panels, shown, names, ax, caption, warning)
+
+
+def _thinned(t: np.ndarray, values: np.ndarray, reduce: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return one point for each piece of the logarithm of many times, and the last."""
+    if len(t) <= 2 * _PIECES:
+        return t, values
+    edges = np.geomspace(t[0], t[-1], _PIECES + 1)
+    starts = np.unique(np.searchsorted(t, edges[:-1]))
+    counts = np.diff(np.append(starts, len(t)))
+    shape = (-1,) + (1,) * (values.ndim - 1)
+    found = reduce.reduceat(values, starts, axis=0)
+    if reduce is np.add:
+        found = found / counts.reshape(shape)
+    times = np.exp(np.add.reduceat(np.log(t), starts) / counts)
+    return np.append(times, t[-1]), np.concatenate((found, values[-1:]))
+
+
+def _lines_of(found: LyapunovExponents) -> list[tuple[dict[str, Any], str]]:
+    count = found.exponents.shape[1]
+    last = found.exponents[-1]
+    return [
+        (style, f"$\\lambda_{{{k + 1}}}$ = {number(float(last[k]), 3)}")
+        for k, style in enumerate(line_styles(count))
+    ]
+
+
+def _draw_convergence(axes: Axes, found: LyapunovExponents) -> None:
+    """Draw positive exponents and log(t)/t on logarithmic axes."""
+    t, exponents = _thinned(np.abs(found.t - found.start), found.exponents, np.add)
+    lines = _lines_of(found)
+    for k, (style, text) in enumerate(lines):
+        values = positive(exponents[:, k])
+        if np.isfinite(values).any() and (k == 0 or found.exponents[-1, k] > 0):
+            axes.plot(t, values, **style, label=text)
+    unit = 1.0 if t[-1] > 30 else t[0]  # times in seconds may all be small
+    late = t > max(_FEWEST * t[-1], np.e * unit)
+    first = positive(np.abs(exponents[:, 0]))
+    late &= np.isfinite(first)
+    if late.any():
+        fall = np.log(t[late] / unit) / t[late]
+        middle = np.exp(np.mean(np.log(first[late] / fall)))
+        axes.plot(t[late], middle * fall, "--", color=GREY, linewidth=0.8, label="~ log(t)/t")
+    log_scales(axes, "no positive exponent")
+    axes.set_title("Convergence")
+    label(axes.yaxis, r"exponent $\lambda$", _rate_unit(found.H))
+    _label_elapsed(axes, found.H, found.start)
+    _legend_of(axes, len(lines))
+
+
+def _draw_exponents(axes: Axes, found: LyapunovExponents) -> None:
+    """Draw all exponents, on an axis that is linear around 0."""
+    t, exponents = _thinned(np.abs(found.t - found.start), found.exponents, np.add)
+    lines = _lines_of(found)
+    for k, (style, text) in enumerate(lines):
+        axes.plot(t, exponents[:, k], **style, label=text)
+    axes.axhline(0, color=GREY, linewidth=0.6)
+    size = float(np.abs(found.exponents[-1]).max())
+    axes.set_xscale("log")
+    if size > 0:
+        axes.set_yscale("symlog", linthresh=2 * size, linscale=2)
+        top = float(np.nanmax(np.abs(exponents)))
+        axes.set_yticks(_symmetric_ticks(size, top))
+        axes.minorticks_off()
+        axes.yaxis.set_major_formatter(lambda value, _: number(value, 3))
+    axes.set_title(f"All {len(lines)} exponents" if len(lines) > 1 else "Exponent")
+    label(axes.yaxis, r"exponent $\lambda$", _rate_unit(found.H))
+    _label_elapsed(axes, found.H, found.start)
+    _legend_of(axes, len(lines))
+
+
+def _symmetric_ticks(size: float, top: float) -> list[float]:
+    """Return ticks at 0, near the exponents, and at powers of ten beyond them."""
+    unit = 10.0 ** np.floor(np.log10(size))
+    near = unit * max(m for m in (1, 2, 5) if m * unit <= size * 1.0001)
+    far = 10.0 ** np.ceil(np.log10(2 * size))
+    beyond = [far * 10.0**k for k in range(0, 12, 2) if far * 10.0**k <= top]
+    positive_ticks = [float(near), *map(float, beyond)]
+    return [-value for value in reversed(positive_ticks)] + [0.0, *positive_ticks]
+
+
+def _legend_of(axes: Axes, count: int) -> None:
+    """Add a legend, or a colour bar of the numbers of many lines."""
+    if count <= MAX_LINES:
+        legend(
+            axes, fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, ncols=1
+        )
+        return
+    norm = matplotlib.colors.Normalize(1, count)
+    colors = matplotlib.colors.ListedColormap(
+        matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, 256))
+    )
+    mappable = matplotlib.cm.ScalarMappable(norm, colors)
+    bar = figure_of(axes).colorbar(mappable, ax=axes, pad=0.02)
+    bar.set_label("number of the exponent")
+
+
+# -- indicators ------------------------------------------------------------------------------------
+
+
+def draw_chaos_indicators(found: ChaosIndicators, *names: Any, ax: Any = None) -> Any:
+    """Draw MEGNO above SALI; see :meth:`hamsym.ChaosIndicators.plot`."""
+    panels = {
+        "megno": Panel(lambda axes: _draw_megno(axes, found)),
+        "sali": Panel(lambda axes: _draw_sali(axes, found)),
+    }
+    sentences = [f"By {found.method}"]
+    if len(found.t) > 2 * _PIECES:
+        sentences.append(f"Of SALI, the smallest in {_PIECES} pieces of the logarithm of time")
+    if not (found.sali > 0).all():
+        sentences.append("SALI is below 1e-307 where it is not drawn")
+    warning = "" if found.success else f"Failed: {found.message}"
+    caption = _caption(found.H, found.title, *sentences)
+    return draw_panels(panels, list(panels), names, ax, caption, warning)
+
+
+def _draw_megno(axes: Axes, found: ChaosIndicators) -> None:
+    t = np.abs(found.t - found.start)
+    axes.plot(t, found.megno, color=color_of(5), linewidth=0.7, label="MEGNO")
+    axes.plot(t, found.mean_megno, color=color_of(0), label="its mean")
+    axes.axhline(2.0, color=GREY, linestyle="--", linewidth=0.8, label="2, regular motion")
+    axes.set_title("MEGNO")
+    label(axes.yaxis, "MEGNO")
+    _label_elapsed(axes, found.H, found.start)
+    axes.legend(fontsize=6)
+
+
+def _draw_sali(axes: Axes, found: ChaosIndicators) -> None:
+    t, values = _thinned(np.abs(found.t - found.start), found.sali, np.minimum)
+    axes.plot(t, positive(values), color=color_of(1))
+    log_scales(axes, "below 1e-307 at all times")
+    axes.set_title("SALI")
+    shown = values[np.isfinite(values) & (values > 0)]
+    if shown.size and shown.min() > 0.1:  # an axis of one decade has too few ticks
+        axes.set_ylim(0.01, 3)
+    label(axes.yaxis, "SALI")
+    _label_elapsed(axes, found.H, found.start)
+
+
+# -- maps ------------------------------------------------------------------------------------------
+
+
+def draw_lyapunov_map(found: LyapunovMap, *names: Any, ax: Any = None) -> Any:
+    """Draw the largest exponents; see :meth:`hamsym.LyapunovMap.plot`.
+
+    Starts without an exponent are grey.
+    """
+    columns = dict(zip(found.names, np.moveaxis(found.z0, -1, 0), strict=True)) | found.parameters
+    if len(names) > 2:
+        raise InputError("exponents are drawn over one quantity, or in a plane of two; give those")
+    chosen = [known_name(name, list(columns), "a component or varied parameter") for name in names]
+    if not chosen and not 1 <= found.maximal.ndim <= 2:
+        raise InputError(
+            f"exponents of shape {found.maximal.shape} are neither a row nor a plane; name one or "
+            f"two of {', '.join(columns)}"
+        )
+    failed = int((~found.success).sum())
+    sentences: list[Any] = [f"Exponents up to t = {found.span[1]:.6g} by {found.method}"]
+    if failed:
+        sentences.append(
+            f"{failed:,} of {found.success.size:,} starts have no exponent, as they failed or are "
+            "outside the energy; they are grey"
+        )
+    parameters = None
+    if found.H is not None:
+        flat = {name: np.ravel(values) for name, values in found.parameters.items()}
+        parameters = parameters_of(found.H, flat)[0]
+    warning = "Interrupted: starts that were not finished are grey." if found.interrupted else ""
+    caption = _caption(found.H, found.title, *sentences, parameters=parameters)
+    with (
+        one_panel(ax, caption, warning, width=COLUMN + 2, height=8.0) as axes,
+        style_for(ax),
+    ):
+        axes.set_title(f"Largest exponent of {found.maximal.size:,} starts")
+        if len(chosen) == 2:
+            _scatter(axes, found, columns, chosen)
+        elif chosen or found.maximal.ndim == 1:
+            _draw_row(axes, found, columns, chosen)
+        else:
+            _draw_plane(axes, found, columns)
+        return figure_of(axes)
+
+
+def _named(found: LyapunovMap, name: str) -> tuple[str, str]:
+    if found.H is None:
+        return math_name(name), ""
+    return quantity(found.H, name) if name != "number" else (name, "")
+
+
+def _draw_row(
+    axes: Axes, found: LyapunovMap, columns: Mapping[str, np.ndarray], names: Sequence[str]
+) -> None:
+    if names:
+        name, x = names[0], np.ravel(columns[names[0]])
+    else:
+        name, x = _grid_line(columns, 0, found.maximal.shape)
+    values = np.ravel(found.maximal)
+    axes.plot(x, values, "o", color=color_of(0), markersize=2.5)
+    label(axes.xaxis, *_named(found, name))
+    label(axes.yaxis, r"largest exponent $\lambda$", _rate_unit(found.H))
+    for place in x[~np.isfinite(values) & np.isfinite(x)]:
+        axes.axvline(place, color="0.85", linewidth=2.5, zorder=0)
+
+
+def _draw_plane(axes: Axes, found: LyapunovMap, columns: Mapping[str, np.ndarray]) -> None:
+    y_name, y = _grid_line(columns, 0, found.maximal.shape)
+    x_name, x = _grid_line(columns, 1, found.maximal.shape)
+    image = axes.pcolormesh(x, y, found.maximal, shading="nearest", rasterized=True)
+    axes.grid(visible=False)
+    axes.set_facecolor("0.85")
+    _finish_plane(axes, found, image, x_name, y_name)
+
+
+def _scatter(
+    axes: Axes, found: LyapunovMap, columns: Mapping[str, np.ndarray], names: Sequence[str]
+) -> None:
+    x, y = (np.ravel(columns[name]) for name in names)
+    values = np.ravel(found.maximal)
+    there = np.isfinite(values)
+    axes.plot(x[~there], y[~there], ".", color="0.8", markersize=3)
+    image = axes.scatter(x[there], y[there], c=values[there], s=8, rasterized=len(x) > 5_000)
+    _finish_plane(axes, found, image, *names)
+
+
+def _finish_plane(axes: Axes, found: LyapunovMap, image: Any, x: str, y: str) -> None:
+    label(axes.xaxis, *_named(found, x))
+    label(axes.yaxis, *_named(found, y))
+    bar = figure_of(axes).colorbar(image, ax=axes, pad=0.02)
+    label(bar.ax.yaxis, r"largest exponent $\lambda$", _rate_unit(found.H))
+
+
+def _grid_line(
+    columns: Mapping[str, np.ndarray], along: int, shape: tuple[int, ...]
+) -> tuple[str, np.ndarray]:
+    """Return the name and values of the column that varies along one axis of a grid alone.
+
+    Values of starts that are nan are interpolated from their neighbours.
+    """
+    number = np.arange(shape[along])
+    for name, values in columns.items():
+        rows = np.moveaxis(values, along, 0).reshape(len(number), -1)
+        there = np.isfinite(rows).any(axis=1)
+        if there.sum() < 2:
+            continue
+        low, high = np.nanmin(rows[there], axis=1), np.nanmax(rows[there], axis=1)
+        if np.all(low == high) and np.all(np.diff(low) > 0):
+            line = np.interp(number, number[there], low)
+            slope = (low[-1] - low[0]) / (number[there][-1] - number[there][0])
+            before, after = np.minimum(number - number[there][0], 0), number - number[there][-1]
+            return name, line + slope * (before + np.maximum(after, 0))
+    return "number", number

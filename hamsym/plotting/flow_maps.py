@@ -1,0 +1,162 @@
+"""Figures of flow maps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+
+from hamsym.errors import InputError
+from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.plotting.captions import caption_words
+from hamsym.plotting.figure import Figure, figure_of, label, one_panel, require_no_axes
+from hamsym.plotting.names import known_name, math_name, math_unit, number, quantity, time_name
+from hamsym.plotting.style import COLORS, COLUMN, PAGE, SEQUENTIAL, color_of, style_for, styled
+
+__all__ = ["draw_flow_map"]
+
+_MOST = 6  # panels of an overview
+_POINTS, _STARTS, _SHOWN, _TIMES = 200, 200, 8, 401
+
+
+def draw_flow_map(flow: FlowMap, *names: Any, ax: Any = None) -> Any:
+    """Draw what becomes of the box; see :meth:`hamsym.FlowMap.plot`."""
+    H = flow.H
+    chosen = [known_name(name, H.names, "a component of z") for name in names]
+    warning = "" if flow.success else f"Failed: {flow.message}"
+    if len(chosen) > 2:
+        raise InputError(
+            "one component is drawn over time and two in their plane; give one or two names"
+        )
+    if len(chosen) == 2 and chosen[0] == chosen[1]:
+        raise InputError(f"the plane of '{chosen[0]}' and itself is a line; give two components")
+    if chosen:
+        caption = _caption(flow, over_time=len(chosen) == 1, planes=len(chosen) == 2)
+        with one_panel(ax, caption, warning, height=7.5) as axes, style_for(ax):
+            if len(chosen) == 1:
+                _draw_range(axes, flow, chosen[0])
+            else:
+                _draw_plane(axes, flow, *chosen)
+            _legend(axes, len(chosen) == 2)
+            return figure_of(axes)
+    require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
+    whole = flow.region.is_whole
+    total = H.dof if whole else H.dim
+    shown = min(total, _MOST)
+    chosen_dofs = list(range(shown)) if whole else _spread(H.dof, H.dim, shown)
+    left = []
+    if shown < total:
+        what = "phase planes" if whole else "components"
+        other = f"'{H.names[H.dof - 1]}', '{H.names[-1]}'" if whole else f"'{H.names[-1]}'"
+        left = [f"{shown} of {total} {what} are drawn; plot({other}) draws others"]
+    with styled():
+        caption = _caption(flow, *left, over_time=not whole, planes=whole)
+        columns = min(shown, 3) if whole else 2
+        rows = -(-shown // columns)
+        size = PAGE if columns > 1 else COLUMN
+        height = rows * (size / columns if whole else 4.5)
+        figure = Figure.of_size(size, height, caption, warning)
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes, k in zip(grid, chosen_dofs, strict=False):
+            if whole:
+                _draw_plane(axes, flow, H.names[k], H.names[H.dof + k])
+            else:
+                _draw_range(axes, flow, H.names[k])
+        for axes in grid[shown:]:
+            axes.remove()
+        _legend(grid[0], whole)
+        return figure
+
+
+def _spread(dof: int, dim: int, shown: int) -> list[int]:
+    """Return components of an overview: coordinates beside their momenta."""
+    pairs = [k + side for k in range(dof) for side in (0, dof)]
+    return pairs[: min(shown, dim)]
+
+
+def _legend(axes: Axes, planes: bool) -> None:
+    style: dict[str, Any] = {"fontsize": 6}
+    axes.legend(**style, ncols=2 if planes else 1)
+
+
+def _caption(flow: FlowMap, *sentences: str, over_time: bool, planes: bool) -> list[str]:
+    H, varied = flow.H, flow.box
+    words: list[str] = ["Box:"]
+    for name, (low, high) in varied.items():
+        unit = math_unit(H.units.get(name, "1"))
+        end = f"{number(high, 4)} {unit}".strip()
+        words += [math_name(name), "from", number(low, 4), "to", *f"{end},".split()]
+    words[-1] = words[-1].removesuffix(",")
+    parts: list[Any] = [words]
+    if planes:
+        at_centre = "" if H.dof == 1 and len(flow.region) == 2 else ", through its centre"
+        parts.append(f"Shaded: the box{at_centre} at six times")
+    if over_time:
+        parts.append(
+            f"Shaded: range of {_STARTS} random starts of the box; lines: {_SHOWN} of them"
+        )
+    parts.append(f"By {flow.method}: {flow.message}")
+    fixed = {name: v for name, v in H.parameters.items() if name not in varied}
+    return caption_words(H, *parts, *sentences, parameters=fixed)
+
+
+def _draw_plane(axes: Axes, flow: FlowMap, x: str, y: str) -> None:
+    """Draw the box in the plane of two components at six times."""
+    H, box = flow.H, flow.region
+    i, j = H.names.index(x), H.names.index(y)
+    label(axes.xaxis, *quantity(H, x))
+    label(axes.yaxis, *quantity(H, y))
+    times = np.linspace(*flow.span, len(COLORS))
+    colors = matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, len(times)))
+    unit = math_unit(H.units.get(time_name(H), "1"))
+    edge = _edge_of(flow, x, y)
+    for t, color in zip(times, colors, strict=True):
+        text = f"$t$ = {number(float(t), 4)} {unit}".strip()
+        if edge is not None:
+            states = flow.map.evaluate(np.full(len(edge), t), box.at(edge))
+            axes.fill(states[:, i], states[:, j], color=color, alpha=0.2, linewidth=0)
+            axes.plot(states[:, i], states[:, j], color=color, label=text)
+        else:
+            inputs = box.at(_random(flow))
+            states = flow.map.evaluate(np.full(len(inputs), t), inputs)
+            axes.plot(states[:, i], states[:, j], ".", color=color, markersize=2, label=text)
+
+
+def _edge_of(flow: FlowMap, x: str, y: str) -> np.ndarray | None:
+    """Return the edge of the box in the plane of two inputs, through the centre of the others."""
+    inputs = list(flow.inputs)
+    if x not in inputs or y not in inputs:
+        return None
+    side = np.linspace(-1, 1, _POINTS)
+    ends = np.ones_like(side)
+    first = np.concatenate((side, ends, -side, -ends))
+    second = np.concatenate((-ends, side, ends, -side))
+    found = np.zeros((len(first), len(flow.region)))
+    found[:, inputs.index(x)], found[:, inputs.index(y)] = first, second
+    return found
+
+
+def _random(flow: FlowMap) -> np.ndarray:
+    """Places in the box, in units of its half widths."""
+    return np.random.default_rng(0).uniform(-1, 1, (_STARTS, len(flow.region)))
+
+
+def _draw_range(axes: Axes, flow: FlowMap, name: str) -> None:
+    """Draw the range of a component over time, and some trajectories."""
+    H, k = flow.H, flow.H.names.index(name)
+    times = np.linspace(*flow.span, _TIMES)
+    inputs = flow.region.at(_random(flow))
+    queries = np.tile(times, len(inputs)), inputs.repeat(len(times), axis=0)
+    states = flow.map.evaluate(*queries).reshape(len(inputs), len(times), -1)[..., k]
+    color = color_of(0)
+    style: dict[str, Any] = {"color": color, "linewidth": 0}
+    axes.fill_between(
+        times, states.min(axis=0), states.max(axis=0), alpha=0.2, **style, label="range"
+    )
+    for number_of, path in enumerate(states[:_SHOWN]):
+        axes.plot(times, path, color=color, linewidth=0.6, label=None if number_of else "starts")
+    axes.set_xlim(min(flow.span), max(flow.span))
+    label(axes.yaxis, *quantity(H, name))
+    label(axes.xaxis, *quantity(H, time_name(H)))

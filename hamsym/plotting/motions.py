@@ -1,0 +1,684 @@
+"""Panels of motions: components over time, paths in planes and in space, of one or many."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
+
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.plotting.captions import caption_words
+from hamsym.plotting.figure import Figure, figure_of, label, legend, legend_above, one_panel
+from hamsym.plotting.names import (
+    known_name,
+    math_name,
+    number,
+    quantity,
+    time_name,
+    with_unit,
+)
+from hamsym.plotting.phase_portraits import draw_levels
+from hamsym.plotting.style import (
+    COLUMN,
+    MAX_LINES,
+    PAGE,
+    SEQUENTIAL,
+    color_of,
+    line_style,
+    line_styles,
+    positive,
+    style_for,
+)
+
+__all__ = [
+    "LARGEST",
+    "Motion",
+    "MotionPanels",
+    "chosen_members",
+    "component_curves",
+    "component_of",
+    "decades_and_lines",
+    "draw_motion",
+    "label_time",
+    "log_lines",
+    "parameters_of",
+    "varying",
+]
+
+MAX_DRAWN = 200  # trajectories of an ensemble
+_MAX_DOF = 6  # rows of an overview
+_DENSE = 8_000  # points from which lines are drawn as pixels in files of vector graphics
+_MAX_POINTS = 40_000
+_PIECES = 200  # of a logarithmic curve
+#: Sentence of the caption of logarithmic curves of many times.
+LARGEST = f"Errors and residuals: the largest of each {_PIECES}th of the span"
+_TEXT = 0.16  # of the height of a low panel, for a text above a line
+_ROW = {1: 3.0, 2: 2.5, 3: 2.2, 4: 2.0}  # centimetres of a row, by the number of rows
+_PLANE, _BESIDE_PORTRAIT, _LOWER = 5.8, 3.2, 3.0  # centimetres of other rows
+#: A legend on the right of its axes.
+_BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5), "ncols": 1}
+_DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2}
+_CARTESIAN = re.compile(r"([xyzXYZ])_?([0-9]*|[A-Za-z]?)\Z")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One trajectory, or those of an ensemble that are drawn.
+
+    Attributes
+    ----------
+    H : Hamiltonian
+    t : numpy.ndarray
+        Times, shape (n,).
+    z : numpy.ndarray
+        States, shape (members, n, dim).
+    total : int
+        Trajectories of the result; ``z`` has these or a choice.
+    sentences : sequence
+        Of the caption, as text or words.
+    warning : str
+        In red, "" for none.
+    what : str
+        What the motions are, in the plural.
+    varied : (str, str, numpy.ndarray)
+        Label, unit and value of each trajectory by which it is named or coloured.
+    parameters : mapping, optional
+        Values for the caption, by default those of H.
+    apart : bool
+        Whether the states are too far apart for lines between them; they are drawn as dots.
+    """
+
+    H: Hamiltonian
+    t: np.ndarray
+    z: np.ndarray
+    total: int = 1
+    sentences: Sequence[Any] = ()
+    warning: str = ""
+    what: str = "trajectories"
+    varied: tuple[str, str, np.ndarray] = ("", "", np.zeros(1))
+    parameters: dict[str, float] | None = None
+    apart: bool = False
+    styles: list[dict[str, Any]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "styles", self._styles())
+
+    def _styles(self) -> list[dict[str, Any]]:
+        if self.mapped:
+            colors = matplotlib.colormaps[SEQUENTIAL](0.92 * self._norm(self.varied[2]))
+            styles = [{"color": tuple(color), "linewidth": 0.6} for color in colors]
+        else:
+            styles = line_styles(len(self.z))
+        return styles
+
+    @property
+    def path_styles(self) -> list[dict[str, Any]]:
+        """Styles of components and paths, which are dots where the states are far apart."""
+        if not self.apart:
+            return self.styles
+        return [{"color": style["color"], **_DOTS} for style in self.styles]
+
+    @property
+    def _norm(self) -> Normalize:
+        return Normalize(float(self.varied[2].min()), float(self.varied[2].max()))
+
+    @property
+    def mapped(self) -> bool:
+        """Whether the colour of a trajectory is that of a colour bar, not of a legend."""
+        return len(self.z) > MAX_LINES
+
+    def labels(self) -> list[str]:
+        """Return the legend entry of each trajectory; "" for one alone, or with a colour bar."""
+        if self.total == 1 or self.mapped:
+            return [""] * len(self.z)
+        return [number(value, 4) for value in self.varied[2].tolist()]
+
+    def legend(self, axes: Axes, **options: Any) -> None:
+        """Add a legend of several trajectories, whose title is what varies."""
+        if any(self.labels()):
+            legend(axes, title=with_unit(*self.varied[:2]), title_fontsize=7, **options)
+
+    def color_bar(self, axes: Any) -> None:
+        """Add the colour bar of many trajectories beside axes."""
+        if self.mapped:
+            colors = matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, 256))
+            cmap = matplotlib.colors.ListedColormap(colors)
+            bar = figure_of(np.ravel(axes)[0]).colorbar(
+                ScalarMappable(self._norm, cmap), ax=axes, pad=0.02, fraction=0.04, aspect=40
+            )
+            label(bar.ax.yaxis, *self.varied[:2])
+
+    def caption(self, *sentences: Any) -> list[str]:
+        """Return the caption with further sentences."""
+        chosen = []
+        if len(self.z) < self.total:
+            chosen = [f"{len(self.z)} of {self.total:,} {self.what} are drawn, evenly chosen"]
+        elif self.total > 1:
+            chosen = [f"{self.total:,} {self.what}"]
+        if self.apart:
+            chosen.append(
+                "Dots: the saved states, which are too far apart for lines between them; save more"
+            )
+        return caption_words(
+            self.H, *self.sentences, *chosen, *sentences, parameters=self.parameters
+        )
+
+
+def chosen_members(total: int) -> np.ndarray:
+    """Return the numbers of the trajectories of an ensemble that are drawn."""
+    if total <= MAX_DRAWN:
+        return np.arange(total)
+    return np.unique(np.linspace(0, total - 1, MAX_DRAWN).round().astype(int))
+
+
+def varying(
+    H: Hamiltonian, z0: np.ndarray, parameters: Mapping[str, np.ndarray]
+) -> tuple[str, str, np.ndarray]:
+    """Return the label, unit and values of the one quantity that varies, else the numbers.
+
+    ``z0`` has the shape (members, dim), the values of the parameters (members,).
+    """
+    columns = {**parameters, **dict(zip(H.names, z0.T, strict=True))}
+    found = [
+        (name, values)
+        for name, values in columns.items()
+        if np.isfinite(values).all() and np.ptp(values) > 0
+    ]
+    if len(found) == 1 and len(np.unique(found[0][1])) == len(z0):
+        name, values = found[0]
+        text, unit = quantity(H, name)
+        return text if name in parameters else f"{text} at start", unit, values
+    return "number", "", np.arange(len(z0), dtype=float)
+
+
+def parameters_of(
+    H: Hamiltonian, varied: Mapping[str, np.ndarray]
+) -> tuple[dict[str, float] | None, list[str]]:
+    """Return the parameters that all members share, None if they are those of H, and the ranges.
+
+    The ranges of the others are the words of a sentence.
+    """
+    words: list[str] = []
+    same = dict(H.parameters)
+    for name, values in varied.items():
+        if np.ptp(values) > 0:
+            del same[name]
+            low, high = number(values.min(), 4), number(values.max(), 4)
+            words += [math_name(name), "from", low, "to", f"{high},"]
+    if not words:
+        return None, []
+    return same, [*words[:-1], words[-1].removesuffix(",")]
+
+
+# -- panels ----------------------------------------------------------------------------------------
+
+
+def envelope(t: np.ndarray, values: np.ndarray, bins: int = 2_000) -> tuple[np.ndarray, np.ndarray]:
+    """Return fewer points of a curve: the smallest and the largest value of each piece of time."""
+    if len(t) <= 4 * bins:
+        return t, values
+    edges = np.linspace(0, len(t), bins + 1).astype(int)
+    places = [0]
+    for start, end in pairwise(edges.tolist()):
+        part = np.nan_to_num(values[start:end], nan=0.0)
+        places += sorted((start + int(part.argmin()), start + int(part.argmax())))
+    places.append(len(t) - 1)
+    return t[places], values[places]
+
+
+def largest_of_pieces(
+    t: np.ndarray, values: np.ndarray, pieces: int = _PIECES
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest value of each piece of many times; nan is left out."""
+    if len(t) <= 2 * pieces or t[0] == t[-1]:
+        return t, values
+    edges = np.linspace(0, len(t), pieces + 1).astype(int)
+    times = [t[start:end].mean() for start, end in pairwise(edges.tolist())]
+    filled = np.nan_to_num(values, nan=-np.inf)
+    largest = np.maximum.reduceat(filled, edges[:-1])
+    return np.array(times), np.where(np.isfinite(largest), largest, np.nan)
+
+
+def over_time(axes: Axes, motion: Motion, name: str, *, timed: bool = True) -> None:
+    """Draw a component over time."""
+    index = motion.H.names.index(name)
+    dense = motion.z[..., 0].size > 5 * _DENSE
+    for z, style, text in zip(motion.z, motion.path_styles, motion.labels(), strict=True):
+        axes.plot(*envelope(motion.t, z[:, index]), **style, label=text, rasterized=dense)
+    if motion.warning:
+        _fold_escape(axes, motion, index)
+    label(axes.yaxis, *quantity(motion.H, name))
+    fill_time(axes, motion.t)
+    label_time(axes, motion.H)
+    if not timed:
+        axes.set_xlabel("")
+        axes.xaxis.set_major_formatter(NullFormatter())
+
+
+def _fold_escape(axes: Axes, motion: Motion, index: int) -> None:
+    """Make the vertical axis logarithmic away from zero where a component escapes."""
+    even = np.linspace(motion.t[0], motion.t[-1], 200)
+    forward = slice(None, None, 1 if motion.t[-1] > motion.t[0] else -1)
+    sizes = [np.interp(even, motion.t[forward], np.abs(z[forward, index])) for z in motion.z]
+    usual, largest = float(np.nanmedian(sizes)), float(np.nanmax(np.abs(motion.z[..., index])))
+    if usual > 0 and np.isfinite(largest) and largest > 1e4 * usual:
+        stretch = np.log10(largest / usual) / 4
+        axes.set_yscale("symlog", linthresh=usual, linscale=stretch)
+        powers = np.unique(np.linspace(np.log10(usual), np.log10(largest), 4).round())[1:]
+        both = np.nanmin(motion.z[..., index]) < -usual
+        axes.set_yticks([0.0, *10.0**powers, *(-(10.0**powers) if both else ())])
+        axes.yaxis.set_minor_locator(NullLocator())
+
+
+def label_time(axes: Axes, H: Hamiltonian) -> None:
+    label(axes.xaxis, *quantity(H, time_name(H)))
+
+
+def fill_time(axes: Axes, t: np.ndarray) -> None:
+    """Let a time axis end where the times do."""
+    axes.set_xlim(min(t[0], t[-1]), max(t[0], t[-1]))
+
+
+def plane_title(H: Hamiltonian, x: str, y: str, several: bool = False) -> str:
+    """Return what the plane of two components is."""
+    places, d = [H.names.index(name) for name in (x, y)], H.dof
+    if abs(places[0] - places[1]) == d:
+        return "Phase portrait" if d == 1 else f"Phase plane of {math_name(H.names[min(places)])}"
+    if max(places) < d:
+        bodies = [_CARTESIAN.match(name) for name in (x, y)]
+        if all(bodies) and bodies[0][2] == bodies[1][2] and x != y:  # type: ignore[index]
+            return "Orbit"
+        return "Coordinates"
+    return "Momenta" if min(places) >= d else "Coordinate and momentum"
+
+
+def same_scale(H: Hamiltonian, x: str, y: str) -> bool:
+    """Whether two components are lengths along axes of one space, or of one kind else.
+
+    Examples
+    --------
+    >>> H = Hamiltonian("p_r**2/2 + p_theta**2/(2*r**2) - 1/r")
+    >>> same_scale(H, "r", "theta")
+    False
+    """
+    places, d = [H.names.index(name) for name in (x, y)], H.dof
+    if (places[0] < d) != (places[1] < d):
+        return False
+    if H.units.get(x, "1") != H.units.get(y, "1"):
+        return False
+    owners = [H.names[place % d] for place in places]
+    if all(_CARTESIAN.match(name) for name in owners):
+        return True
+    stems = {re.sub(r"_?[0-9]+\Z", "", name) for name in owners}
+    return len(stems) == 1 and owners != [re.sub(r"_?[0-9]+\Z", "", name) for name in owners]
+
+
+def in_plane(axes: Axes, motion: Motion, x: str, y: str, *, levels: bool = True) -> list[str]:
+    """Draw paths in the plane of two components; return sentences for the caption."""
+    H, notes = motion.H, []
+    i, j = H.names.index(x), H.names.index(y)
+    _paths(axes, motion, i, j, motion.labels())
+    label(axes.xaxis, *quantity(H, x))
+    label(axes.yaxis, *quantity(H, y))
+    if same_scale(H, x, y):
+        notes += _equal_aspect(axes, motion.z[..., i], motion.z[..., j])
+    if H.dof == 1 and x != y and levels:
+        axes.margins(0.15)
+        if not H.time and motion.parameters is None:
+            start = float(H.compile("numpy").energy(motion.z[0, 0])) if motion.total == 1 else None
+            notes += draw_levels(axes, H, x, y, start)
+        else:
+            why = "H depends on time" if H.time else "H differs between the trajectories"
+            notes.append(f"Level sets of H are not drawn: {why}")
+    return notes
+
+
+def _paths(axes: Axes, motion: Motion, i: int, j: int, labels: Sequence[str], **own: Any) -> None:
+    count = motion.z.shape[1] * len(motion.z)
+    every = max(1, round(motion.z.shape[1] / _MAX_POINTS))
+    for z, style, text in zip(motion.z, motion.path_styles, labels, strict=True):
+        style = {**style, **own, **(_DOTS if motion.apart else {})}
+        color = style["color"]
+        if every > 1:  # lines between distant points would be chords
+            style = {"color": color, "linestyle": "none", "marker": ".", "markersize": 0.8}
+        dense = count > _DENSE
+        axes.plot(z[::every, i], z[::every, j], **style, label=text, rasterized=dense)
+        if len(motion.z) <= MAX_LINES:
+            axes.plot(z[0, i], z[0, j], "o", color=color, markersize=3.5, zorder=3)
+
+
+def _equal_aspect(axes: Axes, x: np.ndarray, y: np.ndarray) -> list[str]:
+    """Give two axes one scale, unless one would be lost."""
+    with np.errstate(invalid="ignore"):
+        ranges = [np.nanmax(values) - np.nanmin(values) for values in (x, y)]
+    if not max(ranges) <= 8 * min(ranges):
+        return ["The axes of the plane have different scales"]
+    axes.set_aspect("equal", adjustable="datalim")
+    return []
+
+
+def in_space(axes: Any, motion: Motion, names: Sequence[str]) -> list[str]:
+    """Draw paths in the space of three components."""
+    H, count = motion.H, motion.z.shape[1]
+    columns, powers = [], []
+    for name in names:
+        column = motion.z[..., H.names.index(name)]
+        size = np.nanmax(np.abs(column), initial=0.0)
+        power = int(np.floor(np.log10(size))) if np.isfinite(size) and size > 0 else 0
+        powers.append(power if not -3 <= power < 4 else 0)
+        columns.append(column / 10.0 ** powers[-1])
+    every = max(1, count // 20_000)
+    for k, (style, text) in enumerate(zip(motion.path_styles, motion.labels(), strict=True)):
+        axes.plot(*(column[k, ::every] for column in columns), **style, label=text)
+    for axis, name, power in zip("xyz", names, powers, strict=True):
+        text, unit = quantity(H, name)
+        unit = " ".join(filter(None, (f"$10^{{{power}}}$" if power else "", unit)))
+        getattr(axes, f"set_{axis}label")(f"{text} [{unit}]" if unit else text)
+        axes.tick_params(axis, pad=0)
+        getattr(axes, f"{axis}axis").get_major_locator().set_params(nbins=4)
+    axes.set_box_aspect(None, zoom=0.9)
+    notes = [] if every == 1 else [f"Every {every}th time is drawn"]
+    if all(same_scale(H, names[0], name) for name in names):
+        spans = [np.nanmax(column) - np.nanmin(column) for column in columns]
+        if len(set(powers)) == 1 and max(spans) <= 8 * min(spans):
+            axes.set_aspect("equal")
+            axes.set_box_aspect(spans, zoom=0.95)
+    return notes
+
+
+def component_curves(H: Hamiltonian, values: np.ndarray) -> list[tuple[np.ndarray, dict[str, Any]]]:
+    """Return a curve for each component, or of many the largest of all."""
+    if values.shape[1] > MAX_LINES // 2:
+        text = f"largest of {values.shape[1]} components"
+        return [(values.max(axis=1), {"color": color_of(0), "label": text})]
+    return [
+        (values[:, i], {**line_style(i), "label": math_name(name)})
+        for i, name in enumerate(H.names)
+    ]
+
+
+def log_lines(
+    axes: Axes,
+    t: np.ndarray,
+    curves: Sequence[tuple[np.ndarray, dict[str, Any]]],
+    *,
+    lines: Sequence[tuple[float, dict[str, Any]]] = (),
+    unknown: str = "unknown",
+) -> None:
+    """Draw positive quantities over time on a logarithmic axis, with horizontal lines.
+
+    Of many times the largest value of each piece is drawn, as :data:`LARGEST` says. The axis covers
+    whole decades. Curves without a positive value are reported in words.
+    """
+    drawn, infinite = [], False
+    for values, style in curves:
+        infinite = infinite or not np.isfinite(values).all()
+        shown = positive(np.abs(values))
+        if np.isfinite(shown).any():
+            times, shown = largest_of_pieces(t, shown)
+            axes.plot(times, shown, **style)
+            drawn.append((times, shown))
+    low = min((_usual_low(*part) for part in drawn), default=np.inf)
+    top = max((np.nanmax(shown) for _, shown in drawn), default=0.0)
+    drawn_lines = decades_and_lines(axes, max(low, 1e-100 * top), top, lines)
+    fill_time(axes, t)
+    if not drawn and not drawn_lines:
+        axes.set_yticks([])
+    found = [values for values, _ in curves]
+    zero = bool(found) and all(np.all(values == 0) for values in found)
+    if zero or infinite:
+        text = "zero at all times" if zero else unknown
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="0.4")
+
+
+def _usual_low(t: np.ndarray, values: np.ndarray) -> float:
+    """Return a value below which a curve is for a twentieth of the time."""
+    known = np.isfinite(values)
+    order = np.argsort(t[known])
+    even = np.linspace(t[known].min(), t[known].max(), 200)
+    return float(np.quantile(np.interp(even, t[known][order], values[known][order]), 0.05))
+
+
+def decades_and_lines(
+    axes: Axes, low: float, top: float, lines: Sequence[tuple[float, dict[str, Any]]] = ()
+) -> bool:
+    """Make the vertical axis logarithmic, of whole decades, and draw up to two horizontal lines.
+
+    Return whether it has any.
+    """
+    known = [(value, style) for value, style in lines if np.isfinite(value) and value > 0]
+    for side, (value, style) in zip(("left", "right"), known, strict=False):
+        plain = {key: entry for key, entry in style.items() if key != "label"}
+        axes.axhline(value, **plain)
+        axes.annotate(
+            style["label"],
+            (0.01 if side == "left" else 0.99, value),
+            (0, 1.5),
+            xycoords=axes.get_yaxis_transform(),
+            textcoords="offset points",
+            ha=side,
+            va="bottom",
+            fontsize=6,
+            color=style["color"],
+        )
+    axes.set_yscale("log")
+    heights = [value for value in (low, top) if np.isfinite(value) and value > 0]
+    heights += [value for value, _ in known]
+    if heights:
+        bottom, ceiling = np.floor(np.log10(min(heights))), np.ceil(np.log10(4 * max(heights)))
+        if known:  # room for the texts above lines
+            highest = np.log10(max(value for value, _ in known))
+            ceiling = max(ceiling, np.ceil((highest - _TEXT * bottom) / (1 - _TEXT)))
+        axes.set_ylim(*10.0 ** np.array((bottom, ceiling)))
+    axes.yaxis.set_major_locator(LogLocator(numticks=5))
+    axes.yaxis.set_minor_locator(NullLocator())
+    return bool(known)
+
+
+# -- figures ---------------------------------------------------------------------------------------
+
+
+def draw_motion(motion: Motion, names: Sequence[Any], ax: Any) -> Any:
+    """Draw one component over time, two in their plane or three in their space.
+
+    Raises
+    ------
+    InputError
+        If a name is no component, or there are more than three.
+    """
+    H = motion.H
+    if len(names) == 2 and str(names[0]) == time_name(H):
+        names = names[1:]
+    components = [component_of(H, name) for name in names]
+    if len(components) > 3:
+        raise InputError(
+            f"{len(components)} components cannot be drawn in one panel; give one, to draw it over "
+            "time, two, for their plane, or three, for their space"
+        )
+    if len(components) == 3:
+        return _draw_space(motion, components, ax)
+    wider = 1.0 if motion.mapped else 1.8 if any(motion.labels()) else 0.0
+    size = {"height": 6.0 if len(components) == 1 else 7.5, "width": COLUMN + wider}
+    with one_panel(ax, motion.caption(), motion.warning, **size) as axes, style_for(ax):
+        notes = []
+        if len(components) == 1:
+            over_time(axes, motion, components[0])
+        else:
+            notes = in_plane(axes, motion, *components)
+            if ax is None:
+                axes.set_title(plane_title(H, components[0], components[1], motion.total > 1))
+        motion.legend(axes, **_BESIDE if ax is None else {})
+        motion.color_bar(axes)
+        figure = figure_of(axes)
+        if ax is None and notes:
+            figure.set_caption(motion.caption(*notes), motion.warning)
+        return figure
+
+
+def _draw_space(motion: Motion, names: Sequence[str], ax: Any) -> Any:
+    if ax is not None and getattr(ax, "name", "") != "3d":
+        raise InputError(
+            "three components need axes of three dimensions; give ax = "
+            'figure.add_subplot(projection="3d")'
+        )
+    with style_for(ax):
+        if ax is None:
+            figure = Figure.of_size(COLUMN + 1, 7.5, motion.caption(), motion.warning)
+            ax = figure.add_subplot(projection="3d")
+        notes = in_space(ax, motion, names)
+        motion.legend(ax, loc="upper left")
+        if isinstance(figure_of(ax), Figure):
+            motion.color_bar(ax)
+        figure = figure_of(ax)
+        if isinstance(figure, Figure):
+            figure.set_caption(motion.caption(*notes), motion.warning)
+        return figure
+
+
+def component_of(H: Hamiltonian, name: Any, *others: str) -> str:
+    """Return the name of a component.
+
+    Raises
+    ------
+    InputError
+        If there is none of this name. ``others`` are names of what is drawn alone.
+    """
+    found = known_name(name, [*H.names, *others, time_name(H)], "a component of z")
+    if found in others and found not in H.names:
+        raise InputError(f"'{found}' is drawn alone; give no other name with it")
+    return found
+
+
+class MotionPanels:
+    """The upper part of an overview: components over time, planes; then free panels below.
+
+    Parameters
+    ----------
+    motion : Motion
+    lower : int
+        Number of panels below; of one degree of freedom the first two stand beside the phase
+        portrait.
+    """
+
+    def __init__(self, motion: Motion, lower: int) -> None:
+        H, self.motion = motion.H, motion
+        shown = min(H.dof, _MAX_DOF)
+        row = max(_ROW.get(shown, 1.75), 2.5 if H.units else 0.0)  # units make labels long
+        beside = 2 if H.dof == 1 else 0
+        below = -(-(lower - beside) // 2) if lower > beside else 0
+        named = any(motion.labels())
+        keys = [0.55 + 0.35 * -(-len(motion.z) // 6)] if named else []
+        heights = (
+            keys
+            + [row] * shown
+            + ([_BESIDE_PORTRAIT] * 2 if H.dof == 1 else [_PLANE])
+            + [_LOWER] * below
+        )
+        self.notes: list[Any] = []
+        if shown < H.dof:
+            i = H.dof - 1
+            self.notes.append(
+                f"{shown} of {H.dof} degrees of freedom are drawn; plot('{H.names[i]}', "
+                f"'{H.names[H.dof + i]}') draws others"
+            )
+        figure = Figure.of_size(PAGE, sum(heights) + 1.2, (), "")
+        self.figure = figure
+        grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
+        if named:  # a row for the legend
+            axes = figure.add_subplot(grid[0, :])
+            axes.set_axis_off()
+        tops: list[Axes] = []
+        first = len(keys)
+        for k in range(shown):
+            for column in (0, 1):
+                axes = figure.add_subplot(grid[first + k, column])
+                over_time(axes, motion, H.names[k + column * H.dof], timed=k == shown - 1)
+                tops.append(axes)
+        if named:
+            handles, texts = tops[0].get_legend_handles_labels()
+            figure.axes[0].legend(
+                handles,
+                texts,
+                title=with_unit(*motion.varied[:2]),
+                loc="center",
+                ncols=6,
+                frameon=False,
+            )
+        first += shown
+        if H.dof == 1:
+            axes = figure.add_subplot(grid[first : first + 2, 0])
+            self.notes += in_plane(axes, motion, *H.names)
+            axes.set_title(plane_title(H, H.names[0], H.names[1]))
+            places = [grid[first, 1], grid[first + 1, 1]]
+            if lower == 1:
+                places = [grid[first : first + 2, 1]]
+        else:
+            self._planes(*(figure.add_subplot(grid[first, column]) for column in (0, 1)))
+            places = []
+        for k in range(below):
+            last = len(heights) - below + k
+            alone = lower - len(places) == 1
+            places += [grid[last, :]] if alone else [grid[last, 0], grid[last, 1]]
+        self.free = [figure.add_subplot(place) for place in places]
+        motion.color_bar(tops)
+
+    def _planes(self, left: Axes, right: Axes) -> None:
+        motion = self.motion
+        H = motion.H
+        bodies = _bodies(H)
+        if len(bodies) > 1 and len(motion.z) == 1:
+            extents = []
+            for k, (x, y) in enumerate(bodies[:MAX_LINES]):
+                i, j = H.names.index(x), H.names.index(y)
+                text = f"({math_name(x)}, {math_name(y)})"
+                _paths(left, motion, i, j, [text], **line_style(k))
+                extents.append((motion.z[..., i], motion.z[..., j]))
+            x, y = bodies[0]
+            unit = quantity(H, x)[1]
+            stems = [_CARTESIAN.match(name) for name in (x, y)]
+            label(left.xaxis, math_name(stems[0][1]), unit)  # type: ignore[index]
+            label(left.yaxis, math_name(stems[1][1]), unit)  # type: ignore[index]
+            self.notes += _equal_aspect(
+                left, *(np.stack(part) for part in zip(*extents, strict=True))
+            )
+            left.set_title("Orbits")
+            if len(bodies) <= 4:
+                legend_above(left)
+            else:
+                legend(left, **_BESIDE)
+            if len(bodies) > MAX_LINES:
+                self.notes.append(f"Orbits of {MAX_LINES} of {len(bodies)} bodies are drawn")
+        else:
+            x, y = bodies[0] if bodies else H.names[:2]
+            self.notes += in_plane(left, motion, x, y)
+            left.set_title(plane_title(H, x, y, motion.total > 1))
+        x, p = H.names[0], H.names[H.dof]
+        in_plane(right, motion, x, p)
+        right.set_title(plane_title(H, x, p))
+
+    def finished(self, *sentences: Any) -> Figure:
+        """Return the figure with its caption."""
+        self.figure.set_caption(self.motion.caption(*self.notes, *sentences), self.motion.warning)
+        return self.figure
+
+
+def _bodies(H: Hamiltonian) -> list[tuple[str, str]]:
+    """Return the pairs of Cartesian coordinates x, y of each particle in a plane or in space."""
+    found: dict[tuple[str, bool], dict[str, str]] = {}
+    for symbol in H.q:
+        match = _CARTESIAN.match(symbol.name)
+        if match:
+            key = match[2], match[1].isupper()
+            found.setdefault(key, {})[match[1].lower()] = symbol.name
+    pairs = [own for own in found.values() if {"x", "y"} <= own.keys()]
+    return [(own["x"], own["y"]) for own in pairs]

@@ -1,0 +1,232 @@
+"""Figures of periodic orbits, their families and their proofs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from hamsym.errors import InputError
+from hamsym.orbits.certificate import OrbitCertificate
+from hamsym.orbits.family import OrbitFamily
+from hamsym.orbits.orbit import PeriodicOrbit
+from hamsym.plotting.captions import caption_words
+from hamsym.plotting.figure import figure_of, label, one_panel
+from hamsym.plotting.motions import (
+    Motion,
+    component_of,
+    draw_motion,
+    in_plane,
+    plane_title,
+)
+from hamsym.plotting.names import energy_unit, number, quantity, time_name
+from hamsym.plotting.panels import Panel, draw_panels
+from hamsym.plotting.spectra import draw_multipliers
+from hamsym.plotting.style import GREY, MARKERS, SAMPLES, color_of, style_for
+
+__all__ = ["draw_family", "draw_orbit", "draw_orbit_certificate"]
+
+_BIFURCATIONS = "*DsPXv^"
+_MOST_ORBITS = 40  # of a family, in a plane
+
+
+def _plane_of(H: Any) -> tuple[str, str]:
+    """Return the first two coordinates, or the coordinate and its momentum."""
+    return H.names[0], H.names[1]
+
+
+def draw_orbit(orbit: PeriodicOrbit, *names: Any, ax: Any = None) -> Any:
+    """Draw an orbit and its multipliers; see :meth:`hamsym.PeriodicOrbit.plot`."""
+    H = orbit.H
+    start = orbit.problem.start
+    t = start + np.linspace(0, orbit.period, SAMPLES)
+    time, energy = quantity(H, time_name(H))[1], energy_unit(H)
+    words = ["Period", f"{number(orbit.period, 8)} {time}".strip() + ",", "energy"]
+    words += [f"{number(orbit.energy, 8)} {energy}".strip() + ",", orbit.stability + ","]
+    words += ["estimated", "error", number(orbit.error_estimate, 2)]
+    warning = "" if orbit.success else f"Failed: {orbit.message}"
+    motion = Motion(H, t, orbit(t)[None], sentences=[words], warning=warning)
+    if names and names != ("multipliers",):
+        for name in names:
+            component_of(H, name, "multipliers")
+        return draw_motion(motion, names, ax)
+    notes: list[Any] = []
+    x, y = _plane_of(H)
+
+    def path(axes: Axes) -> None:
+        notes.extend(in_plane(axes, motion, x, y))
+        axes.set_title("Orbit" if H.dof == 1 else plane_title(H, x, y))
+
+    panels = {
+        "orbit": Panel(path, 7.5),
+        "multipliers": Panel(
+            lambda axes: draw_multipliers(axes, orbit.multipliers, _title(orbit.stability)), 7.5
+        ),
+    }
+    figure = draw_panels(panels, list(panels), names, ax, motion.caption(), warning)
+    if notes:
+        figure.set_caption(motion.caption(*notes), warning)
+    return figure
+
+
+def _title(stability: str) -> str:
+    return f"Multipliers: {stability}"
+
+
+# -- families --------------------------------------------------------------------------------------
+
+
+def draw_family(family: OrbitFamily, *names: Any, ax: Any = None) -> Any:
+    """Draw periods, stability and orbits of a family; see :meth:`hamsym.OrbitFamily.plot`."""
+    if not len(family):
+        raise InputError("the family has no orbits to draw")
+    H = family[0].H
+    parameters = {k: v for k, v in H.parameters.items() if k != family.parameter}
+    warning = "" if family.success else f"Ended early: {family.message}"
+    sentences = [f"{len(family)} orbits and {len(family.bifurcations)} bifurcations"]
+    panels: dict[str, Panel] = {
+        "period": Panel(lambda axes: _draw_periods(axes, family), 7.5),
+        "multipliers": Panel(lambda axes: _draw_sizes(axes, family), 7.5),
+    }
+    if names and names[0] not in panels:
+        for name in names:
+            component_of(H, name, *panels)
+        if len(names) == 1:
+            raise InputError(
+                "orbits of a family have periods of their own; name two components for their "
+                "plane, or draw one orbit over time: family[0].plot(...)"
+            )
+        motion = _motion_of(family, parameters, warning)
+        figure = draw_motion(motion, names, ax)
+        if ax is None and not motion.mapped and len(names) == 2 and len(motion.z) > 1:
+            _legend_beside(figure.axes[0])
+        return figure
+    motion = _motion_of(family, parameters, warning)
+    sentences += (
+        [f"{len(motion.z)} of {len(family)} orbits are drawn in the plane, evenly chosen"]
+        if len(motion.z) < len(family)
+        else []
+    )
+    caption = caption_words(H, *sentences, parameters=parameters)
+    if names:
+        return draw_panels(panels, [], names, ax, caption, warning)
+    notes: list[Any] = []
+
+    def orbits(axes: Axes) -> None:
+        x, y = _plane_of(H)
+        notes.extend(in_plane(axes, motion, x, y, levels=False))
+        axes.set_title("Orbits" if plane_title(H, x, y) == "Orbit" else plane_title(H, x, y))
+        motion.color_bar(axes)
+        if not motion.mapped and len(motion.z) > 1:
+            _legend_beside(axes)
+
+    panels = {"period": panels["period"], "orbits": Panel(orbits, 7.5), **panels}
+    figure = draw_panels(panels, ["period", "orbits", "multipliers"], (), ax, caption, warning)
+    if notes:
+        figure.set_caption(caption_words(H, *sentences, *notes, parameters=parameters), warning)
+    return figure
+
+
+def _legend_beside(axes: Axes) -> None:
+    style: dict[str, Any] = {"fontsize": 6, "frameon": False, "title": None}
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **style)
+
+
+def _abscissa(family: OrbitFamily) -> tuple[Callable[[PeriodicOrbit], float], tuple[str, str]]:
+    H = family[0].H
+    if family.parameter:
+        name = family.parameter
+        return (lambda orbit: float(orbit.H.parameters[name])), quantity(H, name)
+    return (lambda orbit: orbit.energy), ("energy", energy_unit(H))
+
+
+def _motion_of(family: OrbitFamily, parameters: dict[str, float], warning: str) -> Motion:
+    """Return some orbits of a family, over one period each."""
+    place, (text, unit) = _abscissa(family)
+    chosen = np.unique(np.linspace(0, len(family) - 1, min(len(family), _MOST_ORBITS)).round())
+    orbits = [family[int(k)] for k in chosen]
+    phase = np.linspace(0, 1, 401)
+    z = np.array([orbit(orbit.problem.start + phase * orbit.period) for orbit in orbits])
+    values = np.array([place(orbit) for orbit in orbits])
+    return Motion(
+        family[0].H,
+        phase,
+        z,
+        total=len(family),
+        sentences=[],
+        warning=warning,
+        what="orbits",
+        varied=(text, unit, values),
+        parameters=parameters,
+    )
+
+
+def _draw_stabilities(
+    axes: Axes, family: OrbitFamily, ordinate: Callable[[PeriodicOrbit], float]
+) -> None:
+    """Draw a number of each orbit, with a marker for its stability and for bifurcations."""
+    place, words = _abscissa(family)
+    x = np.array([place(orbit) for orbit in family])
+    y = np.array([ordinate(orbit) for orbit in family])
+    axes.plot(x, y, color="0.75", linewidth=0.8, zorder=1)
+    stabilities = np.array(family.stabilities)
+    for k, kind in enumerate(sorted(set(family.stabilities))):
+        own, marker = stabilities == kind, MARKERS[(k + k // len(MARKERS)) % len(MARKERS)]
+        style: dict[str, Any] = {
+            "color": color_of(k),
+            "marker": marker,
+            "markersize": 3.5,
+            "linestyle": "none",
+        }
+        axes.plot(x[own], y[own], **style, label=kind)
+    kinds = sorted({found.kind for found in family.bifurcations})
+    for kind, mark in zip(kinds, _BIFURCATIONS * len(kinds), strict=False):
+        found = [b.orbit for b in family.bifurcations if b.kind == kind]
+        own_y = [ordinate(orbit) for orbit in found]
+        style = {
+            "color": "black",
+            "marker": mark,
+            "markersize": 6,
+            "linestyle": "none",
+        }
+        axes.plot([place(orbit) for orbit in found], own_y, **style, label=kind, zorder=4)
+    label(axes.xaxis, *words)
+
+
+def _draw_periods(axes: Axes, family: OrbitFamily) -> None:
+    H = family[0].H
+    _draw_stabilities(axes, family, lambda orbit: orbit.period)
+    axes.set_title("Period")
+    label(axes.yaxis, "period", quantity(H, time_name(H))[1])
+    axes.legend(fontsize=6)
+
+
+def _draw_sizes(axes: Axes, family: OrbitFamily) -> None:
+    """Draw the size of the largest multiplier of each orbit."""
+    _draw_stabilities(axes, family, lambda orbit: float(np.abs(orbit.multipliers[0])))
+    axes.axhline(1, color=GREY, linewidth=0.7)
+    axes.set_title("Largest multiplier")
+    largest = max(float(np.abs(orbit.multipliers[0])) for orbit in family)
+    if np.isfinite(largest) and largest > 30:
+        axes.set_yscale("log")
+    label(axes.yaxis, "size of the largest multiplier")
+    axes.legend(fontsize=6)
+
+
+# -- proofs ----------------------------------------------------------------------------------------
+
+
+def draw_orbit_certificate(found: OrbitCertificate, *, ax: Any = None) -> Any:
+    """Draw the multipliers of a proven orbit; see :meth:`hamsym.OrbitCertificate.plot`."""
+    middle = np.asarray(found.monodromy.mid)
+    values = np.linalg.eigvals(middle)
+    words = ["Proven:", "one", "orbit,", "period", number(float(found.period.mid), 12), "within"]
+    words += [number(float(found.period.radius), 2) + ",", "states", "within"]
+    words += [number(found.bound, 2), "of", "the", "numerical", "ones,"]
+    words += [found.stability + ".", "Drawn", "are", "the", "multipliers", "of", "one", "shift"]
+    words += ["of", "its", "symmetry,", "from", "the", "middle", "of", "their", "enclosure."]
+    with one_panel(ax, words, height=7.5) as axes, style_for(ax):
+        draw_multipliers(axes, values, _title(found.stability))
+        return figure_of(axes)

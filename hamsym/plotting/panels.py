@@ -1,0 +1,100 @@
+"""Figures of named panels: all of them, or one of them in axes of the user."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from hamsym.errors import InputError
+from hamsym.plotting.figure import Figure, figure_of, one_panel
+from hamsym.plotting.names import known_name
+from hamsym.plotting.style import COLUMN, GREY, PAGE, style_for, styled
+
+__all__ = ["Panel", "draw_panels", "log_scales"]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A panel of a figure.
+
+    Attributes
+    ----------
+    draw : callable
+        Draws into axes.
+    height : float
+        Of the panel, in centimetres.
+    """
+
+    draw: Callable[[Axes], Any]
+    height: float = 6.5
+
+
+def log_scales(axes: Axes, empty: str) -> None:
+    """Make both axes logarithmic if lines have positive values, else say so in words."""
+    values = [np.asarray(line.get_ydata(), dtype=float) for line in axes.lines]
+    if any((np.isfinite(part) & (part > 0)).any() for part in values):
+        axes.set(xscale="log", yscale="log")
+        return
+    axes.set_yticks([])
+    axes.text(0.5, 0.5, empty, transform=axes.transAxes, ha="center", color=GREY)
+
+
+def draw_panels(
+    panels: Mapping[str, Panel],
+    shown: Sequence[str],
+    names: Sequence[Any],
+    ax: Any,
+    caption: Sequence[str],
+    warning: str = "",
+) -> Any:
+    """Draw the panels of an overview side by side, or the one that is named.
+
+    Parameters
+    ----------
+    panels : mapping
+        All panels, by name.
+    shown : sequence of str
+        Those of the overview.
+    names : sequence
+        The panel that was asked for, or none.
+    ax : Axes or None
+        The axes of the user for one panel.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, there is more than one, or ``ax`` is given for several panels.
+    """
+    if len(names) > 1:
+        raise InputError(f"{len(names)} panels cannot be drawn in one; give one name, or none")
+    chosen = [known_name(names[0], list(panels), "a panel of this figure")] if names else shown
+    if len(chosen) == 1:
+        panel = panels[chosen[0]]
+        with one_panel(ax, caption, warning, height=panel.height) as axes, style_for(ax):
+            panel.draw(axes)
+            return figure_of(axes)
+    if ax is not None:
+        listed = ", ".join(f"'{name}'" for name in chosen)
+        raise InputError(
+            f"the overview has {len(chosen)} panels and makes its own figure; with ax= give the "
+            f"name of one: {listed}"
+        )
+    with styled():
+        columns = 2
+        rows = -(-len(chosen) // columns)
+        heights = [
+            max(panels[name].height for name in chosen[columns * k : columns * k + columns])
+            for k in range(rows)
+        ]
+        width = PAGE if len(chosen) > 1 else COLUMN
+        figure = Figure.of_size(width, sum(heights), caption, warning)
+        grid = figure.add_gridspec(rows, columns, height_ratios=heights)
+        for k, name in enumerate(chosen):
+            alone = k == len(chosen) - 1 and not k % columns
+            place = grid[k // columns, :] if alone else grid[k // columns, k % columns]
+            panels[name].draw(figure.add_subplot(place))
+        return figure

@@ -1,0 +1,78 @@
+"""Level sets of H in the phase plane of one degree of freedom."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.plotting.figure import Figure, figure_of
+from hamsym.plotting.names import energy_unit, number
+
+__all__ = ["draw_levels", "energies_on_grid"]
+
+_LEVELS = 9
+_GRID = 241
+
+
+def energies_on_grid(
+    H: Hamiltonian, x: str, y: str, x_values: np.ndarray, y_values: np.ndarray
+) -> np.ndarray:
+    """Return H of one degree of freedom on a grid, shape (len(y_values), len(x_values)).
+
+    It is nan where H is not finite.
+    """
+    columns = dict(zip((x, y), np.meshgrid(x_values, y_values), strict=True))
+    z = np.stack([columns[name] for name in H.names], axis=-1)
+    system = H.compile("numpy")
+    with np.errstate(all="ignore"):
+        values = np.asarray(system.energy(*system.arguments(z, np.zeros(z.shape[:-1]))))
+    return np.where(np.isfinite(values), np.broadcast_to(values, z.shape[:-1]), np.nan)
+
+
+def draw_levels(axes: Axes, H: Hamiltonian, x: str, y: str, own: float | None = None) -> list[Any]:
+    """Draw labelled level sets of H within the limits of axes; return sentences for the caption.
+
+    H has one degree of freedom and no explicit time.
+
+    Parameters
+    ----------
+    own : float, optional
+        Energy at the start of a trajectory, which the caption says.
+    """
+    limits = axes.get_xlim(), axes.get_ylim()
+    sides = [np.linspace(*limit, _GRID) for limit in limits]
+    values = energies_on_grid(H, x, y, *sides)
+    finite = values[np.isfinite(values)]
+    if not finite.size or not np.ptp(finite) > 0:
+        return ["H has no level sets in this part of the phase plane"]
+    levels = np.unique(np.quantile(finite, np.linspace(0.03, 0.97, _LEVELS)))
+    size = float(np.abs(levels).max())
+    power = int(np.floor(np.log10(size)))
+    power = 0 if -3 <= power < 4 else power
+    lines = axes.contour(
+        *sides, values, levels=levels, colors="0.6", linewidths=0.6, linestyles="-", zorder=1
+    )
+    texts = axes.clabel(
+        lines,
+        fmt={level: f"{level / 10.0**power:.3g}".replace("-", "−") for level in levels},
+        inline=False,
+    )
+    for text in texts:
+        text.set(fontsize=6, color="0.35", zorder=1.5)
+        text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4})
+    figure = figure_of(axes)
+    if isinstance(figure, Figure):
+        figure.thin_out(texts)
+    axes.set(xlim=limits[0], ylim=limits[1])
+    unit = " ".join(filter(None, (f"$10^{{{power}}}$" if power else "", energy_unit(H))))
+    kept = "" if H.conserves_energy else ", which forces change along a trajectory"
+    words = ["Grey:", "level", "sets", "of", "$H$" + kept]
+    if unit:
+        words += ["in", *unit.split()]
+    if own is not None and np.isfinite(own):
+        words[-1] += ";"
+        words += ["at", "the", "start", "$H$", "=", number(own / 10.0**power, 4)]
+    return [words]

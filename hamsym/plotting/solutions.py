@@ -1,0 +1,311 @@
+"""Figures of solutions, one or many."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import sympy
+from matplotlib.axes import Axes
+
+from hamsym.errors import InputError
+from hamsym.families.solutions import Solutions
+from hamsym.plotting.figure import figure_of, label, legend_above, one_panel, require_no_axes
+from hamsym.plotting.motions import (
+    LARGEST,
+    Motion,
+    MotionPanels,
+    chosen_members,
+    component_curves,
+    component_of,
+    decades_and_lines,
+    draw_motion,
+    fill_time,
+    label_time,
+    log_lines,
+    parameters_of,
+    varying,
+)
+from hamsym.plotting.names import energy_unit, quantity, time_name
+from hamsym.plotting.style import (
+    SAMPLES,
+    WARNING,
+    color_of,
+    style_for,
+    styled,
+)
+from hamsym.proof.certificate import Certificate
+from hamsym.solution.solution import Solution
+
+__all__ = ["draw_solution", "draw_solutions"]
+
+_MAX_TIMES = 20_000
+_ASKED_STYLE: dict[str, Any] = {"color": "black", "linestyle": ":", "label": "asked for"}
+_WORDS = ("error", "residual", "energy", "search")
+
+
+def draw_solution(
+    solution: Solution, *names: Any, ax: Any = None, certificate: Certificate | None = None
+) -> Any:
+    """Draw a solution; see :meth:`hamsym.Solution.plot`."""
+    H = solution.H
+    certificate = solution.certificate if certificate is None else certificate
+    if not isinstance(certificate, Certificate | None):
+        raise InputError(
+            f"certificate is a {type(certificate).__name__}; give what solution.certify() returns"
+        )
+    motion = _motion(solution)
+    if not names:
+        require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
+        with styled():
+            panels = MotionPanels(motion, 4)
+            error, energy, residual, search = panels.free
+            notes = draw_error(error, solution, certificate)
+            draw_energy_error(energy, solution)
+            draw_residual(residual, solution)
+            draw_search(search, solution)
+            return panels.finished(*notes, LARGEST)
+    if len(names) == 1 and names[0] in _WORDS and names[0] not in H.names:
+        with one_panel(ax, (), motion.warning, height=6.0) as axes, style_for(ax):
+            notes = []
+            if names[0] == "error":
+                notes = draw_error(axes, solution, certificate)
+            else:
+                draw = {"residual": draw_residual, "energy": draw_energy_error}
+                draw.get(names[0], draw_search)(axes, solution)
+            if ax is None:
+                notes += [] if names[0] == "search" else [LARGEST]
+                figure_of(axes).set_caption(motion.caption(*notes), motion.warning)
+            return figure_of(axes)
+    for name in names:
+        component_of(H, name, *_WORDS)
+    return draw_motion(motion, names, ax)
+
+
+def _motion(solution: Solution) -> Motion:
+    t = _times(solution)
+    return Motion(
+        solution.H,
+        t,
+        solution(t)[None],
+        sentences=[
+            f"Method {solution.method}" + (f": {solution.message}" if solution.success else "")
+        ],
+        warning="" if solution.success else f"Failed: {solution.message}",
+    )
+
+
+def _times(solution: Solution, most: int = _MAX_TIMES) -> np.ndarray:
+    """Return times that resolve the motion, as far as their number allows."""
+    times = solution.record.times(solution.span, SAMPLES)
+    if len(times) <= most:
+        return times
+    return np.append(times[: -1 : -(-len(times) // most)], times[-1])
+
+
+def asked_of(solution: Solution, sizes: np.ndarray) -> list[tuple[float, dict[str, Any]]]:
+    """Return the line of the error that was asked for, relative to the sizes of components.
+
+    With an absolute tolerance the components differ; the line is then that of the strictest.
+    """
+    if solution.settings is None:
+        return []
+    allowed, target = (
+        solution.settings.allowed(sizes),
+        solution.settings.options.get("target_error"),
+    )
+    if allowed is None:
+        return [(float(target), _ASKED_STYLE)] if isinstance(target, float) else []
+    ratios = allowed[sizes > 0] / sizes[sizes > 0]
+    if not ratios.size:
+        return []
+    one = ratios.max() <= 1.01 * ratios.min()
+    text = "asked for" if one else "asked for, the strictest"
+    return [(float(ratios.min()), {**_ASKED_STYLE, "label": text})]
+
+
+def _relative(values: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    with np.errstate(all="ignore"):
+        return np.where(values == 0, 0.0, np.abs(values) / np.where(sizes > 0, sizes, np.nan))
+
+
+def draw_error(axes: Axes, solution: Solution, certificate: Certificate | None = None) -> list[Any]:
+    """Draw the estimated errors relative to the sizes of the components, with what was asked.
+
+    Of a certificate, the proven bound of the largest relative error and the band down to its lower
+    bound. Return sentences for the caption.
+    """
+    H, t = solution.H, _times(solution, 4_000)
+    sizes = solution.scale if solution.error is None else solution.error.scale
+    with np.errstate(all="ignore"):
+        values = _relative(np.asarray(solution.error_estimate(t)), sizes)
+    lines = asked_of(solution, sizes)
+    notes: list[Any] = []
+    if certificate is not None:
+        bounds = _relative(np.array(certificate.component_bounds), sizes)
+        worst = int(np.nanargmax(bounds))
+        lower = certificate.component_lowers[worst] / sizes[worst]
+        lines.append((float(bounds[worst]), {"color": WARNING, "label": "proven bound"}))
+        if lower > 0:
+            axes.axhspan(lower, bounds[worst], color=WARNING, alpha=0.25, linewidth=0)
+        notes.append("Proven: no error, relative to its size, is above the red line at any time")
+    log_lines(axes, t, component_curves(H, values), lines=lines, unknown="infinite where not drawn")
+    label(axes.yaxis, "error / size")
+    axes.set_title("Estimated error")
+    label_time(axes, H)
+    legend_above(axes)
+    return notes
+
+
+def draw_residual(axes: Axes, solution: Solution) -> None:
+    """Draw the residual of each component relative to its largest rate."""
+    t = _times(solution, 4_000)
+    residual = np.asarray(solution.residual(t))
+    rates = np.abs(np.asarray(solution.derivative(t))).max(axis=0)
+    log_lines(axes, t, component_curves(solution.H, _relative(residual, rates)))
+    axes.set_title(r"Residual $\ell$")
+    label(axes.yaxis, r"$|\ell_i|\,/\,\max|\dot z_i|$")
+    label_time(axes, solution.H)
+    legend_above(axes)
+
+
+def draw_energy_error(axes: Axes, solution: Solution) -> None:
+    """Draw the change of H, less the work of forces and explicit time."""
+    H, t = solution.H, _times(solution, 4_000)
+    jumps = (sympy.sign, sympy.Heaviside, sympy.Piecewise, sympy.floor)
+    label_time(axes, H)
+    if H.time is not None and any(H.expr.has(kind) for kind in jumps):
+        axes.plot(t, solution.energy(t), color=color_of(0))
+        axes.set_title("Energy")
+        label(axes.yaxis, "$H$", energy_unit(H))
+        return
+    with np.errstate(all="ignore"):
+        drift = np.abs(np.asarray(solution.energy_drift(t)))
+    log_lines(axes, t, [(drift, {"color": color_of(0)})], unknown="unknown")
+    axes.set_title("Energy error")
+    work = "" if H.conserves_energy else " - W"
+    label(axes.yaxis, f"$|H - H_0{work}|$", energy_unit(H))
+
+
+def draw_search(axes: Axes, solution: Solution) -> None:
+    """Draw the length of the windows over time, or the loss of a training."""
+    history, H = solution.history, solution.H
+    if solution.record.edges is not None:
+        edges = np.asarray(history.edges)
+        lengths = np.abs(np.diff(edges))
+        axes.stairs(
+            lengths, edges + solution.record.origin, baseline=None, color=color_of(0), linewidth=1
+        )
+        several = f"{len(lengths):,} windows" if len(lengths) > 1 else "one window"
+        if lengths.max() > 20 * lengths.min():
+            axes.set_yscale("log")
+        else:
+            axes.set_ylim(0, 1.15 * lengths.max())
+        fill_time(axes, np.array(solution.span))
+        axes.set_title(f"Lengths of {several}" if len(lengths) > 1 else "Length of one window")
+        label_time(axes, H)
+        label(axes.yaxis, "length", quantity(H, time_name(H))[1])
+        return
+    counts = np.arange(1, len(history.loss) + 1)
+    axes.loglog(counts, history.loss, color="0.75", linewidth=0.6, label="at training points")
+    best = np.minimum.accumulate(history.fixed_loss)
+    axes.loglog(history.iteration, best, color=color_of(0), label="best, at fixed points")
+    axes.set(title="Loss", xlabel="iteration", ylabel="loss")
+    axes.legend()
+
+
+# -- many ------------------------------------------------------------------------------------------
+
+
+def draw_solutions(many: Solutions, *names: Any, ax: Any = None) -> Any:
+    """Draw an ensemble; see :meth:`hamsym.Solutions.plot`."""
+    H, words = many.H, ("error", "energy")
+    if not many.size:
+        raise InputError("there are no trajectories to draw; solve at least one")
+    motion, shown = _ensemble(many)
+    if not names:
+        require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
+        with styled():
+            panels = MotionPanels(motion, 2)
+            _draw_member_errors(panels.free[0], many)
+            _draw_energies(panels.free[1], shown, motion)
+            return panels.finished(LARGEST)
+    if len(names) == 1 and names[0] in words and names[0] not in H.names:
+        with one_panel(ax, motion.caption(), motion.warning, height=6.0) as axes, style_for(ax):
+            if names[0] == "error":
+                _draw_member_errors(axes, many)
+            else:
+                _draw_energies(axes, shown, motion)
+                motion.legend(axes)
+                motion.color_bar(axes)
+            return figure_of(axes)
+    for name in names:
+        component_of(H, name, *words)
+    return draw_motion(motion, names, ax)
+
+
+def _ensemble(many: Solutions) -> tuple[Motion, Solutions]:
+    """Return the trajectories that are drawn, as a motion and as solutions."""
+    chosen = chosen_members(many.size)
+    shown = Solutions(many.family, many.table, many.windows, many.members.ravel()[chosen])
+    t = np.linspace(*many.span, SAMPLES)
+    failed = int(many.size - many.success.sum())
+    warning = ""
+    if failed:
+        first = many.message.ravel()[int(np.argmin(many.success.ravel()))]
+        warning = f"{failed:,} of {many.size:,} trajectories failed; the first: {first}"
+    same, ranges = parameters_of(many.H, many.parameters)
+    motion = Motion(
+        many.H,
+        t,
+        shown(t),
+        total=many.size,
+        sentences=[ranges, f"Relative tolerance {many.tol:.1e}"],
+        warning=warning,
+        varied=varying(many.H, shown.z0, shown.parameters),
+        parameters=same,
+    )
+    return motion, shown
+
+
+def _draw_member_errors(axes: Axes, many: Solutions) -> None:
+    """Draw the largest relative error of each trajectory, with the tolerance; failed ones red."""
+    name, unit, values = varying(
+        many.H, many.z0.reshape(-1, many.H.dim), {k: v.ravel() for k, v in many.parameters.items()}
+    )
+    errors, success = many.tol * many.excess.ravel(), many.success.ravel()
+    finite = np.isfinite(errors) & (errors > 0)
+    top = 3 * max(errors[finite].max(initial=many.tol), many.tol)
+    good, bad = success & finite, ~success
+    axes.plot(values[good], errors[good], ".", color=color_of(0), rasterized=len(values) > 5_000)
+    if bad.any():
+        drawn = np.where(finite, errors, top)
+        axes.plot(values[bad], drawn[bad], "x", color=WARNING, label=f"{bad.sum():,} failed")
+        legend_above(axes)
+    axes.margins(x=0.05)
+    low = min(errors[finite].min(initial=many.tol), many.tol) / 2
+    decades_and_lines(
+        axes, low, top, [(many.tol, {"color": "black", "linestyle": ":", "label": "asked for"})]
+    )
+    axes.set_title("Largest estimated error of each trajectory")
+    label(axes.xaxis, name, unit)
+    label(axes.yaxis, "error / size")
+
+
+def _draw_energies(axes: Axes, shown: Solutions, motion: Motion) -> None:
+    energy = shown.energy(motion.t)
+    change = np.abs(energy - energy[:, :1])
+    curves = [
+        (values, {**style, "label": text})
+        for values, style, text in zip(change, motion.styles, motion.labels(), strict=True)
+    ]
+    if motion.H.conserves_energy:
+        log_lines(axes, motion.t, curves, unknown="")
+        axes.set_title("Energy error")
+        label(axes.yaxis, "$|H - H_0|$", energy_unit(motion.H))
+    else:
+        for values, (_, style) in zip(energy, curves, strict=True):
+            axes.plot(motion.t, values, **style)
+        axes.set_title("Energy")
+        label(axes.yaxis, "$H$", energy_unit(motion.H))
+    label_time(axes, motion.H)

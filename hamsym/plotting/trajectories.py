@@ -1,0 +1,150 @@
+"""Figures of trajectories from time stepping."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from hamsym.errors import InputError
+from hamsym.integrators.integrate import Trajectory
+from hamsym.integrators.interpolation import Interpolant
+from hamsym.plotting.figure import figure_of, label, one_panel, require_no_axes
+from hamsym.plotting.motions import (
+    Motion,
+    MotionPanels,
+    chosen_members,
+    component_of,
+    draw_motion,
+    label_time,
+    log_lines,
+    parameters_of,
+    varying,
+)
+from hamsym.plotting.names import energy_unit
+from hamsym.plotting.style import SAMPLES, style_for, styled
+
+__all__ = ["draw_trajectory"]
+
+
+def draw_trajectory(trajectory: Trajectory, *names: Any, ax: Any = None) -> Any:
+    """Draw a trajectory or an ensemble; see :meth:`hamsym.Trajectory.plot`."""
+    H = trajectory.ensemble.H
+    estimated = trajectory.error_estimate is not None
+    words = ("energy", "error") if estimated else ("energy",)
+    if not len(trajectory.ensemble):
+        raise InputError("there are no trajectories to draw; integrate at least one")
+    chosen = chosen_members(len(trajectory.ensemble))
+    motion = _motion(trajectory, chosen)
+    draw = {"energy": _draw_energy, "error": _draw_error}
+    if not names:
+        require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
+        with styled():
+            panels = MotionPanels(motion, len(words))
+            for axes, word in zip(panels.free, words, strict=True):
+                draw[word](axes, trajectory, motion, chosen)
+            return panels.finished()
+    if len(names) == 1 and names[0] in (*words, "error") and names[0] not in H.names:
+        if names[0] not in words:
+            raise InputError(
+                "this trajectory has no error estimate; integrate with tol=, for example tol=1e-9"
+            )
+        with one_panel(ax, motion.caption(), motion.warning, height=6.0) as axes, style_for(ax):
+            draw[names[0]](axes, trajectory, motion, chosen)
+            motion.legend(axes)
+            motion.color_bar(axes)
+            return figure_of(axes)
+    for name in names:
+        component_of(H, name, *words)
+    return draw_motion(motion, names, ax)
+
+
+def _motion(trajectory: Trajectory, chosen: np.ndarray) -> Motion:
+    members = trajectory.ensemble
+    H, total = members.H, len(members)
+    columns = {
+        name: members.parameters[:, H.parameter_names.index(name)] for name in members.varied
+    }
+    same, ranges = parameters_of(H, columns)
+    success = np.broadcast_to(trajectory.success, members.shape).ravel()
+    warning, failed = "", int(total - success.sum())
+    if failed:
+        first = trajectory.messages.ravel()[int(np.argmin(success))]
+        several = f"{failed:,} of {total:,} trajectories failed; the first"
+        warning = f"{several if total > 1 else 'Failed'}: {first}"
+    t, z, apart = _resolved(trajectory, chosen)
+    return Motion(
+        H,
+        t,
+        z,
+        total=total,
+        sentences=[ranges, "" if warning and total == 1 else trajectory.message],
+        warning=warning,
+        varied=varying(
+            H, members.states[chosen], {name: values[chosen] for name, values in columns.items()}
+        ),
+        parameters=same,
+        apart=apart,
+    )
+
+
+def _resolved(trajectory: Trajectory, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Return times and states to draw, between few saved ones, and whether those are far apart."""
+    members, t = trajectory.ensemble, trajectory.t
+    z = _flat(trajectory.z, trajectory, 2)[chosen]
+    if len(t) < 2:
+        return t, z, False
+    own = replace(
+        members,
+        states=members.states[chosen],
+        parameters=members.parameters[chosen],
+        shape=(len(chosen),),
+    )
+    dense = np.linspace(t[0], t[-1], SAMPLES)
+    try:
+        states = Interpolant(t, z, own).states(dense)
+    except InputError:
+        return t, z, True
+    return (dense, states, False) if len(t) < SAMPLES else (t, z, False)
+
+
+def _flat(values: np.ndarray, trajectory: Trajectory, kept: int) -> np.ndarray:
+    """Return an array of an ensemble with its members along one axis."""
+    return values.reshape(len(trajectory.ensemble), *values.shape[values.ndim - kept :])
+
+
+def _draw_energy(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.ndarray) -> None:
+    """Draw the change of H, less the work of forces and explicit time."""
+    H = motion.H
+    with np.errstate(all="ignore"):
+        change = np.abs(_flat(trajectory.energy_drift, trajectory, 1)[chosen])
+    curves = [
+        (values, {**style, "label": text})
+        for values, style, text in zip(change, motion.styles, motion.labels(), strict=True)
+    ]
+    log_lines(axes, trajectory.t, curves, unknown="")
+    work = "" if H.conserves_energy else " - W"
+    axes.set_title("Energy error")
+    label(axes.yaxis, f"$|H - H_0{work}|$", energy_unit(H))
+    label_time(axes, H)
+
+
+def _draw_error(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.ndarray) -> None:
+    """Draw the estimated error, the largest of the components relative to their sizes."""
+    assert trajectory.error_estimate is not None
+    errors = _flat(trajectory.error_estimate, trajectory, 2)[chosen]
+    with np.errstate(all="ignore"):
+        states = _flat(trajectory.z, trajectory, 2)[chosen]
+        sizes = np.nanmax(np.abs(states), axis=1, keepdims=True)
+        ratios = np.where(errors == 0, 0.0, errors / np.where(sizes > 0, sizes, np.nan))
+        largest = np.nanmax(ratios, axis=-1)
+    curves = [
+        (values, {**style, "label": text})
+        for values, style, text in zip(largest, motion.styles, motion.labels(), strict=True)
+    ]
+    log_lines(axes, trajectory.t, curves, unknown="infinite where not drawn")
+    axes.set_title("Largest estimated error up to each time")
+    label(axes.yaxis, "error / size")
+    label_time(axes, motion.H)

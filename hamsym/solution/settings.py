@@ -1,0 +1,219 @@
+"""What was asked of a solution: the arguments of solve beside H, z0 and the method, as data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hamsym.solution.window_error import allowed_errors
+from hamsym.support.checked_data import (
+    checked_list,
+    checked_mapping,
+    checked_number,
+    checked_type,
+    require_names,
+)
+
+__all__ = ["Settings", "settings_of"]
+
+_MOST_OPTIONS = 100
+_LONGEST_TEXT = 10_000
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Arguments with which :func:`hamsym.solve` was called, beside H, z0 and the method.
+
+    Attributes
+    ----------
+    span : (float, float)
+        The times that were asked for; a solution that had to stop spans fewer.
+    seed : int
+    tol : float or None
+        Relative tolerance, given or by default; None for a method without one.
+    atol : tuple of float
+        Absolute tolerance, one, or one for each component, in the units of the components.
+    prove : bool
+    invariants : tuple of str
+    options : mapping of str to plain values
+        The options that were given: numbers, texts, None, and lists of them.
+    missing : tuple of str
+        Names of further options, with values that are not data, for example a network of one's own.
+    version : str
+        Version of hamsym that solved.
+    """
+
+    span: tuple[float, float]
+    seed: int
+    tol: float | None
+    atol: tuple[float, ...]
+    prove: bool = False
+    invariants: tuple[str, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+    version: str = ""
+
+    def allowed(self, scale: np.ndarray) -> np.ndarray | None:
+        """Return the error that is allowed of components of these sizes, shape (dim,).
+
+        None without a tolerance.
+
+        Examples
+        --------
+        >>> Settings((0.0, 1.0), 0, 1e-6, (0.0,)).allowed(np.array([1.0, 100.0])).round(8)
+        array([1.e-06, 1.e-04])
+        """
+        return None if self.tol is None else allowed_errors(self.tol, self.atol, scale)
+
+    def described(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        return {
+            "span": list(self.span),
+            "seed": self.seed,
+            "tol": self.tol,
+            "atol": list(self.atol),
+            "prove": self.prove,
+            "invariants": list(self.invariants),
+            "options": dict(self.options),
+            "missing": list(self.missing),
+            "version": self.version,
+        }
+
+    @classmethod
+    def from_description(cls, given: Any, dim: int) -> Settings:
+        """Make it from its :meth:`described`.
+
+        Parameters
+        ----------
+        given : mapping
+        dim : int
+            Number of components.
+
+        Raises
+        ------
+        ValueError
+            If the values are not what ``described`` returns.
+        """
+        values = checked_mapping("settings", given)
+        require_names("settings", values, set(cls.__dataclass_fields__))
+        start, end = (checked_number("span", t) for t in checked_list("span", values["span"], 2))
+        tol = values["tol"]
+        atol = tuple(checked_number("atol", part) for part in checked_list("atol", values["atol"]))
+        if tol is not None and not 0 < (tol := checked_number("tol", tol)) < 1:
+            raise ValueError("its tol is out of range")
+        if len(atol) not in (1, dim) or not all(part >= 0 for part in atol):
+            raise ValueError("its atol is not one tolerance, or one for each component")
+        options = checked_mapping("options", values["options"])
+        missing = _texts("missing", values["missing"])
+        found = cls(
+            span=(start, end),
+            seed=checked_type("seed", values["seed"], "int"),
+            tol=tol,
+            atol=atol,
+            prove=checked_type("prove", values["prove"], "bool"),
+            invariants=_texts("invariants", values["invariants"]),
+            options={name: _plain(value) for name, value in options.items()},
+            missing=missing,
+            version=_text("version", values["version"]),
+        )
+        if not found.seed >= 0:
+            raise ValueError("its seed is negative")
+        return found
+
+    def check(self, names: set[str], span: tuple[float, float]) -> None:
+        """Raise ValueError unless it belongs to a method with these options and to this span."""
+        if not {*self.options, *self.missing} <= names:
+            raise ValueError("it was asked for an option that its method has not")
+        if len(self.missing) > len({*self.missing} - {*self.options}):
+            raise ValueError("it was asked for an option twice")
+        (start, end), (first, last) = self.span, span
+        if start != first or not (start < last <= end or start > last >= end):
+            raise ValueError("it does not lie in the span that was asked for")
+
+
+def settings_of(
+    span: tuple[float, float],
+    seed: int,
+    chosen: Any,
+    options: Mapping[str, Any],
+    *,
+    prove: bool = False,
+    invariants: tuple[str, ...] = (),
+    version: str = "",
+) -> Settings:
+    """Record the arguments of a call.
+
+    Parameters
+    ----------
+    span, seed, prove, invariants
+        As checked.
+    chosen : object
+        The dataclass of all options, with their defaults.
+    options : mapping
+        The options that were given.
+    version : str
+    """
+    plain: dict[str, Any] = {}
+    for name, value in options.items():
+        try:
+            plain[name] = _plain(value)
+        except ValueError:
+            continue
+    atol = np.atleast_1d(np.asarray(getattr(chosen, "atol", 0.0), dtype=float))
+    tol = getattr(chosen, "tol", None)
+    return Settings(
+        span=span,
+        seed=seed,
+        tol=None if tol is None else float(tol),
+        atol=tuple(atol.tolist()),
+        prove=prove,
+        invariants=invariants,
+        options=plain,
+        missing=tuple(sorted({*options} - {*plain})),
+        version=version,
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it, lists for tuples and arrays.
+
+    Raises
+    ------
+    ValueError
+        If it is not data.
+    """
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if type(value).__name__ in ("dtype", "device") and type(value).__module__ == "torch":
+        value = str(value).removeprefix("torch.")
+    if isinstance(value, list | tuple):
+        return [_single(part) for part in checked_list("option", value)]
+    return _single(value)
+
+
+def _single(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, str):
+        return _text("option", value)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError("an option is not finite")
+    if isinstance(value, int) and abs(value) >= 2**63:
+        raise ValueError("an option is too large")
+    if type(value) not in (bool, int, float, type(None)):
+        raise ValueError("an option is not data")
+    return value
+
+
+def _text(name: str, value: Any) -> str:
+    if not isinstance(value, str) or len(value) > _LONGEST_TEXT:
+        raise ValueError(f"'{name}' is not a text of at most {_LONGEST_TEXT:,} characters")
+    return value
+
+
+def _texts(name: str, value: Any) -> tuple[str, ...]:
+    return tuple(_text(name, part) for part in checked_list(name, value, most=_MOST_OPTIONS))

@@ -1,0 +1,391 @@
+"""Suggestions in messages: similar names, and what replaces the arguments of other packages."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import inspect
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, ParamSpec, TypeVar
+
+from hamsym.errors import InputError, KeywordError
+
+__all__ = [
+    "advice",
+    "attribute_message",
+    "checked_keywords",
+    "did_you_mean",
+    "require_known",
+    "similar",
+    "suggest_attributes",
+    "unknown",
+]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+T = TypeVar("T")
+
+_SIMILAR = 0.7  # ratio of difflib from which a name is suggested
+_LEAST = 3  # characters of a beginning that selects a name
+
+
+def similar(name: object, names: Iterable[str]) -> str | None:
+    """Return the one of some names that is probably meant, or None.
+
+    Upper case, underscores and hyphens do not matter. A name may also be the beginning or the end
+    of exactly one of them.
+
+    Examples
+    --------
+    >>> similar("keppler", ["kepler", "toda_chain"]), similar("px", ["x", "p_x"])
+    ('kepler', 'p_x')
+    >>> similar("henon", ["kepler", "henon_heiles"]), similar("spam", ["kepler"])
+    ('henon_heiles', None)
+    """
+    known: dict[str, str] = {}
+    for each in names:
+        known.setdefault(_plain(each), each)
+    wanted = _plain(str(name))
+    if not wanted:
+        return None
+    if wanted in known:
+        return known[wanted]
+    found = difflib.get_close_matches(wanted, known, n=1, cutoff=_SIMILAR)
+    if found:
+        return known[found[0]]
+    if len(wanted) >= _LEAST:
+        parts = [key for key in known if key.startswith(wanted) or key.endswith(wanted)]
+        if len(parts) == 1:
+            return known[parts[0]]
+    return None
+
+
+def _plain(name: str) -> str:
+    return name.casefold().replace("_", "").replace("-", "").strip()
+
+
+def did_you_mean(name: object, names: Iterable[str]) -> str:
+    """Return `` (did you mean 'x'?)`` for the probable name, or nothing.
+
+    Examples
+    --------
+    >>> did_you_mean("blanes_moan", ["ruth3", "blanesmoan6"]), did_you_mean("a", ["b"])
+    (" (did you mean 'blanesmoan6'?)", '')
+    """
+    found = similar(name, names)
+    return "" if found is None else f" (did you mean '{found}'?)"
+
+
+def unknown(name: object, names: Iterable[str], kind: str, remedy: str = "choose one of") -> str:
+    """Return the sentence about a name that is not one of some names.
+
+    Parameters
+    ----------
+    name : object
+    names : iterable of str
+    kind : str
+        What the names are, with its article.
+    remedy : str
+        Words before the list of the names.
+
+    Examples
+    --------
+    >>> unknown("adma", ["features", "adam"], "a method")
+    "'adma' is not a method (did you mean 'adam'?); choose one of features, adam"
+    """
+    known = list(names)
+    hint = did_you_mean(name, known)
+    given = f"'{name}'" if isinstance(name, str) else repr(name)
+    return f"{given} is not {kind}{hint}; {remedy} {', '.join(known) or 'none'}"
+
+
+# -- arguments of other packages -------------------------------------------------------------------
+
+_WINDOWS = (
+    "max_window",
+    "the lengths of windows follow from tol; max_window=... limits them",
+)
+_STEPS = ("dt", "give dt=... for the largest step, or steps=... for their number")
+_TOL = ("tol", "give tol=..., the error of each component relative to its largest value")
+_FIXED = ("dt", "steps have a fixed length: give dt=... or steps=...")
+_TIMES = (
+    (
+        "saves",
+        "choose the saved states by saves=... or save_every=..., or call solve, whose result "
+        "is a function of time",
+    ),
+    ("tol", "the result is a function of time: call it with the times, solution(t)"),
+)
+_NAMED = (
+    (
+        "",
+        "give the parameters of H by name: Hamiltonian(..., parameters={'m': 1.0}), or "
+        "H.with_parameters(m=1.0)",
+    ),
+)
+_START = (
+    ("span", "give the initial state as the second argument, z0"),
+    ("orbit", "give the orbit itself"),
+)
+_SPAN = (("span", "give the times as the third argument, the pair span=(start, end)"),)
+_DERIVED = (("", "leave it out: derivatives are derived from H"),)
+_EVENTS = (
+    ("surface", "give the surface as the fourth argument, e.g. 'x = 0, p_x > 0'"),
+    ("saves", "call section(H, z0, span, 'x = 0, p_x > 0') for crossings of a surface"),
+    ("tol", "call events of the result: solution.events('x = 0, p_x > 0')"),
+)
+_RATE = (("", "give H, a formula or a Hamiltonian, as the first argument: its equations follow"),)
+_METHOD = (("method", "give method=..., by its name"),)
+_STEP = (_STEPS, _WINDOWS)
+
+#: Keywords of scipy, torchdiffeq, diffrax and others: pairs of an argument, and what to do in a
+#: function that has it; the first pair that applies is the answer.
+_ELSEWHERE: dict[str, Sequence[tuple[str, str]]] = {
+    **dict.fromkeys(["rtol", "reltol"], (_TOL, _FIXED)),
+    **dict.fromkeys(["atol", "abstol"], (("atol", "give atol=..."), _TOL, _FIXED)),
+    **dict.fromkeys(["tolerance", "accuracy", "precision"], (_TOL, _FIXED)),
+    "tol": (_FIXED,),
+    **dict.fromkeys(["t_eval", "saveat", "save_at", "teval", "ts", "tsave", "t_out"], _TIMES),
+    **dict.fromkeys(["dense_output", "dense"], _TIMES),
+    **dict.fromkeys(
+        [
+            "max_step",
+            "min_step",
+            "first_step",
+            "hmax",
+            "hmin",
+            "h0",
+            "h",
+            "step",
+            "step_size",
+            "stepsize",
+            "timestep",
+            "time_step",
+            "dt",
+            "dt0",
+            "delta_t",
+        ],
+        _STEP,
+    ),
+    **dict.fromkeys(
+        ["steps", "n_steps", "num_steps", "nsteps", "mxstep", "max_steps"],
+        (
+            ("steps", "give steps=..., or dt=... for the largest step"),
+            ("max_window", "it takes no steps: give tol=..., or call integrate, which takes steps"),
+        ),
+    ),
+    **dict.fromkeys(["args", "params", "p", "param", "constants"], _NAMED),
+    "parameters": _NAMED,
+    **dict.fromkeys(["y0", "x0", "u0", "q0", "s0", "initial", "initial_state", "state"], _START),
+    **dict.fromkeys(["t_span", "tspan", "t", "times", "t0", "t1", "t_end", "t_final"], _SPAN),
+    **dict.fromkeys(["fun", "func", "f", "rhs", "terms", "vector_field"], _RATE),
+    **dict.fromkeys(["jac", "Dfun", "lband", "uband", "jac_sparsity", "vectorized"], _DERIVED),
+    **dict.fromkeys(["events", "event", "event_fn"], _EVENTS),
+    **dict.fromkeys(["solver", "integrator", "stepper", "scheme", "algorithm", "alg"], _METHOD),
+    **dict.fromkeys(
+        ["stepsize_controller", "options"],
+        (("", "write each option as a keyword of its own"),),
+    ),
+    **dict.fromkeys(
+        ["adjoint_params", "adjoint_method", "adjoint"],
+        (
+            (
+                "prove",
+                "leave it out: solution(t, z0=..., parameters=...) of tensors is differentiable",
+            ),
+            ("", "leave it out; solutions of solve are differentiable"),
+        ),
+    ),
+    **dict.fromkeys(["verbose", "disp", "show_progress"], (("progress", "give progress=True"),)),
+    **dict.fromkeys(["random_state", "rng", "key"], (("seed", "give seed=..., a whole number"),)),
+    **dict.fromkeys(["lr", "eta"], (("hidden", "give learning_rate=..., with method='adam'"),)),
+    **dict.fromkeys(
+        ["n_epochs", "num_epochs", "nepochs", "max_epochs"],
+        (("hidden", "give epochs=..., with method='adam'"),),
+    ),
+    **dict.fromkeys(
+        ["maxiter", "max_iter", "n_iter", "max_iterations", "niter"],
+        (("hidden", "give iterations=..., with a method that trains a network"),),
+    ),
+    **dict.fromkeys(
+        ["layers", "hidden_layers", "hidden_sizes", "width", "neurons"],
+        (("hidden", "give hidden=(50, 50), with a method that trains a network"),),
+    ),
+    **dict.fromkeys(["p0", "guess", "guesses"], (("free", "give free={'k': 1.0}, with guesses"),)),
+    "absolute_sigma": (("sigma", "leave it out: sigma=... is taken as absolute"),),
+    **dict.fromkeys(
+        ["ydata", "y", "data"],
+        (("observations", "give the data as the third argument, e.g. {'x': values}"),),
+    ),
+    "xdata": (("observations", "give the times as the second argument, t"),),
+}
+
+#: Arguments of ``solve`` that are options of its methods.
+_OF_METHODS = ("tol", "atol", "max_window", "hidden")
+
+
+def advice(name: str, function: str, arguments: Iterable[str]) -> str | None:
+    """Return what to do instead of a keyword of another package, or None.
+
+    Parameters
+    ----------
+    name : str
+        The keyword.
+    function : str
+        Name of the function that it was given to.
+    arguments : iterable of str
+        The arguments that the function has.
+
+    Examples
+    --------
+    >>> advice("rtol", "section", ["H", "z0", "span", "dt"])
+    'steps have a fixed length: give dt=... or steps=...'
+    """
+    has = {*arguments, ""}
+    if function == "solve":
+        has.update(_OF_METHODS)
+    for needed, text in _ELSEWHERE.get(name, ()):
+        if needed in has:
+            return text
+    return None
+
+
+def keyword_message(name: str, function: str, arguments: Sequence[str]) -> str:
+    """Return the sentence about a keyword that a function does not have."""
+    begin = f"'{name}' is not an argument of {function}"
+    instead = advice(name, function, arguments)
+    if instead is not None:
+        return f"{begin}; {instead}"
+    hint = did_you_mean(name, arguments)
+    return f"{begin}{hint}; it has {', '.join(arguments)}"
+
+
+def checked_keywords(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function answer keywords that it does not have with :class:`KeywordError`.
+
+    Of a function with ``**options``, which checks them itself, a keyword is answered here if
+    arguments are missing, e.g. ``solve(H, y0=z0, t_span=span)``.
+
+    Examples
+    --------
+    >>> @checked_keywords
+    ... def section(H, z0, span, *, dt=None): ...
+    >>> section("p**2/2 + x**2/2", [1, 0], (0, 1), rtol=1e-9)
+    Traceback (most recent call last):
+    hamsym.errors.KeywordError: 'rtol' is not an argument of section; steps have a fixed length: \
+give dt=... or steps=...
+    """
+    signature, title = inspect.signature(function), function.__qualname__.split(".")[0]
+    kinds = {name: parameter.kind for name, parameter in signature.parameters.items()}
+    named = [
+        name
+        for name, kind in kinds.items()
+        if kind in (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+        and name != "self"
+    ]
+    open_ended = inspect.Parameter.VAR_KEYWORD in kinds.values()
+
+    @functools.wraps(function)
+    def checked(*arguments: P.args, **keywords: P.kwargs) -> R:
+        others = [name for name in keywords if name not in named]
+        if others and open_ended:
+            try:
+                signature.bind(*arguments, **keywords)
+            except TypeError:
+                others = [n for n in others if advice(n, title, named)]
+            else:
+                others = []
+        if others:
+            raise KeywordError(keyword_message(others[0], title, named))
+        return function(*arguments, **keywords)
+
+    return checked
+
+
+# -- attributes ------------------------------------------------------------------------------------
+
+_ATTRIBUTES: dict[str, Sequence[tuple[str, str]]] = {
+    **dict.fromkeys(
+        ["y", "ys", "x", "states"],
+        (
+            ("z", "the states are z"),
+            ("span", "it is a function of time: call it, solution(t)"),
+        ),
+    ),
+    **dict.fromkeys(
+        ["ts", "times", "time"],
+        (
+            ("t", "the times are t"),
+            ("span", "it is a function of time: call it, solution(t); the ends are span"),
+        ),
+    ),
+    "t": (("span", "it is a function of time: call it, solution(t); the ends are span"),),
+    "z": (("span", "it is a function of time: call it, solution(t)"),),
+    "sol": (
+        ("span", "it is a function of time itself: call it, solution(t)"),
+        ("saves", "call solve for a function of time"),
+    ),
+    **dict.fromkeys(["nfev", "njev"], (("evaluations", "the number is evaluations"),)),
+    **dict.fromkeys(["status", "converged"], (("success", "the verdict is success, and message"),)),
+    **dict.fromkeys(["t_events", "y_events"], (("events", "call events('x = 0')"),)),
+    **dict.fromkeys(["popt", "params", "estimates"], (("covariance", "they are parameters"),)),
+    "pcov": (("covariance", "it is covariance"),),
+    **dict.fromkeys(
+        ["error", "errors"],
+        (
+            ("largest_error", "it is error_estimate(t), and largest_error"),
+            ("error_estimate", "it is error_estimate"),
+        ),
+    ),
+}
+
+
+def attribute_message(owner: str, name: str, names: Iterable[str]) -> str:
+    """Return the sentence about an attribute that does not exist.
+
+    Examples
+    --------
+    >>> attribute_message("module 'hamsym'", "slove", ["solve", "fit"])
+    "module 'hamsym' has no attribute 'slove' (did you mean 'solve'?)"
+    """
+    known = [each for each in names if not each.startswith("_")]
+    begin = f"{owner} has no attribute '{name}'"
+    for needed, text in _ATTRIBUTES.get(name, ()):
+        if needed in known:
+            return f"{begin}; {text}"
+    return begin + did_you_mean(name, known)
+
+
+def suggest_attributes(cls: type[T]) -> type[T]:
+    """Let the objects of a class answer unknown attributes with a similar one.
+
+    Examples
+    --------
+    >>> @suggest_attributes
+    ... class Path:
+    ...     energy = 1.0
+    >>> Path().enrgy
+    Traceback (most recent call last):
+    AttributeError: 'Path' object has no attribute 'enrgy' (did you mean 'energy'?)
+    """
+
+    def answer(self: Any, name: str) -> Any:
+        # An attribute that exists raised AttributeError itself: raise that again.
+        if name.startswith("_") or hasattr(type(self), name):
+            return object.__getattribute__(self, name)
+        owner = f"'{type(self).__name__}' object"
+        names = {*dir(type(self)), *vars(self)}
+        message = attribute_message(owner, name, sorted(names))
+        raise AttributeError(message, name=name, obj=None)
+
+    cls.__getattr__ = answer  # type: ignore[attr-defined]
+    return cls
+
+
+def require_known(
+    name: object, names: Iterable[str], kind: str, remedy: str = "choose one of"
+) -> None:
+    """Raise InputError unless a name is one of some names."""
+    known = list(names)
+    if not isinstance(name, str) or name not in known:
+        raise InputError(unknown(name, known, kind, remedy))

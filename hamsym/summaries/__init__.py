@@ -1,0 +1,1 @@
+"""Summaries of solutions and trajectories as text."""

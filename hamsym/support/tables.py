@@ -1,0 +1,86 @@
+"""Tables and labelled arrays of results, for pandas and xarray, which are optional packages."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hamsym.errors import InputError
+
+__all__ = ["data_frame", "data_set", "member_axes", "time_name"]
+
+
+def _package(name: str, purpose: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise InputError(
+            f"{purpose} needs the package {name}, which is not installed; install it with "
+            f"pip install {name}"
+        ) from None
+
+
+def member_axes(shape: Sequence[int]) -> list[str]:
+    """Names of the axes of an ensemble: ``member``, or ``axis_0``, ``axis_1``, ... of several.
+
+    Examples
+    --------
+    >>> member_axes((3,)), member_axes((3, 4)), member_axes(())
+    (['member'], ['axis_0', 'axis_1'], [])
+    """
+    return ["member"] if len(shape) == 1 else [f"axis_{i}" for i in range(len(shape))]
+
+
+def time_name(names: Sequence[str]) -> str:
+    """Name of the column of times: ``t``, or ``time`` if a component is called t."""
+    return "time" if "t" in names else "t"
+
+
+def data_frame(
+    columns: Mapping[str, np.ndarray],
+    index: Mapping[str, np.ndarray] | None = None,
+    attributes: Mapping[str, Any] | None = None,
+) -> Any:
+    """Make a ``pandas.DataFrame`` of columns of one length.
+
+    Parameters
+    ----------
+    columns : mapping of str to array
+    index : mapping of str to array, optional
+        Levels of the index.
+    attributes : mapping, optional
+        Of its ``attrs``.
+
+    Raises
+    ------
+    InputError
+        If pandas is not installed.
+    """
+    pandas = _package("pandas", "to_dataframe")
+    levels = dict(index or {})
+    made = None
+    if len(levels) == 1:
+        ((name, values),) = levels.items()
+        made = pandas.Index(values, name=name)
+    elif levels:
+        made = pandas.MultiIndex.from_arrays(list(levels.values()), names=list(levels))
+    frame = pandas.DataFrame(dict(columns), index=made)
+    frame.attrs.update(attributes or {})
+    return frame
+
+
+def data_set(
+    variables: Mapping[str, Any], coordinates: Mapping[str, Any], attributes: Mapping[str, Any]
+) -> Any:
+    """Make an ``xarray.Dataset``.
+
+    Raises
+    ------
+    InputError
+        If xarray is not installed.
+    """
+    xarray = _package("xarray", "to_xarray")
+    return xarray.Dataset(dict(variables), coords=dict(coordinates), attrs=dict(attributes))

@@ -1,0 +1,491 @@
+"""Legendre transform: from a Lagrangian to its Hamiltonian, and back.
+
+Input:  F(s), a Lagrangian in its velocities or a Hamiltonian in its momenta.
+Output: G(w) = w s - F(s), where w = dF/ds.
+
+Where F is quadratic in s, the matrix of second derivatives falls into connected blocks, each of
+which is inverted exactly. Elsewhere one scalar equation is solved, and its solution is accepted
+after a comparison with w s - F at random points.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import sympy
+
+from hamsym.errors import CodeGenerationError, InputError
+from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
+from hamsym.symbolic import derivatives
+from hamsym.symbolic.rational_matrices import inverse_matrix
+
+__all__ = ["legendre_transform"]
+
+MAX_EFFORT = 20_000_000  # function calls, most of them sympy's; ten seconds
+MAX_SECONDS = 15.0  # of processor time
+_DENSE = 3  # size up to which a block is inverted as a whole, without elimination
+_LARGEST = 20_000  # operations of a matrix during its elimination
+_POINTS = 20  # at which a matrix is positive definite
+_SAMPLES = 8  # random velocities at which a transform that is not quadratic is compared
+_TRIALS = 200
+_DIGITS = 120  # of the slopes: those of sqrt(m**2 + s**2) differ little where s is large
+_NOISE = sympy.Float("1e-100", _DIGITS)  # of a determinant
+_INFINITE = (sympy.zoo, sympy.nan, sympy.oo, -sympy.oo)
+_DECADES = range(-3, 9)  # sizes of velocities at which a transform must be unique
+_DRAWS = 3  # of the constants
+
+Matrix = dict[tuple[sympy.Symbol, sympy.Symbol], sympy.Expr]
+
+
+def legendre_transform(
+    expr: sympy.Expr,
+    slots: Sequence[sympy.Symbol],
+    duals: Sequence[sympy.Symbol],
+    state: Collection[sympy.Symbol] = (),
+    parameters: Mapping[sympy.Symbol, float] | None = None,
+    name: str = "L",
+) -> sympy.Expr:
+    """Compute the Legendre transform G(w) = w s - F(s), where w = dF/ds.
+
+    It takes L to H, with velocities s and momenta w, and H to L, with momenta s and velocities w.
+
+    Parameters
+    ----------
+    expr : sympy.Expr
+        F, in real symbols.
+    slots, duals : sequence of sympy.Symbol
+        s and w.
+    state : collection of sympy.Symbol
+        Coordinates and the time; other symbols are constants.
+    parameters : mapping of sympy.Symbol to float, optional
+        Values, for the comparison at random points.
+    name : {"L", "H"}
+        What F is, for messages.
+
+    Raises
+    ------
+    InputError
+        If w does not determine s, or s is not found; the message names variables.
+
+    Examples
+    --------
+    >>> v, w, p, r, m = sympy.symbols("v w p r m", real=True)
+    >>> legendre_transform(m*v**2/2 + v*w + w**2, [v, w], [p, r])
+    (m*r**2 + 2*p**2 - 2*p*r)/(4*m - 2)
+    """
+    steps = expr.atoms(sympy.Abs, sympy.sign, sympy.Heaviside, sympy.Min, sympy.Max)
+    for step in sorted(steps, key=str):
+        if step.free_symbols & {*slots}:
+            raise InputError(
+                f"'{step}' in {name} has no regular derivatives in {_kind(name)}; use a smooth "
+                "function"
+            )
+    try:
+        with call_limit(MAX_EFFORT, MAX_SECONDS):
+            found = _Transform(expr, slots, duals, state, parameters or {}, name).result()
+            _check_finite(expr, found, parameters or {}, name)
+            return found
+    except CallLimitExceededError:
+        listed = ", ".join(symbol.name for symbol in slots)
+        raise InputError(
+            f"the equations for {listed} take too long to solve symbolically; use coordinates in "
+            "which fewer of them are coupled in the kinetic energy, or give numbers for parameters "
+            f"inside {name}"
+        ) from None
+    except CodeGenerationError:
+        raise InputError(
+            f"the derivatives of {name} in {_kind(name)} are too large; write it as a sum of terms "
+            "in fewer variables each"
+        ) from None
+
+
+def _check_finite(
+    expr: sympy.Expr, found: sympy.Expr, parameters: Mapping[sympy.Symbol, float], name: str
+) -> None:
+    """Refuse values of parameters at which a transform for all values is infinite."""
+    values = {symbol: sympy.Rational(str(v)) for symbol, v in parameters.items()}
+    if found.xreplace(values).has(*_INFINITE) and not expr.xreplace(values).has(*_INFINITE):
+        listed = ", ".join(f"{s.name} = {v!r}" for s, v in parameters.items() if found.has(s))
+        singular = "the mass matrix is singular" if name == "L" else "H has no Lagrangian"
+        raise InputError(
+            f"{singular} for {listed}: {_kind(name)} have no terms of their own there; give other "
+            f"values, or insert them in {name} and remove the coordinate"
+        )
+
+
+def _kind(name: str) -> str:
+    return "velocities" if name == "L" else "momenta"
+
+
+class _Transform:
+    """The Legendre transform of one expression, block by block."""
+
+    def __init__(
+        self,
+        expr: sympy.Expr,
+        slots: Sequence[sympy.Symbol],
+        duals: Sequence[sympy.Symbol],
+        state: Collection[sympy.Symbol],
+        parameters: Mapping[sympy.Symbol, float],
+        name: str,
+    ) -> None:
+        self.slots, self.state, self.parameters = list(slots), {*state}, parameters
+        self.name = name
+        self.duals = dict(zip(slots, duals, strict=True))
+        self.expr, self.first, self.second = self._derived(expr)
+
+    def _derived(
+        self, expr: sympy.Expr
+    ) -> tuple[sympy.Expr, list[sympy.Expr], dict[tuple[int, int], sympy.Expr]]:
+        """F and its derivatives in s, expanded if F becomes quadratic by that."""
+        forms: list[Any] = []
+        for form in (expr, sympy.expand(expr)):
+            effort = derivatives.Effort(form)
+            first = derivatives.gradient(form, self.slots, effort)
+            second = derivatives.hessian(first, self.slots, effort)
+            forms.append((form, first, second))
+            if not any(entry.has(*self.slots) for entry in second.values()):
+                return forms[-1]
+        # Expanded, its terms belong to one block each wherever that is possible.
+        return forms[1]
+
+    def result(self) -> sympy.Expr:
+        second = {index: entry for index, entry in self.second.items() if entry != 0}
+        blocks = [
+            [self.slots[i] for i in block]
+            for block in derivatives.connected_blocks(list(second), len(self.slots))
+        ]
+        position = {slot: i for i, slot in enumerate(self.slots)}
+        quadratic: list[tuple[list[sympy.Symbol], Matrix]] = []
+        others: list[tuple[list[sympy.Symbol], Matrix]] = []
+        for block in blocks:
+            entries = {
+                (i, j): second[position[i], position[j]]
+                for i in block
+                for j in block
+                if (position[i], position[j]) in second
+            }
+            whole = not any(entry.has(*self.slots) for entry in entries.values())
+            (quadratic if whole else others).append((block, entries))
+        origin = dict.fromkeys((slot for block, _ in quadratic for slot in block), sympy.S.Zero)
+        rest = self.expr.xreplace(origin)
+        if rest.has(sympy.nan, sympy.zoo, sympy.oo):
+            raise self._unsolved(self.slots)
+        parts = []
+        for block, entries in quadratic:
+            shifted = {}
+            for slot in block:
+                offset = self.first[position[slot]].xreplace(origin)
+                if offset.has(*self.slots):
+                    raise self._unsolved(block)
+                shifted[slot] = self.duals[slot] - offset
+            parts.append(self._quadratic(block, entries, shifted))
+        for block, _ in others:
+            terms = [term for term in sympy.Add.make_args(rest) if term.has(*block)]
+            rest = sympy.Add(*(t for t in sympy.Add.make_args(rest) if t not in set(terms)))
+            part = sympy.Add(*terms)
+            if part.free_symbols & {*self.slots} - {*block}:
+                raise self._unsolved(self.slots)
+            parts.append(self._general(block, part))
+        return sympy.Add(*parts) - rest
+
+    # -- quadratic blocks ----------------------------------------------------------------------
+
+    def _quadratic(
+        self, block: list[sympy.Symbol], matrix: Matrix, shifted: dict[sympy.Symbol, sympy.Expr]
+    ) -> sympy.Expr:
+        """(w - b) M**-1 (w - b)/2 for F = s M s/2 + b s.
+
+        Small blocks and those of numbers are inverted as a whole. Of others the variables with the
+        fewest neighbours are eliminated first, which keeps a sparse matrix sparse: the result is a
+        sum of squares. Where M is indefinite, a pivot that depends on the state may vanish while M
+        is regular; such pivots are not used.
+        """
+        numbers = all(entry.is_Rational for entry in matrix.values())
+        if len(block) <= _DENSE or numbers:
+            return self._inverted(block, matrix, shifted)
+        definite = self._is_positive(block, matrix)
+        left, waiting, parts = dict(matrix), list(block), []
+        while waiting:
+            degree = {i: sum((i, j) in left for j in waiting) for i in waiting}
+            pivots = [
+                i
+                for i in waiting
+                if (i, i) in left and (definite or not left[i, i].free_symbols & self.state)
+            ]
+            if not pivots:
+                break
+            k = min(pivots, key=lambda i: (degree[i], left[i, i].count_ops(), block.index(i)))
+            pivot = left.pop((k, k))
+            waiting.remove(k)
+            column = {i: left.pop((i, k)) for i in waiting if (i, k) in left}
+            parts.append(shifted[k] ** 2 / (2 * pivot))
+            for i, entry in column.items():
+                left.pop((k, i))
+                shifted[i] -= entry / pivot * shifted[k]
+                for j, other in column.items():
+                    value = left.pop((i, j), sympy.S.Zero) - entry * other / pivot
+                    if not derivatives.vanishes(value):
+                        left[i, j] = value
+            if sum(entry.count_ops() for entry in left.values()) > _LARGEST:
+                raise CallLimitExceededError
+        place = {slot: i for i, slot in enumerate(waiting)}
+        pairs = [(place[i], place[j]) for i, j in left]
+        for members in derivatives.connected_blocks(pairs, len(waiting)):
+            parts.append(self._inverted([waiting[i] for i in members], left, shifted))
+        return sympy.Add(*parts)
+
+    def _is_positive(self, block: list[sympy.Symbol], matrix: Matrix) -> bool:
+        """Whether a matrix is positive definite at random points, with positive parameters."""
+        generator = random.Random(2)
+        rows = [[matrix.get((i, j), sympy.S.Zero) for j in block] for i in block]
+        symbols = sorted({s for entry in matrix.values() for s in entry.free_symbols}, key=str)
+        for _ in range(_POINTS):
+            at = {
+                symbol: sympy.Float(
+                    generator.uniform(-3, 3)
+                    if symbol in self.state
+                    else self.parameters.get(symbol, generator.uniform(0.3, 3))
+                )
+                for symbol in symbols
+            }
+            values = [[complex(entry.xreplace(at).evalf()) for entry in row] for row in rows]
+            try:
+                np.linalg.cholesky(np.array(values))
+            except (np.linalg.LinAlgError, ValueError):
+                return False
+            if not np.isfinite(values).all():
+                return False
+        return True
+
+    def _inverted(
+        self,
+        block: list[sympy.Symbol],
+        matrix: Matrix,
+        shifted: Mapping[sympy.Symbol, sympy.Expr],
+    ) -> sympy.Expr:
+        """Half the inverse quadratic form of a whole block, over one denominator."""
+        rows = [[matrix.get((i, j), sympy.S.Zero) for j in block] for i in block]
+        inverse, denominator = inverse_matrix(rows)
+        if denominator is None:
+            raise self._singular(inverse[0], block)
+        products = []
+        for i, one in enumerate(block):
+            for j in range(i, len(block)):
+                entry = inverse[i][j] * (1 if i == j else 2)
+                products.append(entry * shifted[one] * shifted[block[j]])
+        return sympy.Add(*products) / (2 * denominator)
+
+    def _singular(self, null: list[sympy.Expr], block: Sequence[sympy.Symbol]) -> InputError:
+        combination = f"a combination of {', '.join(slot.name for slot in block)}"
+        if null:
+            pairs = zip(null, block, strict=True)
+            combination = str(sympy.Add(*(factor * slot for factor, slot in pairs)))
+        if self.name == "L":
+            return InputError(
+                f"the mass matrix of L is singular: no term is quadratic in {combination}, so that "
+                "momenta do not determine velocities; add its kinetic energy, or remove a "
+                "coordinate that has none"
+            )
+        return InputError(
+            f"H has no Lagrangian: no term is quadratic in {combination}, so that velocities do "
+            "not determine momenta"
+        )
+
+    # -- other blocks --------------------------------------------------------------------------
+
+    def _general(self, block: list[sympy.Symbol], part: sympy.Expr) -> sympy.Expr:
+        """The transform of a function of a quadratic form, or of a single variable."""
+        linear = [
+            term
+            for term in sympy.Add.make_args(part)
+            if not any(sympy.diff(term, slot).has(*block) for slot in block)
+        ]
+        slopes = derivatives.gradient(sympy.Add(*linear), block)
+        shifted = [self.duals[slot] - slope for slot, slope in zip(block, slopes, strict=True)]
+        curved = part - sympy.Add(*linear)
+        for solved in self._candidates(block, curved, shifted):
+            if self._agrees(block, curved, shifted, solved) and self._is_unique(block, curved):
+                return solved
+        raise self._unsolved(block)
+
+    def _candidates(
+        self, block: list[sympy.Symbol], curved: sympy.Expr, shifted: list[sympy.Expr]
+    ) -> Iterator[sympy.Expr]:
+        size = sympy.Dummy("size", positive=True)
+        for form, function in _quadratic_forms(curved, block, size):
+            matrix = sympy.hessian(form, block) / 2
+            square = sympy.Dummy("square", nonnegative=True)
+            if len(block) == 1:
+                value = shifted[0] ** 2 / matrix[0]
+            else:
+                inverse, denominator = inverse_matrix(matrix.tolist())
+                if denominator is None:
+                    return
+                column = sympy.Matrix(shifted)
+                value = (column.T * sympy.Matrix(inverse) * column)[0] / denominator
+            slope = sympy.diff(function, size)
+            # w = 2 F'(u) G s for F(u), u = s G s; so that w G**-1 w = 4 F'(u)**2 u.
+            for root in _roots(4 * slope**2 * size - square, size):
+                found = _compact((2 * size * slope - function).xreplace({size: root}), square)
+                yield found.xreplace({square: value})
+        if len(block) == 1:
+            slot, dual = block[0], sympy.Dummy("dual", real=True)
+            for root in _roots(sympy.diff(curved, slot) - dual, slot):
+                found = dual * root - curved.xreplace({slot: root})
+                forms = (sympy.simplify(found), sympy.simplify(found.rewrite(sympy.exp)))
+                yield min(forms, key=sympy.count_ops).xreplace({dual: shifted[0]})
+
+    def _agrees(
+        self,
+        block: list[sympy.Symbol],
+        curved: sympy.Expr,
+        shifted: list[sympy.Expr],
+        solved: sympy.Expr,
+    ) -> bool:
+        """Compare a transform and its slopes with w s - F and s at random s, of both signs.
+
+        If two values of s belonged to one w, the transform could not agree for both.
+        """
+        generator = random.Random(1)
+        duals = [self.duals[slot] for slot in block]
+        slopes = derivatives.gradient(curved, block)
+        back = derivatives.gradient(solved, duals)
+        others = sorted(
+            (curved.free_symbols | solved.free_symbols | {*duals}) - {*block, *duals}, key=str
+        )
+        offsets = [dual - value for dual, value in zip(duals, shifted, strict=True)]
+        agreed = [0, 0]
+        for _ in range(_TRIALS):
+            at = self._constants(others, generator)
+            scale = sympy.Rational(generator.choice([1, 10, 100, 1000]), 100)
+            for slot in block:
+                at[slot] = scale * sympy.Rational(generator.randint(-999, 999), 1000)
+            rates = [slope.xreplace(at).evalf(_DIGITS) for slope in slopes]
+            if not all(rate.is_Float for rate in rates):
+                continue
+            for dual, rate, offset in zip(duals, rates, offsets, strict=True):
+                at[dual] = rate + offset.xreplace(at)
+            wanted = sum(r * at[s] for r, s in zip(rates, block, strict=True)) - curved.xreplace(at)
+            pairs = [(solved, wanted), *zip(back, (at[slot] for slot in block), strict=True)]
+            for found, value in pairs:
+                difference = (found.xreplace(at) - value).evalf(30)
+                if not difference.is_number or difference.has(*_INFINITE):
+                    return False
+                if not abs(difference) <= 1e-18 * (1 + abs(value)):
+                    return False
+            agreed[int(bool(at[block[0]] > 0))] += 1
+            if sum(agreed) >= _SAMPLES and min(agreed) > 0:
+                return True
+        return sum(agreed) >= _SAMPLES
+
+    def _is_unique(self, block: list[sympy.Symbol], curved: sympy.Expr) -> bool:
+        """Whether the determinant of second derivatives has one sign at random s of all sizes.
+
+        Where it changes, two values of s belong to one w, and the transform has branches. Places
+        where F is not real are no part of its domain.
+        """
+        generator = random.Random(3)
+        slopes = derivatives.gradient(curved, block)
+        second = sympy.Matrix([[sympy.diff(slope, slot) for slot in block] for slope in slopes])
+        others = sorted(curved.free_symbols - {*block}, key=str)
+        for _ in range(_DRAWS):
+            constants, signs = self._constants(others, generator), set()
+            for decade in _DECADES:
+                at = dict(constants)
+                for slot in block:
+                    share = sympy.Rational(generator.randint(-999, 999), 1000)
+                    at[slot] = share * sympy.Rational(10) ** decade
+                first = [curved.xreplace(at).evalf(20), *(e.xreplace(at).evalf(20) for e in slopes)]
+                if not all(value.is_Float for value in first):
+                    continue
+                matrix = second.xreplace(at).evalf(_DIGITS)
+                size, largest = matrix.det(), max(abs(entry) for entry in matrix)
+                if size.is_Float and abs(size) > _NOISE * largest ** len(block):
+                    signs.add(bool(size > 0))
+            if len(signs) > 1:
+                return False
+        return True
+
+    def _constants(
+        self, symbols: Sequence[sympy.Symbol], generator: random.Random
+    ) -> dict[sympy.Symbol, sympy.Expr]:
+        """Random values of both signs, and those of parameters that have one."""
+        return {
+            symbol: sympy.Rational(generator.choice([-1, 1]) * generator.randint(20, 300), 100)
+            for symbol in symbols
+        } | {symbol: sympy.Rational(str(v)) for symbol, v in self.parameters.items()}
+
+    def _unsolved(self, block: Sequence[sympy.Symbol]) -> InputError:
+        listed = ", ".join(symbol.name for symbol in block)
+        if self.name == "L":
+            return InputError(
+                f"L is not quadratic in {listed}, and the velocities were not found as unique "
+                "functions of the momenta; give parameters their values, or give H itself"
+            )
+        return InputError(
+            f"H is not quadratic in {listed}, and the momenta were not found as unique functions "
+            "of the velocities"
+        )
+
+
+def _quadratic_forms(
+    curved: sympy.Expr, block: Sequence[sympy.Symbol], size: sympy.Dummy
+) -> Iterator[tuple[sympy.Expr, sympy.Expr]]:
+    """Quadratic forms u of the block, and F(u), for an F that depends on the block by u alone."""
+    if len(block) == 1 and not curved.atoms(sympy.Function):
+        function = curved.xreplace({block[0]: sympy.sqrt(size)})
+        if function == curved.xreplace({block[0]: -sympy.sqrt(size)}):
+            yield block[0] ** 2, function
+            return
+    origin = dict.fromkeys(block, sympy.S.Zero)
+    inner = {node for top in sympy.preorder_traversal(curved) for node in (top, *top.args)}
+    for node in sorted((n for n in inner if n.is_Add and n.has(*block)), key=sympy.count_ops):
+        matrix = sympy.hessian(node, block)
+        slopes = [sympy.diff(node, slot).xreplace(origin) for slot in block]
+        if matrix.has(*block) or any(slope != 0 for slope in slopes):
+            continue
+        unit = next(entry for entry in matrix if entry != 0) / 2
+        function = curved.xreplace({node: node.xreplace(origin) + unit * size})
+        if not function.has(*block):
+            yield sympy.expand((node - node.xreplace(origin)) / unit), function
+
+
+def _roots(equation: sympy.Expr, unknown: sympy.Symbol) -> list[sympy.Expr]:
+    try:
+        found = sympy.solve(equation, unknown)
+    except (ArithmeticError, AttributeError, NotImplementedError, TypeError, ValueError):
+        return []
+    plain = [root for root in found if isinstance(root, sympy.Expr)]
+    return [r for r in plain if not r.has(sympy.I, sympy.Piecewise, sympy.LambertW, sympy.RootOf)]
+
+
+def _compact(expr: sympy.Expr, square: sympy.Symbol) -> sympy.Expr:
+    """The shortest of some forms of a function of a square.
+
+    sqrt(a/(b + s)) with constants a and b becomes 1/sqrt((b + s)/a), of which s is a rational
+    function; then the other occurrences of s are replaced too.
+    """
+    forms = [sympy.simplify(expr)]
+
+    def turned(base: sympy.Expr, exponent: sympy.Expr) -> sympy.Expr:
+        above, below = sympy.fraction(sympy.cancel(sympy.together(base)))
+        if above.has(square) or not below.has(square):
+            return base**exponent
+        return sympy.expand(below / above) ** -exponent
+
+    rooted = expr.replace(
+        lambda node: node.is_Pow and node.exp.is_Rational and not node.exp.is_Integer,
+        lambda node: turned(node.base, node.exp),
+    )
+    bases = {node.base for node in rooted.atoms(sympy.Pow) if node.exp.q == 2 and node.has(square)}
+    if len(bases) == 1:
+        base, root = bases.pop(), sympy.Dummy("root", positive=True)
+        solutions = _roots(base - root**2, square)
+        if len(solutions) == 1:
+            plain = sympy.cancel(rooted.xreplace({base: root**2, square: solutions[0]}))
+            forms.append(plain.xreplace({root: sympy.sqrt(base)}))
+    return min(forms, key=sympy.count_ops)

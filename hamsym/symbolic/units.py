@@ -1,0 +1,241 @@
+"""Units of variables and parameters: their consistency, and the unit of the time.
+
+Input:  H and units as text, for example ``{"x": "m", "p": "kg*m/s", "m": "kg", "k": "N/m"}``.
+Output: the same units with that of the time, after a check of every term of H.
+
+Numbers are not converted: units that differ by a factor, as m and cm, do not add.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import sympy
+
+from hamsym.errors import InputError, VariableError
+from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.symbolic.checks import name_of
+
+__all__ = ["checked_units"]
+
+#: Units by the names in texts; the values are names in sympy.physics.units.
+_NAMES = {
+    name: name
+    for name in (
+        *("m km cm mm um nm pm angstrom au ly kg g mg s ms us ns ps minute hour day year".split()),
+        *("N J eV W Pa bar Hz A C V F S T Wb ohm K mol cd rad deg".split()),
+    )
+} | {"H": "henry", "u": "amu", "Ω": "ohm", "h": "hour", "d": "day"}
+_BASE = {
+    "mass": "kg",
+    "length": "m",
+    "time": "s",
+    "current": "A",
+    "temperature": "K",
+    "amount_of_substance": "mol",
+    "luminous_intensity": "cd",
+}
+_REMEDY = "give units in which all terms agree; numbers are not converted"
+
+
+class _Unit(NamedTuple):
+    """A factor and powers of base units; for example 1000 and (("length", 1),) for km."""
+
+    factor: sympy.Expr
+    powers: tuple[tuple[str, sympy.Rational], ...]
+
+    def __mul__(self, other: Any) -> _Unit:
+        total = dict(self.powers)
+        for name, power in other.powers:
+            total[name] = total.get(name, sympy.S.Zero) + power
+        kept = tuple(sorted((name, power) for name, power in total.items() if power != 0))
+        return _Unit(self.factor * other.factor, kept)
+
+    def __pow__(self, exponent: Any) -> _Unit:
+        powers = tuple((name, power * exponent) for name, power in self.powers if exponent != 0)
+        return _Unit(self.factor**exponent, powers)
+
+    def equals(self, other: _Unit) -> bool:
+        ratio = sympy.N(self.factor / other.factor, 15)
+        return self.powers == other.powers and bool(abs(ratio - 1) < 1e-9)
+
+    @property
+    def text(self) -> str:
+        """The unit in base units of SI."""
+        above: list[str] = []
+        below: list[str] = []
+        for name, power in sorted(self.powers, key=lambda pair: list(_BASE).index(pair[0])):
+            size = abs(power)
+            shown = str(size) if size.is_Integer else f"({size})"
+            (above if power > 0 else below).append(
+                _BASE[name] + ("" if size == 1 else f"**{shown}")
+            )
+        unit = "*".join(above) or "1"
+        if below:
+            unit += "/" + (below[0] if len(below) == 1 else f"({'*'.join(below)})")
+        factor = float(self.factor)
+        if abs(factor - 1) < 1e-9:
+            return unit
+        return f"{factor:.12g}" if unit == "1" else f"{factor:.12g}*{unit}"
+
+
+_ONE = _Unit(sympy.S.One, ())
+
+
+@functools.lru_cache(maxsize=256)
+def _unit_named(name: str) -> _Unit:
+    from sympy.physics import units  # slow to import
+    from sympy.physics.units.systems.si import SI, dimsys_SI
+
+    quantity = getattr(units, _NAMES[name])
+    dimension = dimsys_SI.get_dimensional_dependencies(SI.get_quantity_dimension(quantity))
+    powers = {str(getattr(d, "name", d)): sympy.sympify(power) for d, power in dimension.items()}
+    # sympy measures masses in grams.
+    factor = SI.get_quantity_scale_factor(quantity) / 1000 ** powers.get("mass", 0)
+    return _Unit(sympy.sympify(factor), tuple(sorted(powers.items())))
+
+
+def _parsed(name: str, text: object) -> _Unit:
+    if not isinstance(text, str):
+        raise InputError(f"the unit of '{name}' is a text such as 'kg*m/s', not {text!r}")
+    try:
+        expr = parse_expression(text)
+    except InputError as error:
+        raise InputError(f"'{text}' is not a unit of '{name}': {error}") from None
+    unknown = sorted(s.name for s in expr.free_symbols if s.name not in _NAMES)
+    if unknown:
+        raise InputError(
+            f"'{unknown[0]}' in the unit of '{name}' is not known; use {', '.join(_NAMES)} or 1"
+        )
+    unit = _ONE
+    for factor in sympy.Mul.make_args(expr):
+        base, exponent = factor.as_base_exp()
+        if base.is_Symbol and exponent.is_Rational:
+            unit *= _unit_named(base.name) ** exponent
+        elif factor.is_number and factor.is_positive:
+            unit *= _Unit(factor, ())
+        else:
+            raise InputError(
+                f"'{text}' is not a unit of '{name}'; write products and powers such as kg*m**2/s"
+            )
+    return unit
+
+
+def checked_units(
+    units: Mapping[Any, str],
+    expr: sympy.Expr,
+    q: Sequence[sympy.Symbol],
+    p: Sequence[sympy.Symbol],
+    time: str,
+) -> dict[str, str]:
+    """Check the units of H by dimension and return them, with that of the time.
+
+    Parameters
+    ----------
+    units : mapping of name to str
+        Of all components, and of parameters; parameters without one are plain numbers. That of the
+        time follows from the others.
+    expr : sympy.Expr
+        H.
+    q, p : sequence of sympy.Symbol
+    time : str
+        Name of the time.
+
+    Raises
+    ------
+    VariableError
+        If a name does not occur in H, or a component has no unit.
+    InputError
+        If a unit is not known, terms of different units are added, a function has an argument with
+        a unit, or pairs have different units of action.
+
+    Examples
+    --------
+    >>> x, p, m, k = sympy.symbols("x p m k", real=True)
+    >>> units = {"x": "m", "p": "kg*m/s", "m": "kg", "k": "N/m"}
+    >>> checked_units(units, p**2/(2*m) + k*x**2/2, [x], [p], "t")
+    {'x': 'm', 'p': 'kg*m/s', 'm': 'kg', 'k': 'N/m', 't': 's'}
+    """
+    if not isinstance(units, Mapping):
+        raise InputError(f'units={units!r} is not a mapping; give for example {{"x": "m"}}')
+    symbols = {*expr.free_symbols, *q, *p}
+    spelled = {canonical_name(symbol.name): symbol.name for symbol in symbols} | {time: time}
+    given: dict[str, str] = {}
+    known: dict[str, _Unit] = {}
+    for key, text in units.items():
+        name = spelled.get(canonical_name(name_of(key)))
+        if name is None:
+            listed = ", ".join(sorted(spelled.values()))
+            raise VariableError(f"'{name_of(key)}' has a unit, but H has {listed} only")
+        known[name] = _parsed(name, text)
+        given[name] = text
+    missing = [symbol.name for symbol in (*q, *p) if symbol.name not in known]
+    if missing:
+        raise VariableError(f"'{missing[0]}' has no unit; give those of all components, or 1")
+    actions = [known[a.name] * known[b.name] for a, b in zip(q, p, strict=True)]
+    for a, b, action in zip(q, p, actions, strict=True):
+        if not action.equals(actions[0]):
+            raise InputError(
+                f"{a.name}*{b.name} has the unit {action.text}, but {q[0].name}*{p[0].name} has "
+                f"{actions[0].text}; all pairs need one unit of action"
+            )
+    if time not in known:
+        # Terms without the time give the unit of H, and that of the time follows.
+        terms = [
+            t for t in sympy.Add.make_args(expr) if time not in {s.name for s in t.free_symbols}
+        ]
+        if not terms:
+            raise InputError(f"every term of H contains {time}; give the unit of '{time}' too")
+        known[time] = actions[0] * _unit_of(terms[0], known) ** -1
+    energy = _unit_of(expr, known)
+    follows = actions[0] * energy**-1
+    if not follows.equals(known[time]):
+        raise InputError(
+            f"'{time}' has the unit {known[time].text}, but {q[0].name}*{p[0].name}/H has "
+            f"{follows.text}; {_REMEDY}"
+        )
+    return given | {time: given.get(time) or _short(follows)}
+
+
+def _short(unit: _Unit) -> str:
+    """A unit by its own name if it has one."""
+    for name in ("s", "ms", "us", "ns", "ps", "minute", "hour", "day", "year", "m"):
+        if unit.equals(_unit_named(name)):
+            return name
+    return unit.text
+
+
+def _unit_of(expr: sympy.Expr, known: Mapping[str, _Unit]) -> _Unit:
+    if expr.is_Symbol:
+        return known.get(expr.name, _ONE)
+    if expr.is_number:
+        return _ONE
+    if expr.is_Mul:
+        found = _ONE
+        for factor in expr.args:
+            found *= _unit_of(factor, known)
+        return found
+    if expr.is_Pow and expr.exp.is_Rational:
+        return _unit_of(expr.base, known) ** expr.exp
+    units = [_unit_of(part, known) for part in expr.args]
+    if expr.is_Add or isinstance(expr, (sympy.Min, sympy.Max, sympy.atan2)):
+        for part, unit in zip(expr.args, units, strict=True):
+            if not unit.equals(units[0]):
+                raise InputError(
+                    f"'{expr.args[0]}' has the unit {units[0].text}, but '{part}' has {unit.text}; "
+                    f"{_REMEDY}, and parameters without a unit are plain numbers"
+                )
+        return _ONE if isinstance(expr, sympy.atan2) else units[0]
+    if isinstance(expr, sympy.Abs):
+        return units[0]
+    if isinstance(expr, (sympy.sign, sympy.Heaviside)):
+        return _ONE
+    for part, unit in zip(expr.args, units, strict=True):
+        if not unit.equals(_ONE):
+            raise InputError(
+                f"'{part}' in '{expr}' has the unit {unit.text}; arguments of functions and "
+                "exponents are plain numbers"
+            )
+    return _ONE

@@ -1,0 +1,238 @@
+"""Celestial mechanics: point masses under gravity, in the plane."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.support.validation import require_number
+from hamsym.systems.catalogue import Problem, check_positive, check_start, listed
+
+__all__ = [
+    "anisotropic_kepler",
+    "arenstorf",
+    "kepler",
+    "pleiades",
+    "restricted_three_bodies",
+    "three_bodies",
+]
+
+
+@listed
+def kepler(eccentricity: float = 0.6) -> Problem:
+    """The Kepler problem H = |p|^2/2 - 1/r in the plane, from the pericentre; semi-axis 1.
+
+    Exactly, by Kepler's equation t = E - e sin(E).
+
+    Raises
+    ------
+    InputError
+        If the eccentricity is not from 0 to below 1.
+    """
+    if not 0 <= eccentricity < 1:
+        raise InputError(f"eccentricity={eccentricity!r} cannot be used; give 0 <= e < 1")
+    e, minor = eccentricity, math.sqrt(1 - eccentricity**2)
+
+    def exact(t: np.ndarray) -> np.ndarray:
+        mean = np.remainder(np.asarray(t, dtype=float) + math.pi, 2 * math.pi) - math.pi
+        # Between 0 and pi E - e sin(E) is convex: from above, Newton's method cannot overshoot.
+        anomaly = np.sign(mean) * np.minimum(np.abs(mean) + e, math.pi)
+        for _ in range(100):
+            anomaly = anomaly - (anomaly - e * np.sin(anomaly) - mean) / (1 - e * np.cos(anomaly))
+        cosine, sine = np.cos(anomaly), np.sin(anomaly)
+        rate = 1 / (1 - e * cosine)
+        return np.stack((cosine - e, minor * sine, -sine * rate, minor * cosine * rate), axis=-1)
+
+    return Problem(
+        "Kepler problem",
+        Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"),
+        (1 - e, 0.0, 0.0, math.sqrt((1 + e) / (1 - e))),
+        (0.0, 2 * math.pi),
+        "Hairer, Lubich & Wanner 2006, section I.2",
+        exact,
+        2 * math.pi,
+        (
+            "x*p_y - y*p_x",
+            "p_y*(x*p_y - y*p_x) - x/sqrt(x**2 + y**2)",
+            "-p_x*(x*p_y - y*p_x) - y/sqrt(x**2 + y**2)",
+        ),
+    )
+
+
+@listed
+def anisotropic_kepler(ratio: float = 5.0) -> Problem:
+    """The anisotropic Kepler problem of an electron in a semiconductor, in the plane.
+
+    H = p_x^2/(2 sqrt(mu)) + p_y^2 sqrt(mu)/2 - 1/r with the ratio mu of the masses along the two
+    axes, 5 in silicon; in units in which their product is 1. The motion is chaotic.
+
+    Raises
+    ------
+    InputError
+        If the ratio mu is not positive.
+    """
+    check_positive(ratio=ratio)
+    H = Hamiltonian(
+        "p_x**2/(2*sqrt(mu)) + p_y**2*sqrt(mu)/2 - 1/sqrt(x**2 + y**2)", parameters={"mu": ratio}
+    )
+    source = "Gutzwiller 1973; start chosen here"
+    return Problem("anisotropic Kepler problem", H, (1.0, 0.0, 0.0, 0.6), (0.0, 10.0), source)
+
+
+def _planar_bodies(masses: Sequence[float]) -> Hamiltonian:
+    """Point masses that attract each other, G = 1, with coordinates x1, x2, ..., y1, y2, ..."""
+    n = range(1, len(masses) + 1)
+    weights = ["" if mass == 1 else f"{mass}*" for mass in masses]
+    kinetic = " + ".join(
+        f"(px{i}**2 + py{i}**2)/({weight}2)" for i, weight in zip(n, weights, strict=True)
+    )
+    potential = " - ".join(
+        f"{weights[i - 1]}{weights[j - 1]}1/sqrt((x{i} - x{j})**2 + (y{i} - y{j})**2)"
+        for i, j in itertools.combinations(n, 2)
+    )
+    names = [f"{axis}{i}" for axis in ("x", "y") for i in n]
+    return Hamiltonian(f"{kinetic} - {potential}", q=names, p=["p" + name for name in names])
+
+
+def _planar_integrals(n: int) -> tuple[str, ...]:
+    """Total momentum and angular momentum."""
+    every = range(1, n + 1)
+    return (
+        " + ".join(f"px{i}" for i in every),
+        " + ".join(f"py{i}" for i in every),
+        " + ".join(f"x{i}*py{i} - y{i}*px{i}" for i in every),
+    )
+
+
+@listed
+def three_bodies() -> Problem:
+    """Three equal masses that follow each other along a figure of eight, in the plane.
+
+    H = (|p_1|^2 + |p_2|^2 + |p_3|^2)/2 - 1/r_12 - 1/r_13 - 1/r_23. Found by Moore (1993), proved
+    by Chenciner & Montgomery (2000). The start is that of Simo's computation, continued to all
+    digits of float64 by Newton's method on the symmetry after a quarter of the period, with the
+    moment of inertia |q_1|^2 + |q_2|^2 + |q_3|^2 = 2 at the start.
+    """
+    x, y, u, v = 0.9700043566973334, -0.24308753153584886, -0.9324073714410523, -0.864731460921006
+    z0 = (x, -x, 0.0, y, -y, 0.0, -u / 2, -u / 2, u, -v / 2, -v / 2, v)
+    period = 6.325913982926212
+    return Problem(
+        "three bodies",
+        _planar_bodies([1, 1, 1]),
+        z0,
+        (0.0, period),
+        "Chenciner & Montgomery 2000",
+        None,
+        period,
+        _planar_integrals(3),
+    )
+
+
+@listed
+def pleiades() -> Problem:
+    """Seven stars of masses 1 to 7 in the plane, with close encounters.
+
+    The IVP test set publishes the state at t = 3 to 16 digits.
+    """
+    masses = [1, 2, 3, 4, 5, 6, 7]
+    x, y = (3, 3, -1, -3, 2, -2, 2), (3, -3, 2, 0, 0, -4, 4)
+    vx, vy = (0, 0, 0, 0, 0, 1.75, -1.5), (0, 0, 0, -1.25, 1, 0, 0)
+    momenta = (m * v for v_axis in (vx, vy) for m, v in zip(masses, v_axis, strict=True))
+    return Problem(
+        "Pleiades",
+        _planar_bodies(masses),
+        tuple(float(value) for value in (*x, *y, *momenta)),
+        (0.0, 3.0),
+        "Hairer, Norsett & Wanner 1993, section II.10; IVP test set (Bari), plei",
+        conserved=_planar_integrals(7),
+    )
+
+
+# -- the restricted problem of three bodies ------------------------------------------------------
+
+
+def _rotating(mu: float) -> Hamiltonian:
+    return Hamiltonian(
+        "(p_x**2 + p_y**2)/2 + y*p_x - x*p_y - (1 - mu)/sqrt((x + mu)**2 + y**2)"
+        " - mu/sqrt((x - 1 + mu)**2 + y**2)",
+        parameters={"mu": mu},
+    )
+
+
+@listed
+def restricted_three_bodies(mu: float = 0.01) -> Problem:
+    """A small body in the plane of two large ones on circles, in the frame that rotates with them.
+
+    H = (p_x^2 + p_y^2)/2 + y p_x - x p_y - (1 - mu)/r_1 - mu/r_2, with the masses 1 - mu at
+    (-mu, 0) and mu at (1 - mu, 0); the momenta are the velocities in the frame at rest,
+    p_x = x' - y, p_y = y' + x. The start is at rest in the rotating frame, 0.01 to the right of
+    the Lagrange point L4, which is stable for mu below 0.0385.
+
+    Raises
+    ------
+    InputError
+        If mu is not above 0 and at most 1/2.
+    """
+    require_number("mu", mu)
+    if not 0 < mu <= 0.5:
+        raise InputError(f"mu={mu!r} cannot be used; give a mass above 0 and up to 1/2")
+    x, y = 0.51 - mu, math.sqrt(3) / 2
+    return Problem(
+        "restricted three-body problem",
+        _rotating(mu),
+        (x, y, -y, x),
+        (0.0, 40.0),
+        "Szebehely 1967; start chosen here",
+    )
+
+
+# mass of the moon, x and y' at the start, period
+_ARENSTORF = {
+    "period 17.07": (
+        *(0.012277471, 0.994, -2.00158510637908252240537862224),
+        17.0652165601579625588917206249,
+    ),
+    "period 11.12": (
+        *(0.012277471, 0.994, -2.0317326295573368357302057924),
+        11.124340337266085134999734047,
+    ),
+    "period 6.19": (1 / 82.45, 1.2, -1.04935750983031990726, 6.19216933131963970674),
+}
+
+
+@listed
+def arenstorf(start: str = "period 17.07") -> Problem:
+    """Periodic orbits of a spacecraft around the earth and the moon, found by Arenstorf.
+
+    H is that of :func:`restricted_three_bodies` with mu = 0.012277471, or 1/82.45 in the shortest
+    orbit. They begin on the line through both, at right angles to it; the two longer ones 0.006
+    from the moon.
+
+    Raises
+    ------
+    InputError
+        If there is no such start.
+
+    Examples
+    --------
+    >>> problem = arenstorf(start="period 11.12")
+    >>> problem.z0, problem.period
+    ((0.994, 0.0, 0.0, -1.0377326295573368), 11.124340337266085)
+    """
+    check_start(start, _ARENSTORF)
+    mu, x, velocity, period = _ARENSTORF[start]
+    return Problem(
+        "Arenstorf orbit",
+        _rotating(mu),
+        (x, 0.0, 0.0, x + velocity),
+        (0.0, period),
+        "Arenstorf 1963; Hairer, Norsett & Wanner 1993, section II.0; Shampine & Gordon 1975",
+        period=period,
+        start=start,
+        starts=tuple(_ARENSTORF),
+    )

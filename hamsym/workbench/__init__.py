@@ -1,0 +1,1 @@
+"""What people look at and share: animations, notebooks, reports, the page in the browser."""

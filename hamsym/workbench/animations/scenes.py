@@ -1,0 +1,334 @@
+"""Pictures of states: points in a plane, joined by rods.
+
+A pendulum, a chain, bodies in a plane and a point of a phase plane are one kind of picture: each
+state becomes the places of some points, of which some are joined by rods and some leave a tail.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.plotting.names import known_name, math_name, math_unit, quantity
+from hamsym.support.validation import is_positive
+from hamsym.workbench.animations.motion import Motion
+
+__all__ = ["KINDS", "Scene", "scene_of"]
+
+#: Kinds of pictures that are made from names of components.
+KINDS = ("plane", "phase", "pendulum", "chain")
+
+_ANGLE = re.compile(r"(theta|phi|psi|varphi|vartheta|alpha)(_?\d+)?")
+_RADIUS = re.compile(r"(r|rho|R)(_?\d+)?")
+_MOST_RODS = 3  # of a pendulum that is recognised by the names of its angles alone
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A picture of states.
+
+    Attributes
+    ----------
+    places : callable
+        States, shape (..., dim), and times, shape (...), to places of points, (..., points, 2).
+    labels : pair of (str, str)
+        Of the axes: a text and a unit each.
+    points : tuple of str
+        Names of the points for a legend; empty for one without.
+    rods : tuple of (int, int)
+        Pairs of points that are joined.
+    traced : tuple of int
+        Points that leave a tail.
+    pivots : tuple of int
+        Points that are drawn small.
+    equal : bool
+        Whether a unit is as long on both axes.
+    level_sets : (int, int) or None
+        The components of the axes, if level sets of H belong to the picture.
+    note : str
+        What was chosen, in words.
+    """
+
+    places: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    labels: tuple[tuple[str, str], tuple[str, str]]
+    points: tuple[str, ...] = ()
+    rods: tuple[tuple[int, int], ...] = ()
+    traced: tuple[int, ...] = (0,)
+    pivots: tuple[int, ...] = ()
+    equal: bool = True
+    level_sets: tuple[int, int] | None = None
+    note: str = ""
+
+
+def scene_of(
+    motion: Motion,
+    names: tuple[Any, ...],
+    kind: str | None,
+    lengths: Any,
+    points: Callable[..., Any] | None,
+    rods: Sequence[tuple[int, int]],
+) -> Scene:
+    """Return the picture that was asked for, or the one that the names of coordinates suggest.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, options do not fit together, or no picture is suggested.
+    """
+    H = motion.H
+    if points is not None:
+        if names or kind is not None or lengths is not None:
+            raise InputError("points makes the whole picture; leave names, kind and lengths out")
+        return _of_points(motion, points, rods)
+    if len(rods):
+        raise InputError("rods joins points; give points as well, or kind='pendulum'")
+    chosen = [H.names.index(known_name(name, H.names, "a component")) for name in names]
+    if kind is None:
+        kind, chosen = _suggested(H, chosen) if lengths is None else ("pendulum", chosen)
+    if kind not in KINDS:
+        raise InputError(f"kind={kind!r} is unknown; give one of {', '.join(KINDS)}")
+    if lengths is not None and kind != "pendulum":
+        raise InputError(f"lengths are those of a pendulum, not of kind='{kind}'; leave them out")
+    if kind == "pendulum":
+        return _pendulum(motion, chosen or list(range(H.dof)), lengths)
+    if kind == "chain":
+        return _chain(H, chosen or list(range(H.dof)))
+    if kind == "phase":
+        return _phase(motion, chosen or [0, H.dof])
+    return _plane(H, chosen or list(range(H.dof)))
+
+
+def _listed(names: Sequence[str]) -> str:
+    if len(names) <= 8:
+        return ", ".join(names)
+    return f"{', '.join(names[:4])} ... {names[-1]}"
+
+
+def _suggested(H: Hamiltonian, chosen: list[int]) -> tuple[str, list[int]]:
+    """Return a kind of picture and components."""
+    d = H.dof
+    if chosen:
+        phase = len(chosen) == 2 and abs(chosen[0] - chosen[1]) == d
+        return ("phase" if phase else "plane"), chosen
+    names = list(H.names[:d])
+    parts = [re.fullmatch(r"(.*?)_?(\d*)", name) for name in names]
+    stems = [part[1] if part else name for part, name in zip(parts, names, strict=True)]
+    numbers = [part[2] if part else "" for part in parts]
+    if all(map(_ANGLE.fullmatch, names)) and len(set(stems)) == 1 and d <= _MOST_RODS:
+        return "pendulum", list(range(d))
+    if d == 1:
+        return "phase", [0, 1]
+    at = dict(zip(zip(stems, numbers, strict=True), range(d), strict=True))
+    bodies = sorted({number for stem, number in at if stem == "x"}, key=lambda n: int(n or 0))
+    if bodies and all(stem in ("x", "y", "z") for stem in stems):
+        pairs = [at.get((stem, number)) for number in bodies for stem in ("x", "y")]
+        if None not in pairs:
+            return "plane", [place for place in pairs if place is not None]
+    if d > 2 and len(set(stems)) == 1 and all(numbers) and not _ANGLE.fullmatch(names[0]):
+        return "chain", list(range(d))
+    raise InputError(
+        f"the coordinates {_listed(names)} have no usual picture; name two components, such as "
+        f"'{H.names[0]}', '{H.names[d]}', or give kind= one of {', '.join(KINDS)}, or points="
+    )
+
+
+def _plane(H: Hamiltonian, chosen: list[int]) -> Scene:
+    if len(chosen) < 2 or len(chosen) % 2:
+        raise InputError(
+            "a plane needs two components for each body, such as 'x', 'y' or 'x1', 'y1', 'x2', 'y2'"
+        )
+    along, across = chosen[::2], chosen[1::2]
+
+    def places(z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return np.stack((z[..., along], z[..., across]), axis=-1)
+
+    names, several = H.names, len(along) > 1
+    labels = [_shared(H, [names[i] for i in column]) for column in (along, across)]
+    left = [name for i, name in enumerate(names[: H.dof]) if i not in chosen]
+    note = ""
+    if left and all(i < H.dof for i in chosen):
+        note = f"Projected along {_listed(left)}"
+    pairs = zip(along, across, strict=True)
+    return Scene(
+        places,
+        (labels[0], labels[1]),
+        points=tuple(f"{math_name(names[i])}, {math_name(names[j])}" for i, j in pairs)
+        if several
+        else (),
+        traced=tuple(range(len(along))),
+        equal=_alike(H, chosen),
+        note=note,
+    )
+
+
+def _shared(H: Hamiltonian, names: list[str]) -> tuple[str, str]:
+    """Return the label of an axis for a component of one or of several bodies."""
+    if len(names) == 1:
+        return quantity(H, names[0])
+    units = {H.units.get(name, "1") for name in names}
+    if len(units) > 1:
+        raise InputError(f"{_listed(names)} have different units; draw them one by one")
+    stems = {re.sub(r"_?\d+$", "", name) for name in names}
+    own = [stems.pop()] if len(stems) == 1 else names
+    return ", ".join(map(math_name, own)), math_unit(units.pop())
+
+
+def _alike(H: Hamiltonian, chosen: list[int]) -> bool:
+    """Whether components are lengths in space, or momenta, of one unit."""
+    names = [H.names[i] for i in chosen]
+    if len({i < H.dof for i in chosen}) > 1 or len({H.units.get(name) for name in names}) > 1:
+        return False
+    own = [H.names[i % H.dof] for i in chosen]
+    return not any(_ANGLE.fullmatch(name) or _RADIUS.fullmatch(name) for name in own)
+
+
+def _phase(motion: Motion, chosen: list[int]) -> Scene:
+    H = motion.H
+    if len(chosen) != 2:
+        raise InputError("a phase plane needs two components, such as 'x', 'p_x'")
+    i, j = chosen
+    pictured = H.dof == 1 and H.time is None and not motion.varied
+    note = ""
+    if H.dof == 1 and not pictured:
+        reason = "H depends on time" if H.time is not None else "parameters differ"
+        note = f"No level sets of H: {reason}"
+    return Scene(
+        lambda z, t: z[..., None, [i, j]],
+        (quantity(H, H.names[i]), quantity(H, H.names[j])),
+        equal=False,
+        level_sets=(i, j) if pictured else None,
+        note=note,
+    )
+
+
+def _pendulum(motion: Motion, chosen: list[int], lengths: Any) -> Scene:
+    H = motion.H
+    if any(i >= H.dof for i in chosen):
+        raise InputError("a pendulum is drawn by its angles, which are coordinates; name those")
+    values, source = _lengths(motion, chosen, lengths)
+
+    def places(z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        angles = z[..., chosen]
+        x = np.cumsum(values * np.sin(angles), axis=-1)
+        y = np.cumsum(-values * np.cos(angles), axis=-1)
+        ends = np.stack((x, y), axis=-1)
+        return np.concatenate((np.zeros_like(ends[..., :1, :]), ends), axis=-2)
+
+    count = len(chosen)
+    named = ", ".join(H.names[i] for i in chosen)
+    return Scene(
+        places,
+        (("", ""), ("", "")),
+        rods=tuple((k, k + 1) for k in range(count)),
+        traced=(count,),
+        pivots=(0,),
+        note=f"Rods of {source} at {named} from the vertical",
+    )
+
+
+def _lengths(motion: Motion, chosen: list[int], lengths: Any) -> tuple[np.ndarray, str]:
+    """Return the lengths of rods, and where they are from."""
+    H, count = motion.H, len(chosen)
+    known = H.parameters
+    if lengths is None:
+        for shape in ("l{}", "L{}", "l_{}", "L_{}"):
+            listed = [shape.format(k + 1) for k in range(count)]
+            if all(name in known and name not in motion.varied for name in listed):
+                return _checked([known[name] for name in listed]), "lengths " + ", ".join(listed)
+        for name in ("l", "L"):
+            if name in known and name not in motion.varied:
+                return _checked([known[name]] * count), f"length {name}"
+        return np.ones(count), "equal lengths"
+    given = [lengths] if isinstance(lengths, str) or np.ndim(lengths) == 0 else list(lengths)
+    if len(given) == 1:
+        given *= count
+    if len(given) != count:
+        raise InputError(f"lengths={lengths!r} are not {count}; give one for each angle")
+    found = []
+    for value in given:
+        if isinstance(value, str) and (value not in known or value in motion.varied):
+            raise InputError(f"lengths: '{value}' is no parameter with one value; give a number")
+        found.append(known[value] if isinstance(value, str) else value)
+    return _checked(found), "lengths " + ", ".join(
+        value if isinstance(value, str) else f"{value:.4g}" for value in given
+    )
+
+
+def _checked(values: list[Any]) -> np.ndarray:
+    if not all(map(is_positive, values)):
+        raise InputError(f"lengths={values!r} are not all numbers above 0; give such numbers")
+    return np.array(values, dtype=float)
+
+
+def _chain(H: Hamiltonian, chosen: list[int]) -> Scene:
+    count, names = len(chosen), [H.names[i] for i in chosen]
+    sites = np.arange(1.0, count + 1)
+    if len({H.units.get(name) for name in names}) > 1:
+        raise InputError(f"{_listed(names)} have different units; a chain needs one")
+    every = [math_name(name) for name in names]
+    shared = f"{every[0]} ... {every[-1]}" if count > 2 else ", ".join(every)
+    return Scene(
+        lambda z, t: np.stack(np.broadcast_arrays(sites, z[..., chosen]), axis=-1),
+        (("site", ""), (shared, math_unit(H.units.get(names[0], "1")))),
+        rods=tuple((k, k + 1) for k in range(count - 1)),
+        traced=(),
+        equal=False,
+    )
+
+
+def _of_points(
+    motion: Motion, points: Callable[..., Any], rods: Sequence[tuple[int, int]]
+) -> Scene:
+    """A picture from a user's function of a state, or of a state and the time."""
+    if not callable(points):
+        raise InputError("points is no function; give one of a state, such as lambda z: ...")
+    with_time = _takes_time(points)
+
+    def places(z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        rows, times = z.reshape(-1, z.shape[-1]), np.broadcast_to(t, z.shape[:-1]).ravel()
+        found = [
+            points(row, time) if with_time else points(row)
+            for row, time in zip(rows, times.tolist(), strict=True)
+        ]
+        return _places(found).reshape(*z.shape[:-1], -1, 2)
+
+    start = np.array(motion.span[:1])
+    count = places(motion.at(start), start[:, None]).shape[-2]
+    pairs = []
+    for pair in rods:
+        numbers = np.ravel(pair)
+        whole = numbers.dtype.kind in "iu" and len(numbers) == 2
+        if not whole or not all(0 <= k < count for k in numbers.tolist()):
+            raise InputError(
+                f"rods: {pair!r} is no pair of points; they have the numbers 0 to {count - 1}"
+            )
+        pairs.append((int(numbers[0]), int(numbers[1])))
+    return Scene(places, (("", ""), ("", "")), rods=tuple(pairs), traced=tuple(range(count)))
+
+
+def _takes_time(points: Callable[..., Any]) -> bool:
+    try:
+        entries = inspect.signature(points).parameters.values()
+    except (TypeError, ValueError):  # of builtins
+        return False
+    empty, positional = inspect.Parameter.empty, ("POSITIONAL_ONLY", "POSITIONAL_OR_KEYWORD")
+    return sum(e.default is empty and e.kind.name in positional for e in entries) > 1
+
+
+def _places(found: list[Any]) -> np.ndarray:
+    try:
+        places = np.array(found, dtype=float)
+    except (TypeError, ValueError):
+        places = np.zeros(0)
+    if places.ndim == 2:
+        places = places[:, None]
+    if places.ndim != 3 or places.shape[1] == 0 or places.shape[2] != 2:
+        raise InputError("points must return pairs x, y: an array of shape (points, 2)")
+    return places

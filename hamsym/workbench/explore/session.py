@@ -1,0 +1,309 @@
+"""Session: the state of one tab, and what it asks of its workers; without any web library."""
+
+from __future__ import annotations
+
+import asyncio
+import html
+import math
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from typing import Any
+
+import hamsym
+from hamsym.errors import HamsymError, InputError
+from hamsym.workbench.explore.results import Derivation, JobResult, Picture, SectionPicture
+from hamsym.workbench.explore.setting import Setting
+from hamsym.workbench.explore.worker import TaskError, Worker
+
+__all__ = ["FIRST", "Latest", "Session", "Sessions", "excerpt", "missing_feature"]
+
+FIRST = Setting("p**2/2 + x**2/2 + x**4/4", z0={"x": 1.3, "p": 1.0}, span=(0.0, 20.0))
+_TASKS = "hamsym.workbench.explore.tasks"
+_LIVE_LIMIT = 15.0  # seconds of what is drawn while a slider moves
+_FILE_LIMIT = 240.0  # the comparison of a report alone may take a minute
+_FIRST_LIMIT = 90.0  # with the start of a process and the import of hamsym on a busy machine
+_COMPILE_LIMIT = 180.0
+_CONTEXT = 40  # characters around an invalid token
+
+_Key = tuple[str, str, str, str]
+
+
+class Latest:
+    """An action of which only the latest request counts.
+
+    A request that comes while the action runs makes it run once more at its end; those in between
+    are dropped, as the positions that a slider passes.
+
+    Parameters
+    ----------
+    action : callable
+        () -> awaitable.
+    """
+
+    def __init__(self, action: Callable[[], Awaitable[None]]) -> None:
+        self._action = action
+        self._running = self._again = False
+
+    async def request(self) -> None:
+        """Run the action, now or at the end of the present run."""
+        self._again = True
+        if self._running:
+            return
+        self._running = True
+        try:
+            while self._again:
+                self._again = False
+                await self._action()
+        finally:
+            self._running = False
+
+
+class Session:
+    """The setting of one tab, with three processes: what is live, the background, and the buttons.
+
+    Attributes
+    ----------
+    setting : Setting
+    derivation : Derivation or None
+        Of the formula; None before the first one.
+    surface : str
+        Of the section.
+    closed : bool
+        Whether the tab was closed, which ended its processes.
+    """
+
+    def __init__(self, setting: Setting = FIRST) -> None:
+        self.setting = setting
+        self.derivation: Derivation | None = None
+        self.surface = ""
+        self._live, self._background, self._button = (Worker(_TASKS) for _ in range(3))
+        self._compiled: _Key | None = None
+        self._slow: dict[_Key, str] = {}  # what could not be compiled
+        self._busy = False
+        self._started = False
+        self.closed = False
+
+    def start(self) -> None:
+        """Start the process of what is live."""
+        self._live.start()
+
+    def close(self) -> None:
+        """End all processes."""
+        self.closed = True
+        for worker in (self._live, self._background, self._button):
+            worker.close()
+
+    @property
+    def _key(self) -> _Key:
+        setting = self.setting
+        return setting.formula, setting.q, setting.p, setting.forces
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the loops of this H are compiled."""
+        return self._compiled == self._key
+
+    async def _call(self, worker: Worker, task: str, seconds: float, *arguments: Any) -> Any:
+        return await asyncio.to_thread(worker.run, task, seconds, *arguments)
+
+    async def _call_live(self, task: str, *arguments: Any) -> Any:
+        seconds = _LIVE_LIMIT if self._started else _FIRST_LIMIT
+        found = await self._call(self._live, task, seconds, *arguments)
+        self._started = True
+        return found
+
+    def stop_drawing(self) -> None:
+        """End what is live; the next request starts a new process."""
+        self._started = False
+        self._live.cancel()
+
+    # -- formula and values --------------------------------------------------------------------
+
+    async def set_formula(self, formula: str, q: str = "", p: str = "", forces: str = "") -> None:
+        """Take a new formula; values of names that stay are kept.
+
+        Raises
+        ------
+        TaskError
+            If it cannot be used; the setting stays as it is.
+        """
+        derivation = await self._call_live("derive", formula, q, p, forces)
+        setting = replace(self.setting, formula=formula, q=q, p=p, forces=forces)
+        self._take(setting, derivation)
+
+    async def set_example(self, name: str) -> None:
+        """Take a system of the catalogue with its values."""
+        setting = await self._call_live("example", name)
+        derivation = await self._call_live(
+            "derive", setting.formula, setting.q, setting.p, setting.forces
+        )
+        self.derivation = None
+        self._take(setting, derivation)
+
+    def _take(self, setting: Setting, derivation: Derivation) -> None:
+        names, parameter_names = derivation.names, derivation.parameter_names
+        if self.derivation is None or self.derivation.names != names:
+            self.surface = derivation.surface
+        self.setting = setting.with_names(names, parameter_names)
+        self.derivation = derivation
+
+    def set_value(self, name: str, value: float) -> None:
+        """Set a component of the initial state, a parameter, or the end of the span, ``t``.
+
+        Raises
+        ------
+        InputError
+            If the value is not finite or the name is unknown.
+        """
+        if not math.isfinite(value):
+            raise InputError(f"{name} = {value} is not finite; give a number such as 1.3")
+        setting = self.setting
+        if name in setting.z0:
+            self.setting = replace(setting, z0={**setting.z0, name: value})
+        elif name in setting.parameters:
+            self.setting = replace(setting, parameters={**setting.parameters, name: value})
+        else:
+            raise InputError(f"'{name}' is not a component of z or a parameter; reload the page")
+
+    def set_span(self, start: float, end: float) -> None:
+        """Set the time span."""
+        self.setting = replace(self.setting, span=(start, end))
+
+    def set_tolerance(self, tol: float) -> None:
+        """Set the tolerance."""
+        self.setting = replace(self.setting, tol=tol)
+
+    async def number(self, text: str) -> float:
+        """Return the value of a typed number, which may be a formula such as ``4*pi``.
+
+        Raises
+        ------
+        TaskError
+            If it is none.
+        """
+        try:
+            value = float(text)
+        except ValueError:
+            return await self._call_live("number", text)
+        if not math.isfinite(value):
+            raise TaskError(f"'{text}' is not a finite number; write for example 1.3 or 4*pi")
+        return value
+
+    # -- what is drawn -------------------------------------------------------------------------
+
+    async def picture(self) -> Picture:
+        """Solve and sample the present setting."""
+        return await self._call_live("picture", self.setting, self.is_compiled)
+
+    async def compile(self) -> str:
+        """Compile the loops of this H in the background; return why not, or nothing."""
+        key = self._key
+        if key in self._slow:
+            return self._slow[key]
+        try:
+            await self._call(self._background, "prepare", _COMPILE_LIMIT, self.setting)
+        except TaskError as error:
+            self._slow[key] = f"Its loops are not compiled: {error}."
+            return self._slow[key]
+        self._compiled = key
+        return ""
+
+    async def section(self) -> SectionPicture:
+        """Compute the section of the present setting."""
+        seconds = _LIVE_LIMIT if self.is_compiled else _COMPILE_LIMIT
+        return await self._call(self._background, "section", seconds, self.setting, self.surface)
+
+    async def code(self, backend: str) -> str:
+        """Return the generated code of a backend."""
+        return await self._call_live("code", *self._key, backend)
+
+    # -- buttons and files ---------------------------------------------------------------------
+
+    async def job(self, task: str, seconds: float, *arguments: Any) -> JobResult:
+        """Carry out what a button asks for; :meth:`cancel` ends it.
+
+        Raises
+        ------
+        TaskError
+            If it fails, or another one is running.
+        """
+        if self._busy:
+            raise TaskError("another computation of this tab is running; cancel it first")
+        self._busy = True
+        try:
+            return await self._call(self._button, task, seconds, self.setting, *arguments)
+        finally:
+            self._busy = False
+
+    def cancel(self) -> None:
+        """End what a button asked for."""
+        self._button.cancel()
+
+    async def file(self, task: str, *arguments: Any) -> bytes:
+        """Return the content of a file."""
+        return await self._call(self._background, task, _FILE_LIMIT, self.setting, *arguments)
+
+
+class Sessions:
+    """The sessions of all tabs.
+
+    Parameters
+    ----------
+    setting : Setting
+        With which each begins.
+    """
+
+    def __init__(self, setting: Setting = FIRST) -> None:
+        self._setting = setting
+        self._open: set[Session] = set()
+        self._ready: Session | None = Session(setting)
+        self._ready.start()  # imports while the server starts
+
+    def open(self) -> Session:
+        """Return a new session; the first one has started its process already."""
+        session, self._ready = self._ready or Session(self._setting), None
+        self._open.add(session)
+        return session
+
+    def close(self, session: Session) -> None:
+        """End the processes of a session."""
+        self._open.discard(session)
+        session.close()
+
+    def close_all(self) -> None:
+        """End all processes, so that no thread waits for one."""
+        for session in [*self._open, *([self._ready] if self._ready else [])]:
+            session.close()
+
+
+def excerpt(text: str, error: HamsymError) -> str:
+    """Return the place of an error in a formula as HTML, with the token marked.
+
+    Examples
+    --------
+    >>> excerpt("x^2 < y", TaskError("...", "^", 2))
+    'x<mark>^</mark>2 &lt; y'
+    """
+    column, token = getattr(error, "column", 0), getattr(error, "token", "")
+    if not column:
+        return ""
+    first = column - 1
+    # A long token is shortened in messages, and one of a control character is spelled out.
+    last = first + max(len(token), 1) if text[first : first + len(token)] == token else first + 1
+    start, end = max(first - _CONTEXT, 0), min(last + _CONTEXT, len(text))
+    before = ("…" if start else "") + html.escape(text[start:first])
+    marked = html.escape(text[first : min(last, first + _CONTEXT)]) or "&nbsp;"
+    after = html.escape(text[last:end]) + ("…" if end < len(text) else "")
+    return f"{before}<mark>{marked}</mark>{after}"
+
+
+def missing_feature(name: str) -> str:
+    """Return why a kind of file cannot be made, or nothing.
+
+    Examples
+    --------
+    >>> missing_feature("save")
+    ''
+    """
+    owner: Any = hamsym if name == "report" else hamsym.Solution
+    return "" if hasattr(owner, name) else f"This version of hamsym has no {name}."

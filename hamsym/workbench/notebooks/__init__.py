@@ -1,0 +1,1 @@
+"""Representations of results in notebooks."""

@@ -1,0 +1,1 @@
+"""Reports of solutions in one file of HTML."""

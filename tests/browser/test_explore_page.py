@@ -1,0 +1,286 @@
+"""Tests of the page of hamsym explore in a headless Chromium."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytest.importorskip("nicegui", reason='needs pip install "hamsym[explore]"')
+
+pytestmark = pytest.mark.slow
+
+PATIENCE = 150_000  # milliseconds; the first solution waits for imports and compilers
+COORDINATES = ".chart.coordinates path[stroke='#0072b2']"
+
+
+def _serve(*arguments: str) -> tuple[subprocess.Popen[str], str]:
+    command = [sys.executable, "-m", "hamsym", "explore", "--no-browser", *arguments]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert server.stdout is not None
+    return server, server.stdout.readline().strip()
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    server, address = _serve()
+    yield address
+    server.send_signal(signal.SIGINT)
+    assert server.wait(30) == 0
+
+
+def _open(page: Page, address: str) -> None:
+    page.set_default_timeout(PATIENCE)
+    page.goto(address)
+    page.wait_for_selector(".verdict.accepted")
+    page.wait_for_selector(COORDINATES)
+
+
+def _curve(page: Page) -> str:
+    """Return the path of the first coordinate."""
+    return page.locator(COORDINATES).first.get_attribute("d") or ""
+
+
+def _wait_for_new_curve(page: Page, old: str) -> None:
+    page.wait_for_function(
+        "([where, old]) => { const path = document.querySelector(where);"
+        " return path && path.getAttribute('d') !== old; }",
+        arg=[COORDINATES, old],
+    )
+
+
+def test_page_needs_nothing_from_elsewhere(page, address):
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    _open(page, address)
+    own = address.split("?")[0]
+    assert asked
+    assert [url for url in asked if not url.startswith((own, "data:", "blob:"))] == []
+    assert "token" not in page.url
+    assert page.locator(".mathematics math").count() >= 4
+    page.get_by_role("tab", name="Code").click()
+    assert "def vector_field" in page.locator(".code pre").first.text_content()
+
+
+def test_typing_changes_equations_sliders_and_picture(page, address):
+    _open(page, address)
+    old = _curve(page)
+    page.get_by_label("Hamiltonian H").fill("p**2/(2*m) - cos(x)")
+    page.get_by_label("value of m", exact=True).wait_for()
+    _wait_for_new_curve(page, old)
+    assert page.locator(".mathematics").first.text_content().count("cos") == 1
+    assert page.locator(".verdict.accepted").count() == 1
+
+
+def test_error_marks_the_token_beside_the_field(page, address):
+    _open(page, address)
+    field = page.get_by_label("Hamiltonian H")
+    field.fill("p**2/2 + x^2/2")
+    page.wait_for_selector(".error mark")
+    assert page.locator(".error mark").text_content() == "^"
+    assert "at column 11 is not a power; write ** for powers" in page.inner_text(".error")
+    assert page.locator(".charts.stale").count() == 1
+    field.fill("<img src=x onerror=alert(1)>")
+    page.wait_for_function("document.querySelector('.error mark').textContent !== '^'")
+    assert page.locator(".error img").count() == 0
+    field.fill("p**2/2 + x**2/2")
+    page.wait_for_selector(".verdict.accepted")
+    assert not page.locator(".error").is_visible()
+
+
+def test_slider_redraws_and_field_takes_a_number(page, address):
+    _open(page, address)
+    old = _curve(page)
+    slider = page.locator("[role=slider][aria-label=x] [tabindex='0']")
+    slider.focus()
+    for _ in range(5):
+        page.keyboard.press("ArrowRight")
+    _wait_for_new_curve(page, old)
+    field = page.get_by_label("value of x", exact=True)
+    assert float(field.input_value()) > 1.3
+    old = _curve(page)
+    field.fill("pi/8")
+    field.press("Enter")
+    _wait_for_new_curve(page, old)
+    page.wait_for_selector(".verdict.accepted")
+
+
+def test_failed_solution_is_said_in_words(page, address):
+    _open(page, address)
+    page.get_by_label("Hamiltonian H").fill("p**2/2 - 1/x")
+    page.wait_for_selector(".verdict.failed")
+    assert page.inner_text(".verdict").startswith("Not accepted: ")
+    page.wait_for_selector(".chart.plane text:has-text('not accepted')")
+
+
+def test_example_has_a_section(page, address):
+    _open(page, address)
+    choice = page.get_by_label("Example from the catalogue")
+    choice.fill("henon_heiles")
+    page.get_by_role("option", name="henon_heiles", exact=True).click()
+    page.wait_for_function(
+        "document.querySelector('.section-note')?.textContent.includes('crossings of y = 0')"
+    )
+    assert page.locator(".chart.section path").count() > 20
+    assert page.locator(".mathematics mtd").count() == 16
+
+
+def test_section_of_earlier_values_is_pale_until_it_is_replaced(page):
+    server, address = _serve("(p_x**2 + p_y**2)/2 + (x**2 + 2*y**2)/2 + x**2*y**4")
+    try:
+        _open(page, address)  # loops are compiled from now on
+        for value in ("0.2", "0.3"):
+            field = page.get_by_label("value of x", exact=True)
+            field.fill(value)
+            field.press("Enter")
+            page.locator(".earlier .chart.section").wait_for()
+            page.wait_for_timeout(700)
+        page.locator("div:not(.earlier) > .chart.section").wait_for()
+    finally:
+        server.send_signal(signal.SIGINT)
+        server.communicate(timeout=30)
+
+
+def test_certificate_is_shown(page, address):
+    _open(page, address)
+    page.get_by_role("tab", name="Prove").click()
+    page.get_by_role("button", name="Certify").click()
+    page.wait_for_selector(".result td")
+    assert page.inner_text(".result p").startswith("Proven: ")
+    rows = page.locator(".result tbody tr")
+    assert [rows.nth(k).locator("td").first.inner_text() for k in range(4)] == [
+        "|z|",
+        "x",
+        "p",
+        "H",
+    ]
+
+
+def test_long_run_is_cancelled_and_page_stays_live(page, address):
+    _open(page, address)
+    page.get_by_role("tab", name="Exponents").click()
+    page.get_by_label("Time, in time spans").fill("1000000")
+    page.get_by_role("button", name="Compute exponents").click()
+    cancel = page.get_by_role("button", name="Cancel")
+    cancel.wait_for()
+    old = _curve(page)
+    page.locator("[role=slider][aria-label=p] [tabindex='0']").focus()
+    page.keyboard.press("ArrowRight")
+    _wait_for_new_curve(page, old)  # while the run goes on
+    assert cancel.is_visible()
+    cancel.click()
+    page.get_by_text("Cancelled.").wait_for()
+    assert not cancel.is_visible()
+    assert page.get_by_role("button", name="Compute exponents").is_enabled()
+
+
+def test_downloads_are_files_of_the_solution(page, address, tmp_path: Path):
+    import hamsym
+
+    _open(page, address)
+    page.get_by_role("tab", name="Download").click()
+    with page.expect_download() as started:
+        page.get_by_role("button", name="Solution, for hamsym.load").click()
+    path = tmp_path / "orbit.hamsym"
+    started.value.save_as(path)
+    assert hamsym.load(path).z0.tolist() == [1.3, 1.0]
+    with page.expect_download() as started:
+        page.get_by_role("button", name="Data (CSV)").click()
+    started.value.save_as(tmp_path / "data.csv")
+    values = np.genfromtxt(tmp_path / "data.csv", delimiter=",", names=True)
+    assert values["x"][0] == 1.3
+    page.get_by_role("tab", name="Code").click()
+    with page.expect_download() as started:
+        page.get_by_role("button", name="Download code").click()
+    assert started.value.suggested_filename == "hamiltonian_numpy.py"
+
+
+def test_report_is_downloaded_and_its_making_is_said(page, address, tmp_path: Path):
+    _open(page, address)
+    page.get_by_role("tab", name="Download").click()
+    button = page.get_by_role("button", name="Report (HTML)")
+    with page.expect_download() as started:
+        button.click()
+        page.get_by_text("Making report.html.").wait_for()
+        assert button.get_attribute("class").split().count("q-btn--actionable") == 0
+    started.value.save_as(tmp_path / "report.html")
+    page.get_by_text("report.html is made.").wait_for()
+    page.goto((tmp_path / "report.html").as_uri())
+    assert "H = p**2/2 + x**2/2 + x**4/4" in page.inner_text("body")
+    assert page.get_by_text("Succeeded").count() == 1
+
+
+def test_two_tabs_have_states_of_their_own(page, address):
+    _open(page, address)
+    other = page.context.new_page()
+    _open(other, address)
+    other.get_by_label("Hamiltonian H").fill("p_a**2/2 + a**2")
+    other.get_by_label("value of a", exact=True).wait_for()
+    old = _curve(page)
+    page.locator("[role=slider][aria-label=x] [tabindex='0']").focus()
+    page.keyboard.press("ArrowLeft")
+    _wait_for_new_curve(page, old)
+    assert page.get_by_label("Hamiltonian H").input_value() == "p**2/2 + x**2/2 + x**4/4"
+    assert other.get_by_label("value of a", exact=True).input_value() == "1"
+
+
+@pytest.mark.parametrize("width", [390, 1280, 1920])
+def test_page_fits_the_window(page, address, width):
+    page.set_viewport_size({"width": width, "height": 900})
+    _open(page, address)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.screenshot(path="/dev/null", type="png")
+    for chart in page.locator(".chart:visible").all():
+        box = chart.bounding_box()
+        assert box is not None
+        assert box["width"] >= 300
+
+
+def test_requests_without_the_token_are_refused(address, errors):
+    base = address.split("?")[0]
+    for url, headers in (
+        (base, {}),
+        (f"{base}?token=wrong", {}),
+        (f"{base}_nicegui_ws/socket.io/?EIO=4&transport=polling", {}),
+        (address, {"Host": "evil.example"}),
+    ):
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(urllib.request.Request(url, headers=headers))
+
+
+def test_websocket_without_the_token_is_refused(page, address, errors):
+    page.goto("about:blank")
+    where = address.split("?")[0].replace("http", "ws", 1)
+    outcome = page.evaluate(
+        "(url) => new Promise((done) => { const socket = new WebSocket(url);"
+        " socket.onopen = () => done('open'); socket.onerror = () => done('refused'); })",
+        f"{where}_nicegui_ws/socket.io/?EIO=4&transport=websocket",
+    )
+    assert outcome == "refused"
+    errors.clear()  # the browser reports the refusal
+
+
+def test_formula_of_the_command_begins_the_page(page):
+    server, address = _serve("p_u**2/2 + u**4")
+    try:
+        page.set_default_timeout(PATIENCE)
+        page.goto(address)
+        page.wait_for_selector(".verdict.accepted")
+        assert page.get_by_label("Hamiltonian H").input_value() == "p_u**2/2 + u**4"
+    finally:
+        server.send_signal(signal.SIGINT)
+        _, said = server.communicate(timeout=30)
+    assert server.returncode == 0
+    assert re.search("Traceback|Error", said) is None

@@ -1,0 +1,347 @@
+"""Periodic orbits against exact periods, published orbits and other methods."""
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym.errors import InputError
+from hamsym.orbits.multipliers import stability_of
+
+HENON_HEILES = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3")
+DUFFING = "p**2/2 + x**2/2 + x**4/4"
+FORCED = hamsym.Hamiltonian("p**2/2 + x**2/2", forces={"p": "(1 - x**2)*p"})
+ACROSS = {"x": "-x", "p_y": "-p_y"}
+RESTRICTED = (
+    "(p_x**2 + p_y**2)/2 + y*p_x - x*p_y - (1 - mu)/sqrt((x + mu)**2 + y**2) "
+    "- mu/sqrt((x + mu - 1)**2 + y**2)"
+)
+
+
+def three_bodies():
+    names = "123"
+    q = [f"{c}{i}" for i in names for c in "xy"]
+    kinetic = " + ".join(f"(p_x{i}**2 + p_y{i}**2)/2" for i in names)
+    potential = " - ".join(
+        f"1/sqrt((x{i} - x{j})**2 + (y{i} - y{j})**2)" for i, j in ("12", "13", "23")
+    )
+    return hamsym.Hamiltonian(f"{kinetic} - {potential}", q=q, p=[f"p_{name}" for name in q])
+
+
+#: Chenciner & Montgomery (2000): positions and velocities with eight digits, by C. Simo.
+EIGHT = [
+    *(0.97000436, -0.24308753, -0.97000436, 0.24308753, 0, 0),
+    *(0.466203685, 0.43236573, 0.466203685, 0.43236573, -0.93240737, -0.86473146),
+]
+
+
+def eight_symmetries():
+    """At its start the eight is reversed by a point reflection, a twelfth later by a mirror."""
+    first, last = {}, {}
+    for c, sign in (("x", ""), ("y", "-")):
+        first |= {f"{c}1": f"-{c}2", f"{c}2": f"-{c}1", f"{c}3": f"-{c}3"}
+        first |= {f"p_{c}1": f"p_{c}2", f"p_{c}2": f"p_{c}1"}
+        turned = "-" if not sign else ""
+        last |= {f"{c}1": f"{sign}{c}1", f"{c}2": f"{sign}{c}3", f"{c}3": f"{sign}{c}2"}
+        last |= {f"p_{c}1": f"{turned}p_{c}1"}
+        last |= {f"p_{c}2": f"{turned}p_{c}3", f"p_{c}3": f"{turned}p_{c}2"}
+    return first, last
+
+
+def duffing_period(amplitude):
+    """Period of p^2/2 + x^2/2 + x^4/4 (by elliptic integrals)."""
+    a = mpmath.mpf(amplitude) ** 2
+    return 4 * mpmath.ellipk(a / (2 * (1 + a))) / mpmath.sqrt(1 + a)
+
+
+# -- exact and published orbits --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("amplitude", [1e-3, 0.1, 1.0, 7.0, 300.0])
+def test_period_is_that_of_elliptic_integrals(amplitude):
+    orbit = hamsym.periodic_orbit(DUFFING, [amplitude, 0.0])
+    assert orbit.success
+    assert orbit.period == pytest.approx(float(duffing_period(amplitude)), rel=1e-13)
+
+
+@pytest.mark.parametrize("unit", [1e-24, 1e18])
+def test_units_do_not_matter(unit):
+    H = hamsym.Hamiltonian("p**2/(2*m) + k*x**4/4", parameters={"m": unit, "k": 1 / unit})
+    orbit = hamsym.periodic_orbit(H, [1.0, 0.0])
+    assert orbit.success
+    # m x'' = -k x^3: in units of sqrt(m/k) = unit
+    expected = hamsym.periodic_orbit("p**2/2 + x**4/4", [1.0, 0.0]).period * unit
+    assert orbit.period == pytest.approx(expected, rel=1e-12)
+
+
+def test_given_period_determines_the_energy():
+    amplitude = 2.5
+    orbit = hamsym.periodic_orbit(DUFFING, [2.0, 0.0], period=float(duffing_period(amplitude)))
+    assert orbit.success
+    assert orbit.energy == pytest.approx(amplitude**2 / 2 + amplitude**4 / 4, rel=1e-11)
+
+
+def test_given_energy_determines_the_amplitude():
+    orbit = hamsym.periodic_orbit("p**2/2 - cos(x)", {"x": 1.2, "p": 0}, energy=-math.cos(2.0))
+    assert orbit.success
+    assert orbit.period == pytest.approx(float(4 * mpmath.ellipk(math.sin(1.0) ** 2)), rel=1e-13)
+
+
+def test_arenstorf_orbit():
+    # Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section II.0
+    H = hamsym.Hamiltonian(RESTRICTED, parameters={"mu": 0.012277471})
+    speed, period = -2.00158510637908252, 17.0652165601579625589
+    guess = [0.994, 0.0, 0.0, 0.994 + speed * (1 + 1e-7)]
+    orbit = hamsym.periodic_orbit(H, guess, period=period, symmetry={"y": "-y", "p_x": "-p_x"})
+    assert orbit.success
+    assert orbit.z0[0] == pytest.approx(0.994, abs=1e-11)
+    assert orbit.z0[3] - orbit.z0[0] == pytest.approx(speed, abs=1e-9)
+
+
+def test_figure_eight_has_the_published_multipliers():
+    # Simo, Dynamical properties of the figure eight solution of the three-body problem (2002)
+    orbit = hamsym.periodic_orbit(three_bodies(), (EIGHT, 6.3259), symmetry=eight_symmetries())
+    assert orbit.success
+    assert orbit.is_isolated
+    assert orbit.problem.closing.parts == 12
+    assert orbit.period == pytest.approx(6.32591398, abs=1e-7)
+    for expected in (0.998599982092 + 0.052896826792j, -0.297596667517 + 0.954691690528j):
+        assert np.abs(orbit.multipliers - expected).min() < 2e-6
+
+
+def test_figure_eight_without_symmetry_is_not_isolated():
+    orbit = hamsym.periodic_orbit(three_bodies(), (EIGHT, 6.3259))
+    assert orbit.success
+    assert not orbit.is_isolated
+    assert "not isolated" in orbit.message
+    with pytest.raises(hamsym.CertificationError, match="give a symmetry"):
+        orbit.certify()
+
+
+def test_small_lyapunov_orbit_has_the_linear_period_and_multiplier():
+    mu = mpmath.mpf("0.0121505856")
+    L1 = mpmath.findroot(
+        lambda x: x - (1 - mu) / (x + mu) ** 2 + mu / (x + mu - 1) ** 2, mpmath.mpf("0.837")
+    )
+    c = (1 - mu) / (L1 + mu) ** 3 + mu / (1 - mu - L1) ** 3
+    # s^4 + (2 - c) s^2 + (1 + 2 c)(1 - c) = 0
+    root = mpmath.sqrt(9 * c**2 - 8 * c)
+    frequency, rate = mpmath.sqrt((2 - c + root) / 2), mpmath.sqrt((c - 2 + root) / 2)
+    ratio = float((frequency**2 + 1 + 2 * c) / 2)  # of y' to x
+    H = hamsym.Hamiltonian(RESTRICTED, parameters={"mu": float(mu)})
+    small = 1e-4
+    guess = [float(L1) - small, 0.0, 0.0, float(L1) - small + ratio * small]
+    period = float(2 * mpmath.pi / frequency)
+    orbit = hamsym.periodic_orbit(H, (guess, period), symmetry={"y": "-y", "p_x": "-p_x"}, tol=1e-8)
+    assert orbit.success
+    assert orbit.period == pytest.approx(period, rel=2e-6)
+    assert orbit.stability == "hyperbolic"
+    growth = float(mpmath.exp(2 * mpmath.pi * rate / frequency))
+    assert abs(orbit.multipliers[0]) == pytest.approx(growth, rel=1e-4)
+
+
+def test_driven_orbit_closes_and_has_multipliers_of_a_unit_product():
+    H = hamsym.Hamiltonian(
+        "p**2/2 - x**2/2 + x**4/4 - F*x*cos(omega*t)", parameters={"F": 0.1, "omega": 1.1}
+    )
+    orbit = hamsym.periodic_orbit(H, [1.1, 0.0], period="2*pi/omega")
+    assert orbit.success
+    other = hamsym.monodromy(H, orbit.z0, orbit.period)
+    assert other.closure < 1e-9
+    assert np.prod(orbit.multipliers) == pytest.approx(1.0, abs=1e-10)
+    assert np.sort_complex(orbit.multipliers) == pytest.approx(
+        np.sort_complex(other.multipliers), abs=1e-7
+    )
+
+
+@pytest.mark.parametrize("symmetry", [None, ACROSS], ids=["none", "one"])
+def test_orbit_is_a_solution_with_its_monodromy_matrix(symmetry):
+    start = [0.0, 0.25, 0.336, 0.0]
+    orbit = hamsym.periodic_orbit(HENON_HEILES, start, energy=1 / 12, symmetry=symmetry)
+    assert orbit.success
+    assert orbit.energy == pytest.approx(1 / 12, abs=1e-15)
+    solution = hamsym.solve(HENON_HEILES, orbit.z0, (0, 1.5 * orbit.period), tol=1e-12)
+    t = np.linspace(0, 1.5 * orbit.period, 97)
+    assert np.abs(orbit(t) - solution(t)).max() < 1e-11
+    other = solution.sensitivity(orbit.period)
+    assert np.abs(orbit.monodromy - other).max() < 1e-8
+
+
+def test_symmetries_lead_to_the_same_orbit():
+    start = [0.0, 0.25, 0.336, 0.0]
+    periods = [
+        hamsym.periodic_orbit(HENON_HEILES, start, energy=1 / 12, symmetry=symmetry).period
+        for symmetry in (None, ACROSS)
+    ]
+    assert max(periods) - min(periods) < 1e-12
+
+
+def test_orbit_of_a_symplectic_symmetry():
+    # two uncoupled equal oscillators, run through half a period apart
+    H = hamsym.Hamiltonian("(p1**2 + p2**2)/2 + (q1**4 + q2**4)/4 + q1**2*q2**2")
+    swap = {"q1": "q2", "q2": "q1", "p1": "p2", "p2": "p1"}
+    orbit = hamsym.periodic_orbit(H, [1.0, 1.0, 0.1, 0.1], symmetry=swap)
+    assert orbit.problem.closing.parts == 2
+    assert orbit.success
+    assert np.abs(orbit(orbit.period / 2)[[1, 0, 3, 2]] - orbit.z0).max() < 1e-12
+
+
+@pytest.mark.parametrize("n", [4, pytest.param(30, marks=pytest.mark.slow)])
+def test_nonlinear_normal_mode_of_a_chain(n):
+    # of a periodic Fermi-Pasta-Ulam chain
+    terms = [f"p{i}**2/2 + (q{i % n + 1} - q{i})**2/2 + (q{i % n + 1} - q{i})**4/4"
+             for i in range(1, n + 1)]  # fmt: skip
+    H = hamsym.Hamiltonian(" + ".join(terms))
+    start = [0.1 * (-1) ** i for i in range(n)] + [0.0] * n
+    orbit = hamsym.periodic_orbit(H, start)
+    assert orbit.success
+    # alternating: u'' = -4 u - 16 u^3 with amplitude 0.1
+    a = mpmath.mpf("0.01")
+    k = 16 * a / (2 * (4 + 16 * a))
+    assert orbit.period == pytest.approx(float(4 * mpmath.ellipk(k) / mpmath.sqrt(4 + 16 * a)))
+
+
+# -- judgement -------------------------------------------------------------------------------------
+
+
+def test_multiple_of_the_shortest_period_is_reduced_or_said():
+    period = float(duffing_period(1.0))
+    orbit = hamsym.periodic_orbit(DUFFING, ([1.0, 0.0], 3 * period))
+    assert orbit.period == pytest.approx(period)
+    orbit = hamsym.periodic_orbit(DUFFING, [1.0, 0.0], period=3 * period)
+    assert orbit.repetitions == 3
+    assert "3 times the shortest" in orbit.message
+
+
+@pytest.mark.parametrize("times", [1, 3, 11])
+def test_multiple_of_the_period_of_a_driven_orbit_is_said(times):
+    orbit = hamsym.periodic_orbit(
+        "p**2/2 + x**2/4 - x*cos(2*t)", [-0.3, 0.1], period=f"{times}*pi", start=0.3
+    )
+    assert orbit.success
+    assert orbit.repetitions == times
+    assert (f"the period is {times} times the shortest one" in orbit.message) == (times > 1)
+
+
+def test_collapse_to_an_equilibrium_is_no_success():
+    orbit = hamsym.periodic_orbit(DUFFING, ([0.3, 0.0], 6.0), energy=0.0)
+    assert not orbit.success
+
+
+@pytest.mark.parametrize(
+    ("H", "guess"),
+    [
+        ("p**2/2 + x**2/2 - cos(t)*x", [1.0, 0.0]),  # the guess has no force at t = 0
+        ("p**2/2 + x**2/2 + x**4 - t*x", [1.0, 0.0]),
+        ("p**2/2 + (1 + cos(t)/5)*x**2/2", [0.0, 0.0]),  # at rest, with other multipliers
+    ],
+)
+def test_period_that_H_does_not_have_is_no_success(H, guess):
+    orbit = hamsym.periodic_orbit(H, guess, period=3.0)
+    assert not orbit.success
+    assert "does not have the period 3 in time" in orbit.message
+
+
+def test_period_of_H_is_accepted_at_late_times():
+    H = "p**2/2 + x**2/2 - x*cos(2*t)"
+    assert hamsym.periodic_orbit(H, [-0.3, 0.1], period="pi", start=1e6).success
+
+
+def test_orbit_across_a_jump_of_H_is_no_success():
+    # the derivative of sign lacks the pulse
+    orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + sign(x)/10", [1.0, 0.0])
+    assert not orbit.success
+    assert "H jumps at t = 1.57" in orbit.message
+    smooth = hamsym.periodic_orbit("p**2/2 + x**2/2 + sign(x - 3)/10", [1.0, 0.0])
+    assert smooth.success
+
+
+def test_many_bounces_do_not_stop_the_search():
+    # period of a fall from 1: 2 sqrt(2), with a hard floor
+    orbit = hamsym.periodic_orbit("p**2/2 + x + 1e-6/x**2", [1.0, 0.0])
+    assert orbit.success
+    assert abs(orbit.period - 2 * math.sqrt(2)) < 1e-2
+
+
+def test_failed_orbit_has_a_text():
+    orbit = hamsym.periodic_orbit("p**2/2 + x**2/2", [1e-200, 0.0])
+    assert not orbit.success
+    assert "unknown" in repr(orbit) or "elliptic" in repr(orbit)
+    assert stability_of(np.array([math.nan, 1.0])) == "unknown"
+
+
+def test_small_multiplier_is_the_inverse_of_the_large_one():
+    H = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 + x**2/2 + x**4/4 - 20*y**2")
+    orbit = hamsym.periodic_orbit(H, [1.0, 0.0, 0.0, 0.0])
+    exact = float(mpmath.exp(mpmath.sqrt(40) * duffing_period(1.0)))
+    assert orbit.stability == "hyperbolic"
+    assert abs(orbit.multipliers[0] / exact - 1) < 1e-9
+    assert abs(orbit.multipliers[-1] * exact - 1) < 1e-9
+
+
+def test_estimated_error_above_the_tolerance_is_no_success():
+    orbit = hamsym.periodic_orbit(DUFFING, [1.0, 0.0], tol=1e-17)
+    assert not orbit.success
+    assert "estimated error" in orbit.message
+
+
+def test_energy_without_an_orbit_is_no_success():
+    # beyond the separatrix the pendulum rotates
+    orbit = hamsym.periodic_orbit("p**2/2 - cos(x)", ([1.0, 0.0], 7.0), energy=1.5)
+    assert not orbit.success
+
+
+def test_stability_of_a_saddle_and_of_a_centre():
+    # the second oscillator is linear along y = 0: multipliers exp(+-i w T), exp(+-w T)
+    for sign, kind in ((1, "elliptic"), (-1, "hyperbolic")):
+        H = hamsym.Hamiltonian(f"(p_x**2 + p_y**2)/2 + x**2/2 + x**4/4 + {sign}*0.3*y**2/2")
+        orbit = hamsym.periodic_orbit(H, [1.0, 0.0, 0.0, 0.0])
+        assert orbit.stability == kind
+        phase = math.sqrt(0.3) * float(duffing_period(1.0))
+        expected = 2 * (math.cos(phase) if sign > 0 else math.cosh(phase))
+        assert np.trace(orbit.monodromy) - 2 == pytest.approx(expected, rel=1e-11)
+
+
+# -- bad input -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("H", "guess", "options", "message"),
+    [
+        (DUFFING, [0.0, 0.0], {}, "equilibrium"),
+        ("p**2/2 - x**2/2", [1.0, 0.0], {}, "does not come back"),
+        ("p**2/2 + x", [1.0, 1.0], {}, "does not come back"),
+        (DUFFING, [1.0, 0.0], {"energy": 1.0, "period": 2.0}, "not both"),
+        (DUFFING, [1.0, 0.0], {"energy": math.nan}, "energy"),
+        (DUFFING, [1.0, 0.0], {"tol": 0}, "tol"),
+        (DUFFING, [1.0, 0.0], {"period": -1.0}, "period"),
+        (DUFFING, [1.0, 0.0], {"period": "2*pi/omega"}, "omega"),
+        (DUFFING, [1.0, 0.0], {"period": "1/0*x"}, "formula|zero|finite"),
+        (DUFFING, ([1.0, 0.0], -3.0), {}, "period of the guess"),
+        (DUFFING, [1.0], {}, "z0|state|components"),
+        (DUFFING, [1.0, math.inf], {}, "finite"),
+        (DUFFING + " - x*cos(t)", [1.0, 0.0], {}, "give period="),
+        (DUFFING + " - x*cos(t)", [1.0, 0.0], {"energy": 1.0}, "does not conserve"),
+        (FORCED, [2.0, 0.0], {"period": 6.6}, "period of its own"),
+        (FORCED, [2.0, 0.0], {"energy": 1.0}, "does not conserve"),
+        (DUFFING, [1.0, 0.0], {"symmetry": "x"}, "mapping"),
+        (DUFFING, [1.0, 0.0], {"symmetry": {"x": "-y"}}, "not a component"),
+        (DUFFING, [1.0, 0.0], {"symmetry": {"x": "p"}}, "once"),
+        (DUFFING, [1.0, 0.0], {"symmetry": {"x": "p", "p": "x"}}, "H changes"),
+        (DUFFING + " + x**3", [1.0, 0.0], {"symmetry": {"x": "-x", "p": "-p"}}, "H changes"),
+        (HENON_HEILES, [0, 0.1, 0.5, 0], {"symmetry": {"x": "-x"}}, "neither symplectic"),
+        (HENON_HEILES, [0, 0.1, 0.5, 0], {"symmetry": ({}, ACROSS)}, "both must reverse"),
+    ],
+)
+def test_bad_input_is_refused(H, guess, options, message):
+    with pytest.raises(InputError, match=message) as refused:
+        hamsym.periodic_orbit(H, guess, **options)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("t", ["x", math.nan, [[1.0]], None])
+def test_times_that_are_no_numbers_are_refused(t):
+    with pytest.raises(InputError, match="t must be"):
+        hamsym.periodic_orbit(DUFFING, [1.0, 0.0])(t)

@@ -1,0 +1,77 @@
+"""Proven kinds of eigenvalues: against closed forms, and undecided where balls allow several."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from flint import arb
+
+from hamsym.proof.spectrum import block_spectra
+
+
+def balls(matrix: object, radius: float = 0.0) -> list[list[arb]]:
+    return [
+        [arb(x, radius) if x else arb(0) for x in row] for row in np.asarray(matrix, float).tolist()
+    ]
+
+
+def gyroscopic(k: float, rate: float) -> np.ndarray:
+    """p^2/2 + rate (y p_x - x p_y) - k q^2/2 in the plane."""
+    H = np.eye(4)
+    H[0, 0] = H[1, 1] = -k
+    H[0, 3] = H[3, 0] = -rate
+    H[1, 2] = H[2, 1] = rate
+    return H
+
+
+def test_uncoupled_oscillators_of_one_frequency_are_separate() -> None:
+    found = block_spectra(balls(np.diag([1, -1, 1, -1])))
+    assert [block.components for block in found] == [[0, 2], [1, 3]]
+    assert [block.definite for block in found] == [1, -1]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_definite_matrices_are_proven_so(sign: int) -> None:
+    A = np.random.default_rng(0).normal(size=(6, 6))
+    [found] = block_spectra(balls(sign * (A @ A.T + np.eye(6)), 1e-12))
+    assert found.definite == sign
+    assert not found.unstable
+
+
+def test_inertia_decides_for_natural_systems() -> None:
+    """Equal exponents +-2, which are not isolated: T V = -4; a saddle beside a centre."""
+    T, zero = np.array([[2.0, 0.5], [0.5, 1.0]]), np.zeros((2, 2))
+    for V in (-4 * np.linalg.inv(T), np.array([[0.0, 1], [1, 0]])):
+        for first, second in ((V, T), (T, V)):
+            H = np.block([[first, zero], [zero, second]])
+            [found] = block_spectra(balls(H, 1e-14))
+            assert found.natural != 0
+            assert found.unstable
+
+
+def test_gyroscopic_stabilisation_is_told_from_instability() -> None:
+    """A charge on a hill of curvature k: stable in a field of Larmor rate^2 > k, complex below."""
+    for k, rate, stable in ((1.0, 1.2, True), (1.0, 0.8, False)):
+        [found] = block_spectra(balls(gyroscopic(k - rate**2, rate), 1e-13))
+        assert found.eigenvalues is not None
+        assert found.unstable is not stable
+
+
+def test_collision_of_eigenvalues_is_undecided() -> None:
+    """s^2 + a s + b = 0 for s = k^2 with a^2 = 4 b."""
+    H = np.array([[0, 0, 0, 1.0], [0, 0, -1.0, 0], [0, -1.0, 1, 0], [1.0, 0, 0, 1]])
+    [found] = block_spectra(balls(H, 1e-14))
+    assert not found.decided
+    assert not found.unstable
+
+
+def test_zero_eigenvalues_are_undecided_and_saddles_beside_them_unstable() -> None:
+    K = np.array([[1.0, 1.0], [1.0, 1.0]])
+    H = np.block([[K, np.zeros((2, 2))], [np.zeros((2, 2)), np.eye(2)]])
+    [found] = block_spectra(balls(H))
+    assert not found.decided
+    assert not found.unstable
+    H[0, 0] = H[1, 1] = -1.0  # eigenvalues 0 and -2 of the potential
+    [found] = block_spectra(balls(H))
+    assert not found.decided
+    assert found.unstable
