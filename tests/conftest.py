@@ -23,7 +23,7 @@ from hamsym.codegen.backends import BACKENDS, runnable
 from hamsym.systems import CATALOGUE, Problem
 
 #: Seconds of processor time beyond which a case is to be marked slow.
-LIMIT = 5.0
+LIMIT = 2.5
 
 # One system of each form; tests/systems has the others.
 _FEW = [
@@ -52,6 +52,13 @@ def backend(request: pytest.FixtureRequest) -> str:
 
 
 # -- slow cases ------------------------------------------------------------------------------------
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        mark = item.get_closest_marker("slow_cases")
+        if mark is not None and item.callspec.id in mark.args:  # type: ignore[attr-defined]
+            item.add_marker(pytest.mark.slow)
 
 
 def _used() -> float:

@@ -215,6 +215,7 @@ def test_ensembles_have_forces() -> None:
 # -- integrators -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_gauss_methods_keep_their_order() -> None:
     errors = []
     for steps in (20, 40):
@@ -462,6 +463,7 @@ def test_limit_cycle_is_a_periodic_orbit() -> None:
     assert orbit.certify().stability == "attracting"
 
 
+@pytest.mark.slow
 def test_indicators_follow_the_forces() -> None:
     found = hamsym.chaos_indicators(DUFFING, [1, 0], (0, 50))
     assert found.success

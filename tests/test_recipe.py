@@ -75,6 +75,7 @@ def test_lines_of_python_give_the_same_solution(name: str) -> None:
     assert session["H"].units == solution.H.units
 
 
+@pytest.mark.slow_cases("network")
 @pytest.mark.parametrize("name", CASES)
 def test_command_gives_the_same_solution(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

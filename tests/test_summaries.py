@@ -35,6 +35,7 @@ def narrow(text: str) -> bool:
     return max(map(len, text.splitlines())) <= 80
 
 
+@pytest.mark.slow_cases("30")
 @pytest.mark.parametrize("degrees", [1, 2, 6, 30])
 def test_solution_begins_with_the_largest_error(degrees: int) -> None:
     solution = solved(degrees)

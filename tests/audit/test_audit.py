@@ -26,6 +26,9 @@ _CASES = [
 ]
 
 
+@pytest.mark.slow_cases(
+    "scatterer_after_flight-1e-06", "scatterer_after_flight_0.1-1e-06", "pythagorean_10-1e-04"
+)
 @pytest.mark.parametrize(("system", "tol"), _CASES)
 def test_success_and_estimate_are_true(system: System, tol: float) -> None:
     assert complaints(system, tol, judged(system, tol)) == []

@@ -20,8 +20,9 @@ from .results import read, replace_section
 from .tables import PAGE, filled
 
 _SLOW = {
-    *("clusters", "first-call", "flow-map-estimates", "flow-map-peers", "flow-map-queries"),
-    *("trained-networks", "training-optimisers", "training-peers"),
+    *("certificates", "clusters", "enclosures", "first-call", "flow-map-estimates"),
+    *("flow-map-peers", "flow-map-queries", "flow-maps", "implicit", "networks"),
+    *("trained-networks", "training-optimisers", "training-peers", "work-precision"),
 }
 _CASES = [
     pytest.param(name, marks=pytest.mark.slow if name in _SLOW else ()) for name in BENCHMARKS

@@ -320,6 +320,7 @@ def test_integrate_lists_its_methods(capsys: Captured) -> None:
     assert max(map(len, out.splitlines())) <= 80
 
 
+@pytest.mark.slow
 def test_integrate_an_ensemble(capsys: Captured, tmp_path: Path) -> None:
     path, figure = tmp_path / "many.csv", tmp_path / "many.png"
     arguments = [OSCILLATOR, "--z0", "x=1.3,p=1", "--z0", "x=0.5,p=0", "--t-end", "1"]
@@ -341,6 +342,7 @@ def test_columns_of_one_name_are_distinguished(capsys: Captured, tmp_path: Path)
     assert np.loadtxt(path, delimiter=",", skiprows=1)[0].tolist() == [0.0, 1.0, 2.0, 2.5]
 
 
+@pytest.mark.slow
 def test_lyapunov_prints_its_statement(capsys: Captured, tmp_path: Path) -> None:
     path, figure = tmp_path / "history.csv", tmp_path / "history.png"
     arguments = [HENON_HEILES, "--z0", "0.3,-0.3,0.3,0.15", "--t-end", "1e4", "--count", "2"]
@@ -688,6 +690,7 @@ def test_initial_weights_from_a_file(tmp_path, capsys):
     assert "none" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_closed_pipe_keeps_the_saved_solution(tmp_path: Path) -> None:
     file = tmp_path / "orbit.hamsym"
     command = [sys.executable, "-u", "-m", "hamsym", "solve", "p**2/2 + x**2/2", "--z0", "1,0"]

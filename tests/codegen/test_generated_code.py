@@ -140,6 +140,7 @@ def test_all_functions_match_sympy(
     check_against_sympy(problem.H, z, interpreted(problem.H, backend, monkeypatch))
 
 
+@pytest.mark.slow_cases("driven_oscillator")
 @pytest.mark.parametrize("name", ["driven_oscillator", "double_pendulum"])
 def test_compiled_functions_match_sympy(name: str) -> None:
     problem = CATALOGUE[name]()
@@ -165,6 +166,7 @@ def test_torch_derivatives_match_autograd(problem: Problem) -> None:
         np.testing.assert_allclose(call(system, "hessian", point), hessian, atol=1e-11)
 
 
+@pytest.mark.slow_cases("numba-driven_oscillator", "numba-henon_heiles")
 @pytest.mark.parametrize("name", ["driven_oscillator", "henon_heiles"])
 def test_shapes_and_dtypes_follow_the_state(name: str, backend: str) -> None:
     problem = CATALOGUE[name]()
@@ -242,6 +244,7 @@ def every_function() -> tuple[Hamiltonian, np.ndarray]:
     return H, z
 
 
+@pytest.mark.slow_cases("numba")
 def test_every_function_in_every_backend(
     every_function: tuple[Hamiltonian, np.ndarray], backend: str
 ) -> None:
@@ -358,6 +361,7 @@ def test_gradients_flow_to_parameters() -> None:
     assert slope.item() == pytest.approx(1 / 4)
 
 
+@pytest.mark.slow_cases("numba")
 def test_time_follows_the_state(backend: str) -> None:
     H = Hamiltonian("p**2/2 + F*x*cos(w*t)", parameters={"F": 2.0, "w": 3.0})
     system = H.compile(backend)
@@ -618,6 +622,7 @@ def test_sources_do_not_depend_on_the_process() -> None:
 # -- effort --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_derivatives_beyond_the_limit_are_rejected() -> None:
     H = Hamiltonian("*".join(f"(q{i} + p{i})" for i in range(60)))
     with pytest.raises(CodeGenerationError, match="single terms contain many variables"):
@@ -706,6 +711,7 @@ print(float(generated.hessian(z).sum()))
 """
 
 
+@pytest.mark.slow_cases("torch", "jax")
 def test_source_file_runs_without_hamsym(backend: str, tmp_path: Path) -> None:
     H = Hamiltonian("p**2/2 + x**4/4 + erf(x) + x*p")
     (tmp_path / "generated.py").write_text(H.source(backend), encoding="utf-8")

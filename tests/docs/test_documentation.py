@@ -37,6 +37,11 @@ class _Finder(doctest.DocTestFinder):
         return super()._from_module(module, inspect.unwrap(thing) if callable(thing) else thing)
 
 
+@pytest.mark.slow_cases(
+    "hamsym.dynamics.sections",
+    "hamsym.flow_maps.flow_map",
+    "hamsym.workbench.animations.animate",
+)
 @pytest.mark.parametrize("name", MODULES)
 def test_docstring_examples(name: str) -> None:
     if name in _OF_PAGES:
@@ -83,8 +88,7 @@ _MINIATURE = {
     "periodic_orbits": [],
     "scheme": [],
 }
-_LONG = {"henon_heiles", "oscillator", "periodic_orbits"}
-_LONG = {"figures", "henon_heiles", "jax_gradients", "oscillator"}
+_LONG = {"figures", "henon_heiles", "jax_gradients", "oscillator", "periodic_orbits"}
 _NEEDS = {"jax_gradients": "diffrax"}  # packages that the extra dev lacks
 # The other scripts in examples/paper have tests of their own.
 _EXAMPLES = [
@@ -119,7 +123,7 @@ def test_examples_run_in_miniature(
 # -- README and the pages under examples -----------------------------------------------------------
 
 _PAGES = [ROOT / "README.md", *sorted((ROOT / "examples").glob("*.md"))]
-# A page in which this comment stands takes more than five seconds.
+# A page with this comment takes more than two seconds.
 _SLOW = "<!-- tests: slow -->"
 
 

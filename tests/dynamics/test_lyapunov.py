@@ -176,6 +176,7 @@ def henon_heiles_in_SI_units() -> Hamiltonian:
     return Hamiltonian(f"{quadratic} + m*w**2*(x**2*y - y**3/3)/L", parameters=values)
 
 
+@pytest.mark.slow_cases("1")
 @pytest.mark.parametrize("count", [1, 4])
 def test_exponents_do_not_depend_on_units(
     henon_heiles_in_SI_units: Hamiltonian, count: int

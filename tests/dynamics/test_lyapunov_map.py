@@ -38,6 +38,7 @@ def test_exponents_of_saddles_are_their_rates() -> None:
     np.testing.assert_array_equal(found.parameters["k"], k)
 
 
+@pytest.mark.slow_cases("1-gauss4")
 @pytest.mark.parametrize(("count", "method"), [(1, None), (3, None), (1, "gauss4")])
 def test_array_of_starts_is_loop_of_starts(
     starts: np.ndarray, count: int, method: str | None
@@ -106,6 +107,7 @@ def test_no_separable_form_is_needed() -> None:
 # -- steps -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_fast_members_do_not_slow_the_others() -> None:
     """Kepler orbits from the apocentre: the pericentre, far faster, comes later."""
     H, eccentricity = kepler().H, np.array([0.0, 0.5, 0.9])

@@ -125,6 +125,7 @@ def test_ensembles_are_sections_of_each(start: np.ndarray) -> None:
     assert together.energy_error < 1e-10
 
 
+@pytest.mark.slow_cases("options2")
 @pytest.mark.parametrize("options", [{"dt": 0.05}, {}, {"method": "gauss4", "dt": 0.05}])
 def test_sections_for_several_parameters(options: dict[str, object]) -> None:
     """As for each by itself, also where the surface contains the parameter."""
@@ -170,6 +171,7 @@ def test_direction_and_number_of_crossings(start: np.ndarray) -> None:
     np.testing.assert_array_equal(few.t[:5], both.t[:5])
 
 
+@pytest.mark.slow
 def test_other_methods_backward_time_and_explicit_time() -> None:
     H = Hamiltonian("p**2*(1 + x**2)/2 + x**3/3 - 2*x + x*p/3")
     for method in (None, "gauss4", "symplectic_euler"):

@@ -498,6 +498,7 @@ def test_programs_run_without_hamsym(tmp_path: Path) -> None:
     assert formula == solution.H.formula
 
 
+@pytest.mark.slow
 def test_programs_hold_networks_of_the_caller(tmp_path: Path) -> None:
     network = torch.nn.Sequential(torch.nn.Linear(1, 6), torch.nn.Tanh(), torch.nn.Linear(6, 2))
     solution = solve("p**2/2 + x**2/2", [1, 0], (0, 1), trial=network, progress=False, **_QUICK)

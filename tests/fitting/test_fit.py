@@ -385,6 +385,7 @@ def test_other_things_than_a_hamiltonian_are_refused() -> None:
 # -- starts ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_starts_find_the_frequency_of_many_periods() -> None:
     t = np.linspace(0, 50, 120)
     arguments: dict[str, Any] = {

@@ -181,6 +181,7 @@ def test_linear_equation_estimates_the_error(oscillator: FlowMap) -> None:
     np.testing.assert_allclose(found, np.abs(true).max(axis=(0, 1)), rtol=0.1)
 
 
+@pytest.mark.slow
 def test_box_is_split_where_degrees_are_large(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(legs, "_LARGEST", 130)
     monkeypatch.setattr(legs, "_LINE", {2: 13})

@@ -142,6 +142,7 @@ def test_success_means_error_within_the_tolerance(flow: FlowMap) -> None:
     assert (flow.error_estimate <= 1e-3 * np.array([1.42, 1.42])).all()
 
 
+@pytest.mark.slow
 def test_parameters_and_time_enter_the_training() -> None:
     # x = x0 + g t**2 / 2 + sin(t) - t from rest, with H = p**2/2 - g x + x sin(t).
     flow = flow_map(

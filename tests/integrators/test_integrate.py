@@ -119,11 +119,13 @@ def test_halving_the_step_shows_the_order(method: str) -> None:
     assert slope_of_errors("nonlinear_oscillator", method) == pytest.approx(order, abs=0.3)
 
 
+@pytest.mark.slow_cases("symplectic_euler", "tao4")
 @pytest.mark.parametrize("method", ["symplectic_euler", "symplectic_euler_p", "gauss4", "tao4"])
 def test_order_without_separability(method: str) -> None:
     assert slope_of_errors("nonseparable", method) > INTEGRATORS[method].order - 0.3
 
 
+@pytest.mark.slow
 def test_explicit_time_in_both_halves_keeps_the_order() -> None:
     """Kicks take the time of the drifts, and drifts that of the kicks."""
     exact = reference(TIMED, np.array([1.0, 0.3]), (0.0, 3.0))(np.array([3.0]))[0]
@@ -287,6 +289,7 @@ def test_symplectic_euler_matches_the_papers_formula() -> None:
     np.testing.assert_allclose(other, [x + h * p1, p1], rtol=1e-15)
 
 
+@pytest.mark.slow_cases("charged_particle")
 @pytest.mark.parametrize("make", [charged_particle, nonseparable])
 def test_implicit_steps_satisfy_their_equations(make: object) -> None:
     problem = make()  # type: ignore[operator]
@@ -304,6 +307,7 @@ def test_implicit_steps_satisfy_their_equations(make: object) -> None:
     np.testing.assert_allclose(middle, z0 + h * slope, atol=1e-15)
 
 
+@pytest.mark.slow_cases("implicit_midpoint")
 @pytest.mark.parametrize("method", ["implicit_midpoint", "gauss4", "gauss6"])
 def test_gauss_methods_work_in_any_units(method: str) -> None:
     """Coordinates of 1e12 and momenta of 1e-9, which one absolute tolerance cannot resolve."""
@@ -373,6 +377,7 @@ ENSEMBLES += [(system, m, {"omega": 2.0}) for system, m in LOOPS if m.startswith
 ENSEMBLES += [(system, m, {"compensated": True}) for system, m in LOOPS[:4]]
 
 
+@pytest.mark.slow_cases("henon_heiles-symplectic_euler-options10", "timed-ruth3-options12")
 @pytest.mark.parametrize(("system", "method", "options"), ENSEMBLES)
 def test_ensembles_are_many_trajectories(
     system: str, method: str, options: dict[str, float], monkeypatch: pytest.MonkeyPatch
@@ -429,6 +434,12 @@ PARAMETERS = [
 ]
 
 
+@pytest.mark.slow_cases(
+    "3-p**2*(1 + k*x**2)/(2*m) + x**2/2-symplectic_euler-False",
+    "3-p**2*(1 + k*x**2)/(2*m) + x**2/2-gauss4-False",
+    "3-p**2*(1 + k*x**2)/(2*m) + x**2/2-tao4-False",
+    "70-p**2/(2*m) + k*(1 + sin(t)/2)*x**2/2-blanes_moan6-False",
+)
 @pytest.mark.parametrize(("formula", "method", "tangent"), PARAMETERS)
 @pytest.mark.parametrize("count", [3, 70])
 def test_each_trajectory_has_its_parameters(
@@ -699,6 +710,7 @@ def test_accuracy_does_not_depend_on_start_time() -> None:
     assert np.abs(forced.z[:, 0] - x).max() < 1e-7
 
 
+@pytest.mark.slow
 def test_collision_raises_a_warning() -> None:
     """Radial fall, and a fall to a pole: steps jump over the centre, every state is finite."""
     with pytest.warns(
@@ -857,6 +869,7 @@ def test_ctrl_c_in_adaptive_method_keeps_the_start(monkeypatch: pytest.MonkeyPat
     assert found.z.tolist() == [[1.3, 1.0]]
 
 
+@pytest.mark.slow
 def test_non_finite_hessian_requires_omega() -> None:
     H = Hamiltonian("p**2/2 + abs(x)**1.5")
     with pytest.raises(InputError, match="the Hessian of H is not finite at z0; give omega"):
@@ -878,6 +891,7 @@ def test_parameters_and_coordinates_may_have_any_name() -> None:
         np.testing.assert_allclose(z, exact, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_loops_over_terms_match_written_out_steps() -> None:
     """Six pairs of bodies on a line with five forces each, a loop for each force.
 

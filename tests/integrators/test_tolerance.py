@@ -57,6 +57,7 @@ def relative_errors(found: hamsym.Trajectory, truths: np.ndarray) -> np.ndarray:
 # -- true errors ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("H4-starts4-span4-0.0001")
 @pytest.mark.parametrize("tol", [1e-4, 1e-9])
 @pytest.mark.parametrize(
     ("H", "starts", "span"),
@@ -258,6 +259,7 @@ def test_ctrl_c_keeps_finished_members(monkeypatch: pytest.MonkeyPatch) -> None:
 # -- what steps could jump over ------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("gauss4")
 @pytest.mark.parametrize("method", ["blanes_moan6", "gauss4"])
 def test_collision_is_refused(method: str) -> None:
     for start in ([1.0, 0, 0, 0], [0.6, 0.8, 0, 0], [1.0, 0, -0.3, 0], [1.0, 0, 0, 1e-5]):
@@ -295,6 +297,7 @@ def test_switch_that_stays_away_from_zero_is_resolved() -> None:
     assert found.z[-1, 0] == pytest.approx(0.1 + 0.9 * np.cos(10), abs=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("friction", "tol"), [(1e-4, 1e-7), (1e-5, 1e-8)])
 def test_small_jumps_of_the_force_keep_the_tolerance(friction: float, tol: float) -> None:
     H = Hamiltonian("p**2/2 + x**2/2", forces={"p": f"-{friction!r}*sign(p)"})

@@ -140,6 +140,7 @@ def test_narrow_pulse_is_not_stepped_over() -> None:
     assert abs(solution(6.0)[0] - math.cos(6) - kick * math.sin(2.7)) < 1e-5
 
 
+@pytest.mark.slow_cases("p**2/2 + abs(x)-z00-stopped at t = 1.41421")
 @pytest.mark.parametrize(
     ("text", "z0", "message"),
     [
@@ -154,6 +155,7 @@ def test_motions_that_end_are_refused(text: str, z0: list[float], message: str) 
     assert solution.span[1] < 5
 
 
+@pytest.mark.slow
 def test_chaos_beyond_round_off_is_refused() -> None:
     problem = hamsym.systems.henon_heiles()
     solution = hamsym.solve(problem.H, [0.0, -0.15, 0.5555, 0.0], (0, 700), method=LM)

@@ -36,6 +36,7 @@ def no_default_device() -> Iterator[None]:
     torch.set_default_device(None)
 
 
+@pytest.mark.slow_cases("levenberg-marquardt-True")
 @pytest.mark.parametrize(
     ("method", "own"), [*((method, False) for method in BRIEF), ("levenberg-marquardt", True)]
 )
@@ -103,6 +104,7 @@ def test_float32_weights_are_evaluated_in_float64(method: str) -> None:
     np.testing.assert_array_equal(solution(0.0), np.float32([1.3, -0.7]))
 
 
+@pytest.mark.slow_cases("lbfgs")
 @pytest.mark.parametrize("method", ["lbfgs", "levenberg-marquardt"])
 def test_float32_converges_with_its_error_estimated(method: str) -> None:
     settings = {"dtype": "float32", "hidden": (12, 12), "points": 40, "stages": 3}

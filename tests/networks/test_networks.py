@@ -114,6 +114,7 @@ def test_time_dependent_and_penalised_by_least_squares() -> None:
 # -- rules for stopping ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("levenberg-marquardt-target_error-0.01", "adam-target_loss-0.001")
 @pytest.mark.parametrize(
     ("method", "option", "value"),
     [
@@ -154,6 +155,7 @@ def test_accuracy_undefined_where_sigma_min_is_zero() -> None:
     assert "accuracy is undefined: sigma_min = 0 on this trajectory" in solution.message
 
 
+@pytest.mark.slow
 def test_patience_and_time_limit_end_training() -> None:
     problem = hamsym.systems.nonlinear_oscillator()
     settings = {"method": "levenberg-marquardt", "target_error": 1e-15, **SMALL}
@@ -240,6 +242,9 @@ def _train_and_save(folder: Path, name: str, method: str, options: dict[str, obj
     solution.save(folder / f"{name}.saved")
 
 
+@pytest.mark.slow_cases(
+    "adam-options0-delays0", "lbfgs-options1-delays1", "ssbroyden-options2-delays2"
+)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks here")
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 @pytest.mark.parametrize(

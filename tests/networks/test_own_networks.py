@@ -73,6 +73,7 @@ def test_module_trains_as_the_network_that_it_copies(optimizer: type) -> None:
     assert losses[0][-1] < losses[0][0]
 
 
+@pytest.mark.slow_cases("lbfgs", "levenberg-marquardt")
 @pytest.mark.parametrize("method", BRIEF)
 def test_solution_starts_exactly_and_leaves_the_module(method: str) -> None:
     module = layered()
@@ -90,6 +91,7 @@ def test_solution_starts_exactly_and_leaves_the_module(method: str) -> None:
     module.load_state_dict(trained.state_dict())  # the names are those of the module
 
 
+@pytest.mark.slow
 def test_solution_has_derivatives_errors_and_energy() -> None:
     solution = hamsym.solve(
         H,
@@ -115,6 +117,7 @@ def test_solution_has_derivatives_errors_and_energy() -> None:
     np.testing.assert_allclose(found, solution.derivative([0.5, 1.0])[:, 0], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_same_seed_gives_same_bits_and_leaves_torch_state() -> None:
     state = torch.get_rng_state()
     options = {"method": "levenberg-marquardt", "trial": layered(3), "points": 12}
@@ -160,6 +163,7 @@ class Plain(nn.Module):
         return torch.sin(x * self.first + self.last[:, 0]) @ self.last
 
 
+@pytest.mark.slow
 def test_module_without_resets_is_never_restarted() -> None:
     solution = hamsym.solve(
         H, [1, 0], (0, 40), method="levenberg-marquardt", trial=Plain(2), points=12, iterations=70
@@ -197,6 +201,7 @@ def test_least_squares_products_are_those_of_the_jacobian() -> None:
     torch.testing.assert_close(found, explicit.T @ y)
 
 
+@pytest.mark.slow
 def test_frozen_weights_and_eval_mode_are_kept() -> None:
     module = nn.Sequential(nn.Linear(1, 6), nn.Dropout(0.5), nn.Tanh(), nn.Linear(6, 2)).eval()
     module[0].weight.requires_grad_(False)
@@ -223,6 +228,7 @@ def test_copies_are_equal_and_files_are_refused(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["weights"]
 
 
+@pytest.mark.slow
 def test_initial_weights_are_those_of_the_same_module() -> None:
     options = {"method": "adam", "points": 10, "learning_rate": 1e-9}
     first = hamsym.solve(H, [1, 0], (0, 1), trial=layered(6), epochs=1, **options)

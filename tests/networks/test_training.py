@@ -255,6 +255,7 @@ def optimizer(request: pytest.FixtureRequest):
     return OPTIMIZERS[request.param]
 
 
+@pytest.mark.slow_cases("lbfgs", "ssbroyden")
 def test_each_optimizer_solves_another_equation(optimizer) -> None:
     trial, generator = decay_trial()
     iterations = 150 if isinstance(optimizer(), LevenbergMarquardt) else 1000

@@ -36,6 +36,7 @@ def test_family_goes_down_too_and_to_a_period():
     assert family.energies[-1] == pytest.approx(0.5**2 / 2 + 0.5**4 / 4, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_bifurcations_of_the_straight_orbit_of_henon_heiles():
     # Brack, Bifurcation cascades and self-similarity of periodic orbits with analytical scaling
     # constants in Henon-Heiles type potentials (2001): 0.969309 and 0.986709 of 1/6
@@ -90,6 +91,7 @@ def test_fold_of_a_driven_oscillator_is_passed():
     assert fold.uncertainty < 0.02
 
 
+@pytest.mark.slow
 def test_lyapunov_family_grows_from_the_libration_point():
     H = hamsym.Hamiltonian(RESTRICTED, parameters={"mu": 0.0121505856})
     guess = ([0.8319, 0.0, 0.0, 0.8738], 2.7)
@@ -102,6 +104,7 @@ def test_lyapunov_family_grows_from_the_libration_point():
     assert hamsym.monodromy(H, end.z0, end.period, tol=1e-10).closure < 1e-6
 
 
+@pytest.mark.slow
 def test_family_that_does_not_reach_its_target_says_so():
     orbit = hamsym.periodic_orbit("p**2/2 - cos(x)", [1.0, 0.0])
     family = orbit.family(energy=1.5, max_orbits=60)  # beyond the separatrix
@@ -120,6 +123,7 @@ def test_family_ends_at_an_equilibrium_without_bifurcations():
     assert abs(family[-1].period - 2 * math.pi) < 1e-9
 
 
+@pytest.mark.slow
 def test_fold_of_the_period_is_where_the_exact_period_is_extremal():
     def period(a):
         # V(a) - V(a s) = (1 - s^2) g(s^2), with s = sin(phase)

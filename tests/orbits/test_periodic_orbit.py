@@ -111,6 +111,7 @@ def test_figure_eight_has_the_published_multipliers():
         assert np.abs(orbit.multipliers - expected).min() < 2e-6
 
 
+@pytest.mark.slow
 def test_figure_eight_without_symmetry_is_not_isolated():
     orbit = hamsym.periodic_orbit(three_bodies(), (EIGHT, 6.3259))
     assert orbit.success

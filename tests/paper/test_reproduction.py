@@ -39,6 +39,7 @@ def _written(folder, scripts):
     return everything
 
 
+@pytest.mark.slow
 def test_script_writes_table_figures_and_page(tmp_path, monkeypatch):
     """One of the five, on a short span, with small networks."""
     small = {

@@ -68,6 +68,7 @@ def trap() -> hamsym.Solution:
 # -- layout ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("1", "6")
 @pytest.mark.parametrize("dof", [1, 2, 6])
 def test_texts_of_an_overview_do_not_overlap(dof: int) -> None:
     check_layout(moved(dof).plot())
@@ -82,14 +83,17 @@ def test_texts_of_a_solution_do_not_overlap(pendulum: hamsym.Solution) -> None:
     check_layout(pendulum.plot())
 
 
+@pytest.mark.slow
 def test_texts_in_units_do_not_overlap(trap: hamsym.Solution) -> None:
     check_layout(trap.plot())
 
 
+@pytest.mark.slow
 def test_texts_of_long_names_do_not_overlap() -> None:
     check_layout(hamsym.integrate(long_names(), [1, 0], (0, 5), steps=200).plot())
 
 
+@pytest.mark.slow
 def test_texts_of_a_failed_solution_do_not_overlap() -> None:
     figure = hamsym.solve("p**2/2 - x**4/4", [1, 1], (0, 5)).plot()
     check_layout(figure)
@@ -103,6 +107,7 @@ def test_texts_of_one_panel_do_not_overlap(trap: hamsym.Solution, names: tuple[s
     assert figure.get_size_inches()[0] * 2.54 == pytest.approx(9)
 
 
+@pytest.mark.slow
 def test_texts_of_a_path_in_space_do_not_overlap() -> None:
     problem = hamsym.systems.penning_trap()
     figure = hamsym.integrate(problem.H, problem.z0, problem.span, steps=400).plot("x", "y", "z")
@@ -110,6 +115,7 @@ def test_texts_of_a_path_in_space_do_not_overlap() -> None:
     assert figure.axes[0].name == "3d"
 
 
+@pytest.mark.slow_cases("3", "12")
 @pytest.mark.parametrize("count", [3, 12, 13])
 def test_texts_of_ensembles_do_not_overlap(count: int) -> None:
     starts = {"theta": np.linspace(0.1, 2, count), "p": 0.0}
@@ -137,6 +143,7 @@ def test_coordinates_and_momenta_have_panels_of_their_own(trap: hamsym.Solution)
     assert figure.axes[6].get_title("left") == "Estimated error"
 
 
+@pytest.mark.slow
 def test_what_is_not_drawn_is_said() -> None:
     figure = moved(30).plot()
     assert "6 of 30 degrees of freedom are drawn; plot('q30', 'p30')" in figure.caption.replace(
@@ -201,6 +208,7 @@ def test_portrait_says_the_energy_of_its_trajectory(pendulum: hamsym.Solution) -
     assert "at the start $H$ = 0.4161" in caption  # -cos(2)
 
 
+@pytest.mark.slow
 def test_what_varies_has_its_unit() -> None:
     H = hamsym.Hamiltonian("p**2/(2*m) + k*x**2/2", parameters={"m": 1, "k": 1}, units=UNITS)
     many = hamsym.solve_many(H, {"x": [1.0, 2.0], "p": 0.0}, (0, 1))
@@ -280,6 +288,7 @@ def test_the_proven_bound_is_drawn(pendulum: hamsym.Solution) -> None:
     assert figure.axes[0].patches  # the band from the lower bound to the upper
 
 
+@pytest.mark.slow_cases("residual")
 @pytest.mark.parametrize("name", ["residual", "energy", "search"])
 def test_other_panels_can_be_drawn_alone(pendulum: hamsym.Solution, name: str) -> None:
     figure = pendulum.plot(name)
@@ -299,6 +308,7 @@ def test_exact_conservation_is_said_in_words() -> None:
     assert [text.get_text() for text in figure.axes[0].texts] == ["zero at all times"]
 
 
+@pytest.mark.slow
 def test_backward_time_is_drawn() -> None:
     figure = hamsym.solve(PENDULUM, [1, 0], (0, -5)).plot()
     check_layout(figure)
@@ -363,6 +373,7 @@ def test_a_trajectory_without_estimate_says_how_to_get_one() -> None:
 # -- ensembles -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_members_of_an_ensemble_have_a_legend_entry_each() -> None:
     many = hamsym.solve_many("p**2/2 - k*cos(x)", [1.0, 0.0], (0, 5), parameters={"k": [1, 2, 3]})
     figure = many.plot("x")
@@ -384,6 +395,7 @@ def test_a_choice_of_many_members_is_said() -> None:
     assert len(many.plot("error").axes[0].lines[0].get_xdata()) == 300
 
 
+@pytest.mark.slow
 def test_failed_members_are_marked() -> None:
     many = hamsym.solve_many("p**2/2 - x**4/4", {"x": [0.01, 1.0], "p": [0.0, 1.0]}, (0, 3))
     figure = many.plot()

@@ -78,6 +78,7 @@ def titles(figure: Any) -> list[str]:
 # -- exponents and indicators ----------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("6-12", "30-7")
 @pytest.mark.parametrize(("dof", "count"), [(1, 2), (2, 1), (2, 4), (6, 12), (30, 60), (30, 7)])
 def test_exponents_of_any_number_are_laid_out(dof: int, count: int) -> None:
     check_layout(exponents(dof, count, chain(dof)).plot())
@@ -207,6 +208,7 @@ def test_multipliers_that_are_not_finite_are_counted() -> None:
     assert "1 of 2 are not finite" in texts
 
 
+@pytest.mark.slow
 def test_family_has_periods_orbits_and_multipliers(family: hamsym.OrbitFamily) -> None:
     figure = family.plot()
     check_layout(figure)
@@ -258,6 +260,7 @@ def test_level_sets_of_other_momenta_are_refused() -> None:
     assert energy_at_rest(H, np.array([[1.0, 2.0]])) is None
 
 
+@pytest.mark.slow_cases("6", "30")
 @pytest.mark.parametrize("dof", [1, 2, 6, 30])
 def test_equilibria_of_any_size_are_laid_out(dof: int) -> None:
     found = hamsym.equilibria(chain(dof), guess=np.zeros(2 * dof))
@@ -302,6 +305,7 @@ def test_bands_of_an_enclosure_contain_the_solution() -> None:
     check_layout(found.plot())
 
 
+@pytest.mark.slow_cases("2")
 @pytest.mark.parametrize("dof", [2, 6])
 def test_components_that_are_left_out_are_said(dof: int) -> None:
     figure = hamsym.enclose(chain(dof), [0.1] * 2 * dof, (0, 0.1)).plot()
@@ -393,6 +397,7 @@ def test_observable_is_drawn_into_given_axes(fit: hamsym.Fit) -> None:
         fit.plot(ax=axes)
 
 
+@pytest.mark.slow_cases("names0", "names1")
 @pytest.mark.parametrize("names", [(), ("x",), ("x", "p")])
 def test_flow_maps_are_laid_out(names: tuple[str, ...]) -> None:
     flow = hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 2), "p": (-1, 1)}, (0, 3), tol=1e-6)

@@ -83,6 +83,7 @@ def test_any_name_can_be_drawn(name: str) -> None:
     figure.savefig(io.BytesIO(), format="svg")
 
 
+@pytest.mark.slow
 @given(st.text(max_size=60))
 @settings(max_examples=30, deadline=None)
 def test_no_line_of_a_caption_is_wider_than_asked(text: str) -> None:
@@ -188,6 +189,7 @@ def test_pickled_figure_is_the_same() -> None:
     assert again._repr_png_()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow_cases("pdf-%PDF")
 @pytest.mark.parametrize(
     ("suffix", "start"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<")]
 )
@@ -208,6 +210,7 @@ def test_unknown_names_are_answered_with_the_nearest() -> None:
         known_name("zzz", [f"q{k}" for k in range(40)], "a component of z")
 
 
+@pytest.mark.slow
 def test_long_texts_of_files_are_shortened() -> None:
     figure = Figure.of_size(8, 6, words_of("abc " * 100_000), "x" * 100_000)
     assert "... (400,000 characters)" in " ".join(figure.caption.split())

@@ -89,12 +89,14 @@ def test_corrupted_map_has_a_larger_bound(quartic, certificate):
     assert (bound >= change - np.array(certificate.bound)).all()
 
 
+@pytest.mark.slow
 def test_map_far_from_the_solution_is_refused(quartic):
     wrong = corrupted(quartic, 1e3 * np.abs(quartic.map.pieces[0].readouts).max())
     with pytest.raises(CertificationError, match=r"no bound beyond t = .*; give a smaller box"):
         wrong.certify(max_parts=4)
 
 
+@pytest.mark.slow
 def test_henon_heiles_box_of_four_inputs():
     box = dict.fromkeys(("x", "y", "p_x", "p_y"), (0.1, 0.11))
     flow = hamsym.flow_map(HENON, box, (0, 0.5), tol=1e-6)
@@ -108,6 +110,7 @@ def test_henon_heiles_box_of_four_inputs():
     assert bound.max() < 1e-6
 
 
+@pytest.mark.slow
 def test_parameters_are_inputs():
     H, box = "p**2/2 + k*x**2/2", {"x": (1, 1.1), "p": 0}
     flow = hamsym.flow_map(H, box, (0, 1), {"k": (1, 1.2)}, tol=1e-7)
@@ -121,6 +124,7 @@ def test_parameters_are_inputs():
     assert max(found.bound) < 1e-7
 
 
+@pytest.mark.slow
 def test_expressions_time_and_roots_have_models():
     z0 = {"x": "1 - e", "y": 0, "p_x": 0, "p_y": "sqrt((1 + e)/(1 - e))"}
     H = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
@@ -132,6 +136,7 @@ def test_expressions_time_and_roots_have_models():
     assert max(driven.certify().bound) < 1e-5
 
 
+@pytest.mark.slow
 def test_split_maps_are_proven_part_by_part(harmonic):
     split = Split(np.array([-2.0, 0.0]), -3.0, harmonic.map, harmonic.map)
     whole = harmonic.certify().bound
@@ -144,6 +149,7 @@ def test_split_maps_are_proven_part_by_part(harmonic):
         slanted.certify()
 
 
+@pytest.mark.slow
 def test_chains_of_legs_are_proven():
     first = hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 1.1), "p": (0, 0.1)}, (0, 1), tol=1e-7)
     image = {"x": (0.5, 0.7), "p": (-1, -0.7)}

@@ -145,6 +145,7 @@ def assert_holds(certificate, solution, times=None, count=40):
     return float(max(norms))
 
 
+@pytest.mark.slow_cases("levenberg-marquardt")
 @pytest.mark.parametrize("name", _OPTIONS)
 def test_bounds_hold_and_are_tight(name):
     solution, certificate = solved(name), certified(name)
@@ -393,6 +394,7 @@ def test_certify_fails_with_the_reason(formula, z0, end, reason):
         solution.certify()
 
 
+@pytest.mark.slow
 def test_separating_trajectories_end_the_proof(cheap):
     """Errors grow by exp(3000), which needs more bits than a proof may have."""
     other = damaged(cheap[0], lambda trial: trial.z0.zero_())

@@ -55,6 +55,12 @@ def _estimate_with(residuals: Iterator[np.ndarray], *found: Any) -> MarchError:
         return estimate_error(*found).error
 
 
+@pytest.mark.slow_cases(
+    "p**2/2 + x**2/2-z00-span0",
+    "p**2/2 - cos(x)-z01-span1",
+    "(px**2 + py**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3-z03-span3",
+    "(px**2 + py**2)/2 - 1/sqrt(x**2 + y**2)-z05-span5",
+)
 @pytest.mark.skipif(not EXTENDED, reason="this processor has no extended precision")
 @pytest.mark.parametrize(
     ("formula", "z0", "span"),

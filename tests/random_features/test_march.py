@@ -73,6 +73,7 @@ def test_estimate_is_the_error_up_to_round_off(name: str, tol: float) -> None:
     assert np.all(solution.largest_error >= np.abs(estimate).max(axis=0))
 
 
+@pytest.mark.slow
 def test_estimate_holds_on_long_spans() -> None:
     """Thousands of windows: neither the error nor the estimate may drift away unnoticed."""
     problem = systems.pendulum()

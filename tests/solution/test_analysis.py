@@ -103,6 +103,7 @@ def test_bound_vacuous_with_a_symmetry(H: str, z0: list[float]) -> None:
     assert analysis.bound == math.inf
 
 
+@pytest.mark.slow_cases("henon_heiles")
 @pytest.mark.parametrize("name", ["oscillator", "henon_heiles"])
 def test_linearised_error_is_the_error_to_first_order(name: str) -> None:
     solution = trained(name)

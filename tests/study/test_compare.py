@@ -153,6 +153,7 @@ def test_round_off_limit_is_named() -> None:
     assert "not reached: round-off leaves" in str(comparison)
 
 
+@pytest.mark.slow
 def test_error_of_the_size_of_the_motion_is_not_round_off() -> None:
     """An error of the size of the motion is bounded, and does not fall with the steps."""
     H = hamsym.Hamiltonian("p**2/2 - cos(x) - cos(x - t)")
@@ -253,12 +254,14 @@ def test_table_of_many_fits_eighty_columns(several: Comparison) -> None:
     assert max(map(len, str(several).splitlines())) <= 80
 
 
+@pytest.mark.slow
 def test_non_separable_systems_are_compared() -> None:
     comparison = hamsym.compare(quick(charged_particle, epochs=300))
     assert all(math.isfinite(row.error) for row in comparison.rows)
     assert comparison.matches["symplectic_euler"].steps is not None
 
 
+@pytest.mark.slow
 def test_failed_euler_has_infinite_error() -> None:
     # H = p q^2 blows up at t = 1/q(0), and its implicit step has no solution for h q > 1/4.
     H = hamsym.Hamiltonian("p*q**2", q=["q"], p=["p"])

@@ -31,6 +31,7 @@ def swept(store: Path, **more: Any) -> Any:
     return hamsym.sweep(H, START, SPAN, **given)
 
 
+@pytest.mark.slow_cases("1")
 @pytest.mark.parametrize("chunk", [1, 2, 100])
 def test_states_are_those_of_solve_many(tmp_path: Path, chunk: int) -> None:
     found = swept(tmp_path / "a.zarr", chunk=chunk)
@@ -48,6 +49,7 @@ def test_states_are_those_of_solve_many(tmp_path: Path, chunk: int) -> None:
     assert (data.attrs["H"], data.attrs["complete"]) == (H.formula, 1)
 
 
+@pytest.mark.slow
 def test_exponents_are_those_of_a_map(tmp_path: Path) -> None:
     options = {"count": 2, "dt": 0.1}
     swept(tmp_path / "a.zarr", task="lyapunov", t=None, **options)
@@ -61,6 +63,7 @@ def test_exponents_are_those_of_a_map(tmp_path: Path) -> None:
     assert data["exponent"].sel(rank=2).shape == (2, 3)
 
 
+@pytest.mark.slow
 def test_crossings_are_those_of_each_point(tmp_path: Path) -> None:
     over, options = {"k": [0.2, 1.0], "y": [0.1, 0.2]}, {"surface": "x = 0, p_x > 0", "dt": 0.1}
     start = {"x": 0.0, "y": 0.0, "p_x": 0.3, "p_y": 0.0}

@@ -30,6 +30,7 @@ def _files(folder):
     return [path for path in folder.iterdir() if path.name != LOCK]
 
 
+@pytest.mark.slow
 def test_runs_in_other_processes_equal_solve(tmp_path):
     chain = {"method": "levenberg-marquardt"}
     settings = {"Adam": ADAM, "chain": chain, "to 1e-8": {"tol": 1e-8}}
@@ -50,6 +51,7 @@ def test_certificates_from_other_processes(tmp_path):
             assert error <= proof.bound * (1 + 1e-6) + 1e-14
 
 
+@pytest.mark.slow
 def test_existing_runs_are_reused(tmp_path, monkeypatch):
     first = _sweep(tmp_path)
     files = {path: path.stat().st_mtime_ns for path in _files(tmp_path)}
@@ -195,6 +197,7 @@ def test_invalid_folder_is_rejected(folder):
         _sweep(folder)
 
 
+@pytest.mark.slow
 def test_death_of_a_worker_is_reported(tmp_path):
     with pytest.raises(hamsym.HamsymError, match="ended before its run"):
         _sweep(tmp_path, {"a": _Dies()}, workers=2)

@@ -158,6 +158,7 @@ def test_quartic_kinetic_energy_of_either_sign() -> None:
         assert system.vector_field([0.0, p])[0] == pytest.approx(np.cbrt(p))
 
 
+@pytest.mark.slow_cases("m*sqrt(1 + (p_x**2 + p_y**2)/m**2) + x**2")
 @pytest.mark.parametrize(
     "text",
     [

@@ -116,6 +116,7 @@ def test_units_with_a_factor_are_kept() -> None:
     assert H.with_parameters(k=2.0).units == H.units
 
 
+@pytest.mark.slow
 def test_axes_show_units() -> None:
     H = Hamiltonian(SPRING, parameters={"m": 1.0, "k": 4.0}, units=UNITS)
     assert H.labelled("x") == "x [m]"

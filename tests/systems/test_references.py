@@ -111,6 +111,7 @@ def test_reference_has_thirty_digits(name: str, solution: Callable) -> None:
         assert abs(value - mpmath.mpf(digits)) < 3e-30
 
 
+@pytest.mark.slow_cases("fermi_pasta_ulam_tsingou-", "point_vortices-polygon", "ablowitz_ladik-")
 @pytest.mark.parametrize(
     ("name", "start"), [pytest.param(*row, marks=_slow(row[0])) for row in ROWS]
 )

@@ -86,6 +86,7 @@ def test_number_of_members_that_are_left_out_is_said(oscillators):
     assert "the first 50 of 60 members" in " ".join(animation.frame(0).caption.split())
 
 
+@pytest.mark.slow
 def test_member_that_escapes_disappears_with_a_note():
     start = {"x": [0.1, 3.0], "p": 0.0}
     found = hamsym.integrate("p**2/2 - x**4", start, (0, 4), "gauss4", steps=4_000)
@@ -98,6 +99,7 @@ def test_member_that_escapes_disappears_with_a_note():
 # -- pictures ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_pendulum_hangs_from_the_origin_by_rods_of_its_lengths():
     H = hamsym.Hamiltonian(
         "p1**2/(2*l1**2) + p2**2/(2*l2**2) - l1*cos(theta1) - l2*cos(theta2)",
@@ -110,6 +112,7 @@ def test_pendulum_hangs_from_the_origin_by_rods_of_its_lengths():
     np.testing.assert_allclose(second - first, [0.5 * np.sin(-1.0), -0.5 * np.cos(1.0)])
 
 
+@pytest.mark.slow_cases("3-3")
 @pytest.mark.parametrize(("lengths", "expected"), [(3, 3), ([3.0], 3), ("g", 9.81), (["g"], 9.81)])
 def test_lengths_are_numbers_or_parameters(lengths, expected):
     H = hamsym.Hamiltonian("p**2/2 - g*cos(q)", parameters={"g": 9.81})
@@ -136,6 +139,7 @@ def test_many_bodies_have_different_colours():
     assert len({tuple(color) for color in colors}) == 7
 
 
+@pytest.mark.slow
 def test_chain_has_its_coordinates_as_heights():
     problem = systems.fermi_pasta_ulam_tsingou(n=30)
     found = hamsym.integrate(problem.H, problem.z0, (0, 10), "stormer_verlet", dt=0.05)
@@ -149,6 +153,7 @@ def test_phase_plane_of_one_coordinate_has_level_sets(pendulum):
     assert any(len(getattr(artist, "levels", ())) > 3 for artist in axis.collections)
 
 
+@pytest.mark.slow_cases("p_x**2/2 + p_y**2/2 + x**2 + y**2")
 @pytest.mark.parametrize("H", ["p**2/2 + x**2/2 + x*cos(t)", "p_x**2/2 + p_y**2/2 + x**2 + y**2"])
 def test_level_sets_are_left_out_where_they_mean_nothing(H):
     z0 = [1, 0] if "t" in H else [1, 0, 0, 1]
@@ -186,6 +191,7 @@ def test_tail_covers_its_part_of_the_span(pendulum):
     np.testing.assert_allclose(oldest(1.0), pendulum(1.0), atol=0.02)
 
 
+@pytest.mark.slow
 def test_time_is_shown_with_its_unit():
     units = {"x": "m", "p": "kg*m/s", "m": "kg", "k": "kg/s**2"}
     H = hamsym.Hamiltonian(
@@ -241,6 +247,7 @@ def test_film_without_ffmpeg_is_refused_in_a_sentence(pendulum, tmp_path, monkey
         pendulum.animate(frames=2).save(tmp_path / "a.mp4")
 
 
+@pytest.mark.slow
 def test_formula_is_no_markup(tmp_path):
     found = hamsym.integrate("p**2/2 + max(x, 0)**2", [1, 0], (0, 1), "gauss4", dt=0.1)
     animation = found.animate(frames=2)
@@ -305,6 +312,7 @@ def test_unusable_option_is_refused(pendulum, names, options, reason):
         pendulum.animate(*names, **options)
 
 
+@pytest.mark.slow
 def test_coordinates_without_a_usual_picture_are_asked_for():
     problem = systems.swinging_atwood()
     found = hamsym.integrate(problem.H, problem.z0, (0, 1), "gauss6", dt=0.1)

@@ -186,6 +186,7 @@ def tags_of(text: str) -> Tags:
     return found
 
 
+@pytest.mark.slow_cases("Solution in SI", "Comparison", "BoxCertificate", "PeriodicOrbit")
 @pytest.mark.parametrize("name", MADE)
 def test_representations_say_what_is_asked_first(name: str) -> None:
     make, texts = MADE[name]
@@ -289,6 +290,7 @@ def test_a_figure_that_fails_is_left_out(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "<img" not in representation(result)
 
 
+@pytest.mark.slow
 def test_many_components_are_counted_not_drawn_out() -> None:
     names = [f"x_{k}" for k in range(1, 31)]
     H = Hamiltonian(" + ".join(f"p_{n}**2/2 + {n}**2/2" for n in names))

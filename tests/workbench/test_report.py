@@ -155,6 +155,7 @@ def test_invariants_of_a_file_are_measured_again(tmp_path: Path) -> None:
     assert f"The largest change of {DUFFING} is" in page_of(tmp_path / "a", tmp_path).text
 
 
+@pytest.mark.slow
 def test_trained_network_is_reported(tmp_path: Path) -> None:
     solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1), method="adam", epochs=5, points=8)
     text = page_of(solution, tmp_path).text
@@ -163,12 +164,14 @@ def test_trained_network_is_reported(tmp_path: Path) -> None:
     assert "no tolerance" in text
 
 
+@pytest.mark.slow
 def test_target_of_a_training_is_what_was_asked(tmp_path: Path) -> None:
     problem = ("p**2/2 + x**2/2", [1, 0], (0, 1))
     solution = hamsym.solve(*problem, method="adam", epochs=5, points=8, target_loss=1e-3)
     assert "target_loss = 0.001" in page_of(solution, tmp_path).text
 
 
+@pytest.mark.slow
 def test_units_and_forces_are_shown(tmp_path: Path) -> None:
     H = hamsym.Hamiltonian(
         "p**2/(2*m) + k*x**2/2",
@@ -183,6 +186,7 @@ def test_units_and_forces_are_shown(tmp_path: Path) -> None:
     assert "The command has no units" in text
 
 
+@pytest.mark.slow
 def test_many_components_are_shortened_with_a_sentence(tmp_path: Path) -> None:
     springs = "+".join(f"p{i}**2/2 + (x{i} - x{(i + 1) % 30})**2/2" for i in range(30))
     solution = hamsym.solve(springs, np.linspace(0, 1, 60), (0, 0.5), tol=1e-5)
@@ -214,6 +218,7 @@ def test_names_in_formulas_are_escaped() -> None:
     assert "&amp;" in text
 
 
+@pytest.mark.slow
 def test_svg_has_its_own_names_and_no_style_sheet(solution: hamsym.Solution) -> None:
     one, other = (inline_svg(solution.plot(), prefix, "a < b") for prefix in ("a", "b"))
     names = [{*re.findall(r'\bid="([^"]+)"', text)} for text in (one, other)]
@@ -226,6 +231,7 @@ def test_svg_has_its_own_names_and_no_style_sheet(solution: hamsym.Solution) -> 
 # -- certificates ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_certificate_beside_the_file_is_verified(saved: Path, tmp_path: Path) -> None:
     certificate = hamsym.load(saved).certify()
     beside = tmp_path / "orbit.hamsym.certificate"
@@ -266,6 +272,7 @@ def test_forged_certificate_is_refused(saved: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "a.html").exists()
 
 
+@pytest.mark.slow
 def test_new_proof_is_shown_or_its_refusal(solution: hamsym.Solution, tmp_path: Path) -> None:
     proof = hamsym.report(solution, tmp_path / "a.html", certify=True, compare=False)
     assert proof.certificate.bound < 1e-7
@@ -275,6 +282,7 @@ def test_new_proof_is_shown_or_its_refusal(solution: hamsym.Solution, tmp_path: 
     assert "Proven: " not in page.text
 
 
+@pytest.mark.slow
 def test_proof_that_is_wider_than_asked_is_said(tmp_path: Path) -> None:
     failed = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 200), tol=1e-12, atol=0)
     asked = failed.settings
