@@ -84,9 +84,17 @@ class Figure(matplotlib.figure.Figure):
         self._optional = (*self._optional, *texts)
 
     def draw(self, renderer: Any) -> None:
+        engine = self.get_layout_engine()
         with styled():
             self._arrange(renderer)
-            super().draw(renderer)
+            if engine is None:
+                super().draw(renderer)
+                return
+            self.set_layout_engine("none")  # which matplotlib would execute once more
+            try:
+                super().draw(renderer)
+            finally:
+                self.set_layout_engine(engine)
 
     def savefig(self, fname: Any, **options: Any) -> None:
         with styled():
@@ -147,9 +155,9 @@ class Figure(matplotlib.figure.Figure):
                     if isinstance(locator := axis.get_major_locator(), MaxNLocator):
                         locator.set_params(nbins=min(5, max(2, axis.get_tick_space())))
                     formatter.relabel(axis)
+        if isinstance(engine, ConstrainedLayoutEngine):
+            engine.execute(self)
         if self._optional:
-            if isinstance(engine, ConstrainedLayoutEngine):
-                engine.execute(self)
             self._hide_overlapping(renderer)
 
     def _hide_overlapping(self, renderer: Any) -> None:
