@@ -244,10 +244,10 @@ def limit(settings, epochs):
         return lambda seed: limit(settings(seed), epochs)
     if settings["method"] == "adam":
         return settings | {"epochs": min(settings["epochs"], epochs)}
-    if settings["method"] != "features" and settings != CHAIN:
-        given = settings.get("iterations", epochs)
-        return settings | {"iterations": max(1, min(given, epochs // 10))}
-    return settings
+    if settings["method"] == "features" or settings == CHAIN or "tol" in settings:
+        return settings  # a number of windows, not of iterations, reaches a tolerance
+    given = settings.get("iterations", epochs)
+    return settings | {"iterations": max(1, min(given, epochs // 10))}
 
 
 # -- numbers -----------------------------------------------------------------------------------
