@@ -172,6 +172,7 @@ def test_limit_shortens_trainings_only():
     assert limit(lambda seed: adam, 20)(1)["epochs"] == 20
     assert limit({"method": "levenberg-marquardt", "tau": 2.0}, 300)["iterations"] == 30
     assert limit(CHAIN, 300) == CHAIN
+    assert limit(CHAIN | {"windows": 1, "tol": 1e-4}, 300) == CHAIN | {"windows": 1, "tol": 1e-4}
     assert limit({"method": "ssbroyden"}, 300)["iterations"] == 30
     assert limit({"method": "lbfgs", "iterations": 5}, 300)["iterations"] == 5
     assert limit({"method": "features"}, 20) == {"method": "features"}
