@@ -38,8 +38,8 @@ class Match:
     Attributes
     ----------
     steps : int, optional
-        Smallest number of steps, to 1 %; None if the error was not reached, and for an adaptive
-        method.
+        Smallest number of steps, to 1 % where the reference is a hundred times better than the
+        network; None if the error was not reached, and for an adaptive method.
     evaluations : int
     error : float
         Error with these steps or this tolerance, or the smallest error of the search.
