@@ -143,6 +143,7 @@ def by_name(names: tuple[str, ...], values: Any) -> dict[str, Any]:
     cls=SolverCommand,
     short_help="Solve, and compare with integrators.",
     examples=[
+        'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with usual',
         'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with yoshida4,gauss6',
         'hamsym compare "p**2/2 - cos(x)" --z0 1,0 --t-end 5 --tol 1e-6 --max-steps 100000',
     ],
@@ -153,7 +154,8 @@ def by_name(names: tuple[str, ...], values: Any) -> dict[str, Any]:
     "--with",
     "methods",
     metavar="NAMES",
-    help="Integrators, e.g. yoshida4,gauss6,dop853.  [symplectic_euler, or implicit_midpoint]",
+    help="Integrators, e.g. yoshida4,gauss6,dop853; usual for three in common use.  "
+    "[symplectic_euler, or implicit_midpoint]",
     shell_complete=completing(integrators),
 )
 @click.option("--max-steps", default=100_000_000, show_default=True, help="Limit of the search.")
@@ -168,14 +170,12 @@ def compare(
     **options: Any,
 ) -> Report:
     """Solve, and compare with integrators at K, 10 K and 100 K steps."""
-    from hamsym.integrators.integrate import usable_method
     from hamsym.solving import solve as run
+    from hamsym.study.compare import chosen_methods
     from hamsym.study.compare import compare as run_comparison
 
     check_figure(figure)
-    names = None if methods is None else listed(methods)
-    for name in names or []:
-        usable_method(H, name)
+    names = chosen_methods(H, None if methods is None else listed(methods))
     solution = run(H, z0, span, **options)
     comparison = run_comparison(solution, names, max_steps=max_steps)
     rows = [
@@ -207,6 +207,7 @@ def compare(
         "solution": _values_of(solution) | {"success": solution.success},
         "rows": rows,
         "matches": matches,
+        "reference": comparison.reference.text,
         "reference_error": comparison.reference_error,
     }
     report = Report(comparison.summary(), values, solution.success)

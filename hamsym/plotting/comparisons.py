@@ -25,7 +25,7 @@ def draw_comparison(comparison: Comparison, *names: Any, ax: Any = None) -> Any:
     solution = comparison.solution
     caption = caption_words(
         solution.H,
-        f"Network: {solution.points:,} points. Errors against {_source(comparison)}",
+        f"Network: {solution.points:,} points. Errors against {comparison.reference.text}",
         "Phase plane: the network, and the integrator whose error is nearest to its",
         LARGEST,
     )
@@ -50,12 +50,6 @@ def draw_comparison(comparison: Comparison, *names: Any, ax: Any = None) -> Any:
         row.set_axis_off()
         row.legend(handles, labels, loc="center", ncols=4, frameon=False)
         return figure
-
-
-def _source(comparison: Comparison) -> str:
-    if not comparison.reference_error:
-        return "the exact solution"
-    return f"DOP853, whose error is about {comparison.reference_error:.0e}"
 
 
 def _curves(comparison: Comparison) -> list[tuple[str, np.ndarray, np.ndarray, dict[str, Any]]]:

@@ -14,8 +14,14 @@ import hamsym
 from hamsym import Comparison, Solution
 from hamsym.errors import InputError
 from hamsym.integrators import fixed_step
-from hamsym.study.compare import Match
-from hamsym.systems import Problem, charged_particle, harmonic_oscillator, nonlinear_oscillator
+from hamsym.study.compare import Match, chosen_methods
+from hamsym.systems import (
+    Problem,
+    charged_particle,
+    harmonic_oscillator,
+    kepler,
+    nonlinear_oscillator,
+)
 
 
 @functools.cache
@@ -92,7 +98,7 @@ def test_long_search_is_extrapolated(monkeypatch: pytest.MonkeyPatch) -> None:
     full = hamsym.compare(solution, exact=problem.exact).matches["symplectic_euler"].steps
     assert full is not None
     assert full > 300
-    monkeypatch.setattr("hamsym.study.matching._RUN_LIMIT", 1e-9)
+    monkeypatch.setattr("hamsym.study.matching._SEARCH_SECONDS", 1e-9)
     found = hamsym.compare(solution, points=3, exact=problem.exact)
     match = found.matches["symplectic_euler"]
     assert match.reason == "> 300 steps"
@@ -229,12 +235,59 @@ def test_text_of_matches() -> None:
     assert str(beyond) == "> 1e8 steps (extrapolated: 2.5e+09)"
 
 
-def test_dominant_reference_error_is_reported() -> None:
-    H = hamsym.Hamiltonian("p**2/2 - x**2/2 + x**4/4")
-    solution = hamsym.solve(H, [0.1, 0.0], (0, 30), tol=1e-11)
-    comparison = hamsym.compare(solution, max_steps=10**6)
-    assert comparison.reference_error > 0.01 * comparison.rows[0].error
-    assert "reference: DOP853, with an error of about" in str(comparison)
+# DOP853 has an error of 2e-12 for it, and enclosures need smooth formulas: abs(x)**5 is not.
+ROUGH = "p**2/2 - x**2/2 + x**4/4 + abs(x)**5/1000"
+METHODS_OF_BOUNDS = ["symplectic_euler", "blanes_moan6", "dop853"]
+
+
+def test_errors_below_that_of_the_reference_have_only_bounds() -> None:
+    solution = hamsym.solve(ROUGH, [0.1, 0.0], (0, 30), tol=1e-10)
+    comparison = hamsym.compare(solution, METHODS_OF_BOUNDS)
+    u, network = comparison.reference_error, comparison.rows[0].error
+    assert 10 * u > network
+    assert comparison.reference.text == f"DOP853, whose error is about {u:.0e}"
+    euler, blanes, dop853 = comparison.matches.values()
+    assert euler.reason.startswith("> ")
+    assert euler.extrapolated is None
+    assert dop853.reason.startswith("rtol below ")
+    fewest = int(blanes.reason.removeprefix("at least ").removesuffix(" steps").replace(",", ""))
+    path = hamsym.integrate(ROUGH, [0.1, 0.0], (0, 30), "blanes_moan6", steps=int(0.97 * fewest))
+    errors = np.linalg.norm(path.z - comparison.reference(path.t), axis=1)
+    assert errors.max() > network + 2 * u
+    assert "(the reference is less than ten times better: bounds, not numbers)" in str(comparison)
+    assert "have only bounds" in comparison.summary().replace("\n", " ")
+
+
+def test_errors_below_that_of_dop853_are_against_an_enclosure() -> None:
+    problem = kepler(eccentricity=0.6)
+    solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-10)
+    comparison = hamsym.compare(solution, "gauss6")
+    assert comparison.reference_error < 1e-14
+    assert comparison.reference.text.startswith("the exact solution, enclosed to ")
+    assert comparison.reference.text in comparison.summary().replace("\n", " ")
+    assert problem.reference is not None
+    exact = np.array(problem.reference.z, dtype=float)
+    end = np.array([problem.reference.t])
+    np.testing.assert_allclose(comparison.reference(end)[0], exact, atol=1e-15)
+    assert comparison.matches["gauss6"].steps is not None
+
+
+def test_enclosures_are_references_of_motions_that_run_backwards() -> None:
+    problem = harmonic_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, -5), tol=1e-10)
+    truth = hamsym.compare(solution, "usual", max_steps=1_000).reference
+    t = np.linspace(0, -5, 301)
+    np.testing.assert_allclose(truth(t), problem.exact(t), atol=2e-15)
+
+
+def test_usual_methods_suit_the_equations() -> None:
+    forced = hamsym.Hamiltonian("p**2/2 + x**2/2", forces={"p": "-p"})
+    split = ["stormer_verlet", "blanes_moan6", "dop853"]
+    implicit = ["implicit_midpoint", "gauss6", "dop853"]
+    assert chosen_methods(hamsym.Hamiltonian("p**2/2 + x**4/4 - x*cos(t)"), "usual") == split
+    for H in (hamsym.Hamiltonian("x**2*p**2/2 + p**2/2"), forced):
+        assert chosen_methods(H, "usual") == implicit
+    assert chosen_methods(forced) == ["implicit_midpoint"]
 
 
 def test_only_solutions_are_compared() -> None:
@@ -304,6 +357,7 @@ def test_nan_reference_gives_infinite_error() -> None:
     for row in found.rows:
         assert row.error == row.energy_error == np.inf
         assert np.all(row.component_errors == np.inf)
+    assert found.matches["symplectic_euler"].reason.startswith("unknown: ")
 
 
 def test_comparing_coarse_steps_does_not_warn() -> None:

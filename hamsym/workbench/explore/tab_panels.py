@@ -77,7 +77,7 @@ def build_comparison(session: Session) -> None:
     """Build the panel that compares with integrators."""
     ui.label("Compare this solution with integrators at equal and at finer steps.")
     methods = ui.select(
-        list(INTEGRATORS), label="Integrators", multiple=True, value=["gauss6"]
+        list(INTEGRATORS), label="Integrators (none: the usual ones)", multiple=True, value=[]
     ).props("dense outlined options-dense use-chips")
     _JobPanel(session, "comparison", lambda _: (tuple(methods.value or ()),)).build("Compare")
 

@@ -242,7 +242,7 @@ def exponents(setting: Setting, spans: float) -> JobResult:
 def comparison(setting: Setting, methods: tuple[str, ...]) -> JobResult:
     """Compare the solution with integrators."""
     solution = _solve(setting)
-    found = hamsym.compare(solution, list(methods) or None, max_steps=2_000_000)
+    found = hamsym.compare(solution, list(methods) or "usual", max_steps=2_000_000)
     rows = tuple(
         (
             row.label,
@@ -255,9 +255,9 @@ def comparison(setting: Setting, methods: tuple[str, ...]) -> JobResult:
         for row in found.rows
     )
     header = ("method", "points", "evaluations", "max |dz|", "max |dE|", "time in ms")
-    uncertainty = found.reference_error
-    error = f"an error of about {uncertainty:.0e}" if uncertainty > 0 else "errors of round-off"
-    return JobResult(f"Errors against a reference with {error}.", header, rows)
+    needed = "; ".join(f"{name}: {match}" for name, match in found.matches.items())
+    said = f"Errors against {found.reference.text}. For the error of the network: {needed}."
+    return JobResult(said, header, rows)
 
 
 # -- files ----------------------------------------------------------------------------------------

@@ -188,9 +188,7 @@ def _comparison(comparison: Comparison) -> Card:
         rows.append([row.label, points, f"{row.evaluations:,}", *errors, seconds_text(row.seconds)])
     header = ["method", "points", "evaluations", "max |dz|", "max |dE|", "time"]
     with_table(card, header, rows, "row")
-    if comparison.reference_error:
-        error = error_text(comparison.reference_error)
-        card.notes.append(f"The reference has an error of about {error}.")
+    card.notes.append(f"Errors are against {comparison.reference.text}.")
     reached = [
         f"{name}: {match.reason or str(match)}" for name, match in comparison.matches.items()
     ]

@@ -6,14 +6,12 @@ How long an integrator takes to reach an error cannot be said beforehand.
 from __future__ import annotations
 
 import json
-import math
 import os
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,12 +19,11 @@ import numpy as np
 
 from hamsym.archive import load_solution
 from hamsym.errors import HamsymError
-from hamsym.integrators.integrate import usable_method, usual_method
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Comparison, compare
 from hamsym.workbench.reports.inline_svg import inline_svg
 
-__all__ = ["Compared", "compared_within", "usual_methods"]
+__all__ = ["Compared", "compared_within"]
 
 _MOST_STEPS = 10_000_000  # in the search for the steps that reach the error of the solution
 _WATCH = 0.5  # seconds between looks at the parent
@@ -34,7 +31,7 @@ _START = (
     "import json, sys\n"
     "sys.path[:] = json.loads(sys.argv[1])\n"
     "from hamsym.workbench.reports.comparing import _main\n"
-    "_main(int(sys.argv[2]), sys.argv[3], sys.argv[4:])\n"
+    "_main(int(sys.argv[2]), sys.argv[3])\n"
 )
 
 
@@ -49,8 +46,8 @@ class Compared:
     matches : list of dict
         What each integrator needs for the error of the solution: ``label``, ``needs``,
         ``evaluations``, ``error``, ``seconds``.
-    reference_error : float
-        Estimated error of the reference.
+    reference : str
+        What errors are measured against, with its error.
     figure : str
         As SVG.
     reason : str
@@ -59,32 +56,20 @@ class Compared:
 
     rows: list[dict[str, str]]
     matches: list[dict[str, str]]
-    reference_error: float = math.nan
+    reference: str = ""
     figure: str = ""
     reason: str = ""
 
 
-def usual_methods(solution: Solution) -> list[str]:
-    """Return integrators of low and of high order, and an adaptive one, that suit H."""
-    simple = "symplectic_euler" if solution.H.is_separable else "implicit_midpoint"
-    found = []
-    for name in (simple, usual_method(solution.H), "dop853"):
-        try:
-            found.append(usable_method(solution.H, name))
-        except HamsymError:
-            continue
-    return list(dict.fromkeys(found))
-
-
-def compared_within(solution: Solution, methods: Sequence[str], seconds: float) -> Compared:
-    """Compare a solution with integrators, for at most some seconds."""
+def compared_within(solution: Solution, seconds: float) -> Compared:
+    """Compare a solution with the usual integrators, for at most some seconds."""
     with tempfile.TemporaryDirectory(prefix="hamsym-") as folder:
         file = Path(folder) / "solution"
         try:
             solution.save(file)
         except HamsymError as error:
             return Compared([], [], reason=str(error))
-        given = [json.dumps(sys.path), str(os.getpid()), folder, *methods]
+        given = [json.dumps(sys.path), str(os.getpid()), folder]
         command = [sys.executable, "-P", "-c", _START, *given]
         try:
             subprocess.run(command, capture_output=True, timeout=seconds, check=True)
@@ -103,15 +88,15 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def _main(parent: int, folder: str, methods: list[str]) -> None:
+def _main(parent: int, folder: str) -> None:
     """Compare the solution in a folder, and write the result beside it."""
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     try:
-        found = compare(load_solution(Path(folder) / "solution"), methods, max_steps=_MOST_STEPS)
+        found = compare(load_solution(Path(folder) / "solution"), "usual", max_steps=_MOST_STEPS)
         values = {
             "rows": _rows(found),
             "matches": _matches(found),
-            "reference_error": found.reference_error,
+            "reference": found.reference.text,
             "figure": inline_svg(found.plot(), "comparison", _label(found)),
         }
     except HamsymError as error:

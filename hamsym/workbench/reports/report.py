@@ -35,7 +35,7 @@ from hamsym.support.atomic import write_atomically
 from hamsym.support.validation import require_positive
 from hamsym.workbench.page_templates import page_environment, page_template
 from hamsym.workbench.reports import contents
-from hamsym.workbench.reports.comparing import Compared, compared_within, usual_methods
+from hamsym.workbench.reports.comparing import Compared, compared_within
 from hamsym.workbench.reports.inline_svg import inline_svg
 
 __all__ = ["report"]
@@ -210,7 +210,7 @@ def _proof(
 def _compared(solution: Solution, wanted: bool) -> Compared:
     if not wanted:
         return Compared([], [], reason="it was not asked for")
-    return compared_within(solution, usual_methods(solution), _COMPARE_SECONDS)
+    return compared_within(solution, _COMPARE_SECONDS)
 
 
 def _figure(solution: Solution) -> tuple[Markup, str]:
