@@ -20,8 +20,8 @@ from .results import read, replace_section
 from .tables import PAGE, filled
 
 _SLOW = {
-    *("certificates", "clusters", "enclosures", "first-call", "flow-map-estimates"),
-    *("flow-map-peers", "flow-map-queries", "flow-maps", "implicit", "networks"),
+    *("certificates", "clusters", "dimension", "enclosures", "first-call", "flow-map-estimates"),
+    *("flow-map-peers", "flow-map-queries", "flow-maps", "implicit", "networks", "periodic-orbits"),
     *("trained-networks", "training-optimisers", "training-peers", "work-precision"),
 }
 _CASES = [

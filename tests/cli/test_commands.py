@@ -185,6 +185,7 @@ def test_solve_exits_with_success(capsys: Captured) -> None:
     assert second.startswith("error below 1% of the motion after 600 epochs: ")
 
 
+@pytest.mark.slow
 def test_solve_by_least_squares_saves_and_resumes(capsys: Captured, tmp_path: Path) -> None:
     saved, checkpoint = str(tmp_path / "s.hamsym"), str(tmp_path / "run")
     settings = ["--method", "levenberg-marquardt", "--hidden", "10,10", "--points", "40"]

@@ -43,7 +43,8 @@ def test_examples_parse(name: str, example: str) -> None:
 
 @pytest.mark.slow_cases(
     'hamsym integrate "p**2/2 - cos(x)" --z0 1,0 --t-end 9 --meth',
-    'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with ',
+    'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with 0',
+    'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with 1',
 )
 @pytest.mark.parametrize(
     "example", [pair[1] for pair in EXAMPLES if pair[0] not in _LONG], ids=lambda text: text[:60]

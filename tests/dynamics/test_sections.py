@@ -258,6 +258,7 @@ def test_a_return_within_the_first_step() -> None:
     np.testing.assert_allclose(found.t, [0.2], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_steps_of_a_section_are_chosen() -> None:
     problem = kepler(0.9)
     with warnings.catch_warnings():

@@ -171,6 +171,7 @@ def step_map(problem: Problem, method: str, h: float) -> tuple[np.ndarray, np.nd
     return z0, stepper.tangents[0]
 
 
+@pytest.mark.slow_cases("timed-gauss4", "timed-tao2", "nonseparable-tao4")
 @pytest.mark.parametrize(("system", "method"), LOOPS)
 def test_tangent_map_is_symplectic_and_the_derivative(system: str, method: str) -> None:
     problem = PROBLEMS[system]()
@@ -438,6 +439,8 @@ PARAMETERS = [
     "3-p**2*(1 + k*x**2)/(2*m) + x**2/2-symplectic_euler-False",
     "3-p**2*(1 + k*x**2)/(2*m) + x**2/2-gauss4-False",
     "3-p**2*(1 + k*x**2)/(2*m) + x**2/2-tao4-False",
+    "70-p**2*(1 + k*x**2)/(2*m) + x**2/2-gauss4-False",
+    "70-p**2*(1 + k*x**2)/(2*m) + x**2/2-tao4-False",
     "70-p**2/(2*m) + k*(1 + sin(t)/2)*x**2/2-blanes_moan6-False",
 )
 @pytest.mark.parametrize(("formula", "method", "tangent"), PARAMETERS)
@@ -637,6 +640,7 @@ def test_reference_refuses_a_span_without_solution() -> None:
 PLANE_KEPLER = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
 
 
+@pytest.mark.slow_cases("charged_particle-1e-08")
 @pytest.mark.parametrize(
     ("system", "within"),
     [
@@ -831,6 +835,7 @@ def test_adaptive_methods_work_in_any_units(method: str, unit: float) -> None:
         np.testing.assert_allclose(found.z / [unit, 1e3 * unit], right, atol=1e-9)
 
 
+@pytest.mark.slow_cases("implicit_midpoint")
 @pytest.mark.parametrize("method", ["implicit_midpoint", "gauss4", "gauss6"])
 def test_implicit_methods_rest_at_an_equilibrium(method: str) -> None:
     """At the equilibrium the momenta are round-off of a cancelling force."""

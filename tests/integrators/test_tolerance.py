@@ -326,6 +326,7 @@ def test_argument_that_is_not_a_number_is_not_resolved() -> None:
     np.testing.assert_array_equal(features._switched_twice(switches), [[np.inf, np.inf, 0.0]])
 
 
+@pytest.mark.slow
 def test_search_that_finds_no_number_ends_the_refinement(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 

@@ -48,6 +48,7 @@ def test_bifurcations_of_the_straight_orbit_of_henon_heiles():
     assert branchings == pytest.approx([0.969309, 0.986709], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_period_doubling_is_where_the_trace_says():
     start = HENON_HEILES.state_at_energy(0.13, {"x": 0, "y": 0, "p_x": 0})
     orbit = hamsym.periodic_orbit(HENON_HEILES, start, energy=0.13)
@@ -142,6 +143,7 @@ def test_fold_of_the_period_is_where_the_exact_period_is_extremal():
     assert abs(family.bifurcations[0].orbit.period - period(exact)) < 1e-9
 
 
+@pytest.mark.slow
 def test_driven_orbit_is_not_continued_beyond_its_period():
     H = hamsym.Hamiltonian(
         "p**2/2 + x**2/2 + x**4/4 - F*x*cos(w*t)", parameters={"F": 0.1, "w": 1.1}

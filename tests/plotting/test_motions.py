@@ -355,6 +355,7 @@ def test_unusable_arguments_are_refused(
         pendulum.plot(*names, **options)
 
 
+@pytest.mark.slow
 def test_flat_axes_are_refused_for_space() -> None:
     problem = hamsym.systems.penning_trap()
     trajectory = hamsym.integrate(problem.H, problem.z0, (0, 1), steps=20)

@@ -79,6 +79,7 @@ def test_bound_is_near_the_estimate(quartic, certificate):
     assert (np.array(certificate.bound) <= 3 * quartic.error_estimate + 3e-8).all()
 
 
+@pytest.mark.slow
 def test_corrupted_map_has_a_larger_bound(quartic, certificate):
     wrong = corrupted(quartic, 1e-3 * np.abs(quartic.map.pieces[0].readouts).max())
     random = np.random.default_rng(3)

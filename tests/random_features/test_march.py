@@ -59,6 +59,7 @@ def test_eleven_digits_or_refusal(name: str) -> None:
         assert "round-off" in solution.message
 
 
+@pytest.mark.slow_cases("calogero_moser-1e-11")
 @pytest.mark.parametrize("tol", [1e-5, 1e-11])
 @pytest.mark.parametrize("name", EXACT)
 def test_estimate_is_the_error_up_to_round_off(name: str, tol: float) -> None:

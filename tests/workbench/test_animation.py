@@ -170,6 +170,7 @@ def test_points_are_functions_of_the_state_and_the_time():
     np.testing.assert_allclose(places(two, 1), [[1.0, 0.0], [two.states[1, 0, 0], 1.0]])
 
 
+@pytest.mark.slow
 def test_limits_hold_all_frames_and_do_not_change(bodies):
     animation = bodies.animate(frames=12)
     limits = set()

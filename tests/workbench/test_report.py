@@ -150,6 +150,7 @@ def test_failed_solution_is_said_first(tmp_path: Path) -> None:
     assert failed.message in page.text
 
 
+@pytest.mark.slow
 def test_invariants_of_a_file_are_measured_again(tmp_path: Path) -> None:
     hamsym.solve(DUFFING, [1, 0], (0, 1), invariants=[DUFFING]).save(tmp_path / "a")
     assert f"The largest change of {DUFFING} is" in page_of(tmp_path / "a", tmp_path).text
@@ -402,6 +403,7 @@ def test_command_writes_beside_the_file(
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_command_fails_where_nothing_is_proven(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
