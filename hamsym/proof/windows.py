@@ -373,16 +373,18 @@ class WindowStepper:
         tail, factor = self._decay(y, np.maximum(sizes, 0.02 * driven))
         if not tail <= 30 * self._accuracy:
             return None, min(max(0.9 * factor, 0.25), 0.8)
-        models, D = self._completed(place, y)
+        sizes = np.maximum(self._sizes, np.maximum(sizes, 1e-8 * driven))
+        units = self._units(place.w * couplings, sizes)
+        models, D = self._completed(place, y, units)
         if not np.isfinite(D).all():
             self.reason = "a function was not resolved"
             return None, 0.5
-        self._sizes = np.maximum(self._sizes, np.maximum(sizes, 1e-8 * driven))
+        self._sizes = sizes
         resolved, factor = self._resolved(D / place.w, D, factor)
         if not resolved:
             self.reason = "the solution was not resolved"
             return None, factor
-        return self._enclosed(place, models, D, self._units(place.w, couplings), factor)
+        return self._enclosed(place, models, D, units, factor)
 
     def _guess(self, place: _Place) -> tuple[np.ndarray, np.ndarray | None]:
         """Sizes of the components and coefficients of y in float64; and DG along y in rows."""
@@ -407,7 +409,9 @@ class WindowStepper:
         loops().run_values(equation.jacobian.steps, more)
         return sizes, rows[:dim] @ tabs.series if count else None
 
-    def _completed(self, place: _Place, y: np.ndarray) -> tuple[ModelRows, np.ndarray]:
+    def _completed(
+        self, place: _Place, y: np.ndarray, units: np.ndarray
+    ) -> tuple[ModelRows, np.ndarray]:
         """y in twice float64, by linear corrections of its defect, and bounds on the defect."""
         equation, tabs, models = self.equation, self._tables, self._rates
         dim, columns = equation.dim, equation.columns
@@ -440,6 +444,7 @@ class WindowStepper:
                 tabs.integral,
                 place.w,
                 -(series[:, : self._terms] @ tabs.values),
+                units,
                 _ITERATIONS,
             )
             self._corrected(models, found @ tabs.series)
@@ -516,6 +521,7 @@ class WindowStepper:
             equation.columns,
             tabs.integral,
             w,
+            units,
             _ITERATIONS,
         )
         V = np.ascontiguousarray(values @ tabs.series)
@@ -614,15 +620,17 @@ class WindowStepper:
                 found[i, j] += np.abs(self._rows[1][place]).max()
         return found
 
-    def _units(self, w: float, couplings: np.ndarray) -> np.ndarray:
-        """Units in which DG is nearly balanced (Osborne 1960), powers of two."""
-        dim, matrix = self.equation.dim, couplings.copy()
+    def _units(self, shares: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """Units in which w DG is nearly balanced (Osborne 1960), powers of two.
+
+        ``shares`` are the sizes of its entries, ``sizes`` those of the components.
+        """
+        dim, matrix = self.equation.dim, shares.copy()
         np.fill_diagonal(matrix, 0.0)
-        safe = np.maximum(self._sizes, self._sizes.max() * 1e-12)
-        # What the others drive it to in the window, if a component is nearly zero.
-        safe = np.maximum(safe, w * (matrix @ safe))
-        matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
-        units = np.ones(dim)
+        # A component may be known only up to more than its size.
+        safe = _sizes_of_all(np.maximum(sizes, self._set.sizes()[:dim, 0]), matrix)
+        matrix += 1e-3 * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
+        units = safe.copy()
         for _ in range(6):
             for i in range(dim):
                 row = float(matrix[i] @ units) / units[i]
@@ -677,6 +685,26 @@ class WindowStepper:
             raise CertificationError("the enclosure became infinite; use an earlier end time")
         self.elapsed = window.end
         return window
+
+
+def _sizes_of_all(sizes: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Sizes of components, also of those at rest, from what moves them in a window.
+
+    Another one of size s moves component i by ``shares[i, j]`` s. At rest, the size of a component
+    is what the others drive it to, or else what would move another one by its own size.
+    Components are never compared otherwise, because they may have different dimensions.
+    """
+    sizes = np.where(sizes > 1e-290, sizes, 0.0)
+    found = np.maximum(sizes, shares @ sizes)
+    while (at_rest := found == 0).any():
+        driven = shares @ found
+        moving = np.where((shares > 0) & ~at_rest[:, None], found[:, None] / shares, math.inf)
+        smallest = moving.min(axis=0)
+        fresh = np.where(driven > 0, driven, np.where(smallest < math.inf, smallest, 0.0))
+        if not fresh[at_rest].any():
+            fresh[np.flatnonzero(at_rest)[0]] = _LEAST  # nothing moves it, and it moves nothing
+        found[at_rest] = fresh[at_rest]
+    return found
 
 
 @functools.lru_cache(maxsize=64)
