@@ -346,7 +346,7 @@ def transport(
     half : float
         An upper bound on w.
     units : numpy.ndarray
-        Shape (dim,), powers of two.
+        Shape (dim,), any numbers > 0: roundings of their ratios are among those of the products.
     """
     columns, terms = V.shape[1], V.shape[2]
     wide, rest = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
@@ -543,29 +543,7 @@ def orthogonal(matrix):
 
 
 @compiled
-def units_of_set(G, R):
-    """Powers of two near the sizes of the components of sets {G r} with |r| <= R, shape (columns,).
-
-    Of several kinds of sets, which may have different dimensions, the geometric mean counts.
-    """
-    columns, kinds = len(G), R.shape[1]
-    units = np.ones(columns)
-    for i in range(columns):
-        total, count = 0.0, 0
-        for kind in range(kinds):
-            size = 0.0
-            for c in range(len(R)):
-                size += abs(G[i, c]) * R[c, kind]
-            if 0 < size < math.inf:
-                total += math.log2(size)
-                count += 1
-        if count > 0:
-            units[i] = 2.0 ** min(max(np.round(total / count), -900.0), 900.0)
-    return units
-
-
-@compiled
-def boxed_set(G, R):
+def boxed_set(G, R, units):
     """Sets {G r} with |r| <= R as P r' in as many columns as rows: (P, R').
 
     *Lemma.* Let Q be any matrix and I - Q^T Q = F with |F| <= f < 1 (row sums). Then Q is regular
@@ -573,12 +551,12 @@ def boxed_set(G, R):
     (Q^T Q)^-1 Q^T, and (I - F)^-1 - I has row sums of at most f/(1 - f).
 
     Q = U^-1 P is the orthogonal factor of the columns of U^-1 G ordered by the lengths of their
-    parts of the set (Lohner 1992). The units U = diag(u), powers of two, are the sizes of the set:
-    lengths and angles mean nothing between components of different dimensions.
+    parts of the set (Lohner 1992), with units U = diag(u), powers of two, because lengths and
+    angles mean nothing between components of different dimensions. Kinds of sets may have different
+    dimensions, too, and are compared with the largest component of each.
     """
     columns, count = G.shape
     kinds = R.shape[1]
-    units = units_of_set(G, R)
     own = np.empty((columns, count))  # U^-1 G; what underflows is below TINY in a product
     for i in range(columns):
         for c in range(count):

@@ -27,6 +27,7 @@ import sympy
 from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.scales import coupled_sizes
 from hamsym.proof.ball_arithmetic import MIDDLE, UNIT
 from hamsym.proof.balls import working
 from hamsym.proof.compiled import loops
@@ -187,13 +188,18 @@ class ErrorSet:
         """Bounds on the components, shape (columns, kinds)."""
         return np.asarray((np.abs(self.G) @ self.R) * (1 + 1e-9))
 
-    def moved(self, J: np.ndarray, J_error: np.ndarray, extra: np.ndarray) -> ErrorSet:
-        """The sets {(J +- J_error) G r + e} with \\|e\\| <= extra, shape (columns, kinds)."""
+    def moved(
+        self, J: np.ndarray, J_error: np.ndarray, extra: np.ndarray, units: np.ndarray
+    ) -> ErrorSet:
+        """The sets {(J +- J_error) G r + e} with \\|e\\| <= extra, shape (columns, kinds).
+
+        ``units`` are those of the components, powers of two.
+        """
         columns, first, R = len(self.G), self.initial, self.R
         G, rest = loops().moved_set(J, J_error, self.G, R)
         if G.shape[1] - first > columns * min(max(_MOST_COLUMNS // columns, 6), 64):
             later = np.ascontiguousarray(G[:, first:]), np.ascontiguousarray(R[first:])
-            Q, radii = loops().boxed_set(*later)
+            Q, radii = loops().boxed_set(*later, units)
             G, R = np.hstack([G[:, :first], Q]), np.vstack([R[:first], radii])
         fresh = (rest + extra) * (1 + 1e-9)
         return ErrorSet(np.hstack([G, np.eye(columns)]), np.vstack([R, fresh]), first)
@@ -221,6 +227,9 @@ class Window:
         V(1) with rows of the identity for the constants, and bounds on its rounding.
     tube : numpy.ndarray
         Bounds on |z - y|, shape (dim,).
+    units : numpy.ndarray
+        Of the components and constants, powers of two, in which DG is nearly balanced, shape
+        (columns,).
     """
 
     start: Fraction
@@ -235,6 +244,7 @@ class Window:
     J: np.ndarray
     J_error: np.ndarray
     tube: np.ndarray
+    units: np.ndarray
 
     @property
     def end(self) -> Fraction:
@@ -374,7 +384,7 @@ class WindowStepper:
         if not tail <= 30 * self._accuracy:
             return None, min(max(0.9 * factor, 0.25), 0.8)
         sizes = np.maximum(self._sizes, np.maximum(sizes, 1e-8 * driven))
-        units = self._units(place.w * couplings, sizes)
+        units = self._units(place.w, couplings, sizes)
         models, D = self._completed(place, y, units)
         if not np.isfinite(D).all():
             self.reason = "a function was not resolved"
@@ -569,7 +579,7 @@ class WindowStepper:
             return None, 0.6
         if share > 0.1 * room:
             factor = min(factor, 1.0)
-        return self._accepted(place.half, models, V, D, d, derivative, offset, found), factor
+        return self._accepted(place.half, models, V, D, d, derivative, offset, found, units), factor
 
     def _offset(self, models: ModelRows) -> np.ndarray:
         """Bounds on the distance of y(-1) from the centre."""
@@ -620,23 +630,23 @@ class WindowStepper:
                 found[i, j] += np.abs(self._rows[1][place]).max()
         return found
 
-    def _units(self, shares: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-        """Units in which w DG is nearly balanced (Osborne 1960), powers of two.
+    def _units(self, w: float, couplings: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """Units in which DG is nearly balanced (Osborne 1960), not rounded.
 
-        ``shares`` are the sizes of its entries, ``sizes`` those of the components.
+        ``sizes`` are those of the components on the windows so far.
         """
-        dim, matrix = self.equation.dim, shares.copy()
+        dim, matrix = self.equation.dim, couplings.copy()
         np.fill_diagonal(matrix, 0.0)
         # A component may be known only up to more than its size.
-        safe = _sizes_of_all(np.maximum(sizes, self._set.sizes()[:dim, 0]), matrix)
-        matrix += 1e-3 * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
+        safe = _sizes_of_all(np.maximum(sizes, self._set.sizes()[:dim, 0]), matrix, w)
+        matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
         units = safe.copy()
         for _ in range(6):
             for i in range(dim):
                 row = float(matrix[i] @ units) / units[i]
                 column = float((matrix[:, i] / units).sum()) * units[i]
                 units[i] *= math.sqrt(row / column)
-        return np.asarray(2.0 ** np.round(np.log2(units)))
+        return units
 
     def _accepted(
         self,
@@ -648,6 +658,7 @@ class WindowStepper:
         derivative: np.ndarray,
         offset: np.ndarray,
         tube: np.ndarray,
+        units: np.ndarray,
     ) -> Window:
         equation, terms = self.equation, self._terms
         dim, columns = equation.dim, equation.columns
@@ -679,31 +690,32 @@ class WindowStepper:
             J,
             J_error,
             tube,
+            np.concatenate([2.0 ** np.round(np.log2(units)), np.ones(columns - dim)]),
         )
-        self._set = self._set.moved(J, J_error, extra[:, None])
+        self._set = self._set.moved(J, J_error, extra[:, None], window.units)
         if not np.isfinite(self._set.R).all():
             raise CertificationError("the enclosure became infinite; use an earlier end time")
         self.elapsed = window.end
         return window
 
 
-def _sizes_of_all(sizes: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Sizes of components, also of those at rest, from what moves them in a window.
+def _sizes_of_all(sizes: np.ndarray, couplings: np.ndarray, w: float) -> np.ndarray:
+    """Sizes of all components, positive also for those that are at rest.
 
-    Another one of size s moves component i by ``shares[i, j]`` s. At rest, the size of a component
-    is what the others drive it to, or else what would move another one by its own size.
-    Components are never compared otherwise, because they may have different dimensions.
+    Such a component has the size that the others drive it to, or else that which would move
+    another one by its own size within w. Components are never compared otherwise, because they
+    may have different dimensions.
     """
-    sizes = np.where(sizes > 1e-290, sizes, 0.0)
-    found = np.maximum(sizes, shares @ sizes)
+    found = coupled_sizes(np.where(sizes > 1e-290, sizes, 0.0), couplings, w)
     while (at_rest := found == 0).any():
-        driven = shares @ found
-        moving = np.where((shares > 0) & ~at_rest[:, None], found[:, None] / shares, math.inf)
-        smallest = moving.min(axis=0)
-        fresh = np.where(driven > 0, driven, np.where(smallest < math.inf, smallest, 0.0))
-        if not fresh[at_rest].any():
-            fresh[np.flatnonzero(at_rest)[0]] = _LEAST  # nothing moves it, and it moves nothing
-        found[at_rest] = fresh[at_rest]
+        moved = np.where((couplings > 0) & ~at_rest[:, None], found[:, None], math.inf)
+        moving = (moved / couplings).min(axis=0) / w
+        chosen = np.flatnonzero(at_rest & (moving < math.inf))
+        if len(chosen):
+            found[chosen] = moving[chosen]
+        else:  # nothing moves it, and it moves nothing
+            found[np.flatnonzero(at_rest)[0]] = _LEAST
+        found = coupled_sizes(found, couplings, w)
     return found
 
 
