@@ -219,10 +219,9 @@ def tangents(rows, entries, signs, dim, columns, integral, half, units, most):
                     large = max(large, abs(value))
                     found[i, c, x] = value
                 shift, size = max(shift, moved / units[i]), max(size, large / units[i])
-            if shift > 0:
-                change = max(change, shift / size)
-            elif not shift == 0:
-                change = math.inf
+            if shift != 0:
+                ratio = shift / size
+                change = max(change, ratio) if ratio < math.inf else math.inf
         if not change < math.inf or change <= 4e-16:
             break
         if change <= 1e-12 and change >= 0.5 * before:

@@ -48,6 +48,7 @@ _GROWTH = 1e3  # of the defect to the rest that is always allowed
 _MOST_COLUMNS = 2_048  # of a set
 _WIDE = 1e-8  # relative width from which the shape of a set counts
 _TUBES = 5  # attempts at a tube
+_AT_REST = 1e-200  # of a component, up to which it is at rest
 _LEAST = 1e-130  # size of a component; radii have the root of 1e-290 as a floor
 _LOOSE = 32.0  # defect in units of the accuracy
 _FINEST = 1e-28  # accuracy that twice float64 can reach
@@ -187,6 +188,10 @@ class ErrorSet:
     def sizes(self) -> np.ndarray:
         """Bounds on the components, shape (columns, kinds)."""
         return np.asarray((np.abs(self.G) @ self.R) * (1 + 1e-9))
+
+    def initial_sizes(self) -> np.ndarray:
+        """About the sizes of the components from the initial set alone, shape (columns, kinds)."""
+        return np.asarray(np.abs(self.G[:, : self.initial]) @ self.R[: self.initial])
 
     def moved(
         self, J: np.ndarray, J_error: np.ndarray, extra: np.ndarray, units: np.ndarray
@@ -414,7 +419,7 @@ class WindowStepper:
             signed,
             _ITERATIONS,
         )
-        sizes = np.maximum(np.abs(rows[:dim]).max(axis=1), 1e-300)
+        sizes = np.abs(rows[:dim]).max(axis=1)
         more[: columns + 1] = rows[: columns + 1]
         loops().run_values(equation.jacobian.steps, more)
         return sizes, rows[:dim] @ tabs.series if count else None
@@ -484,7 +489,7 @@ class WindowStepper:
 
         Extrapolated from the terms above round-off, because those below say nothing.
         """
-        shares = (np.abs(y) / sizes[:, None]).max(axis=0)
+        shares = (np.abs(y) / np.maximum(sizes, 1e-300)[:, None]).max(axis=0)
         if not np.isfinite(shares).all():
             return math.inf, 0.5
         places = np.flatnonzero(shares > _ROUND_OFF)
@@ -539,7 +544,7 @@ class WindowStepper:
         start = self._set.sizes()[:, 0]
         start[:dim] += offset
         start *= 1 + 1e-9
-        safe = np.maximum(self._sizes, _LEAST)
+        safe = np.where(self._sizes > _AT_REST, self._sizes, units)
         width = float((start[:dim] / safe).max())
         hull = self._hull(V, start, offset, width)
         tube = 1.5 * (hull + 2 * D) + 4 * UNIT * UNIT * self._sizes + 1e-280
@@ -637,8 +642,10 @@ class WindowStepper:
         """
         dim, matrix = self.equation.dim, couplings.copy()
         np.fill_diagonal(matrix, 0.0)
-        # A component may be known only up to more than its size.
-        safe = _sizes_of_all(np.maximum(sizes, self._set.sizes()[:dim, 0]), matrix, w)
+        # Of a ball around zero the radius is the size. Errors of windows are none: they are small
+        # in units of the component, which would be theirs.
+        sizes = np.maximum(sizes, self._set.initial_sizes()[:dim, 0])
+        safe = _sizes_of_all(sizes, matrix, w)
         matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
         units = safe.copy()
         for _ in range(6):
@@ -706,7 +713,7 @@ def _sizes_of_all(sizes: np.ndarray, couplings: np.ndarray, w: float) -> np.ndar
     another one by its own size within w. Components are never compared otherwise, because they
     may have different dimensions.
     """
-    found = coupled_sizes(np.where(sizes > 1e-290, sizes, 0.0), couplings, w)
+    found = coupled_sizes(np.where(sizes > _AT_REST, sizes, 0.0), couplings, w)
     while (at_rest := found == 0).any():
         moved = np.where((couplings > 0) & ~at_rest[:, None], found[:, None], math.inf)
         moving = (moved / couplings).min(axis=0) / w

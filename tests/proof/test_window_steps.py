@@ -161,7 +161,7 @@ def test_box_does_not_depend_on_units_of_its_kinds(L):
     units, kinds = 2.0 ** rng.integers(-90, 90, 4), np.array([2.0**70, 2.0**-60])
     P, radii = L.boxed_set(G, R, np.ones(4))
     Q, others = L.boxed_set(G * units[:, None], R * kinds, units)
-    assert (Q == P * units[:, None]).all()
+    assert (P * units[:, None] == Q).all()
     np.testing.assert_allclose(others, radii * kinds, rtol=1e-9)
 
 
