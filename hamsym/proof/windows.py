@@ -49,6 +49,7 @@ _MOST_COLUMNS = 2_048  # of a set
 _WIDE = 1e-8  # relative width from which the shape of a set counts
 _TUBES = 5  # attempts at a tube
 _AT_REST = 1e-200  # of a component, up to which it is at rest
+_BESIDE = 100.0  # size of a component beside the radius of a ball around zero
 _LEAST = 1e-130  # size of a component; radii have the root of 1e-290 as a floor
 _LOOSE = 32.0  # defect in units of the accuracy
 _FINEST = 1e-28  # accuracy that twice float64 can reach
@@ -642,9 +643,11 @@ class WindowStepper:
         """
         dim, matrix = self.equation.dim, couplings.copy()
         np.fill_diagonal(matrix, 0.0)
-        # Of a ball around zero the radius is the size. Errors of windows are none: they are small
-        # in units of the component, which would be theirs.
-        sizes = np.maximum(sizes, self._set.initial_sizes()[:dim, 0])
+        # A ball around zero gives a component its size: more than the radius, because roundings of
+        # its shares in the unit are errors of the others, too. Errors of windows give none: they
+        # are small in units of the component, which would be theirs.
+        radii = self._set.initial_sizes()[:dim, 0]
+        sizes = np.where(sizes < radii, _BESIDE * radii, sizes)
         safe = _sizes_of_all(sizes, matrix, w)
         matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
         units = safe.copy()

@@ -193,3 +193,31 @@ def test_proton_in_a_magnetic_bottle_is_proven_in_units_of_the_si():
     rounding = 1e-15 * np.abs(solution(times)).max(axis=0)  # of evaluations in floating point
     assert (errors.max(axis=0) <= np.array(certificate.component_bounds) + rounding).all()
     assert (errors.max(axis=0) >= 0.3 * np.array(certificate.component_lowers)).all()
+
+
+_PENDULUM = "c*((p/b)**2/2 - cos(x/a))"
+_ATOMIC = {"a": 2.0**-33, "b": 2.0**-73, "c": 2.0**-66}  # and 2^-40 for time
+_OWN = dict.fromkeys("abc", 1.0)
+
+
+@pytest.mark.slow
+def test_certificates_of_orbits_are_the_same_in_all_units():
+    found = []
+    for values, time in ((_OWN, 1.0), (_ATOMIC, 2.0**-40)):
+        H = hamsym.Hamiltonian(_PENDULUM, parameters=values)
+        certificate = hamsym.periodic_orbit(H, ([values["a"], 0.0], 6.7 * time)).certify()
+        found.append((certificate.period.mid / time, certificate.period.radius / time))
+    assert found[1][0] == pytest.approx(found[0][0], rel=1e-14)
+    assert found[1][1] == pytest.approx(found[0][1], rel=0.5)
+
+
+@pytest.mark.slow
+def test_certificates_of_flow_maps_are_the_same_in_all_units():
+    found = []
+    for values, time in ((_OWN, 1.0), (_ATOMIC, 2.0**-40)):
+        H = hamsym.Hamiltonian(_PENDULUM, parameters=values)
+        a, b = values["a"], values["b"]
+        box = {"x": (0.5 * a, 0.7 * a), "p": (-0.1 * b, 0.1 * b)}
+        certificate = hamsym.flow_map(H, box, (0.0, time), tol=1e-6).certify(time_limit=200)
+        found.append(np.array(certificate.bound) / (a, b))
+    assert found[1] == pytest.approx(found[0], rel=1.0)
