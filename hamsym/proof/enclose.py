@@ -333,5 +333,5 @@ class Enclosure(Shown):
             error[: self.H.dim] += window.derivative
             error *= 1 + 1e-9
             fresh, rounding = loops().moved_set(window.J, error, middle, np.eye(len(middle)))
-            known.append((fresh, rest.moved(window.J, error, rounding)))
+            known.append((fresh, rest.moved(window.J, error, rounding, window.units)))
         return known[k]

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 from hamsym.errors import CertificationError
 
-__all__ = ["Deadline", "PrecisionError"]
+__all__ = ["Deadline", "PrecisionError", "TimeLimitError"]
 
 
 class PrecisionError(ArithmeticError):
@@ -25,6 +25,10 @@ class PrecisionError(ArithmeticError):
     def __init__(self, elapsed: Fraction | None = None, missing: float | None = None) -> None:
         self.elapsed, self.missing = elapsed, missing
         super().__init__("the working precision is too low")
+
+
+class TimeLimitError(CertificationError):
+    """The wall time of a proof exceeds its limit."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +71,10 @@ class Deadline:
 
         Raises
         ------
-        CertificationError
+        TimeLimitError
             Naming the stage of the proof.
         """
         if self.exceeded:
-            raise CertificationError(
+            raise TimeLimitError(
                 f"time limit of {self.limit:g} s{self.origin} reached while {stage}; increase it"
             )

@@ -20,7 +20,8 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, overload
 
@@ -43,7 +44,7 @@ from hamsym.proof.certificate import (
     rounded_down,
     rounded_up,
 )
-from hamsym.proof.limits import Deadline
+from hamsym.proof.limits import Deadline, TimeLimitError
 from hamsym.proof.taylor_proof import TaylorProof
 from hamsym.proof.trials import require_exact, segments
 from hamsym.proof.window_proof import WindowBounds, WindowProof
@@ -125,10 +126,13 @@ def certify(
         known_by = digest(solution)
     except FileError as error:
         raise CertificationError(f"the solution has no digest for a certificate: {error}") from None
-    claims = None
     if bits is None:
-        claims = _on_windows(solution, rtol, asked, deadline, progress)
-    if claims is None:
+        try:
+            claims = _on_windows(solution, rtol, asked, deadline, progress)
+        except CertificationError as error:
+            with _after(error, deadline):
+                claims = _by_taylor_steps(solution, rtol, bits, deadline, progress)
+    else:
         claims = _by_taylor_steps(solution, rtol, bits, deadline, progress)
     if asked is not None:
         _require_below(claims, asked, solution.H.names)
@@ -173,14 +177,10 @@ def _on_windows(
     asked: tuple[float, ...] | None,
     deadline: Deadline,
     progress: bool | None,
-) -> dict[str, Any] | None:
-    """The numbers of a certificate by enclosures on windows, or None without one."""
+) -> dict[str, Any]:
+    """The numbers of a certificate by enclosures on windows."""
     with share_progress(progress, "proving") as report:
-        try:
-            found = WindowProof(solution, deadline, report).bounds(rtol, asked)
-        except CertificationError:
-            deadline.check("the solution was enclosed")  # the other proof has no time
-            return None
+        found = WindowProof(solution, deadline, report).bounds(rtol, asked)
     uppers = [rounded_up(value * (1 + _MARGIN)) for value in found.uppers.tolist()]
     lowers = [rounded_down(value * (1 - _MARGIN)) for value in found.lowers.tolist()]
     edges, pieces = _pieces(found, solution.span)
@@ -190,6 +190,22 @@ def _on_windows(
         "bits": _FLOAT64_BITS,
         "arithmetic": FLOAT64,
     }
+
+
+@contextmanager
+def _after(windows: CertificationError, deadline: Deadline) -> Iterator[None]:
+    """Taylor steps after a proof on windows that failed: errors have the reasons of both."""
+    if isinstance(windows, TimeLimitError):
+        raise windows
+    try:
+        deadline.check("Taylor steps began")
+        yield
+    except CertificationError as error:
+        before, after = str(windows), str(error)
+        if before == after:
+            raise
+        reason = before.rpartition("; ")[0] or before  # the remedy comes last
+        raise CertificationError(f"on windows, {reason}; by Taylor steps, {after}") from None
 
 
 def _numbers(uppers: Sequence[float], lowers: Sequence[float]) -> dict[str, Any]:
@@ -286,12 +302,14 @@ def verify(
         raise CertificationError("the certificate and the solution have different dimensions")
     deadline = _deadline(time_limit, claims.seconds)
     if claims.arithmetic == FLOAT64:
-        with share_progress(progress, "proving") as report:
-            try:
+        try:
+            with share_progress(progress, "proving") as report:
                 if WindowProof(solution, deadline, report).proves(claims):
                     return
-            except CertificationError:
-                deadline.check("the solution was enclosed")
+        except CertificationError as error:
+            with _after(error, deadline):
+                TaylorProof(solution, deadline, progress).check(claims)
+            return
     TaylorProof(solution, deadline, progress).check(claims)
 
 

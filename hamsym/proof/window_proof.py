@@ -30,7 +30,7 @@ from hamsym.errors import CertificationError
 from hamsym.proof.ball_arithmetic import UNIT, number_of
 from hamsym.proof.balls import SMALLEST, at_least, at_most, working
 from hamsym.proof.certificate import FLOOR, Certificate
-from hamsym.proof.limits import Deadline
+from hamsym.proof.limits import Deadline, TimeLimitError
 from hamsym.proof.programs import BITS, ModelRows, Rows, split, tables
 from hamsym.proof.trial_models import Piece, trial_pieces, zero_components
 from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of, set_sizes
@@ -133,13 +133,14 @@ class WindowProof:
             If there are none.
         """
         samples = _samples(rtol if asked is None else 1.0)
-        failure = CertificationError("the bounds are not close enough")
+        failure: CertificationError | None = None
         for accuracy, terms, fewest in self._attempts:
             try:
                 times = self._inner_times(fewest)
                 found = self._found(accuracy, terms, samples, times, asked is None)
+            except TimeLimitError as error:
+                raise failure or error from None  # a reason says more than the limit
             except CertificationError as error:
-                self._deadline.check("the solution was enclosed")
                 failure = error
                 continue
             if asked is not None:
@@ -148,7 +149,7 @@ class WindowProof:
                     return found
             elif found.close(rtol * (1 - 1e-4)).all():
                 return found
-        raise failure
+        raise failure or CertificationError("the bounds are not close enough")
 
     @property
     def _attempts(self) -> list[tuple[float, int, int]]:

@@ -178,8 +178,12 @@ def collocate(program, results, rows, integral, start, half, most):
 
 
 @compiled
-def tangents(rows, entries, signs, dim, columns, integral, half, most):
-    """Fixed-point iteration for V at the points, shape (dim, columns, points), without bounds."""
+def tangents(rows, entries, signs, dim, columns, integral, half, units, most):
+    """Fixed-point iteration for V at the points, shape (dim, columns, points), without bounds.
+
+    It ends when each column has converged in units of the components, because columns are of
+    different dimensions, and their entries, too.
+    """
     points = rows.shape[1]
     found = np.zeros((dim, columns, points))
     for i in range(dim):
@@ -202,9 +206,10 @@ def tangents(rows, entries, signs, dim, columns, integral, half, most):
                     out = rates[i, c]
                     for x in range(points):
                         out[x] += signs[e] * a[x]
-        change, size = 0.0, 0.0
-        for i in range(dim):
-            for c in range(columns):
+        change = 0.0
+        for c in range(columns):
+            shift, size = 0.0, 0.0
+            for i in range(dim):
                 apply_table(integral, rates[i, c], points, done)
                 moved, large = 0.0, 0.0
                 first = 1.0 if i == c else 0.0
@@ -213,18 +218,24 @@ def tangents(rows, entries, signs, dim, columns, integral, half, most):
                     moved = max(moved, abs(value - found[i, c, x]))
                     large = max(large, abs(value))
                     found[i, c, x] = value
-                change, size = max(change, moved), max(size, large)
-        if not change < math.inf or change <= 4e-16 * size:
+                shift, size = max(shift, moved / units[i]), max(size, large / units[i])
+            if shift != 0:
+                ratio = shift / size
+                change = max(change, ratio) if ratio < math.inf else math.inf
+        if not change < math.inf or change <= 4e-16:
             break
-        if change <= 1e-12 * size and change >= 0.5 * before:
+        if change <= 1e-12 and change >= 0.5 * before:
             break
         before = change
     return found
 
 
 @compiled
-def correct(rows, entries, signs, dim, integral, half, wanted, most):
-    """c with c = -D + w int A c at the points; wanted holds -D, shape (dim, points)."""
+def correct(rows, entries, signs, dim, integral, half, wanted, units, most):
+    """c with c = -D + w int A c at the points; wanted holds -D, shape (dim, points).
+
+    The iteration ends when c has converged in units of the components.
+    """
     points = rows.shape[1]
     found = wanted.copy()
     rates = np.empty((dim, points))
@@ -245,7 +256,7 @@ def correct(rows, entries, signs, dim, integral, half, wanted, most):
                 moved = max(moved, abs(value - found[i, x]))
                 large = max(large, abs(value))
                 found[i, x] = value
-            change, size = max(change, moved), max(size, large)
+            change, size = max(change, moved / units[i]), max(size, large / units[i])
         if not change < math.inf or change <= 1e-14 * size:
             break
     return found
@@ -334,7 +345,7 @@ def transport(
     half : float
         An upper bound on w.
     units : numpy.ndarray
-        Shape (dim,), powers of two.
+        Shape (dim,), any numbers > 0: roundings of their ratios are among those of the products.
     """
     columns, terms = V.shape[1], V.shape[2]
     wide, rest = np.zeros(2 * terms + 2), np.zeros(2 * terms + 2)
@@ -531,25 +542,39 @@ def orthogonal(matrix):
 
 
 @compiled
-def boxed_set(G, R):
-    """Sets {G r} with |r| <= R as Q r' in as many columns as rows: (Q, R').
+def boxed_set(G, R, units):
+    """Sets {G r} with |r| <= R as P r' in as many columns as rows: (P, R').
 
     *Lemma.* Let Q be any matrix and I - Q^T Q = F with |F| <= f < 1 (row sums). Then Q is regular
     and Q^-1 v is within f/(1 - f) max |Q^T v| of Q^T v, component by component: Q^-1 =
     (Q^T Q)^-1 Q^T, and (I - F)^-1 - I has row sums of at most f/(1 - f).
 
-    Q is the orthogonal factor of the columns of G ordered by the lengths of their parts of the set
-    (Lohner 1992).
+    Q = U^-1 P is the orthogonal factor of the columns of U^-1 G ordered by the lengths of their
+    parts of the set (Lohner 1992), with units U = diag(u), powers of two, because lengths and
+    angles mean nothing between components of different dimensions. Kinds of sets may have different
+    dimensions, too, and are compared with the largest component of each.
     """
     columns, count = G.shape
     kinds = R.shape[1]
+    own = np.empty((columns, count))  # U^-1 G; what underflows is below TINY in a product
+    for i in range(columns):
+        for c in range(count):
+            own[i, c] = G[i, c] / units[i]
+    largest_of = np.zeros(kinds)  # component of each kind of set, in these units
+    for kind in range(kinds):
+        for i in range(columns):
+            size = 0.0
+            for c in range(count):
+                size += abs(own[i, c]) * R[c, kind]
+            largest_of[kind] = max(largest_of[kind], size)
     lengths = np.zeros(count)
     for c in range(count):
         longest = 0.0
-        for k in range(kinds):
-            longest = max(longest, R[c, k])
+        for kind in range(kinds):
+            if R[c, kind] > 0:
+                longest = max(longest, R[c, kind] / largest_of[kind])
         for i in range(columns):
-            lengths[c] += (G[i, c] * longest) ** 2
+            lengths[c] += (own[i, c] * longest) ** 2
     arranged = np.zeros((columns, columns))
     for c in range(columns):  # the longest of those that are left
         longest = 0
@@ -559,13 +584,16 @@ def boxed_set(G, R):
         lengths[longest] = -1.0
         largest = 0.0
         for i in range(columns):
-            largest = max(largest, abs(G[i, longest]))
+            largest = max(largest, abs(own[i, longest]))
         for i in range(columns):  # a tiny column keeps its direction
-            arranged[i, c] = G[i, longest] / largest if largest > 0 else 0.0
+            arranged[i, c] = own[i, longest] / largest if largest > 0 else 0.0
     Q = orthogonal(arranged)
+    P = np.empty((columns, columns))
     inverse = np.empty((columns, columns))
     for i in range(columns):
         for c in range(columns):
+            P[i, c] = Q[i, c] * units[i]
+            Q[i, c] = P[i, c] / units[i]  # so that P = U Q exactly, even if it underflowed
             inverse[c, i] = Q[i, c]
     unit, error = matrix_product(inverse, Q)
     f = 0.0
@@ -575,8 +603,8 @@ def boxed_set(G, R):
             row += abs(unit[i, c] - (1.0 if i == c else 0.0)) + error[i, c]
         f = max(f, up(row))
     if not f < 0.5:
-        return Q, np.full((columns, kinds), np.inf)
-    product, error = matrix_product(inverse, G)
+        return P, np.full((columns, kinds), np.inf)
+    product, error = matrix_product(inverse, own)
     found = np.zeros((columns, kinds))
     for kind in range(kinds):
         largest = 0.0
@@ -588,7 +616,7 @@ def boxed_set(G, R):
             largest = max(largest, found[i, kind])
         for i in range(columns):
             found[i, kind] = up(found[i, kind] + f / (1 - f) * largest)
-    return Q, found
+    return P, found
 
 
 @compiled

@@ -27,6 +27,7 @@ import sympy
 from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.scales import coupled_sizes
 from hamsym.proof.ball_arithmetic import MIDDLE, UNIT
 from hamsym.proof.balls import working
 from hamsym.proof.compiled import loops
@@ -47,6 +48,8 @@ _GROWTH = 1e3  # of the defect to the rest that is always allowed
 _MOST_COLUMNS = 2_048  # of a set
 _WIDE = 1e-8  # relative width from which the shape of a set counts
 _TUBES = 5  # attempts at a tube
+_AT_REST = 1e-200  # of a component, up to which it is at rest
+_BESIDE = 100.0  # size of a component beside the radius of a ball around zero
 _LEAST = 1e-130  # size of a component; radii have the root of 1e-290 as a floor
 _LOOSE = 32.0  # defect in units of the accuracy
 _FINEST = 1e-28  # accuracy that twice float64 can reach
@@ -187,13 +190,22 @@ class ErrorSet:
         """Bounds on the components, shape (columns, kinds)."""
         return np.asarray((np.abs(self.G) @ self.R) * (1 + 1e-9))
 
-    def moved(self, J: np.ndarray, J_error: np.ndarray, extra: np.ndarray) -> ErrorSet:
-        """The sets {(J +- J_error) G r + e} with \\|e\\| <= extra, shape (columns, kinds)."""
+    def initial_sizes(self) -> np.ndarray:
+        """About the sizes of the components from the initial set alone, shape (columns, kinds)."""
+        return np.asarray(np.abs(self.G[:, : self.initial]) @ self.R[: self.initial])
+
+    def moved(
+        self, J: np.ndarray, J_error: np.ndarray, extra: np.ndarray, units: np.ndarray
+    ) -> ErrorSet:
+        """The sets {(J +- J_error) G r + e} with \\|e\\| <= extra, shape (columns, kinds).
+
+        ``units`` are those of the components, powers of two.
+        """
         columns, first, R = len(self.G), self.initial, self.R
         G, rest = loops().moved_set(J, J_error, self.G, R)
         if G.shape[1] - first > columns * min(max(_MOST_COLUMNS // columns, 6), 64):
             later = np.ascontiguousarray(G[:, first:]), np.ascontiguousarray(R[first:])
-            Q, radii = loops().boxed_set(*later)
+            Q, radii = loops().boxed_set(*later, units)
             G, R = np.hstack([G[:, :first], Q]), np.vstack([R[:first], radii])
         fresh = (rest + extra) * (1 + 1e-9)
         return ErrorSet(np.hstack([G, np.eye(columns)]), np.vstack([R, fresh]), first)
@@ -221,6 +233,9 @@ class Window:
         V(1) with rows of the identity for the constants, and bounds on its rounding.
     tube : numpy.ndarray
         Bounds on |z - y|, shape (dim,).
+    units : numpy.ndarray
+        Of the components and constants, powers of two, in which DG is nearly balanced, shape
+        (columns,).
     """
 
     start: Fraction
@@ -235,6 +250,7 @@ class Window:
     J: np.ndarray
     J_error: np.ndarray
     tube: np.ndarray
+    units: np.ndarray
 
     @property
     def end(self) -> Fraction:
@@ -373,16 +389,18 @@ class WindowStepper:
         tail, factor = self._decay(y, np.maximum(sizes, 0.02 * driven))
         if not tail <= 30 * self._accuracy:
             return None, min(max(0.9 * factor, 0.25), 0.8)
-        models, D = self._completed(place, y)
+        sizes = np.maximum(self._sizes, np.maximum(sizes, 1e-8 * driven))
+        units = self._units(place.w, couplings, sizes)
+        models, D = self._completed(place, y, units)
         if not np.isfinite(D).all():
             self.reason = "a function was not resolved"
             return None, 0.5
-        self._sizes = np.maximum(self._sizes, np.maximum(sizes, 1e-8 * driven))
+        self._sizes = sizes
         resolved, factor = self._resolved(D / place.w, D, factor)
         if not resolved:
             self.reason = "the solution was not resolved"
             return None, factor
-        return self._enclosed(place, models, D, self._units(place.w, couplings), factor)
+        return self._enclosed(place, models, D, units, factor)
 
     def _guess(self, place: _Place) -> tuple[np.ndarray, np.ndarray | None]:
         """Sizes of the components and coefficients of y in float64; and DG along y in rows."""
@@ -402,12 +420,14 @@ class WindowStepper:
             signed,
             _ITERATIONS,
         )
-        sizes = np.maximum(np.abs(rows[:dim]).max(axis=1), 1e-300)
+        sizes = np.abs(rows[:dim]).max(axis=1)
         more[: columns + 1] = rows[: columns + 1]
         loops().run_values(equation.jacobian.steps, more)
         return sizes, rows[:dim] @ tabs.series if count else None
 
-    def _completed(self, place: _Place, y: np.ndarray) -> tuple[ModelRows, np.ndarray]:
+    def _completed(
+        self, place: _Place, y: np.ndarray, units: np.ndarray
+    ) -> tuple[ModelRows, np.ndarray]:
         """y in twice float64, by linear corrections of its defect, and bounds on the defect."""
         equation, tabs, models = self.equation, self._tables, self._rates
         dim, columns = equation.dim, equation.columns
@@ -440,6 +460,7 @@ class WindowStepper:
                 tabs.integral,
                 place.w,
                 -(series[:, : self._terms] @ tabs.values),
+                units,
                 _ITERATIONS,
             )
             self._corrected(models, found @ tabs.series)
@@ -469,7 +490,7 @@ class WindowStepper:
 
         Extrapolated from the terms above round-off, because those below say nothing.
         """
-        shares = (np.abs(y) / sizes[:, None]).max(axis=0)
+        shares = (np.abs(y) / np.maximum(sizes, 1e-300)[:, None]).max(axis=0)
         if not np.isfinite(shares).all():
             return math.inf, 0.5
         places = np.flatnonzero(shares > _ROUND_OFF)
@@ -516,6 +537,7 @@ class WindowStepper:
             equation.columns,
             tabs.integral,
             w,
+            units,
             _ITERATIONS,
         )
         V = np.ascontiguousarray(values @ tabs.series)
@@ -523,7 +545,7 @@ class WindowStepper:
         start = self._set.sizes()[:, 0]
         start[:dim] += offset
         start *= 1 + 1e-9
-        safe = np.maximum(self._sizes, _LEAST)
+        safe = np.where(self._sizes > _AT_REST, self._sizes, units)
         width = float((start[:dim] / safe).max())
         hull = self._hull(V, start, offset, width)
         tube = 1.5 * (hull + 2 * D) + 4 * UNIT * UNIT * self._sizes + 1e-280
@@ -563,7 +585,7 @@ class WindowStepper:
             return None, 0.6
         if share > 0.1 * room:
             factor = min(factor, 1.0)
-        return self._accepted(place.half, models, V, D, d, derivative, offset, found), factor
+        return self._accepted(place.half, models, V, D, d, derivative, offset, found, units), factor
 
     def _offset(self, models: ModelRows) -> np.ndarray:
         """Bounds on the distance of y(-1) from the centre."""
@@ -614,21 +636,27 @@ class WindowStepper:
                 found[i, j] += np.abs(self._rows[1][place]).max()
         return found
 
-    def _units(self, w: float, couplings: np.ndarray) -> np.ndarray:
-        """Units in which DG is nearly balanced (Osborne 1960), powers of two."""
+    def _units(self, w: float, couplings: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """Units in which DG is nearly balanced (Osborne 1960), not rounded.
+
+        ``sizes`` are those of the components on the windows so far.
+        """
         dim, matrix = self.equation.dim, couplings.copy()
         np.fill_diagonal(matrix, 0.0)
-        safe = np.maximum(self._sizes, self._sizes.max() * 1e-12)
-        # What the others drive it to in the window, if a component is nearly zero.
-        safe = np.maximum(safe, w * (matrix @ safe))
+        # A ball around zero gives a component its size: more than the radius, because roundings of
+        # its shares in the unit are errors of the others, too. Errors of windows give none: they
+        # are small in units of the component, which would be theirs.
+        radii = self._set.initial_sizes()[:dim, 0]
+        sizes = np.where(sizes < radii, _BESIDE * radii, sizes)
+        safe = _sizes_of_all(sizes, matrix, w)
         matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
-        units = np.ones(dim)
+        units = safe.copy()
         for _ in range(6):
             for i in range(dim):
                 row = float(matrix[i] @ units) / units[i]
                 column = float((matrix[:, i] / units).sum()) * units[i]
                 units[i] *= math.sqrt(row / column)
-        return np.asarray(2.0 ** np.round(np.log2(units)))
+        return units
 
     def _accepted(
         self,
@@ -640,6 +668,7 @@ class WindowStepper:
         derivative: np.ndarray,
         offset: np.ndarray,
         tube: np.ndarray,
+        units: np.ndarray,
     ) -> Window:
         equation, terms = self.equation, self._terms
         dim, columns = equation.dim, equation.columns
@@ -671,12 +700,33 @@ class WindowStepper:
             J,
             J_error,
             tube,
+            np.concatenate([2.0 ** np.round(np.log2(units)), np.ones(columns - dim)]),
         )
-        self._set = self._set.moved(J, J_error, extra[:, None])
+        self._set = self._set.moved(J, J_error, extra[:, None], window.units)
         if not np.isfinite(self._set.R).all():
             raise CertificationError("the enclosure became infinite; use an earlier end time")
         self.elapsed = window.end
         return window
+
+
+def _sizes_of_all(sizes: np.ndarray, couplings: np.ndarray, w: float) -> np.ndarray:
+    """Sizes of all components, positive also for those that are at rest.
+
+    Such a component has the size that the others drive it to, or else that which would move
+    another one by its own size within w. Components are never compared otherwise, because they
+    may have different dimensions.
+    """
+    found = coupled_sizes(np.where(sizes > _AT_REST, sizes, 0.0), couplings, w)
+    while (at_rest := found == 0).any():
+        moved = np.where((couplings > 0) & ~at_rest[:, None], found[:, None], math.inf)
+        moving = (moved / couplings).min(axis=0) / w
+        chosen = np.flatnonzero(at_rest & (moving < math.inf))
+        if len(chosen):
+            found[chosen] = moving[chosen]
+        else:  # nothing moves it, and it moves nothing
+            found[np.flatnonzero(at_rest)[0]] = _LEAST
+        found = coupled_sizes(found, couplings, w)
+    return found
 
 
 @functools.lru_cache(maxsize=64)

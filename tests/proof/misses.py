@@ -638,11 +638,15 @@ def set_misses(L: Any, name: str, count: int, seed: int) -> list[Any]:
         if k % 7 == 6:  # columns that are nearly parallel, or zero
             G[:, 1:] = G[:, :1] * (1 + 1e-9 * rng.normal(size=(n, m - 1)))
             G[:, -1] = 0.0
+        units = np.ones(n)
+        if k % 2 and name == "boxed_set":  # components of different dimensions
+            units = 2.0 ** rng.integers(-90, 90, n)
+            G = G * units[:, None]
         for kind in range(2):
             r = [Fraction(v) * int(rng.choice([-1, 1])) for v in R[:, kind].tolist()]
             inner = _times(G, r)
             if name == "boxed_set":
-                found, radii = L.boxed_set(G, R)
+                found, radii = L.boxed_set(G, R, units)
                 fine = all(
                     b == math.inf or abs(a) <= Fraction(b)
                     for a, b in zip(

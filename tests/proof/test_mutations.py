@@ -369,6 +369,9 @@ MUTATIONS: dict[str, Mutation] = {
         sets("boxed_set"),
         _POOR_TURN,
     ),
+    "units of a box": Mutation(
+        "own[i, c] = G[i, c] / units[i]", "own[i, c] = G[i, c]", sets("boxed_set")
+    ),
     "extent of a box": Mutation(_SETS, f"0.5 * {_SETS}", sets("boxed_set")),
     "value of a matrix, rounding": Mutation(
         "UNIT * (abs(p) + abs(found[i, j])) + abs(series[i, j, k]) * gap",

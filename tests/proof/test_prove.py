@@ -13,6 +13,7 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof import prove
 from hamsym.proof.certificate import ARB, FLOAT64, Certificate
 from hamsym.proof.prove import verify
+from hamsym.proof.taylor_proof import TaylorProof
 from hamsym.proof.window_proof import WindowProof
 
 
@@ -251,6 +252,37 @@ def test_time_limit_includes_the_second_proof(solution, monkeypatch):
 
     monkeypatch.setattr(WindowProof, "bounds", late)
     with pytest.raises(CertificationError, match="time limit of 60 s"):
+        solution.certify(time_limit=60)
+
+
+@pytest.mark.parametrize("verified", [False, True])
+def test_reasons_of_both_proofs_are_given(solution, sharp, monkeypatch, verified):
+    def refused(text):
+        def refuse(*_):
+            raise CertificationError(text)
+
+        return refuse
+
+    windows = refused("no enclosure beyond t = 1: the windows became too short; use an earlier end")
+    steps = refused("no bound beyond t = 2: escape to infinity; use an earlier end")
+    monkeypatch.setattr(WindowProof, "proves" if verified else "bounds", windows)
+    monkeypatch.setattr(TaylorProof, "check" if verified else "bounds", steps)
+    with pytest.raises(CertificationError) as refusal:
+        verify(sharp, solution) if verified else solution.certify()
+    assert str(refusal.value) == (
+        "on windows, no enclosure beyond t = 1: the windows became too short; by Taylor steps, no "
+        "bound beyond t = 2: escape to infinity; use an earlier end"
+    )
+
+
+def test_reason_of_the_first_attempt_is_kept_at_the_time_limit(solution, monkeypatch):
+    def late(self, *_):
+        self._deadline.check("the solution was enclosed")
+        object.__setattr__(self._deadline, "began", -math.inf)
+        raise CertificationError("the set of solutions became too wide; use an earlier end")
+
+    monkeypatch.setattr(WindowProof, "_found", late)
+    with pytest.raises(CertificationError, match="^on windows, the set .* too wide; .*time limit"):
         solution.certify(time_limit=60)
 
 

@@ -24,7 +24,7 @@ def moved(J, R, count, error, extra):
     found = ErrorSet.of_radii(np.asarray(R, dtype=float)[:, None])
     J_error = np.full(J.shape, error)
     for _ in range(count):
-        found = found.moved(J, J_error, np.full((len(J), 1), extra))
+        found = found.moved(J, J_error, np.full((len(J), 1), extra), np.ones(len(J)))
     return found
 
 
@@ -69,7 +69,8 @@ def test_sets_of_many_windows_contain_moved_points(name, radius):
     error, extra = 1e-9, 1e-8
     sets = [ErrorSet.of_radii(np.full((n, 1), radius))]
     for _ in range(count):
-        sets.append(sets[-1].moved(J, np.full((n, n), error), np.full((n, 1), extra)))
+        fresh = np.full((n, 1), extra)
+        sets.append(sets[-1].moved(J, np.full((n, n), error), fresh, np.ones(n)))
     with working(_BITS):
         for _ in range(3):
             z = [arb(radius) * int(s) for s in rng.choice([-1, 1], n)]
@@ -100,7 +101,7 @@ def test_bounds_that_are_not_finite_give_no_finite_set(part, value):
     J, J_error, extra = np.eye(2), np.zeros((2, 2)), np.zeros((2, 1))
     {"map": J, "error": J_error, "extra": extra}[part][0, 0] = value
     with np.errstate(all="ignore"):
-        found = ErrorSet.of_radii(np.ones((2, 1))).moved(J, J_error, extra)
+        found = ErrorSet.of_radii(np.ones((2, 1))).moved(J, J_error, extra, np.ones(2))
         assert not (found.sizes() <= 1e300).all()
 
 

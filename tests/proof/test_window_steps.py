@@ -128,28 +128,41 @@ def test_sets_contain_corners_of_very_many_sets(L, name):
 
 @pytest.mark.parametrize("radius", [math.inf, math.nan])
 def test_box_of_an_infinite_set_is_infinite(L, radius):
-    found = L.boxed_set(np.eye(2), np.array([[1.0], [radius]]))[1]
+    found = L.boxed_set(np.eye(2), np.array([[1.0], [radius]]), np.ones(2))[1]
     assert not (found <= 1e300).all()
 
 
 def test_box_of_a_flat_set_contains_it(L):
     G = np.array([[1.0, 2.0, 0.0], [0.5, 1.0, 0.0]])
-    Q, radii = L.boxed_set(G, np.array([[1.0], [1e-3], [1.0]]))
+    Q, radii = L.boxed_set(G, np.array([[1.0], [1e-3], [1.0]]), np.ones(2))
     for r in ([1.0, 1e-3, 1.0], [1.0, -1e-3, -1.0]):
         assert (np.abs(np.linalg.solve(Q, G @ np.array(r))) <= radii[:, 0] + 1e-15).all()
     assert radii[:, 0].min() < 1e-14
 
 
-def test_box_of_a_turned_box_is_the_box(L):
-    """A thin set under a hundred turns keeps its widths but for roundings."""
+@pytest.mark.parametrize("unit", [1.0, 2.0**-80])
+def test_box_of_a_turned_box_is_the_box(L, unit):
+    """A thin set under a hundred turns keeps its widths but for roundings, in any units."""
     c, s = math.cos(0.7), math.sin(0.7)
-    J, E = np.array([[c, s], [-s, c]]), np.zeros((2, 2))
-    Q, R = np.eye(2), np.array([[1.0], [1e-6]])
+    J, E = np.array([[c, s / unit], [-s * unit, c]]), np.zeros((2, 2))
+    units = np.array([1.0, unit])
+    Q, R = np.diag(units), np.array([[1.0], [1e-6]])
     for _ in range(100):
         G, rest = L.moved_set(J, E, Q, R)
-        Q, R = L.boxed_set(np.hstack([G, np.eye(2)]), np.vstack([R, rest]))
+        Q, R = L.boxed_set(np.hstack([G, np.eye(2)]), np.vstack([R, rest]), units)
     assert R[0, 0] < 1.001
     assert R[1, 0] < 1.001e-6
+
+
+def test_box_does_not_depend_on_units_of_its_kinds(L):
+    """Sets of derivatives by components of different dimensions are boxed together."""
+    rng = np.random.default_rng(4)
+    G, R = rng.normal(size=(4, 9)), 10.0 ** rng.uniform(-12, -3, (9, 2))
+    units, kinds = 2.0 ** rng.integers(-90, 90, 4), np.array([2.0**70, 2.0**-60])
+    P, radii = L.boxed_set(G, R, np.ones(4))
+    Q, others = L.boxed_set(G * units[:, None], R * kinds, units)
+    assert (P * units[:, None] == Q).all()
+    np.testing.assert_allclose(others, radii * kinds, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["chebyshev_balls", "vector_value", "matrix_value"])
