@@ -218,7 +218,7 @@ def draw_stored_sweep(
 
 
 def _fixed(
-    axes: Mapping[str, np.ndarray], at: dict[str, float]
+    axes: Mapping[str, np.ndarray], at: Mapping[str, float]
 ) -> tuple[dict[str, int], list[str]]:
     """Return the axes at one of their values, as indices, and words about them."""
     fixed: dict[str, int] = {}
