@@ -40,6 +40,7 @@ from hamsym.solution.solution import Solution
 from hamsym.study.compare import Comparison
 from hamsym.study.grid import StoredSweep
 from hamsym.study.sweep import Sweep
+from hamsym.suggestions import checked_keywords
 
 __all__ = ["plot"]
 
@@ -107,4 +108,4 @@ _FIGURES = (
     (BoxCertificate, draw_box_certificate),
 )
 for _type, _draw in _FIGURES:
-    plot.register(_type, _draw)
+    plot.register(_type, checked_keywords(_draw, "plot"))
