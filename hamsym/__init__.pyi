@@ -50,7 +50,8 @@ from .study.grid import StoredSweep as StoredSweep
 from .study.sweep import Sweep as Sweep
 from .study.sweep import sweep as sweep
 from .summaries.summary import summary as summary
-from .symbolic.invariants import Invariant as Invariant
+from .symbolic.invariant import Invariant as Invariant
+from .symbolic.invariant import Invariants as Invariants
 from .workbench.animations.animate import Animation as Animation
 from .workbench.animations.animate import animate as animate
 from .workbench.notebooks.representation import representation as representation

@@ -23,13 +23,13 @@ from hamsym.flow_maps.storage import read_flow_map, write_flow_map
 from hamsym.integrators.integrate import Trajectory
 from hamsym.integrators.storage import KIND as TRAJECTORY
 from hamsym.integrators.storage import read_trajectory, write_trajectory
+from hamsym.methods import METHODS
 from hamsym.random_features.error_estimate import MarchError
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.digest import check_definition
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
-from hamsym.solving import METHODS
 from hamsym.suggestions import checked_keywords
 from hamsym.support.checked_data import (
     arrays_of,

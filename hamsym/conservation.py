@@ -16,7 +16,7 @@ import sympy
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.symbolic.invariants import Invariant
+from hamsym.symbolic.invariant import Invariant
 
 __all__ = ["InvariantLike", "KnownInvariants"]
 

@@ -31,7 +31,7 @@ class InputError(HamsymError, ValueError):
 
 
 class KeywordError(InputError, TypeError):
-    """A keyword argument that a function does not have."""
+    """A keyword argument that a function does not have, or needs and was not given."""
 
 
 class ParseError(InputError):

@@ -32,7 +32,8 @@ from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations, free_symbols
 from hamsym.symbolic.exact import rational
 from hamsym.symbolic.formulas import Formulas
-from hamsym.symbolic.invariants import Invariant, find_invariants, is_proven, suggested_basis
+from hamsym.symbolic.invariant import Invariants
+from hamsym.symbolic.invariants import find_invariants, is_proven, suggested_basis
 from hamsym.symbolic.pairing import natural_order
 from hamsym.symbolic.states import parameter_arrays, state_array, states_array
 from hamsym.symbolic.variables import TIME, assign_variables
@@ -733,7 +734,7 @@ class Hamiltonian(Shown):
         *,
         basis: str | sympy.Expr | Sequence[str | sympy.Expr] = (),
         time_limit: float = 60.0,
-    ) -> list[Invariant]:
+    ) -> Invariants:
         """Find first integrals that are polynomials in the state and in basis functions.
 
         Each is proven by exact arithmetic before it is returned, with floating-point numbers of H
@@ -754,9 +755,10 @@ class Hamiltonian(Shown):
 
         Returns
         -------
-        list of Invariant
-            First those that hold for all parameters, then those that hold for the values of H,
-            whose ``holds_for`` names these values.
+        Invariants
+            A list of :class:`~hamsym.Invariant`, printed as a table. First those that hold for all
+            parameters, then those that hold for the values of H, whose ``holds_for`` names these
+            values.
 
         Raises
         ------
@@ -798,7 +800,8 @@ class Hamiltonian(Shown):
             [*suggested_basis(real.expr, real.z), *functions],
             time_limit,
         )
-        return [replace(invariant, expr=self._own(invariant.expr)) for invariant in found]
+        own = (replace(invariant, expr=self._own(invariant.expr)) for invariant in found)
+        return Invariants(own, degree, self.time is None)
 
     @property
     def _time_symbol(self) -> sympy.Symbol | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,17 +13,9 @@ from hamsym.conservation import InvariantLike, KnownInvariants
 from hamsym.errors import CertificationError, InputError, KeywordError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.table import ALIASES, INTEGRATORS
-from hamsym.networks.options import (
-    CONVERGED,
-    AdamOptions,
-    DeepOptions,
-    LBFGSOptions,
-    LevenbergMarquardtOptions,
-    SelfScaledBroydenOptions,
-    check_options,
-)
+from hamsym.methods import METHOD, METHODS, SEED
+from hamsym.networks.options import CONVERGED
 from hamsym.problem import InitialValueProblem
-from hamsym.random_features.method import FeatureOptions, solve_by_features
 from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.solution.settings import settings_of
 from hamsym.solution.solution import Solution
@@ -33,44 +25,7 @@ from hamsym.suggestions import advice, checked_keywords, did_you_mean, require_k
 if TYPE_CHECKING:
     from hamsym.networks.record import TrainingState
 
-__all__ = ["METHODS", "checked_options", "solve"]
-
-
-@dataclass(frozen=True)
-class Method:
-    """A method of solution.
-
-    Attributes
-    ----------
-    options : type
-        Frozen dataclass of its options, with defaults.
-    run : callable
-        (problem, options) -> Solution.
-    marches : bool
-        Whether its trial solution is a march of windows instead of a network.
-    """
-
-    options: type[Any]
-    run: Callable[[InitialValueProblem, Any], Solution]
-    marches: bool = False
-
-
-def _train(problem: InitialValueProblem, options: DeepOptions) -> Solution:
-    check_options(problem.H, options)
-    # torch takes seconds to import, and the method "features" does not need it.
-    from hamsym.networks.method import solve_by_training
-
-    return solve_by_training(problem, options)
-
-
-#: Methods of solution by name.
-METHODS: dict[str, Method] = {
-    "features": Method(FeatureOptions, solve_by_features, marches=True),
-    "levenberg-marquardt": Method(LevenbergMarquardtOptions, _train),
-    "ssbroyden": Method(SelfScaledBroydenOptions, _train),
-    "lbfgs": Method(LBFGSOptions, _train),
-    "adam": Method(AdamOptions, _train),
-}
+__all__ = ["checked_options", "solve"]
 
 
 @checked_keywords
@@ -79,8 +34,8 @@ def solve(
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
     span: tuple[float, float],
     *,
-    method: str = "features",
-    seed: int = 0,
+    method: str = METHOD,
+    seed: int = SEED,
     progress: bool | Callable[[TrainingState], None] | None = None,
     prove: bool = False,
     invariants: InvariantLike | Sequence[InvariantLike] = (),

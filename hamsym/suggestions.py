@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import inspect
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
@@ -257,14 +258,20 @@ def keyword_message(name: str, function: str, arguments: Sequence[str]) -> str:
     if instead is not None:
         return f"{begin}; {instead}"
     hint = did_you_mean(name, arguments)
-    return f"{begin}{hint}; it has {', '.join(arguments)}"
+    return f"{begin}{hint}; it has {', '.join(arguments) or 'none'}"
 
 
-def checked_keywords(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function answer keywords that it does not have with :class:`KeywordError`.
+def checked_keywords(function: Callable[P, R], title: str | None = None) -> Callable[P, R]:
+    """Let a function answer keywords that it lacks, and missing ones, with :class:`KeywordError`.
 
     Of a function with ``**options``, which checks them itself, a keyword is answered here if
     arguments are missing, e.g. ``solve(H, y0=z0, t_span=span)``.
+
+    Parameters
+    ----------
+    function : callable
+    title : str, optional
+        Name of the method that calls this function with its object.
 
     Examples
     --------
@@ -274,16 +281,26 @@ def checked_keywords(function: Callable[P, R]) -> Callable[P, R]:
     Traceback (most recent call last):
     hamsym.errors.KeywordError: 'rtol' is not an argument of section; steps have a fixed length: \
 give dt=... or steps=...
+    >>> section("p**2/2 + x**2/2", [1, 0])
+    Traceback (most recent call last):
+    hamsym.errors.KeywordError: section is called without span; give section(H, z0, span)
     """
-    signature, title = inspect.signature(function), function.__qualname__.split(".")[0]
+    signature = inspect.signature(function)
     kinds = {name: parameter.kind for name, parameter in signature.parameters.items()}
+    owner, _, last = function.__qualname__.rpartition(".")
+    of_object = title is not None or next(iter(kinds), "") == "self"
+    called = title or (owner if last == "__init__" else last)
     named = [
         name
-        for name, kind in kinds.items()
+        for name, kind in list(kinds.items())[of_object:]
         if kind in (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-        and name != "self"
     ]
     open_ended = inspect.Parameter.VAR_KEYWORD in kinds.values()
+    required = {  # with the number of positional arguments that include it
+        name: place + 1 if kinds[name] != inspect.Parameter.KEYWORD_ONLY else math.inf
+        for place, name in enumerate(kinds)
+        if name in named and signature.parameters[name].default is inspect.Parameter.empty
+    }
 
     @functools.wraps(function)
     def checked(*arguments: P.args, **keywords: P.kwargs) -> R:
@@ -292,11 +309,17 @@ give dt=... or steps=...
             try:
                 signature.bind(*arguments, **keywords)
             except TypeError:
-                others = [n for n in others if advice(n, title, named)]
+                others = [n for n in others if advice(n, called, named)]
             else:
                 others = []
         if others:
-            raise KeywordError(keyword_message(others[0], title, named))
+            raise KeywordError(keyword_message(others[0], called, named))
+        missing = [n for n, k in required.items() if k > len(arguments) and n not in keywords]
+        if missing:
+            given = ", ".join(n if k < math.inf else f"{n}=..." for n, k in required.items())
+            raise KeywordError(
+                f"{called} is called without {', '.join(missing)}; give {called}({given})"
+            )
         return function(*arguments, **keywords)
 
     return checked
@@ -356,8 +379,14 @@ def attribute_message(owner: str, name: str, names: Iterable[str]) -> str:
     return begin + did_you_mean(name, known)
 
 
+#: Methods of results, which answer keywords that they do not have.
+_METHODS = ("plot", "summary", "animate", "export", "certify", "save", "to_dataframe", "to_xarray")
+
+
 def suggest_attributes(cls: type[T]) -> type[T]:
     """Let the objects of a class answer unknown attributes with a similar one.
+
+    Their methods ``plot``, ``summary`` and others of results answer keywords that they do not have.
 
     Examples
     --------
@@ -379,6 +408,9 @@ def suggest_attributes(cls: type[T]) -> type[T]:
         raise AttributeError(message, name=name, obj=None)
 
     cls.__getattr__ = answer  # type: ignore[attr-defined]
+    for name in _METHODS:
+        if inspect.isfunction(method := vars(cls).get(name)):
+            setattr(cls, name, checked_keywords(method))
     return cls
 
 

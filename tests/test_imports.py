@@ -15,6 +15,13 @@ _HEAVY = ("matplotlib", "numba", "scipy", "sympy", "torch")
 _STEPS = {
     "import": ("import hamsym", _HEAVY),
     "help": ("run('--help')", _HEAVY),
+    "options": ("run('solve', '--help')", _HEAVY),
+    "complete an option": (
+        "os.environ |= {'_HAMSYM_COMPLETE': 'bash_complete', 'COMP_CWORD': '2'};"
+        "os.environ['COMP_WORDS'] = 'hamsym solve --to'; assert '--tol' in printed();"
+        "del os.environ['_HAMSYM_COMPLETE']",
+        _HEAVY,
+    ),
     "derive": (
         "H = hamsym.Hamiltonian('p**2/2 + x**2/2 + x**4/4'); H.source('torch')",
         ("matplotlib", "numba", "scipy", "torch"),
@@ -49,7 +56,15 @@ _STEPS = {
 }
 
 _SCRIPT = """
-import contextlib, io, json, sys, traceback
+import contextlib, io, json, os, sys, traceback
+
+def printed(*arguments):
+    from hamsym.cli.commands import main
+    text = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # completions are bytes
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        main(list(arguments))
+    text.flush()
+    return text.buffer.getvalue().decode()
 
 def run(*arguments):
     from hamsym.cli.commands import main

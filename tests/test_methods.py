@@ -11,11 +11,12 @@ import pytest
 import hamsym
 from hamsym.cli import solver_options
 from hamsym.cli.commands import main
+from hamsym.methods import METHODS, Method
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.basis import DEGREE, basis_of_series
-from hamsym.random_features.method import FeatureOptions, solve_by_march
+from hamsym.random_features.method import solve_by_march
+from hamsym.random_features.options import FeatureOptions
 from hamsym.solution.solution import Solution
-from hamsym.solving import METHODS, Method
 
 _BRIEF = {
     "adam": {"epochs": 40, "hidden": (6,)},

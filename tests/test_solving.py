@@ -9,9 +9,10 @@ import pytest
 import hamsym
 from hamsym import InputError
 from hamsym.errors import CertificationError
+from hamsym.methods import METHODS, Method
 from hamsym.proof.prove import verify
-from hamsym.random_features.method import FeatureOptions, solve_by_features
-from hamsym.solving import METHODS, Method
+from hamsym.random_features.method import solve_by_features
+from hamsym.random_features.options import FeatureOptions
 
 OSCILLATOR = "p**2/2 + x**2/2"
 

@@ -99,11 +99,37 @@ def test_keywords_of_a_hamiltonian_are_answered() -> None:
         Hamiltonian(OSCILLATOR, force={"p": "-p"})
 
 
-def test_missing_arguments_keep_their_message() -> None:
-    with pytest.raises(TypeError, match="missing 1 required positional argument: 'span'"):
-        hamsym.solve(OSCILLATOR, [1.0, 0.0])
-    with pytest.raises(TypeError, match="missing 1 required positional argument: 'span'"):
-        hamsym.solve(OSCILLATOR, [1.0, 0.0], tol=1e-3)
+@pytest.mark.parametrize(
+    ("call", "answer"),
+    [
+        (
+            lambda: hamsym.solve(OSCILLATOR, [1.0, 0.0], tol=1e-3),
+            "solve is called without span; give solve(H, z0, span)",
+        ),
+        (hamsym.sweep, "sweep is called without H, z0, span; give sweep(H, z0, span)"),
+        (hamsym.flow_map, "flow_map is called without H, z0, span; give flow_map(H, z0, span)"),
+        (Hamiltonian, "Hamiltonian is called without expression; give Hamiltonian(expression)"),
+    ],
+)
+def test_missing_arguments_are_named(call, answer: str) -> None:
+    with pytest.raises(KeywordError) as caught:
+        call()
+    assert str(caught.value) == answer
+
+
+@pytest.mark.parametrize("method", ["plot", "summary", "to_dataframe"])
+def test_methods_of_results_answer_keywords(method: str) -> None:
+    found = hamsym.section(*START, "x = 0")
+    with pytest.raises(KeywordError, match=f"'zzz' is not an argument of {method}; it has"):
+        getattr(found, method)(zzz=1)
+
+
+def test_keywords_of_figures_are_answered() -> None:
+    solution = hamsym.solve(*START)
+    answer = r"of plot \(did you mean 'certificate'\?\); it has ax, certificate"
+    for draw in (solution.plot, lambda **given: hamsym.plot(solution, **given)):
+        with pytest.raises(KeywordError, match=answer):
+            draw(certificat=None)
 
 
 def test_checked_functions_keep_signature_and_pickle() -> None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # Public names by subject; names that are missing here come last, under "More".
 GROUPS = {
-    "Equations and code": ["Hamiltonian", "System", "Invariant", "systems"],
+    "Equations and code": ["Hamiltonian", "System", "Invariant", "Invariants", "systems"],
     "Trajectories": ["solve", "Solution", "integrate", "Trajectory", "Regularizer"],
     "Many trajectories": ["solve_many", "Solutions", "flow_map", "FlowMap", "sweep", "Sweep"],
     "Data": ["fit", "Fit"],

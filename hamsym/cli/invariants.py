@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import click
 
 from hamsym.cli.command import Command, Report
-from hamsym.cli.options import hamiltonian_options
-from hamsym.support.text_tables import wrapped
+from hamsym.cli.options import hamiltonian_options, rows_option
+from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
@@ -33,22 +33,17 @@ __all__ = ["invariants"]
     help="A further function, e.g. cos(phi); repeat it.",
 )
 @click.option("--time-limit", type=float, default=60.0, show_default=True, metavar="SECONDS")
-def invariants(H: Hamiltonian, degree: int, basis: tuple[str, ...], time_limit: float) -> Report:
+@rows_option(ROWS)
+def invariants(
+    H: Hamiltonian, degree: int, basis: tuple[str, ...], time_limit: float, rows: int | None
+) -> Report:
     """Find polynomials of the state, and of the functions in H, that are conserved beside H."""
     found = H.invariants(degree, basis=basis, time_limit=time_limit)
-    beside = "" if H.time is not None else " beside H"
-    message = (
-        f"each is proven; others may exist beyond degree {degree}"
-        if found
-        else f"no invariant of degree at most {degree} was found{beside}; "
-        "others may exist, and this is no proof of chaos"
-    )
-    lines = [wrapped(str(one), "" if one.independent else "dependent: ") for one in found]
     values = {
-        "message": message,
+        "message": found.message,
         "invariants": [
             {"formula": one.formula, "degree": one.degree, "independent": one.independent}
             for one in found
         ],
     }
-    return Report("\n".join([*lines, wrapped(message)]), values)
+    return Report(found.summary(rows), values)

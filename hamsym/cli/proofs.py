@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,13 +45,12 @@ def certify(file: str, output: str | None, rows: int | None, **options: Any) -> 
     solution = saved_solution(file)
     found = solution.certify(**options)
     path = write_certificate(found, file, output)
-    return Report(
-        found.summary(solution.H.names, rows), _values_of(found, solution.H.names), True, [path]
-    )
+    return Report(found.summary(rows), _values_of(found), True, [path])
 
 
-def _values_of(found: Certificate, names: Sequence[str]) -> dict[str, Any]:
+def _values_of(found: Certificate) -> dict[str, Any]:
     """Return a certificate as values of JSON; the file has the numbers as they are proven."""
+    names = found.labels
     return {
         "statement": found.statement,
         "bound": found.bound,
@@ -90,5 +89,5 @@ def verify(file: str, certificate: str | None, time_limit: float | None) -> Repo
     claims = read_certificate(Path(certificate or f"{file}{CERTIFICATE}"))
     run(claims, file, time_limit)
     first = f"verified: the error is at most {decimal(claims.bound)} (2-norm)"
-    values = _values_of(claims, saved_solution(file).H.names)
-    return Report(f"{first}\nevery bound of the certificate is proven", values)
+    named = dataclasses.replace(claims, components=saved_solution(file).H.names)
+    return Report(f"{first}\nevery bound of the certificate is proven", _values_of(named))

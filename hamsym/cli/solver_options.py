@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import inspect
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import Field, fields
@@ -21,7 +20,7 @@ __all__ = ["SolverCommand"]
 class SolverCommand(Command):
     """A command that takes the options of all methods of solution.
 
-    The options are built when they are first needed, since that imports sympy. Options that are not
+    The options are built when they are first needed. Options that are not
     given are not passed on, so that the method's own defaults apply.
     """
 
@@ -107,21 +106,20 @@ _TYPES: dict[str, Any] = {
 @functools.cache
 def _solver_parameters() -> tuple[click.Parameter, ...]:
     """Return the options of all methods, each once."""
-    from hamsym.solving import METHODS, solve
+    from hamsym.methods import METHOD, METHODS, SEED
 
-    defaults = inspect.signature(solve).parameters
     found: list[click.Parameter] = [
         click.Option(
             ["--method"],
             type=Choice(METHODS),
-            default=defaults["method"].default,
+            default=METHOD,
             show_default=True,
             help="Method of solution.",
         ),
         click.Option(
             ["--seed"],
             type=click.INT,
-            default=defaults["seed"].default,
+            default=SEED,
             show_default=True,
             help="Seed of random numbers.",
         ),
@@ -178,7 +176,7 @@ def _of_methods(methods: tuple[str, ...], usual: tuple[str, ...]) -> str:
 
 
 def _listed(methods: tuple[str, ...]) -> str:
-    from hamsym.solving import METHODS
+    from hamsym.methods import METHODS
 
     training = tuple(name for name, entry in METHODS.items() if not entry.marches)
     return "methods that train" if methods == training else ", ".join(methods)

@@ -410,7 +410,7 @@ def section(
     found = run(H, z0, span, **options)
     columns = [("trajectory", found.trajectory), ("t", found.t)]
     columns += zip(H.names, found.z.T, strict=True)
-    arrays = {"trajectory": found.trajectory, "t": found.t, "z": found.z}
+    arrays = {"trajectory": found.trajectory, "t": found.t, "z": found.z, "z0": found.z0}
     values = {
         "message": found.message,
         "surface": found.surface,
@@ -420,6 +420,7 @@ def section(
         "trajectory": found.trajectory,
         "t": found.t,
         "z": by_name(H.names, found.z.T),
+        "z0": by_name(H.names, found.z0.T),
         "seconds": found.seconds,
     }
     return found, Report(found.summary(rows), values, found.success), columns, arrays

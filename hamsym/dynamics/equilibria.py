@@ -62,7 +62,8 @@ def equilibria(
         Without explicit time. Parameters without a value are allowed where sympy finds a closed
         form.
     guess : state or array of states, optional
-        Starts of Newton's method, shape (..., dim), or values by name.
+        Starts of Newton's method, shape (..., dim), or numbers and lists by name. A pair
+        (low, high) is an interval, of ``box``.
     box : mapping of name to (low, high), or sequence of (low, high), optional
         An interval for each component of z, in its units.
     max_boxes : int
@@ -116,6 +117,14 @@ def equilibria(
             "equilibria are found as zeros of the gradient of H, which they are not with forces; "
             "give H without forces, or with those of q as a part of H"
         )
+    if isinstance(guess, Mapping):
+        for name, value in guess.items():
+            if isinstance(value, tuple) and len(value) == 2:
+                raise InputError(
+                    f"the value {value!r} of {name} in guess is a pair; give box={{'{name}': "
+                    f"{value!r}, ...}} for all equilibria in a box, or {list(value)!r} for two "
+                    "guesses"
+                )
     if guess is not None and box is not None:
         raise InputError("guess and box are given together; give one of them")
     require_whole("max_boxes", max_boxes)

@@ -18,7 +18,7 @@ from hamsym.integrators.integrate import fixed_step, usable_method, usual_method
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.problem import checked_span, checked_steps
-from hamsym.suggestions import checked_keywords
+from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_number
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["TangentMap", "monodromy", "tangent_map"]
 
 
+@suggest_attributes
 @dataclass(frozen=True)
 class TangentMap:
     """The derivative of the flow along a trajectory.

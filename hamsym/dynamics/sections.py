@@ -68,6 +68,10 @@ class Section(Shown):
     trajectory : numpy.ndarray
         Number of the trajectory of each crossing, shape (n,). Members of an ensemble of several
         axes are counted along the last axis first, as by ``numpy.unravel_index``.
+    z0 : numpy.ndarray
+        Starts of the trajectories, by their number, shape (trajectories, dim).
+    parameters : mapping of str to numpy.ndarray
+        Values of the parameters that were given as arguments, of each trajectory.
     energy_error : float
         Largest change of H at the crossings, nan if H depends on time.
     drift : float
@@ -91,6 +95,7 @@ class Section(Shown):
     t: np.ndarray = field(repr=False)
     z: np.ndarray = field(repr=False)
     trajectory: np.ndarray = field(repr=False)
+    z0: np.ndarray = field(repr=False)
     energy_error: float
     method: str
     dt: float
@@ -100,6 +105,7 @@ class Section(Shown):
     axes: tuple[str, str] = field(repr=False)
     drift: float = math.nan
     H: Hamiltonian | None = field(default=None, repr=False)
+    parameters: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
         starts = len(np.unique(self.trajectory))
@@ -110,9 +116,10 @@ class Section(Shown):
         )
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the crossings as a table of pandas: trajectory, time and components.
+        """Return the crossings as a table of pandas: trajectory, time, components and starts.
 
-        Surface, H and the method are in ``attrs``.
+        The starts are columns ``z0_x``, ..., varied parameters have their own names. Surface, H and
+        the method are in ``attrs``.
 
         Raises
         ------
@@ -124,9 +131,13 @@ class Section(Shown):
         >>> found = section("p**2/2 + x**2/2", [0, 1], (0, 20), "x = 0, p > 0")
         >>> (found.to_dataframe()["t"] / (2 * np.pi)).round(6).tolist()
         [1.0, 2.0, 3.0]
+        >>> found.to_dataframe().columns.tolist()
+        ['trajectory', 't', 'x', 'p', 'z0_x', 'z0_p']
         """
-        columns = {"trajectory": self.trajectory, time_name(self.names): self.t}
-        columns |= dict(zip(self.names, self.z.T, strict=True))
+        columns = {f"z0_{n}": v for n, v in zip(self.names, self._starts.T, strict=True)}
+        columns |= {name: values[self.trajectory] for name, values in self.parameters.items()}
+        first = {"trajectory": self.trajectory, time_name(self.names): self.t}
+        columns = first | dict(zip(self.names, self.z.T, strict=True)) | columns
         return data_frame(columns, None, self._attributes)
 
     def to_xarray(self) -> xarray.Dataset:
@@ -144,14 +155,26 @@ class Section(Shown):
         {'crossing': 3, 'component': 2}
         """
         return data_set(
-            {"state": (["crossing", "component"], self.z)},
+            {
+                "state": (["crossing", "component"], self.z),
+                "z0": (["crossing", "component"], self._starts),
+            },
             {
                 "component": list(self.names),
                 "time": (["crossing"], self.t),
                 "trajectory": (["crossing"], self.trajectory),
+                **{
+                    name: (["crossing"], values[self.trajectory])
+                    for name, values in self.parameters.items()
+                },
             },
             self._attributes,
         )
+
+    @property
+    def _starts(self) -> np.ndarray:
+        """The start of the trajectory of each crossing, shape (n, dim)."""
+        return self.z0[self.trajectory]
 
     @property
     def _attributes(self) -> dict[str, Any]:
@@ -189,8 +212,9 @@ class Section(Shown):
     def plot(self, *names: Any, ax: Any = None) -> Figure:
         """Draw the crossings in a plane, with a colour for each start.
 
-        Up to twelve starts have an entry in the legend, more a colour bar. If the surface is
-        crossed both ways, dots are crossings where its left side rises, crosses where it falls.
+        Up to twelve starts have an entry in the legend with what varies, more a colour bar. If the
+        surface is crossed both ways, dots are crossings where its left side rises, crosses where it
+        falls.
 
         Parameters
         ----------
@@ -326,6 +350,7 @@ def section(
         t=t,
         z=z,
         trajectory=trajectory,
+        z0=members.states,
         energy_error=_energy_error(members, z, trajectory),
         method=method,
         dt=size,
@@ -335,6 +360,9 @@ def section(
         axes=_free_pair(H, where),
         H=H,
         drift=drift,
+        parameters={
+            name: members.parameters[:, H.parameter_names.index(name)] for name in members.varied
+        },
     )
 
 

@@ -29,7 +29,8 @@ from hamsym.families.windows import OPEN, Packed, Table, pieces_of
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.problem import checked_span
 from hamsym.random_features.members import Batch
-from hamsym.random_features.method import FeatureOptions, basis_for, checked_accuracy
+from hamsym.random_features.method import basis_for, checked_accuracy
+from hamsym.random_features.options import FeatureOptions
 from hamsym.solution.solution import Solution
 from hamsym.suggestions import checked_keywords
 from hamsym.support.cores import available_cores

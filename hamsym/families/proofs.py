@@ -9,7 +9,7 @@ import numpy as np
 
 import hamsym
 from hamsym.errors import CertificationError, InputError
-from hamsym.random_features.method import FeatureOptions
+from hamsym.random_features.options import FeatureOptions
 from hamsym.solution.solution import Solution
 from hamsym.solution.window_error import allowed_errors
 from hamsym.support.progress import stepping_progress

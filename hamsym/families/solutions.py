@@ -25,12 +25,12 @@ from hamsym.random_features.march import origin_of
 from hamsym.random_features.members import MemberSolver, march_of
 from hamsym.random_features.method import (
     Accuracy,
-    FeatureOptions,
     accepted_solution,
     basis_for,
     checked_accuracy,
     success_message,
 )
+from hamsym.random_features.options import FeatureOptions
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.settings import settings_of

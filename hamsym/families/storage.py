@@ -51,7 +51,7 @@ from hamsym.families.windows import (
 )
 from hamsym.problem import checked_span
 from hamsym.random_features.basis import DEGREE
-from hamsym.random_features.method import FeatureOptions
+from hamsym.random_features.options import FeatureOptions
 from hamsym.support.checked_data import (
     checked_list,
     checked_mapping,

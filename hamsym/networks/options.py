@@ -7,10 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from hamsym.conservation import KnownInvariants
 from hamsym.errors import InputError
-from hamsym.hamiltonian import Hamiltonian
-from hamsym.solution.solution import Solution
 from hamsym.support.option_fields import option
 from hamsym.support.validation import is_positive, require_positive, require_whole
 
@@ -18,7 +15,10 @@ if TYPE_CHECKING:
     import numpy as np
     import torch
 
+    from hamsym.conservation import KnownInvariants
+    from hamsym.hamiltonian import Hamiltonian
     from hamsym.networks.objective import Regularizer
+    from hamsym.solution.solution import Solution
 
 __all__ = [
     "CONVERGED",

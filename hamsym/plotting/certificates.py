@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from hamsym.errors import InputError
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, legend_above, one_panel
 from hamsym.plotting.motions import component_curves, label_time, log_lines
@@ -89,20 +88,9 @@ def _draw_widths(axes: Axes, found: Enclosure, t: np.ndarray, states: Ball) -> N
 # -- bounds ----------------------------------------------------------------------------------------
 
 
-def draw_certificate(
-    found: Certificate, *names: Any, ax: Any = None, components: Sequence[str] | None = None
-) -> Any:
+def draw_certificate(found: Certificate, *names: Any, ax: Any = None) -> Any:
     """Draw proven bounds; see :meth:`hamsym.Certificate.plot`."""
-    count = len(found.component_bounds)
-    if components is None:
-        shown = [f"$z_{{{k + 1}}}$" for k in range(count)]
-    elif isinstance(components, str) or len(components) != count:
-        raise InputError(
-            f"components={components!r} does not name the {count} components; give "
-            "solution.H.names of the solution that was certified"
-        )
-    else:
-        shown = [math_name(str(name)) for name in components]
+    shown = [math_name(name) for name in found.labels]
     words = ["Proven", "in", f"{found.arithmetic}", "arithmetic:", "the", "largest", "error"]
     words += ["|z^(t)", "−", "z(t)|", "is", "at", "least", number(found.lower, 3), "and", "at"]
     words += ["most", number(found.bound, 3) + "."]

@@ -94,8 +94,8 @@ class Motion:
         Label, unit and value of each trajectory by which it is named or coloured.
     parameters : mapping, optional
         Values for the caption, by default those of H.
-    apart : bool
-        Whether the states are too far apart for lines between them; they are drawn as dots.
+    apart : str
+        Sentence about states that are too far apart for lines between them, and drawn as dots.
     """
 
     H: Hamiltonian
@@ -107,7 +107,7 @@ class Motion:
     what: str = "trajectories"
     varied: tuple[str, str, np.ndarray] = ("", "", np.zeros(1))
     parameters: dict[str, float] | None = None
-    apart: bool = False
+    apart: str = ""
     styles: list[dict[str, Any]] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -166,9 +166,7 @@ class Motion:
         elif self.total > 1:
             chosen = [f"{self.total:,} {self.what}"]
         if self.apart:
-            chosen.append(
-                "Dots: the saved states, which are too far apart for lines between them; save more"
-            )
+            chosen.append(self.apart)
         return caption_words(
             self.H, *self.sentences, *chosen, *sentences, parameters=self.parameters
         )
@@ -253,8 +251,11 @@ def over_time(axes: Axes, motion: Motion, name: str, *, timed: bool = True) -> N
     """Draw a component over time."""
     index = motion.H.names.index(name)
     dense = motion.z[..., 0].size > 5 * _DENSE
-    for z, style, text in zip(motion.z, motion.path_styles, motion.labels(), strict=True):
-        axes.plot(*envelope(motion.t, z[:, index]), **style, label=text, rasterized=dense)
+    for place, text in enumerate(motion.labels()):
+        t, values = envelope(motion.t, motion.z[place, :, index])
+        # An envelope is a band, also where lines between the samples would be chords.
+        style = (motion.path_styles if len(t) == len(motion.t) else motion.styles)[place]
+        axes.plot(t, values, **style, label=text, rasterized=dense)
     if motion.warning:
         _fold_escape(axes, motion, index)
     label(axes.yaxis, *quantity(motion.H, name))

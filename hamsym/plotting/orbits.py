@@ -23,6 +23,7 @@ from hamsym.plotting.motions import (
 )
 from hamsym.plotting.names import energy_unit, number, quantity, time_name
 from hamsym.plotting.panels import Panel, draw_panels
+from hamsym.plotting.sampling import resolved
 from hamsym.plotting.spectra import draw_multipliers
 from hamsym.plotting.style import GREY, MARKERS, SAMPLES, color_of, style_for
 
@@ -41,13 +42,13 @@ def draw_orbit(orbit: PeriodicOrbit, *names: Any, ax: Any = None) -> Any:
     """Draw an orbit and its multipliers; see :meth:`hamsym.PeriodicOrbit.plot`."""
     H = orbit.H
     start = orbit.problem.start
-    t = start + np.linspace(0, orbit.period, SAMPLES)
+    t, z, apart = resolved(orbit, start + np.linspace(0, orbit.period, SAMPLES))
     time, energy = quantity(H, time_name(H))[1], energy_unit(H)
     words = ["Period", f"{number(orbit.period, 8)} {time}".strip() + ",", "energy"]
     words += [f"{number(orbit.energy, 8)} {energy}".strip() + ",", orbit.stability + ","]
     words += ["estimated", "error", number(orbit.error_estimate, 2)]
     warning = "" if orbit.success else f"Failed: {orbit.message}"
-    motion = Motion(H, t, orbit(t)[None], sentences=[words], warning=warning)
+    motion = Motion(H, t, z[None], sentences=[words], warning=warning, apart=apart)
     if names and names != ("multipliers",):
         for name in names:
             component_of(H, name, "multipliers")

@@ -31,12 +31,16 @@ from hamsym.plotting.orbits import draw_family, draw_orbit, draw_orbit_certifica
 from hamsym.plotting.sections import draw_section
 from hamsym.plotting.solutions import draw_solution, draw_solutions
 from hamsym.plotting.spectra import draw_tangent_map
+from hamsym.plotting.sweeps import draw_stored_sweep, draw_sweep
 from hamsym.plotting.trajectories import draw_trajectory
 from hamsym.proof.box_certificate import BoxCertificate
 from hamsym.proof.certificate import Certificate
 from hamsym.proof.enclose import Enclosure
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Comparison
+from hamsym.study.grid import StoredSweep
+from hamsym.study.sweep import Sweep
+from hamsym.suggestions import checked_keywords
 
 __all__ = ["plot"]
 
@@ -88,6 +92,8 @@ _FIGURES = (
     (FlowMap, draw_flow_map),
     (Section, draw_section),
     (Comparison, draw_comparison),
+    (Sweep, draw_sweep),
+    (StoredSweep, draw_stored_sweep),
     (LyapunovExponents, draw_lyapunov),
     (LyapunovMap, draw_lyapunov_map),
     (ChaosIndicators, draw_chaos_indicators),
@@ -102,4 +108,4 @@ _FIGURES = (
     (BoxCertificate, draw_box_certificate),
 )
 for _type, _draw in _FIGURES:
-    plot.register(_type, _draw)
+    plot.register(_type, checked_keywords(_draw, "plot"))

@@ -14,12 +14,15 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, one_panel
-from hamsym.plotting.names import known_name, math_name, quantity
+from hamsym.plotting.motions import parameters_of, varying
+from hamsym.plotting.names import known_name, math_name, number, quantity, with_unit
 from hamsym.plotting.style import COLORS, COLUMN, MAX_LINES, SEQUENTIAL, style_for
 from hamsym.surface import parse_surface
 
 __all__ = ["draw_section"]
 
+_VARIED = 2  # quantities of a start in the legend
+_ROUND_OFF = 1e-12  # of a range: a smaller value is zero
 _ASIDE = 1e-6  # of the time scale of the motion: distance along the flow to see the direction
 
 
@@ -36,15 +39,18 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
     rising, direction = _directions(section)
     sentences = [direction, section.message]
     if len(numbers) > MAX_LINES:
-        sentences.insert(0, f"{len(numbers):,} trajectories, coloured by their number")
+        sentences.insert(0, f"{len(numbers):,} trajectories")
+    varied, unit, values = "number", "", np.arange(len(section.z0), dtype=float)
     if H is None:
         words = [word for text in sentences if text for word in f"{text}.".split()]
     else:
-        words = caption_words(H, *sentences)
+        shared, ranges = parameters_of(H, section.parameters)
+        words = caption_words(H, *([ranges] if ranges else []), *sentences, parameters=shared)
+        varied, unit, values = varying(H, section.z0, section.parameters)
     warning = "" if section.success else f"Failed: {section.message}"
     with one_panel(ax, words, warning, width=COLUMN + 3, height=9.0) as axes, style_for(ax):
         i, j = section.names.index(x), section.names.index(y)
-        norm = Normalize(0, max(int(numbers.max(initial=0)), 1))
+        norm = Normalize(float(values.min()), float(values.max()))
         colors = matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, 256))
         shades = ListedColormap(colors)
         size = 4.0 if len(section.t) < 500 else 2.6 if len(section.t) < 5_000 else 1.6
@@ -54,15 +60,24 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
                     section.z[where, i],
                     section.z[where, j],
                     s=size**2,
-                    c=shades(norm(section.trajectory[where])),
+                    c=shades(norm(values[section.trajectory[where]])),
                     marker=marker,
                     linewidths=0.4 if marker == "+" else 0,
                     rasterized=len(section.t) > 5_000,
                 )
             bar = figure_of(axes).colorbar(ScalarMappable(norm, shades), ax=axes, pad=0.02)
-            label(bar.ax.yaxis, "number of the trajectory")
+            text = "number of the trajectory" if varied == "number" else varied
+            label(bar.ax.yaxis, text, unit)
         else:
-            _draw_named(axes, section, i, j, numbers, rising, size)
+            if varied == "number":
+                entries, title = _starts(section), "trajectory: start"
+            else:
+                entries = [number(value, 4) for value in values.tolist()]
+                title = with_unit(varied, unit)
+            _draw_named(axes, section, i, j, [entries[k] for k in numbers], rising, size)
+            if len(numbers) > 1:
+                beside: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}
+                axes.legend(title=title, title_fontsize=7, markerscale=6 / size, **beside)
         for axis, name in ((axes.xaxis, x), (axes.yaxis, y)):
             label(axis, *(quantity(H, name) if H is not None else (math_name(name), "")))
         if not len(section.t):
@@ -77,16 +92,17 @@ def _draw_named(
     section: Section,
     i: int,
     j: int,
-    numbers: np.ndarray,
+    entries: list[str],
     rising: np.ndarray,
     size: float,
 ) -> None:
-    """Draw the crossings of few trajectories, each with an entry in a legend."""
+    """Draw the crossings of few trajectories, each with its entry of a legend."""
+    numbers = np.unique(section.trajectory)
     colors: list[Any] = list(COLORS)
     if len(numbers) > len(COLORS):
         colors = list(matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, len(numbers))))
-    for number, color in zip(numbers.tolist(), colors, strict=False):
-        own = section.trajectory == number
+    for place, text, color in zip(numbers.tolist(), entries, colors, strict=False):
+        own = section.trajectory == place
         for where, marker in ((own & rising, "."), (own & ~rising, "+")):
             axes.plot(
                 section.z[where, i],
@@ -96,12 +112,26 @@ def _draw_named(
                 markersize=size,
                 markeredgewidth=0.4 if marker == "+" else 0,
                 color=color,
-                label=f"{number}" if marker == "." or not (own & rising).any() else "",
+                label=text if marker == "." or not (own & rising).any() else "",
                 rasterized=len(section.t) > 5_000,
             )
-    if len(numbers) > 1:
-        beside: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}
-        axes.legend(title="trajectory", title_fontsize=7, markerscale=6 / size, **beside)
+
+
+def _starts(section: Section) -> list[str]:
+    """Return a text for each trajectory: its number, and what varies among the starts."""
+    columns = {**section.parameters, **dict(zip(section.names, section.z0.T, strict=True))}
+    varied = []
+    for name, own in columns.items():
+        extent = np.ptp(own)
+        if extent > 0:
+            rounded = np.where(np.abs(own) < _ROUND_OFF * extent, 0.0, own)
+            varied.append((math_name(name), rounded))
+    texts = []
+    for place in range(len(section.z0)):
+        values = [f"{name} = {number(float(own[place]), 4)}" for name, own in varied[:_VARIED]]
+        more = ", …" if len(varied) > _VARIED else ""
+        texts.append(f"{place}: {', '.join(values)}{more}" if values else f"{place}")
+    return texts
 
 
 def _directions(section: Section) -> tuple[np.ndarray, str]:
@@ -113,17 +143,28 @@ def _directions(section: Section) -> tuple[np.ndarray, str]:
     value = parse_surface(H, section.surface).value
     system = H.compile("numpy")
     with np.errstate(all="ignore"):
-        rates = np.asarray(system.vector_field(*system.arguments(section.z, section.t)))
+        rows = _parameter_rows(section, H)
+        arguments = system.arguments(section.z, section.t)
+        rates = np.asarray(system.vector_field(*arguments, **system.keywords(rows)))
         sizes = np.abs(section.z).max(axis=0) / np.abs(rates).max(axis=0)
         step = _ASIDE * float(np.nanmin(np.where(sizes > 0, sizes, np.nan), initial=1.0))
-        change = value(section.z + step * rates, section.t) - value(
-            section.z - step * rates, section.t
-        )
+        ahead, behind = section.z + step * rates, section.z - step * rates
+        change = value(ahead, section.t, rows) - value(behind, section.t, rows)
     rising = np.asarray(change) >= 0
     left = section.surface.split(",")[0].strip()
     if rising.all() or not rising.any():
         return np.ones_like(rising), f"{left} is crossed {'up' if rising.all() else 'down'}wards"
     return rising, f"Dots: {left} is crossed upwards; crosses: downwards"
+
+
+def _parameter_rows(section: Section, H: Hamiltonian) -> np.ndarray | None:
+    """Return the parameters at each crossing, shape (n, k), or None where all have those of H."""
+    if not section.parameters:
+        return None
+    every = np.ones(len(section.z0))
+    shared = {name: value * every for name, value in H.parameters.items()}
+    known = {**shared, **section.parameters}
+    return np.stack([known[name] for name in H.parameter_names], axis=-1)[section.trajectory]
 
 
 def _surface_text(section: Section) -> str:

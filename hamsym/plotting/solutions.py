@@ -27,6 +27,7 @@ from hamsym.plotting.motions import (
     varying,
 )
 from hamsym.plotting.names import energy_unit, quantity, time_name
+from hamsym.plotting.sampling import resolved, thinned
 from hamsym.plotting.style import (
     SAMPLES,
     WARNING,
@@ -39,7 +40,7 @@ from hamsym.solution.solution import Solution
 
 __all__ = ["draw_solution", "draw_solutions"]
 
-_MAX_TIMES = 20_000
+_MOST_OF_ERRORS = 4_000
 _ASKED_STYLE: dict[str, Any] = {"color": "black", "linestyle": ":", "label": "asked for"}
 _WORDS = ("error", "residual", "energy", "search")
 
@@ -83,24 +84,22 @@ def draw_solution(
 
 
 def _motion(solution: Solution) -> Motion:
-    t = _times(solution)
+    t, z, apart = resolved(solution, solution.record.times(solution.span, SAMPLES))
     return Motion(
         solution.H,
         t,
-        solution(t)[None],
+        z[None],
         sentences=[
             f"Method {solution.method}" + (f": {solution.message}" if solution.success else "")
         ],
         warning="" if solution.success else f"Failed: {solution.message}",
+        apart=apart,
     )
 
 
-def _times(solution: Solution, most: int = _MAX_TIMES) -> np.ndarray:
-    """Return times that resolve the motion, as far as their number allows."""
-    times = solution.record.times(solution.span, SAMPLES)
-    if len(times) <= most:
-        return times
-    return np.append(times[: -1 : -(-len(times) // most)], times[-1])
+def _times(solution: Solution) -> np.ndarray:
+    """Return the times of curves of errors."""
+    return thinned(solution.record.times(solution.span, SAMPLES), _MOST_OF_ERRORS)
 
 
 def asked_of(solution: Solution, sizes: np.ndarray) -> list[tuple[float, dict[str, Any]]]:
@@ -135,7 +134,7 @@ def draw_error(axes: Axes, solution: Solution, certificate: Certificate | None =
     Of a certificate, the proven bound of the largest relative error and the band down to its lower
     bound. Return sentences for the caption.
     """
-    H, t = solution.H, _times(solution, 4_000)
+    H, t = solution.H, _times(solution)
     sizes = solution.scale if solution.error is None else solution.error.scale
     with np.errstate(all="ignore"):
         values = _relative(np.asarray(solution.error_estimate(t)), sizes)
@@ -159,7 +158,7 @@ def draw_error(axes: Axes, solution: Solution, certificate: Certificate | None =
 
 def draw_residual(axes: Axes, solution: Solution) -> None:
     """Draw the residual of each component relative to its largest rate."""
-    t = _times(solution, 4_000)
+    t = _times(solution)
     residual = np.asarray(solution.residual(t))
     rates = np.abs(np.asarray(solution.derivative(t))).max(axis=0)
     log_lines(axes, t, component_curves(solution.H, _relative(residual, rates)))
@@ -171,7 +170,7 @@ def draw_residual(axes: Axes, solution: Solution) -> None:
 
 def draw_energy_error(axes: Axes, solution: Solution) -> None:
     """Draw the change of H, less the work of forces and explicit time."""
-    H, t = solution.H, _times(solution, 4_000)
+    H, t = solution.H, _times(solution)
     jumps = (sympy.sign, sympy.Heaviside, sympy.Piecewise, sympy.floor)
     label_time(axes, H)
     if H.time is not None and any(H.expr.has(kind) for kind in jumps):
@@ -248,7 +247,8 @@ def _ensemble(many: Solutions) -> tuple[Motion, Solutions]:
     """Return the trajectories that are drawn, as a motion and as solutions."""
     chosen = chosen_members(many.size)
     shown = Solutions(many.family, many.table, many.windows, many.members.ravel()[chosen])
-    t = np.linspace(*many.span, SAMPLES)
+    times = np.linspace(*many.span, SAMPLES)
+    t, z, apart = resolved(shown, times, len(chosen))
     failed = int(many.size - many.success.sum())
     warning = ""
     if failed:
@@ -258,12 +258,13 @@ def _ensemble(many: Solutions) -> tuple[Motion, Solutions]:
     motion = Motion(
         many.H,
         t,
-        shown(t),
+        z,
         total=many.size,
         sentences=[ranges, f"Relative tolerance {many.tol:.1e}"],
         warning=warning,
         varied=varying(many.H, shown.z0, shown.parameters),
         parameters=same,
+        apart=apart,
     )
     return motion, shown
 

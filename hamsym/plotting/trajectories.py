@@ -24,9 +24,13 @@ from hamsym.plotting.motions import (
     varying,
 )
 from hamsym.plotting.names import energy_unit
+from hamsym.plotting.sampling import resolved
 from hamsym.plotting.style import SAMPLES, style_for, styled
 
 __all__ = ["draw_trajectory"]
+
+
+_SAVE_MORE = "Dots: the saved states, which are too far apart for lines between them; save more"
 
 
 def draw_trajectory(trajectory: Trajectory, *names: Any, ax: Any = None) -> Any:
@@ -90,24 +94,25 @@ def _motion(trajectory: Trajectory, chosen: np.ndarray) -> Motion:
     )
 
 
-def _resolved(trajectory: Trajectory, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return times and states to draw, between few saved ones, and whether those are far apart."""
+def _resolved(trajectory: Trajectory, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
+    """Return times and states to draw, between few saved ones, and a sentence if they are few."""
     members, t = trajectory.ensemble, trajectory.t
     z = _flat(trajectory.z, trajectory, 2)[chosen]
     if len(t) < 2:
-        return t, z, False
+        return t, z, ""
     own = replace(
         members,
         states=members.states[chosen],
         parameters=members.parameters[chosen],
         shape=(len(chosen),),
     )
-    dense = np.linspace(t[0], t[-1], SAMPLES)
     try:
-        states = Interpolant(t, z, own).states(dense)
+        between = Interpolant(t, z, own).states
+        first = np.linspace(t[0], t[-1], SAMPLES)
+        dense, states, apart = resolved(between, first, len(chosen))
     except InputError:
-        return t, z, True
-    return (dense, states, False) if len(t) < SAMPLES else (t, z, False)
+        return t, z, _SAVE_MORE
+    return (dense, states, apart) if len(t) < len(dense) else (t, z, "")
 
 
 def _flat(values: np.ndarray, trajectory: Trajectory, kept: int) -> np.ndarray:

@@ -7,7 +7,7 @@ import math
 import re
 import reprlib
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ import numpy as np
 
 import hamsym
 from hamsym.errors import FileError, InputError
+from hamsym.formula.parser import check_name
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
 from hamsym.proof.error_bounds import MOST_LEAVES
 from hamsym.suggestions import suggest_attributes
@@ -76,6 +77,8 @@ class Certificate(Shown):
         Of the proof: enclosures on windows, or Taylor steps.
     asked : tuple of float or None
         The bound on each component's error that was asked for, and is proven.
+    components : tuple of str
+        Names of the components, for texts and figures; empty in certificates of earlier versions.
     """
 
     bound: float
@@ -94,6 +97,7 @@ class Certificate(Shown):
     seconds: float = field(compare=False)
     arithmetic: str = ARB
     asked: tuple[float, ...] | None = None
+    components: tuple[str, ...] = field(default=(), compare=False)
 
     def __repr__(self) -> str:
         start, end = self.edges[0], self.edges[-1]
@@ -139,7 +143,12 @@ class Certificate(Shown):
         places = range(max(first, 0), min(last, len(self.piece_bounds) - 1) + 1)
         return max(self.piece_bounds[place] for place in places)
 
-    def plot(self, *names: Any, ax: Any = None, components: Sequence[str] | None = None) -> Figure:
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the components; z_1, z_2, ... in a certificate without names."""
+        return self.components or tuple(f"z_{k + 1}" for k in range(len(self.component_bounds)))
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
         """Draw the proven bound over time, and the bounds of each component.
 
         Parameters
@@ -148,16 +157,13 @@ class Certificate(Shown):
             One of these panels alone.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
-        components : sequence of str, optional
-            Names of the components, ``solution.H.names``; a certificate holds no H, and calls them
-            z_1, z_2, ...
 
         Raises
         ------
         InputError
-            If a name is unknown, ``ax`` is given for two panels, or the components are not as many.
+            If a name is unknown, or ``ax`` is given for two panels.
         """
-        return hamsym.plot(self, *names, ax=ax, components=components)
+        return hamsym.plot(self, *names, ax=ax)
 
     @property
     def statement(self) -> str:
@@ -195,17 +201,15 @@ class Certificate(Shown):
             f"SHA-256 of the solution: {self.digest}."
         )
 
-    def summary(self, names: Sequence[str] | None = None, rows: int | None = ROWS) -> str:
+    def summary(self, rows: int | None = ROWS) -> str:
         """Describe the claim as text: the bounds, then the statement.
 
         Parameters
         ----------
-        names : sequence of str, optional
-            Names of the components.
         rows : int, optional
             Most rows of the table; None for all.
         """
-        labels = list(names or (f"z[{k}]" for k in range(len(self.component_bounds))))
+        labels = self.labels
         worst = max(range(len(labels)), key=self.component_bounds.__getitem__)
         first = (
             f"proven: error at most {decimal(self.bound)} (2-norm); the largest of a component is "
@@ -251,6 +255,8 @@ class Certificate(Shown):
         if self._version > 1:
             values["arithmetic"] = self.arithmetic
             values["asked"] = None if self.asked is None else [repr(part) for part in self.asked]
+        if self.components:
+            values["components"] = list(self.components)
         return json.dumps(values, indent=1)
 
     @classmethod
@@ -273,6 +279,7 @@ LOWER = ("lower", "component_lowers", "energy_lower", "ell_max_lower")
 LISTS = ("component_bounds", "component_lowers", "edges", "piece_bounds")
 WRITTEN_OUT = ("edges", "rtol", "seconds")  # with all digits, as is asked
 SECOND = {"arithmetic", "asked"}  # from version 2 on
+OPTIONAL = {"components"}
 NAMES = {"kind", "version", "statement"} | {entry.name for entry in fields(Certificate)}
 assert {*UPPER, *LOWER, *LISTS, *WRITTEN_OUT} < NAMES
 
@@ -286,7 +293,7 @@ def _from_json(text: str) -> Certificate:
     version = values.get("version")
     if type(version) is not int or version not in _VERSIONS:
         raise ValueError(f"its version is not one of {', '.join(map(str, _VERSIONS))}")
-    if values.keys() != (NAMES if version > 1 else NAMES - SECOND):
+    if values.keys() | OPTIONAL != (NAMES if version > 1 else NAMES - SECOND):
         raise ValueError("it has missing or extra entries")
     known: dict[str, Any] = {name: _numbers(values[name]) for name in (*UPPER, *LOWER)}
     known |= {name: _numbers(values[name], repr) for name in WRITTEN_OUT}
@@ -294,6 +301,10 @@ def _from_json(text: str) -> Certificate:
         asked = values["asked"]
         known["arithmetic"] = values["arithmetic"]
         known["asked"] = None if asked is None else _numbers(asked, repr)
+    if "components" in values:
+        if not isinstance(values["components"], list) or not values["components"]:
+            raise ValueError("its components are not a list of names")
+        known["components"] = tuple(values["components"])
     certificate = Certificate(**known, bits=values["bits"], digest=values["digest"])
     check(certificate)
     if certificate._version != version:
@@ -315,6 +326,8 @@ def check(certificate: Certificate) -> None:
         value = getattr(certificate, entry.name)
         if entry.name in LISTS:
             valid = isinstance(value, tuple) and all(type(part) is float for part in value)
+        elif entry.name == "components":
+            valid = isinstance(value, tuple) and all(type(part) is str for part in value)
         elif entry.name in ("bits", "digest", "arithmetic"):
             valid = type(value) is (int if entry.name == "bits" else str)
         elif entry.name == "asked":
@@ -339,6 +352,11 @@ def check(certificate: Certificate) -> None:
         pairs = zip(certificate.component_bounds, certificate.asked, strict=True)
         if not all(0 <= bound <= asked < math.inf for bound, asked in pairs):
             raise ValueError("the bounds that it was asked for are not proven by its own")
+    if certificate.components:
+        if len({*certificate.components}) != len(certificate.component_bounds):
+            raise ValueError("its components do not have a name each")
+        for name in certificate.components:
+            check_name(name)
     _check_pieces(certificate.edges, certificate.piece_bounds)
     _check_bounds(certificate)
 

@@ -138,7 +138,11 @@ def certify(
         _require_below(claims, asked, solution.H.names)
         claims["asked"] = asked
     return Certificate(
-        **claims, rtol=float(rtol), digest=known_by, seconds=time.monotonic() - began
+        **claims,
+        rtol=float(rtol),
+        digest=known_by,
+        seconds=time.monotonic() - began,
+        components=tuple(solution.H.names),
     )
 
 
@@ -300,6 +304,8 @@ def verify(
         raise CertificationError("the certificate and the solution have different spans")
     if len(claims.component_bounds) != solution.H.dim:
         raise CertificationError("the certificate and the solution have different dimensions")
+    if claims.components and claims.components != tuple(solution.H.names):
+        raise CertificationError("the certificate and the solution name components differently")
     deadline = _deadline(time_limit, claims.seconds)
     if claims.arithmetic == FLOAT64:
         try:

@@ -9,10 +9,8 @@ Stage 3  If both together exceed the tolerance, march again with a tighter local
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -30,6 +28,7 @@ from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import MAX_WINDOWS, march
 from hamsym.random_features.member_loop import MARGIN, MOST, SMALLEST, STEP
 from hamsym.random_features.members import MemberSolver
+from hamsym.random_features.options import FEWEST_WINDOWS, FeatureOptions
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.accuracy import (
@@ -42,11 +41,9 @@ from hamsym.solution.accuracy import (
 from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.solution import Solution
 from hamsym.solution.window_error import allowed_errors, largest_ratio
-from hamsym.support.option_fields import option
 
 __all__ = [
     "Accuracy",
-    "FeatureOptions",
     "accepted_solution",
     "basis_for",
     "checked_accuracy",
@@ -60,24 +57,6 @@ _LOCAL = 0.1  # local tolerance of the first march, relative to the tolerance
 _ATTEMPTS = 6
 _LOOSER, _NEAR_ROUND_OFF = 4.0, 1e-11  # local tolerance of a march after one that is in doubt
 _JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
-_FEWEST_WINDOWS = 8  # so that a short event in a long rest is sampled
-
-
-@dataclass(frozen=True)
-class FeatureOptions:
-    """Options of the method "features"; see :func:`hamsym.solve`."""
-
-    tol: float = option(1e-9, "Tolerance, relative to the largest value of each component.")
-    atol: float | Sequence[float] = option(
-        0.0, "Absolute tolerance, one or one for each component.", unit="NUMBERS"
-    )
-    breakpoints: Sequence[float] = option((), "Times at which a window ends.", unit="TIMES")
-    max_window: float | None = option(
-        None, "Longest window.", default_text=f"span/{_FEWEST_WINDOWS}", unit="TIME"
-    )
-    compiled: bool | Literal["auto"] = option(
-        "auto", "Compile the march.", choices={"auto": "auto", "yes": True, "no": False}
-    )
 
 
 @dataclass(frozen=True)
@@ -127,7 +106,7 @@ def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: in
         max(_LOCAL * tol, SMALLEST),
         checked_atol(options.atol, dim),
         checked_window(
-            options.max_window, span, abs(span[1] - span[0]) / _FEWEST_WINDOWS, MAX_WINDOWS
+            options.max_window, span, abs(span[1] - span[0]) / FEWEST_WINDOWS, MAX_WINDOWS
         ),
         checked_breakpoints(options.breakpoints, span),
     )

@@ -27,13 +27,18 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import checked_span
 from hamsym.study.grid_stores import Box, GridStore, box_shape, store_at
 from hamsym.study.grid_tasks import Columns, checked_options, computed
+from hamsym.suggestions import suggest_attributes
 from hamsym.support.locking import exclusive
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Shown
+from hamsym.support.tables import data_frame
+from hamsym.support.text_tables import table, wrapped
 from hamsym.support.validation import plain, require_whole
 
-if TYPE_CHECKING:  # an optional package
+if TYPE_CHECKING:  # optional packages
+    import pandas
     from distributed import Client
+    from matplotlib.figure import Figure
 
 __all__ = ["StoredSweep", "sweep_to_store"]
 
@@ -47,6 +52,7 @@ _RESERVED = {
 }
 
 
+@suggest_attributes
 @dataclass(frozen=True)
 class StoredSweep(Shown):
     """A sweep over a grid in a store.
@@ -84,6 +90,70 @@ class StoredSweep(Shown):
             If xarray or pandas is not installed.
         """
         return self.store.open()
+
+    def values(self) -> dict[str, np.ndarray]:
+        """Return what has one value at each point of the grid, by name, each of ``shape``.
+
+        A component or an exponent is an array of its own, ``z0_x`` or ``exponent_1``; what has a
+        value for each time or crossing is only in the store. Points that are not ``done`` have nan,
+        False or "".
+
+        Raises
+        ------
+        InputError
+            If zarr or pandas is not installed.
+        """
+        return self.store.values()
+
+    def summary(self) -> str:
+        """Describe the store in text: how many points are done and succeeded, and the axes."""
+        found, size = self.values(), int(np.prod(self.shape))
+        state = "complete" if self.complete else "interrupted" if self.interrupted else "open"
+        words = f"{state}: {self.done:,} of {size:,} points in {self.path.name}"
+        if "success" in found:
+            words += f", of which {int(found['success'].sum()):,} succeeded"
+        rows = [
+            [name, f"{len(axis):,}", f"{axis.min():.6g}", f"{axis.max():.6g}"]
+            for name, axis in self.store.axes.items()
+        ]
+        heads = ["axis", "values", "from", "to"]
+        return "\n".join([wrapped(words), "", *table(heads, rows)])
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return :meth:`values` as a table of pandas with a row for each point of the grid.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        grid = np.meshgrid(*self.store.axes.values(), indexing="ij")
+        axes = {name: each.ravel() for name, each in zip(self.store.axes, grid, strict=True)}
+        found = {name: each.ravel() for name, each in self.values().items()}
+        attributes = {n: v for n, v in self.store.attributes.items() if n != "request"}
+        return data_frame({**axes, **found}, attributes=attributes)
+
+    def plot(self, *names: str, at: Mapping[str, float] | None = None, ax: Any = None) -> Figure:
+        """Draw values over one axis of the grid, or in the plane of two; failed points are red.
+
+        Parameters
+        ----------
+        *names : str
+            One of :meth:`values`. By default ``excess``, the error in parts of what was asked for,
+            of solutions, the first exponent and the energy error, the number of crossings, or what
+            a function returned.
+        at : mapping, optional
+            Name of an axis -> its value, the nearest of the grid. By default a grid of more than
+            two axes is drawn at the first values of all but the first two.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for several panels.
+        """
+        return hamsym.plot(self, *names, at=at, ax=ax)
 
     def __repr__(self) -> str:
         size = int(np.prod(self.shape))

@@ -143,6 +143,21 @@ class GridStore:
         """Open the store with the package that reads it."""
         raise NotImplementedError
 
+    def values(self) -> dict[str, np.ndarray]:
+        """Return what has one value at each point, in arrays of the shape of the grid.
+
+        An exponent or a component is an array of its own, ``exponent_1`` or ``z0_x``. ``done``
+        tells which points are in the store; others have nan, False or "".
+        """
+        raise NotImplementedError
+
+    def _labels(self, axes: tuple[str, ...], shape: tuple[int, ...]) -> list[str]:
+        names = [
+            [f"_{label}" for label in self.coordinates.get(axis, range(length))]
+            for axis, length in zip(axes, shape, strict=True)
+        ]
+        return ["".join(parts) for parts in itertools.product(*names)]
+
     def _head(self) -> dict[str, Any]:
         raise NotImplementedError
 
@@ -222,6 +237,20 @@ class _ZarrStore(GridStore):
             raise _missing("xarray") from None
         return xarray.open_zarr(self.path, consolidated=None if self._is_complete() else False)
 
+    def values(self) -> dict[str, np.ndarray]:
+        group = zarr_of().open_group(self.path, mode="r")
+        found: dict[str, np.ndarray] = {}
+        for name, array in group.arrays():
+            axes = tuple(array.metadata.dimension_names or ())
+            inner = axes[len(self.shape) :]
+            if axes[: len(self.shape)] != tuple(self.axes) or {*inner} & {*_LONG}:
+                continue
+            whole = np.asarray(array[...])
+            rest = whole.reshape(*self.shape, -1)
+            for k, label in enumerate(self._labels(inner, whole.shape[len(self.shape) :])):
+                found[name + label] = rest[..., k]
+        return found
+
 
 class _ParquetStore(GridStore):
     """A folder of parquet files, one for each box: a table of pandas."""
@@ -273,13 +302,6 @@ class _ParquetStore(GridStore):
                 found[name + label] = rest[:, k]
         return found
 
-    def _labels(self, axes: tuple[str, ...], shape: tuple[int, ...]) -> list[str]:
-        names = [
-            [f"_{label}" for label in self.coordinates.get(axis, range(length))]
-            for axis, length in zip(axes, shape, strict=True)
-        ]
-        return ["".join(parts) for parts in itertools.product(*names)]
-
     def complete(self) -> None:
         head = self._head() | {"complete": 1}
         write_atomically(self.path / _HEAD, json.dumps(head).encode())
@@ -291,8 +313,34 @@ class _ParquetStore(GridStore):
             raise _missing("pandas") from None
         return pandas.read_parquet(self.path)
 
+    def values(self) -> dict[str, np.ndarray]:
+        written = [box for box in self.boxes if self._file(box).exists()]
+        done = np.zeros(self.shape, dtype=bool)
+        found: dict[str, np.ndarray] = {"done": done}
+        if not written:
+            return found
+        # Of each point the first row: others are further times or crossings.
+        table = self.open().drop_duplicates(list(self.axes))
+        place = []
+        for name, axis in self.axes.items():
+            order = np.argsort(axis)
+            place.append(order[np.searchsorted(axis, table[name], sorter=order)])
+        done[tuple(place)] = True
+        of_rows = _OF_ROWS.get(self.attributes["task"], ())
+        for name in table.columns:
+            if name in self.axes or name.startswith(of_rows):
+                continue
+            column = table[name].to_numpy()
+            fill: Any = {"b": False, "O": ""}.get(column.dtype.kind, math.nan)
+            kind = float if column.dtype.kind in "iu" else column.dtype
+            found[name] = np.full(self.shape, fill, dtype=kind)
+            found[name][tuple(place)] = column
+        return found
+
 
 _ROWS = [(name,) for name in _LONG]
+#: How columns begin that have a value for each time or crossing, by task.
+_OF_ROWS = {"solve": ("time", "state_"), "section": ("t", "z_")}
 _KINDS: dict[str, type[GridStore]] = {".zarr": _ZarrStore, ".parquet": _ParquetStore}
 
 

@@ -17,12 +17,13 @@ from hamsym.archive import load_solution
 from hamsym.description import settings_text
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.methods import METHODS
 from hamsym.networks.options import LevenbergMarquardtOptions
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
-from hamsym.solving import METHODS, checked_options, solve
+from hamsym.solving import checked_options, solve
 from hamsym.support.atomic import write_atomically
 
 if TYPE_CHECKING:

@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import hamsym
 from hamsym.archive import load_solution
 from hamsym.errors import FileError, InputError
-from hamsym.hamiltonian import HamiltonianLike
+from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.solution import Solution
+from hamsym.solving import checked_options
 from hamsym.study.compare import Row, measure
 from hamsym.study.grid import sweep_to_store
 from hamsym.study.processes import carry_out, carry_out_on
@@ -29,10 +31,14 @@ from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.cores import available_cores
 from hamsym.support.locking import exclusive
 from hamsym.support.shown import Shown
-from hamsym.support.validation import require_positive, require_whole
+from hamsym.support.tables import data_frame
+from hamsym.support.text_tables import ROWS, left_out, table, wrapped
+from hamsym.support.validation import plain, require_positive, require_whole
 
-if TYPE_CHECKING:  # an optional package
+if TYPE_CHECKING:  # optional packages
+    import pandas
     from distributed import Client
+    from matplotlib.figure import Figure
 
 __all__ = ["Sweep", "sweep"]
 
@@ -55,17 +61,133 @@ class Sweep(Shown):
     certificates : mapping
         Name of the settings -> for each seed a :class:`Certificate`, or the reason for which
         there is none. Empty without ``certify``.
+    settings : mapping
+        Name of the settings -> values of all options that any settings give, defaults where these
+        do not give them, None where their method has no such option. Of a function of the seed
+        they are those of the first seed.
     """
 
     seeds: tuple[int, ...]
     span: tuple[float, float]
     solutions: Mapping[str, tuple[Solution, ...]]
     certificates: Mapping[str, tuple[Certificate | str, ...]] = field(default_factory=dict)
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
         solved = {name: sum(s.success for s in found) for name, found in self.solutions.items()}
         listed = ", ".join(f"{n}: {k} of {len(self.seeds)} succeeded" for n, k in solved.items())
         return f"Sweep({len(self.seeds)} seeds; {listed})"
+
+    @property
+    def swept(self) -> dict[str, tuple[Any, ...]]:
+        """Options in which the settings differ, each with its value in each of the settings.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> given = {"coarse": {"tol": 1e-4}, "fine": {"tol": 1e-8}, "as usual": {}}
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     found = sweep("p**2/2 + x**2/2", [1, 0], (0, 1), given, folder=folder, workers=1)
+        >>> found.swept
+        {'tol': (0.0001, 1e-08, 1e-09)}
+        """
+        options = list(self.settings.values())
+        values = {
+            name: tuple(given[name] for given in options)
+            for name in (options[0] if options else ())
+        }
+        return {
+            name: found
+            for name, found in values.items()
+            if len({repr(plain(value)) for value in found}) > 1
+        }
+
+    def summary(self, rows: int | None = ROWS) -> str:
+        """Describe the runs in text: how many converged, then a line for each of the settings.
+
+        Parameters
+        ----------
+        rows : int, optional
+            The most lines of the table; None for all.
+        """
+        every = [solution for found in self.solutions.values() for solution in found]
+        converged = sum(bool(solution.success) for solution in every)
+        words = f"{converged:,} of {len(every):,} runs converged"
+        words += f", t from {self.span[0]:.6g} to {self.span[1]:.6g}"
+        if self.swept:
+            words += f"; the settings differ in {', '.join(self.swept)}"
+        lines = []
+        for name, found in self.solutions.items():
+            proofs = self.certificates.get(name, ())
+            proven = sum(not isinstance(proof, str) for proof in proofs)
+            lines.append(
+                [
+                    str(name),
+                    f"{sum(bool(solution.success) for solution in found)} of {len(found)}",
+                    f"{max(solution.relative_error_estimate for solution in found):.1e}",
+                    f"{proven} of {len(proofs)}" if proofs else "",
+                    f"{sum(solution.record.seconds for solution in found):.2g}",
+                ]
+            )
+        shown = lines if rows is None else lines[:rows]
+        header = ["settings", "converged", "error / size", "proven", "time s"]
+        more = left_out(len(lines) - len(shown), "settings")
+        return "\n".join([wrapped(words), "", *table(header, shown), *more])
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a table of pandas with a row for each run.
+
+        Columns are ``settings``, the options of :attr:`swept`, ``seed``, ``success``,
+        ``error`` (:attr:`hamsym.Solution.relative_error_estimate`), ``seconds``, ``message``, and
+        with certificates ``bound``, nan where there is none.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        runs = [
+            (place, name, number)
+            for place, name in enumerate(self.solutions)
+            for number in range(len(self.seeds))
+        ]
+        solutions = [self.solutions[name][number] for _, name, number in runs]
+        columns: dict[str, Any] = {"settings": [name for _, name, _ in runs]}
+        for option, values in self.swept.items():
+            columns[option] = [values[place] for place, _, _ in runs]
+        columns |= {
+            "seed": [self.seeds[number] for *_, number in runs],
+            "success": [bool(solution.success) for solution in solutions],
+            "error": [solution.relative_error_estimate for solution in solutions],
+            "seconds": [solution.record.seconds for solution in solutions],
+            "message": [solution.message for solution in solutions],
+        }
+        if self.certificates:
+            proofs = [self.certificates[name][number] for _, name, number in runs]
+            columns["bound"] = [
+                math.nan if isinstance(proof, str) else proof.bound for proof in proofs
+            ]
+        return data_frame(columns)
+
+    def plot(self, *names: str, ax: Any = None) -> Figure:
+        """Draw errors and times of all runs over the options in which the settings differ.
+
+        One option is the axis, a second one makes a series of each of its values. Where more
+        differ, or none is a number, the settings are drawn by name. Failed runs are red.
+
+        Parameters
+        ----------
+        *names : {"error", "time"}
+            The panel; by default both.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for two panels.
+        """
+        return hamsym.plot(self, *names, ax=ax)
 
     def rows(self, truth: Callable[[np.ndarray], np.ndarray]) -> dict[str, tuple[Row, ...]]:
         """Return the errors of all solutions; infinite for one that does not reach the end.
@@ -231,4 +353,23 @@ def sweep(
         for name, group in named.items()
         if certify is not None
     }
-    return Sweep(chosen, problem.span, solutions, certificates)
+    return Sweep(
+        chosen, problem.span, solutions, certificates, _values(problem.H, settings, chosen[0])
+    )
+
+
+def _values(
+    H: Hamiltonian, settings: Mapping[str, Settings], seed: int
+) -> dict[str, dict[str, Any]]:
+    """Return the values of the options that any settings give, for each of the settings."""
+    every = {
+        name: dict(given(seed) if callable(given) else given) for name, given in settings.items()
+    }
+    names = list(dict.fromkeys(option for given in every.values() for option in given))
+    found: dict[str, dict[str, Any]] = {}
+    for name, given in every.items():
+        method = given.get("method", "features")
+        own = {option: value for option, value in given.items() if option != "method"}
+        known = {"method": method, **vars(checked_options(H, method, own))}
+        found[name] = {option: known.get(option) for option in names if option != "initial"}
+    return found

@@ -15,7 +15,6 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -28,75 +27,18 @@ from sympy.polys.rings import PolyElement
 from hamsym.errors import InputError
 from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
 from hamsym.formula.printer import FormulaPrinter
-from hamsym.support.shown import Shown
 from hamsym.symbolic.differential_ring import PRIME, DifferentialRing
 from hamsym.symbolic.exact import rational
 from hamsym.symbolic.generators import UnsupportedFunctionError
+from hamsym.symbolic.invariant import Invariant
 
-__all__ = ["Invariant", "find_invariants", "is_proven", "suggested_basis"]
+__all__ = ["find_invariants", "is_proven", "suggested_basis"]
 
 _MOST_MONOMIALS = 3_000  # of one homogeneous part, whose matrix is dense
 _MOST_CANDIDATES = 20_000  # monomials in all
 _MOST_PRODUCTS = 3_000  # of known invariants
 _MOST_TERMS = 400  # of one invariant
 _SPARE = 12  # points beyond the number of unknowns
-
-
-@dataclass(frozen=True)
-class Invariant(Shown):
-    """A first integral of a Hamiltonian, from :meth:`hamsym.Hamiltonian.invariants`.
-
-    Attributes
-    ----------
-    expr : sympy.Expr
-        The function, in the symbols of H.
-    degree : int
-        Its degree in the state and the basis functions together.
-    independent : bool
-        Whether its gradient is independent of those of H and of the invariants before it, at a
-        random point.
-    holds_for : mapping of str to float
-        Values of parameters for which alone it was found to be invariant; empty if it is for all.
-
-    Examples
-    --------
-    >>> import hamsym
-    >>> found = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)**2").invariants()
-    >>> print(found[0])
-    p_x*y - p_y*x
-    """
-
-    expr: sympy.Expr
-    degree: int
-    independent: bool = True
-    holds_for: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-
-    @property
-    def formula(self) -> str:
-        """The function as text that is parsed to it again."""
-        return FormulaPrinter()(self.expr)
-
-    def __repr__(self) -> str:
-        return f"Invariant({str(self)!r}, degree {self.degree})"
-
-    def __str__(self) -> str:
-        values = ", ".join(f"{name} = {value!r}" for name, value in self.holds_for.items())
-        return self.formula + (f"   (for {values})" if values else "")
-
-    def _repr_latex_(self) -> str:
-        return rf"$\displaystyle {sympy.latex(self.expr)}$"
-
-    def __hash__(self) -> int:
-        return hash((self.expr, tuple(sorted(self.holds_for.items()))))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _invariant, (self.expr, self.degree, self.independent, dict(self.holds_for))
-
-
-def _invariant(
-    expr: sympy.Expr, degree: int, independent: bool, values: dict[str, float]
-) -> Invariant:
-    return Invariant(expr, degree, independent, MappingProxyType(values))
 
 
 def is_proven(

@@ -17,7 +17,8 @@ import torch
 
 from hamsym import systems
 from hamsym.random_features.members import Batch, MemberSolver
-from hamsym.random_features.method import FeatureOptions, basis_for, checked_accuracy
+from hamsym.random_features.method import basis_for, checked_accuracy
+from hamsym.random_features.options import FeatureOptions
 from hamsym.random_features.tensor_members import TensorSolver
 from hamsym.support.cores import available_cores
 

@@ -19,7 +19,7 @@ from hamsym.cli.commands import main
 from hamsym.codegen.backends import BACKENDS
 from hamsym.integrators import fixed_step
 from hamsym.integrators.table import listing
-from hamsym.solving import METHODS
+from hamsym.methods import METHODS
 
 OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
 HENON_HEILES = "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
@@ -710,10 +710,12 @@ def test_invariants_are_listed_with_those_that_depend(capsys: Captured) -> None:
     status, out, err = run(capsys, "invariants", kepler, "--degree", "3")
     assert (status, err) == (0, "")
     assert out.splitlines() == [
-        "p_x*y - p_y*x",
-        "p_x**2*y - p_x*p_y*x - y/sqrt(x**2 + y**2)",
-        "dependent: p_x*p_y*y - p_y**2*x + x/sqrt(x**2 + y**2)",
-        "each is proven; others may exist beyond degree 3",
+        "     degree  independent  formula",
+        "I_1       2          yes  p_x*y - p_y*x",
+        "I_2       3          yes  p_x**2*y - p_x*p_y*x - y/sqrt(x**2 + y**2)",
+        "I_3       3           no  p_x*p_y*y - p_y**2*x + x/sqrt(x**2 + y**2)",
+        "",
+        "each is proven in exact arithmetic, {f, H} = 0; others may exist beyond degree 3",
     ]
     polar = ["p_r**2/2 + p_phi**2/(2*r**2) - 1/r", "--degree", "4"]
     _, out, _ = run(capsys, "invariants", *polar, "--basis", "cos(phi)", "--basis", "sin(phi)")

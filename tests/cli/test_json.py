@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import re
@@ -112,6 +113,24 @@ def test_crossings_are_those_of_python(capsys: Captured) -> None:
     found = hamsym.section(OSCILLATOR, [1, 0], (0, 20), "x = 0, p > 0")
     assert values["t"] == found.t.tolist()
     assert values["z"]["p"] == found.z[:, 1].tolist()
+
+
+def test_reproduced_experiments_are_one_object(
+    capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tables of the experiments, which are progress, go to standard error."""
+    for script in ("oscillator", "page"):
+        module = importlib.import_module(f"hamsym.paper.{script}")
+        monkeypatch.setattr(module, "main", lambda options, name=script: print(f"table of {name}"))
+    status, values, err = run(capsys, "reproduce", "oscillator", "--quick", "--out", str(tmp_path))
+    assert (status, err) == (0, "table of oscillator\ntable of page\n")
+    assert values.pop("minutes") >= 0
+    assert values == {
+        "experiments": ["oscillator"],
+        "folder": str(tmp_path / "quick"),
+        "success": True,
+    }
+    assert documented("reproduce") >= values.keys()
 
 
 def test_several_trajectories_have_a_verdict_each(capsys: Captured) -> None:

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from hamsym import Certificate
-from hamsym.random_features.method import FeatureOptions, solve_by_features
-from hamsym.solving import METHODS, Method
+from hamsym.methods import METHODS, Method
+from hamsym.random_features.method import solve_by_features
+from hamsym.random_features.options import FeatureOptions
 from tests.cli.test_commands import Captured, run
 
 SOLVE = ["p**2/2 + x**2/2", "--z0", "1,0", "--t-end", "3", "--tol", "1e-8"]

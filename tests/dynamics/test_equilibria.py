@@ -338,6 +338,10 @@ def test_guesses_lead_to_their_equilibria() -> None:
     H = Hamiltonian("p**2/2 - cos(x)")
     [each] = H.equilibria({"x": 12.0, "p": 0.3})
     assert each.z[0] == pytest.approx(4 * math.pi)
+    with pytest.raises(
+        InputError, match=r"give box=\{'x': \(-4, 4\), ...\} .*or \[-4, 4\] for two"
+    ):
+        H.equilibria({"x": (-4, 4), "p": (-1, 1)})
     many = H.equilibria({"x": [0.1, 3.0, -0.1], "p": 0.0})
     assert len(many) == 2
     failed = equilibria("p**2/2 + exp(x)", [0.0, 0.0])

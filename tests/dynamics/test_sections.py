@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import warnings
 
 import numpy as np
@@ -123,6 +124,7 @@ def test_ensembles_are_sections_of_each(start: np.ndarray) -> None:
         assert np.all(np.diff(together.t[mine]) > 0)
     assert np.all(np.diff(together.trajectory) >= 0)
     assert together.energy_error < 1e-10
+    np.testing.assert_array_equal(together.z0, starts)
 
 
 @pytest.mark.slow_cases("options2")
@@ -156,6 +158,10 @@ def test_section_over_a_plane_of_parameters() -> None:
     np.testing.assert_allclose(found.t / period % 0.5, 0.25, atol=1e-9)
     speed = np.array([1.0, 2.0])[start] * np.sqrt(k)[parameter]
     np.testing.assert_allclose(np.abs(found.z[:, 1]), speed, rtol=1e-9)
+    if importlib.util.find_spec("pandas"):
+        table = found.to_dataframe()
+        np.testing.assert_array_equal(table["k"], np.array(k)[parameter])
+        np.testing.assert_array_equal(table["z0_x"], np.array([1.0, 2.0])[start])
 
 
 def test_direction_and_number_of_crossings(start: np.ndarray) -> None:

@@ -12,6 +12,7 @@ from matplotlib.colors import to_hex
 
 import hamsym
 from hamsym.errors import InputError
+from hamsym.plotting import sampling
 from hamsym.plotting.figure import Figure
 from hamsym.plotting.motions import MAX_DRAWN, largest_of_pieces, plane_title, same_scale
 from hamsym.plotting.style import COLORS
@@ -201,6 +202,30 @@ def test_saved_states_too_far_apart_are_dots() -> None:
     assert all(figure.axes[k].lines[0].get_linestyle() == "None" for k in (0, 1, 2))
     assert "too far apart for lines" in " ".join(figure.caption.split())
     check_layout(figure)
+
+
+def chords(axes: Any) -> np.ndarray:
+    """Distances from the origin of the middles of the lines of a path."""
+    path = np.column_stack(max(axes.lines, key=lambda line: len(line.get_xdata())).get_data())
+    return np.linalg.norm((path[1:] + path[:-1]) / 2, axis=1)
+
+
+def test_lines_of_many_turns_look_like_curves() -> None:
+    H = "p**2/2 + x**2/2"
+    solution = hamsym.solve(H, [1, 0], (0, 1_000), tol=1e-6)
+    assert chords(solution.plot("x", "p").axes[0]).min() > 0.98
+    many = hamsym.solve_many(H, [[1.0, 0.0]], (0, 600), tol=1e-6)
+    assert chords(many.plot("x", "p").axes[0]).min() > 0.98
+    saved = hamsym.integrate(H, [1, 0], (0, 1_000), "gauss6", steps=10_000, save_every=10)
+    assert chords(saved.plot("x", "p").axes[0]).min() > 0.98
+
+
+def test_turns_too_many_for_lines_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sampling, "_MOST", 4_100)
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1_000), tol=1e-6)
+    figure = solution.plot("x", "p")
+    assert "times, too few for lines between them" in " ".join(figure.caption.split())
+    assert all(line.get_linestyle() == "None" for line in figure.axes[0].lines)
 
 
 def test_portrait_says_the_energy_of_its_trajectory(pendulum: hamsym.Solution) -> None:

@@ -346,15 +346,13 @@ def test_certificates_at_their_limits_are_laid_out(changes: dict[str, Any]) -> N
     check_layout(certificate(2, **changes).plot())
 
 
-def test_certificates_take_names_of_components() -> None:
-    found = certificate(2)
-    axes = found.plot("components", components=["theta", "p_theta"]).axes[0]
-    assert [text.get_text() for text in axes.get_xticklabels()] == [
-        r"$\theta$",
-        r"$p_{\theta}$",
-    ]
-    with pytest.raises(InputError, match=r"does not name the 2 components"):
-        found.plot(components=["x"])
+@pytest.mark.parametrize(
+    ("components", "shown"),
+    [((), ["$z_{1}$", "$z_{2}$"]), (("theta", "p_theta"), [r"$\theta$", r"$p_{\theta}$"])],
+)
+def test_certificates_are_drawn_with_their_names(components: Any, shown: list[str]) -> None:
+    axes = certificate(2, components=components).plot("components").axes[0]
+    assert [text.get_text() for text in axes.get_xticklabels()] == shown
 
 
 @pytest.mark.parametrize("names", [("x", "p"), tuple(f"coordinate_{k}" for k in range(24))])
@@ -452,3 +450,36 @@ def test_one_panel_is_drawn_into_given_axes(make: Any, names: tuple[str, ...]) -
     assert axes.has_data()
     with pytest.raises(InputError, match="is not an Axes"):
         make().plot(*names, ax=3)
+
+
+# -- sections --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("start", "title", "entries"),
+    [
+        ({"x": [1.0, 2.0], "p": 0.0}, "$x$ at start", ["1", "2"]),
+        (
+            {"x": [1.0, 2.0], "p": [1e-17, 0.5]},
+            "trajectory: start",
+            ["0: $x$ = 1, $p$ = 0", "1: $x$ = 2, $p$ = 0.5"],
+        ),
+    ],
+)
+def test_legend_of_a_section_names_the_starts(start: Any, title: str, entries: list[str]) -> None:
+    figure = hamsym.section("p**2/2 + x**2/2", start, (0, 9), "x = 0", dt=0.1).plot()
+    check_layout(figure)
+    legend = figure.axes[0].get_legend()
+    assert legend.get_title().get_text() == title
+    assert [text.get_text() for text in legend.get_texts()] == entries
+
+
+def test_directions_are_those_of_each_parameter() -> None:
+    H = hamsym.Hamiltonian("k*p**2/2 + x**2/2 + (1 - k)*p", parameters={"k": 1.0})
+    found = hamsym.section(H, [0.5, 0.3], (0, 9), "x = 0", dt=0.01, parameters={"k": [1.0, 3.0]})
+    k = np.array([1.0, 3.0])[found.trajectory]
+    rising = k * found.z[:, 1] + 1 - k > 0
+    drawn_upwards = [line for line in found.plot().axes[0].lines if line.get_marker() == "."]
+    points = drawn_upwards and np.concatenate([line.get_ydata() for line in drawn_upwards])
+    np.testing.assert_array_equal(np.sort(points), np.sort(found.z[rising, 1]))
+    assert 0 < rising.sum() < len(rising)

@@ -136,7 +136,25 @@ def test_version_2_round_trip(request, solution, name):
     assert Certificate.from_json(text) == certificate
     assert Certificate.from_json(text).to_json() == text
     assert ("As asked" in certificate.statement) == (name == "asked")
+    assert Certificate.from_json(text).components == tuple(values["components"])
     verify(text, solution)
+
+
+def test_names_of_components_are_optional_and_checked(solution, asked):
+    values = json.loads(asked.to_json())
+    names = tuple(values.pop("components"))
+    assert names == tuple(solution.H.names)
+    older = Certificate.from_json(json.dumps(values, indent=1))
+    assert (older, older.to_json()) == (asked, json.dumps(values, indent=1))
+    assert older.labels[0] == "z_1"
+    verify(older, solution)
+    worst = dataclasses.replace(asked, component_bounds=(1.0, *asked.component_bounds[1:]))
+    assert f"of a component is that of {names[0]}, at most 1" in " ".join(worst.summary().split())
+    with pytest.raises(CertificationError, match="name components differently"):
+        verify(dataclasses.replace(asked, components=names[::-1]), solution)
+    for wrong in ([], ["x"], ["x\x1b", "p"], ["x", "x"], "xp", [1, 2]):
+        with pytest.raises(FileError, match="not a certificate"):
+            Certificate.from_json(json.dumps(values | {"components": wrong}))
 
 
 def test_statement_names_what_is_asked(asked):

@@ -22,7 +22,8 @@ from hamsym.random_features.error_estimate import (
 )
 from hamsym.random_features.flow import flow_of, has_rounded_numbers
 from hamsym.random_features.march import march
-from hamsym.random_features.method import FeatureOptions, checked_accuracy
+from hamsym.random_features.method import checked_accuracy
+from hamsym.random_features.options import FeatureOptions
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.window_error import _dense

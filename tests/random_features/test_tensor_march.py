@@ -17,7 +17,8 @@ from hamsym.codegen.system import load
 from hamsym.random_features import tensor_members
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.members import Batch, MemberSolver
-from hamsym.random_features.method import FeatureOptions, basis_for, checked_accuracy
+from hamsym.random_features.method import basis_for, checked_accuracy
+from hamsym.random_features.options import FeatureOptions
 from hamsym.random_features.tensor_members import TensorSolver
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.systems import CATALOGUE

@@ -514,3 +514,24 @@ def test_an_invariant_is_printed_as_it_is_parsed() -> None:
     for found in H.invariants(3):
         assert isinstance(found, Invariant)
         assert H.function(found.formula) == H.function(found.expr)
+
+
+def test_results_are_a_list_with_a_table() -> None:
+    H = Hamiltonian(
+        "(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y + c*y**3", parameters={"c": 2.0}
+    )
+    found = H.invariants(4)
+    assert isinstance(found, list)
+    assert found == list(found)
+    again = pickle.loads(pickle.dumps(found))
+    assert (again, again.message) == (found, found.message)
+    lines = str(found).splitlines()
+    assert lines[1].startswith("I_1       4          yes  3*p_x**2 + 3*x**2")
+    assert "(for c = 2.0)" in str(found)
+    assert max(map(len, lines)) <= 80
+    assert "... and 1 invariants" in found.summary(rows=0)
+    assert "is no proof of chaos" in H.with_parameters(c=2.1).invariants(2).summary()
+    pytest.importorskip("pandas")
+    table = found.to_dataframe()
+    assert table["holds_for"].tolist() == ["c = 2.0"]
+    assert table["formula"][0] == found[0].formula

@@ -151,6 +151,10 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
         lambda: Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)**2").invariants()[0],
         ["of degree 2", "<math"],
     ),
+    "Invariants": (
+        lambda: Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)**2").invariants(),
+        ["1 invariant of degree at most 2", "<math", "beyond degree 2"],
+    ),
     "PeriodicOrbit": (orbit, ["success", "period"]),
     "OrbitFamily": (lambda: orbit().family(energy=0.8), ["orbits", "energy", "0.75 to 0.8"]),
     "OrbitCertificate": (lambda: orbit().certify(), ["proven", "a periodic orbit exists"]),
@@ -202,7 +206,7 @@ def test_representations_say_what_is_asked_first(name: str) -> None:
     assert all(link.startswith("data:image/png;base64,") for link in tags.links)
     assert len(text) < 200_000
     # Plain text: at most a few lines, which begin with the type.
-    if name != "Formulas":
+    if name not in ("Formulas", "Invariants"):  # which are lists
         assert re.match(type(result).__name__, repr(result))
         assert len(repr(result)) < 500
 

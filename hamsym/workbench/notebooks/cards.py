@@ -19,7 +19,7 @@ from markupsafe import Markup
 if TYPE_CHECKING:
     import sympy
 
-    from hamsym import Hamiltonian, Invariant, System
+    from hamsym import Hamiltonian, Invariant, Invariants, System
     from hamsym.symbolic.equations import Equations
     from hamsym.symbolic.formulas import Formulas
 
@@ -291,6 +291,30 @@ def _invariant(found: Invariant) -> Card:
     if found.holds_for:
         values = ", ".join(f"{name} = {value!r}" for name, value in found.holds_for.items())
         card.facts = [("holds for", values)]
+    return card
+
+
+@of_type("Invariants")
+def _invariants(found: Invariants) -> Card:
+    count = counted(len(found), "invariant")
+    card = Card("Invariants", headline=f"{count} of degree at most {found.degree}")
+    card.formulas = [
+        formula(f"I_{k}", one.expr, one.formula) for k, one in enumerate(found[:_FORMULAS], 1)
+    ]
+    if len(found) > _FORMULAS:
+        card.more_formulas = f"... and {counted(len(found) - _FORMULAS, 'formula')}"
+    rows = [
+        [
+            f"I_{k}",
+            f"{one.degree}",
+            "yes" if one.independent else "no",
+            ", ".join(f"{name} = {value!r}" for name, value in one.holds_for.items()) or "all",
+        ]
+        for k, one in enumerate(found, 1)
+    ]
+    card.notes = [found.message]
+    if rows:
+        with_table(card, ["invariant", "degree", "independent", "parameters"], rows, "invariant")
     return card
 
 

@@ -201,6 +201,8 @@ def _comparison(comparison: Comparison) -> Card:
 @of_type("Sweep")
 def _sweep(sweep: Sweep) -> Card:
     card = Card("Sweep", headline=f"t from {interval(sweep.span)}")
+    if sweep.swept:
+        card.facts = [("settings differ in", ", ".join(sweep.swept))]
     rows = []
     for name, solutions in sweep.solutions.items():
         solved = sum(bool(solution.success) for solution in solutions)
@@ -225,5 +227,7 @@ def _stored_sweep(sweep: StoredSweep) -> Card:
     size = math.prod(sweep.shape)
     card = Card("StoredSweep", headline=f"{sweep.done:,} of {size:,} points")
     judged(card, sweep.complete, "complete", "interrupted" if sweep.interrupted else "open")
-    card.facts = [("store", sweep.path.name), ("shape", " x ".join(map(str, sweep.shape)))]
+    sizes = zip(sweep.store.axes, sweep.shape, strict=True)
+    axes = ", ".join(f"{name}: {counted(length, 'value')}" for name, length in sizes)
+    card.facts = [("store", sweep.path.name), ("grid", axes)]
     return card

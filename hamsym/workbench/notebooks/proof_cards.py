@@ -60,9 +60,12 @@ def _certificate(certificate: Certificate) -> Card:
         ("SHA-256 of the solution", certificate.digest),
     ]
     rows = [
-        [f"{k + 1}", decimal_below(low), decimal_above(high)]
-        for k, (low, high) in enumerate(
-            zip(certificate.component_lowers, certificate.component_bounds, strict=True)
+        [name, decimal_below(low), decimal_above(high)]
+        for name, low, high in zip(
+            certificate.labels,
+            certificate.component_lowers,
+            certificate.component_bounds,
+            strict=True,
         )
     ]
     with_table(card, ["component", "error at least", "at most"], rows, "component")

@@ -1,0 +1,133 @@
+"""Figures, texts and tables of sweeps: of settings and seeds, and over grids in stores."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hamsym
+from hamsym.errors import InputError
+from hamsym.plotting.style import WARNING
+from tests.plotting.inspection import check_layout
+
+SPAN = (0.0, 3.0)
+
+
+def sweep_of(settings: dict[str, dict[str, Any]], failed: tuple[str, ...] = ()) -> hamsym.Sweep:
+    """Two seeds of each of the settings, of which those named failed."""
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], SPAN, tol=1e-6)
+    found = {
+        name: tuple(solution.judged(name not in failed, "no <b>$ way") for _ in range(2))
+        for name in settings
+    }
+    return hamsym.Sweep((0, 1), SPAN, found, {}, settings)
+
+
+def red(axes: Any) -> np.ndarray:
+    """Abscissas of the points in the colour of failures."""
+    found = [line.get_xdata() for line in axes.lines if line.get_color() == WARNING]
+    return np.concatenate(found) if found else np.empty(0)
+
+
+def test_one_swept_option_is_the_axis() -> None:
+    sweep = sweep_of({f"1e-{k}": {"tol": 10.0**-k} for k in (8, 4, 6)}, failed=("1e-8",))
+    figure = sweep.plot()
+    check_layout(figure)
+    assert figure.warning.startswith("2 of 6 runs failed")
+    for axes in figure.axes:
+        assert (axes.get_xlabel(), axes.get_xscale()) == ("tol", "log")
+        np.testing.assert_array_equal(axes.lines[0].get_xdata(), [1e-8, 1e-6, 1e-4])
+        np.testing.assert_array_equal(red(axes), [1e-8, 1e-8])
+    with pytest.raises(InputError, match="'eror' is not a panel of this figure; did you mean"):
+        sweep.plot("eror")
+
+
+def test_second_option_makes_series() -> None:
+    pairs = [(n, h) for n in (10, 20) for h in ((8,), (8, 8))]
+    sweep = sweep_of({f"{n} {h}": {"iterations": n, "hidden": h} for n, h in pairs})
+    figure = sweep.plot("time")
+    check_layout(figure)
+    assert figure.axes[0].get_xlabel() == "iterations"
+    _, labels = figure.axes[0].get_legend_handles_labels()
+    assert labels == ["hidden = (8,)", "hidden = (8, 8)"]
+
+
+def test_more_options_are_drawn_by_name_and_said() -> None:
+    settings = {f"set ${k}": {"tol": 10.0**-k, "atol": k, "points": k} for k in (3, 4)}
+    figure = sweep_of(settings, failed=("set $4",)).plot()
+    check_layout(figure)
+    ticks = [tick.get_text() for tick in figure.axes[0].get_xticklabels()]
+    assert ticks == [r"set \$3", r"set \$4"]
+    assert "differ in 3 options, tol, atol, points" in figure.caption.replace("\n", " ")
+    check_layout(sweep_of({"a": {}}).plot())
+
+
+def test_text_and_table_have_every_run() -> None:
+    pytest.importorskip("pandas")
+    sweep = sweep_of({"coarse": {"tol": 1e-3}, "fine": {"tol": 1e-6}}, failed=("coarse",))
+    lines = sweep.summary().splitlines()
+    assert lines[0] == "2 of 4 runs converged, t from 0 to 3; the settings differ in tol"
+    assert [line.split()[:2] for line in lines[3:]] == [["coarse", "0"], ["fine", "2"]]
+    table = sweep.to_dataframe()
+    assert table["tol"].tolist() == [1e-3, 1e-3, 1e-6, 1e-6]
+    assert table["success"].tolist() == [False, False, True, True]
+    assert table["seed"].tolist() == [0, 1, 0, 1]
+
+
+# -- grids -----------------------------------------------------------------------------------------
+
+
+def product(H: hamsym.Hamiltonian, z0: np.ndarray, span: Any) -> dict[str, float]:
+    if z0[0] > 2:
+        raise InputError("x is too large")
+    return {"product": H.parameters["k"] * z0[0] + 100 * z0[1]}
+
+
+def stored(folder: Path, ending: str, **over: Any) -> hamsym.StoredSweep:
+    pytest.importorskip("zarr" if ending == "zarr" else "pyarrow")
+    pytest.importorskip("pandas")
+    H = hamsym.Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1.0})
+    store = folder / f"a.{ending}"
+    found = hamsym.sweep(H, [0.5, 0.0], SPAN, over=over, task=product, store=store)
+    assert isinstance(found, hamsym.StoredSweep)
+    return found
+
+
+OVER = {"k": [3.0, 1.0, 2.0], "x": [0.5, 1.0, 2.5, 1.5]}
+
+
+@pytest.mark.parametrize("ending", ["zarr", "parquet"])
+def test_two_axes_are_a_plane_with_failures_in_red(tmp_path: Path, ending: str) -> None:
+    sweep = stored(tmp_path, ending, **OVER)
+    figure = sweep.plot()
+    check_layout(figure)
+    axes = figure.axes[0]
+    np.testing.assert_array_equal(red(axes), [2.5] * 3)
+    drawn = np.ma.filled(axes.collections[0].get_array(), np.nan).reshape(3, 4)
+    np.testing.assert_array_equal(drawn[:, :3], np.outer([1, 2, 3], [0.5, 1, 1.5]))
+    assert np.isnan(drawn[:, 3]).all()
+    assert figure.warning == "3 of 12 points drawn failed, for example: x is too large"
+    table = sweep.to_dataframe()
+    right = np.where(table["x"] > 2, np.nan, table["k"] * table["x"])
+    np.testing.assert_array_equal(table["product"], right)
+    assert "12 of 12 points" in sweep.summary()
+    assert "9 succeeded" in sweep.summary()
+
+
+def test_one_axis_is_a_line(tmp_path: Path) -> None:
+    axes = stored(tmp_path, "zarr", x=[1.5, 0.5, 2.5]).plot("product").axes[0]
+    np.testing.assert_array_equal(axes.lines[0].get_xdata(), [0.5, 1.5, 2.5])
+    np.testing.assert_array_equal(red(axes), [2.5])
+
+
+def test_further_axes_are_drawn_at_one_value(tmp_path: Path) -> None:
+    sweep = stored(tmp_path, "zarr", **OVER, p=[0.0, 1.0])
+    assert "plot(at={'p':" in sweep.plot().caption.replace("\n", " ")
+    drawn = sweep.plot(at={"p": 0.9}).axes[0].collections[0].get_array()
+    assert drawn.reshape(3, 4)[0, 0] == 100.5
+    check_layout(sweep.plot(at={"p": 1, "k": 1}))
+    with pytest.raises(InputError, match="'q' is not an axis of the grid"):
+        sweep.plot(at={"q": 1.0})
