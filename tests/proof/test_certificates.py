@@ -334,7 +334,10 @@ def test_nan_claims_fail(case):
     [
         ({"digest": "0" * 64}, "SHA-256 mismatch"),
         ({"edges": (0.0, 3.0), "piece_bounds": (1.0,)}, "different spans"),
-        ({"component_bounds": (1.0,), "component_lowers": (0.0,)}, "different dimensions"),
+        (
+            {"component_bounds": (1.0,), "component_lowers": (0.0,), "components": ("x",)},
+            "different dimensions",
+        ),
     ],
 )
 def test_certificate_of_another_solution_fails(case, change, reason):
