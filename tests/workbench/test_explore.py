@@ -395,6 +395,24 @@ def test_exported_code_is_that_of_the_solution(ending, tmp_path):
     assert len(tasks.exported(FIRST, ending)) == pytest.approx(path.stat().st_size, rel=0.05)
 
 
+def test_report_has_the_proof_of_the_present_solution(tab, monkeypatch):
+    def outcome(setting: Setting, seconds: float) -> tasks.JobResult:
+        return tasks.JobResult("", success=seconds > 1)
+
+    monkeypatch.setitem(tasks.TASKS, "certify", outcome)
+    monkeypatch.setitem(tasks.TASKS, "report", lambda setting, proven: proven)
+    for seconds in (0.5, 2.0):
+        asyncio.run(tab.job("certify", seconds, seconds))
+        assert asyncio.run(tab.file("report")) is (seconds > 1)
+    tab.setting = replace(tab.setting, z0={"x": 1.4, "p": 1.0})
+    assert asyncio.run(tab.file("report")) is False
+
+
+@pytest.mark.slow
+def test_report_is_written_with_a_proof():
+    assert "Proven" in tasks.report(FIRST, True).decode()
+
+
 # -- the command ----------------------------------------------------------------------------------
 
 

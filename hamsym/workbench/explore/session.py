@@ -79,6 +79,7 @@ class Session:
         self._live, self._background, self._button = (Worker(_TASKS) for _ in range(3))
         self._compiled: _Key | None = None
         self._slow: dict[_Key, str] = {}  # what could not be compiled
+        self._proven: Setting | None = None
         self._busy = False
         self._started = False
         self.closed = False
@@ -230,17 +231,23 @@ class Session:
         if self._busy:
             raise TaskError("another computation of this tab is running; cancel it first")
         self._busy = True
+        setting = self.setting
         try:
-            return await self._call(self._button, task, seconds, self.setting, *arguments)
+            found: JobResult = await self._call(self._button, task, seconds, setting, *arguments)
         finally:
             self._busy = False
+        if task == "certify" and found.success:
+            self._proven = setting
+        return found
 
     def cancel(self) -> None:
         """End what a button asked for."""
         self._button.cancel()
 
     async def file(self, task: str, *arguments: Any) -> bytes:
-        """Return the content of a file."""
+        """Return the content of a file; a report has the proof of the present solution, if any."""
+        if task == "report":
+            arguments = (self._proven == self.setting,)
         return await self._call(self._background, task, _FILE_LIMIT, self.setting, *arguments)
 
 

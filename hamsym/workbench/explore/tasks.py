@@ -295,11 +295,11 @@ def exported(setting: Setting, ending: str) -> bytes:
     return _written(ending, solution.export)
 
 
-def report(setting: Setting) -> bytes:
-    """Return the report of the solution, one HTML file."""
+def report(setting: Setting, proven: bool) -> bytes:
+    """Return the report of the solution, one HTML file, with its proof if the page has one."""
     solution = _solve(setting)
     make: Any = getattr(hamsym, "report")  # noqa: B009
-    return _written(".html", lambda path: make(solution, path))
+    return _written(".html", lambda path: make(solution, path, certify=proven))
 
 
 #: Tasks by name.
