@@ -88,6 +88,7 @@ def certify(
 ) -> BoxCertificate: ...
 
 
+@checked_keywords
 def certify(
     solution: Solution | FlowMap,
     rtol: float = 0.02,
