@@ -93,7 +93,8 @@ def _course(case: Case, limits: list[float], options: dict[str, Any]) -> list[li
         solution = solve(**more)
         record = solution.record
         seconds = getattr(record, "cpu_seconds", record.seconds)
-        course.append([seconds, float(np.abs(solution(case.t) - case.truth).max())])
+        reached = np.minimum(case.t, solution.span[1])  # a chain may end early: its last state
+        course.append([seconds, float(np.abs(solution(reached) - case.truth).max())])
         if not epoch and getattr(record, "stopped", "") != "time limit":
             break  # a longer limit changes nothing
     return course

@@ -22,7 +22,10 @@ def test_scripts_run_and_draw(
     figures = [value for value in names.values() if isinstance(value, Figure)]
     assert figures
     for figure in figures:
-        assert all(axis.has_data() or axis.texts or axis.tables for axis in figure.axes)
+        assert all(
+            axis.has_data() or axis.texts or axis.tables or axis.get_legend()
+            for axis in figure.axes
+        )
     assert not list(tmp_path.iterdir())
 
 
