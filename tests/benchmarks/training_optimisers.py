@@ -53,7 +53,7 @@ def _methods(problem: str) -> dict[str, dict[str, Any]]:
 
 
 def measure(quick: bool) -> Section:
-    limits, seeds = ([0.2, 0.4], 1) if quick else ([2.0, 6.0, 20.0, 60.0], 3)
+    limits, seeds = ([1.0, 2.0], 1) if quick else ([2.0, 6.0, 20.0, 60.0], 3)
     small: dict[str, Any] = {"hidden": (10,), "points": 50} if quick else {}
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
