@@ -659,6 +659,7 @@ class WindowStepper:
         radii = self._set.initial_sizes()[:dim, 0]
         sizes = np.where(sizes < radii, _BESIDE * radii, sizes)
         safe = np.maximum(_sizes_of_all(sizes, matrix, w), least)
+        safe = coupled_sizes(safe, matrix, w)
         matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
         units = safe.copy()
         for _ in range(6):

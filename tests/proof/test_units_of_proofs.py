@@ -113,6 +113,11 @@ def test_pendulum_at_rest_does_not_widen_its_neighbour():
     assert both.derivative(5.0).radius.max() < 1e-5
 
 
+def test_pendulum_at_rest_alone_is_enclosed():
+    enclosure = hamsym.enclose("p**2/2 - 0.8*cos(x)", (0.0, 0.0), (0.0, 5.0))
+    assert (enclosure(5.0).radius < 1e-24).all()
+
+
 def test_constants_have_the_units_of_what_they_move():
     """Over so many windows that sets are boxed, with a mass in kilograms."""
     radii = []
