@@ -13,6 +13,9 @@ A ball is a triple (h, l, r) and means the set of all x with |x - (h + l)| <= r.
 3. A radius is a sum of at most eight products of numbers >= 0; at most 16 roundings, each a factor
    in [1 - u, 1 + u], so that (1 + 64u) times the computed number, plus TINY, is an upper bound.
    Infinity and NaN remain what they are and pass no test ``r <= bound``.
+4. Products that underflow are wrong by at most 2^-1075 each, so that UNDERFLOW bounds the error of
+   thousands. It is added to factors of other products, which TINY would make too large: they may
+   multiply a component in a unit of 10^200.
 
 *Functions.* exp, sin and cos reduce their arguments with constants that are balls, and sum a Taylor
 series whose remainder is added to the radius; nothing is assumed about the processor's or the
@@ -36,6 +39,7 @@ from hamsym.proof.balls import above, exact, working
 __all__ = [
     "MIDDLE",
     "TINY",
+    "UNDERFLOW",
     "UNIT",
     "absolute",
     "ball_of",
@@ -48,6 +52,7 @@ __all__ = [
 UNIT = 2.0**-53
 MIDDLE = 32 * UNIT * UNIT
 TINY = 1e-290
+UNDERFLOW = 2.0**-1060
 _UP = 1 + 64 * UNIT
 _BITS = 240  # of constants
 

@@ -40,6 +40,7 @@ import numpy as np
 
 from hamsym.proof.ball_arithmetic import (
     MIDDLE,
+    UNDERFLOW,
     UNIT,
     absolute,
     add,
@@ -354,13 +355,16 @@ def transport(
     for i in range(dim):
         for c in range(columns):
             sizes[i, c] = size_of(V[i, c], none, terms)
-    large = np.zeros(len(entries))  # |w A_ij|
+    large = np.zeros(len(entries))  # |A_ij|
+    loosely = np.zeros(len(entries))  # |B_ij|
     for e in range(len(entries)):
         large[e] = (
             half
             * (size_of(jacobian[e], none, jacobian_length[e]) + jacobian_radius[e])
             * (1 + 8 * UNIT)
+            + UNDERFLOW
         )
+        loosely[e] = half * jacobian_radius[e] * (1 + 8 * UNIT) + UNDERFLOW
     # K and the part of S from the radii of A, entry by entry
     sums = np.zeros((dim, columns, 2 * terms + 1))
     errors = np.zeros((dim, columns))
@@ -375,14 +379,14 @@ def transport(
                         p = signs[e] * half * jacobian[e, k]
                         sums[i, c, k] += p
                         errors[i, c] += UNIT * (abs(p) + abs(sums[i, c, k]))
-                    loose[i, c] += half * jacobian_radius[e] * (1 + 4 * UNIT)
+                    loose[i, c] += loosely[e]
                 continue
             errors[i, c] += (
                 (1 + 8 * UNIT)
                 * half
                 * multiply_series(jacobian[e], none, n, V[j, c], none, terms, wide, rest, False)
             )
-            loose[i, c] += (1 + 8 * UNIT) * half * jacobian_radius[e] * sizes[j, c]
+            loose[i, c] += loosely[e] * sizes[j, c]
             for k in range(n + terms - 1):
                 p = signs[e] * half * wide[k]
                 sums[i, c, k] += p
@@ -426,7 +430,8 @@ def transport(
             ratio = units[j] / units[i]
             for k in range(jacobian_length[e]):
                 scaled[i, j, k] += signs[e] * jacobian[e, k] * ratio
-            apart[i, j] += jacobian_radius[e] * ratio
+            size = size_of(jacobian[e], none, jacobian_length[e])
+            apart[i, j] += jacobian_radius[e] * (ratio + UNDERFLOW) + UNDERFLOW * (1 + size)
     norm = 0.0
     for i in range(dim):
         circle = scaled[i, i, 0] + apart[i, i]
@@ -446,18 +451,17 @@ def transport(
         norm = max(norm, circle)
     growth = absolute(exponential(ball_of(up(2 * half * norm))))
     # d
-    begun, reach, hidden = np.zeros(dim), np.zeros(dim), np.zeros(dim)
+    begun, reach, hidden = np.zeros(dim), np.zeros(dim), np.full(dim, UNDERFLOW)
     for i in range(dim):
         for c in range(columns):
             begun[i] += start_error[i, c] * start[c]
             hidden[i] += defect[i, c] * start[c]
     for e in range(len(entries)):
         i, j, _ = entries[e]
-        loosely = half * jacobian_radius[e] * (1 + 4 * UNIT)
         if j < dim:
-            reach[i] += large[e] * (D[j] + hidden[j]) + loosely * hull[j]
+            reach[i] += large[e] * (D[j] + hidden[j]) + loosely[e] * (hull[j] + UNDERFLOW)
         else:
-            reach[i] += loosely * start[j]
+            reach[i] += loosely[e] * start[j]
     bound = up(growth * (length_in(begun, units) + 2 * length_in(reach, units)))
     d = units * bound
     derivative = np.zeros((dim, columns))

@@ -28,7 +28,7 @@ from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import coupled_sizes
-from hamsym.proof.ball_arithmetic import MIDDLE, UNIT
+from hamsym.proof.ball_arithmetic import MIDDLE, UNDERFLOW, UNIT
 from hamsym.proof.balls import working
 from hamsym.proof.compiled import loops
 from hamsym.proof.generated import GeneratedFunctions, evaluated
@@ -51,6 +51,9 @@ _TUBES = 5  # attempts at a tube
 _AT_REST = 1e-200  # of a component, up to which it is at rest
 _BESIDE = 100.0  # size of a component beside the radius of a ball around zero
 _LEAST = 1e-130  # size of a component; radii have the root of 1e-290 as a floor
+# Root of the product q p of a pair at rest, relative to the others: errors of the derivatives of
+# the others by the pair are larger by 1e6 than their own, and its own errors smaller.
+_UNCOUPLED = 1e-6
 _LOOSE = 32.0  # defect in units of the accuracy
 _FINEST = 1e-28  # accuracy that twice float64 can reach
 _ROUND_OFF = 2e-14  # of coefficients, relative to the component
@@ -160,7 +163,7 @@ def set_sizes(V: np.ndarray, G: np.ndarray, R: np.ndarray) -> np.ndarray:
     products = np.einsum("ick,cd->idk", V, G)
     found = np.abs(products).sum(axis=2) @ R
     rounding = 2 * (len(G) + 8) * UNIT  # of sums of so many products
-    found += rounding * (np.abs(V).sum(axis=2) @ (np.abs(G) @ R))
+    found += rounding * (np.abs(V).sum(axis=2) @ (np.abs(G) @ R)) + UNDERFLOW * R.sum()
     return np.asarray(found * (1 + 1e-9))
 
 
@@ -400,6 +403,10 @@ class WindowStepper:
         if not resolved:
             self.reason = "the solution was not resolved"
             return None, factor
+        # Roundings of a component at rest may have a size, as those of sin(x) at 0: the 2-norm has
+        # to compare them with those of the others.
+        least = D / (_LOOSE * max(self._accuracy, _FINEST))
+        units = self._units(place.w, couplings, sizes, least)
         return self._enclosed(place, models, D, units, factor)
 
     def _guess(self, place: _Place) -> tuple[np.ndarray, np.ndarray | None]:
@@ -636,10 +643,13 @@ class WindowStepper:
                 found[i, j] += np.abs(self._rows[1][place]).max()
         return found
 
-    def _units(self, w: float, couplings: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    def _units(
+        self, w: float, couplings: np.ndarray, sizes: np.ndarray, least: np.ndarray | float = 0.0
+    ) -> np.ndarray:
         """Units in which DG is nearly balanced (Osborne 1960), not rounded.
 
-        ``sizes`` are those of the components on the windows so far.
+        ``sizes`` are those of the components on the windows so far, and ``least`` the smallest to
+        be balanced.
         """
         dim, matrix = self.equation.dim, couplings.copy()
         np.fill_diagonal(matrix, 0.0)
@@ -648,7 +658,8 @@ class WindowStepper:
         # are small in units of the component, which would be theirs.
         radii = self._set.initial_sizes()[:dim, 0]
         sizes = np.where(sizes < radii, _BESIDE * radii, sizes)
-        safe = _sizes_of_all(sizes, matrix, w)
+        safe = np.maximum(_sizes_of_all(sizes, matrix, w), least)
+        safe = coupled_sizes(safe, matrix, w)
         matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
         units = safe.copy()
         for _ in range(6):
@@ -657,6 +668,17 @@ class WindowStepper:
                 column = float((matrix[:, i] / units).sum()) * units[i]
                 units[i] *= math.sqrt(row / column)
         return units
+
+    def _constant_units(self, half: Fraction, units: np.ndarray) -> np.ndarray:
+        """Changes of the constants that move a component by its unit within half a window."""
+        dim = self.equation.dim
+        shares = np.zeros(self.equation.columns - dim)
+        for i, j, place in self.equation.placed:
+            if j >= dim:
+                share = float(half) * np.abs(self._rows[1][place]).max() / units[i]
+                shares[j - dim] = max(shares[j - dim], share)
+        found = 1 / shares
+        return np.where((found > 0) & (found < math.inf), found, 1.0)
 
     def _accepted(
         self,
@@ -700,7 +722,7 @@ class WindowStepper:
             J,
             J_error,
             tube,
-            np.concatenate([2.0 ** np.round(np.log2(units)), np.ones(columns - dim)]),
+            2.0 ** np.round(np.log2(np.concatenate([units, self._constant_units(half, units)]))),
         )
         self._set = self._set.moved(J, J_error, extra[:, None], window.units)
         if not np.isfinite(self._set.R).all():
@@ -713,20 +735,37 @@ def _sizes_of_all(sizes: np.ndarray, couplings: np.ndarray, w: float) -> np.ndar
     """Sizes of all components, positive also for those that are at rest.
 
     Such a component has the size that the others drive it to, or else that which would move
-    another one by its own size within w. Components are never compared otherwise, because they
-    may have different dimensions.
+    another one by its own size within w. Without such couplings, the product of a coordinate and
+    its momentum is compared with those of the others: all have the dimension of H times time.
+    Components are never compared otherwise, because they may have different dimensions.
     """
     found = coupled_sizes(np.where(sizes > _AT_REST, sizes, 0.0), couplings, w)
+    half = len(found) // 2
+    action = float((np.sqrt(found[:half]) * np.sqrt(found[half:])).max())  # its root
     while (at_rest := found == 0).any():
         moved = np.where((couplings > 0) & ~at_rest[:, None], found[:, None], math.inf)
         moving = (moved / couplings).min(axis=0) / w
         chosen = np.flatnonzero(at_rest & (moving < math.inf))
         if len(chosen):
-            found[chosen] = moving[chosen]
+            found[chosen] = np.maximum(moving[chosen], math.ulp(0.0))  # it may underflow
         else:  # nothing moves it, and it moves nothing
-            found[np.flatnonzero(at_rest)[0]] = _LEAST
+            i = int(np.flatnonzero(at_rest)[0])
+            found[i] = _size_beside(i, couplings, w, _UNCOUPLED * action or _LEAST)
         found = coupled_sizes(found, couplings, w)
     return found
+
+
+def _size_beside(i: int, couplings: np.ndarray, w: float, action: float) -> float:
+    """The size of a component whose product with its partner is the square of ``action``."""
+    dim = len(couplings)
+    partner = (i + dim // 2) % dim
+    alone = np.zeros(dim)
+    alone[i] = 1.0
+    ratio = float(coupled_sizes(alone, couplings, w)[partner])
+    if ratio == 0:
+        ratio = float(1 / (w * couplings[i, partner]))
+    found = action / math.sqrt(ratio) if ratio > 0 else math.inf
+    return found if 0 < found < math.inf else _LEAST
 
 
 @functools.lru_cache(maxsize=64)

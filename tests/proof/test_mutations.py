@@ -293,18 +293,18 @@ MUTATIONS: dict[str, Mutation] = {
         "large[e] * (D[j] + hidden[j])", "large[e] * D[j]", step(CASES["defect of V"])
     ),
     "radius of A in the derivative": Mutation(
-        "loose[i, c] += (1 + 8 * UNIT) * half * jacobian_radius[e] * sizes[j, c]",
+        "loose[i, c] += loosely[e] * sizes[j, c]",
         "pass",
         step(CASES["matrix in a tube"]),
     ),
     "radius of A in the rest": Mutation(
-        " + loosely * hull[j]", "", step(CASES["matrix in a tube"])
+        " + loosely[e] * (hull[j] + UNDERFLOW)", "", step(CASES["matrix in a tube"])
     ),
     "radius of A by a parameter in the derivative": Mutation(
-        "loose[i, c] += half * jacobian_radius[e] * (1 + 4 * UNIT)", "pass", step(_UNKNOWN)
+        "loose[i, c] += loosely[e]\n", "pass\n", step(_UNKNOWN)
     ),
     "radius of A by a parameter in the rest": Mutation(
-        "reach[i] += loosely * start[j]", "pass", step(_UNKNOWN)
+        "reach[i] += loosely[e] * start[j]", "pass", step(_UNKNOWN)
     ),
     "terms of A by a parameter": Mutation(
         "sums[i, c, k] += p\n                        errors",
@@ -326,7 +326,7 @@ MUTATIONS: dict[str, Mutation] = {
         step(_STEEP),
     ),
     "radius of A in the growth": Mutation(
-        "apart[i, j] += jacobian_radius[e] * ratio", "pass", step(_IN_A_TUBE)
+        "jacobian_radius[e] * (ratio + UNDERFLOW) + ", "", step(_IN_A_TUBE)
     ),
     "start of V": Mutation(
         "start_error[i, c] = up(", "start_error[i, c] = 0.0 * up(", step(CASES["start error"])

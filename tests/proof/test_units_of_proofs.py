@@ -9,6 +9,7 @@ import pytest
 import sympy
 
 import hamsym
+from hamsym.proof.windows import _sizes_of_all
 
 
 def in_units(solution, lengths, energy, time):
@@ -99,7 +100,43 @@ def test_units_of_components_at_rest_follow_from_their_couplings():
     error = np.abs(enclosure(t).mid - [1e-10 * math.cos(1.0), 0.0, -9.1e-26 * math.sin(1.0), 0.0])
     assert error[0] < 1e-25
     assert error[2] < 1e-40
-    assert (enclosure(t).radius[[1, 3]] < 1e-100).all()
+    assert (enclosure(t).radius[[1, 3]] < 1e-15 * enclosure(t).radius[[0, 2]]).all()
+
+
+def test_pendulum_at_rest_does_not_widen_its_neighbour():
+    """Roundings of the sine of 0 are many units of a component that is exactly at rest."""
+    alone = hamsym.enclose("p_x**2/2 + 0.9*x**2", (0.6, 0.3), (0.0, 5.0))
+    H = "(p_x**2 + p_y**2)/2 + 0.9*x**2 - 0.8*cos(y) + (x*y)**2/5"
+    both = hamsym.enclose(H, (0.6, 0.0, 0.3, 0.0), (0.0, 5.0))
+    assert (both(5.0).radius[[0, 2]] <= 3 * alone(5.0).radius).all()
+    assert (both(5.0).radius[[1, 3]] < 1e-24).all()
+    assert both.derivative(5.0).radius.max() < 1e-5
+
+
+def test_pendulum_at_rest_alone_is_enclosed():
+    enclosure = hamsym.enclose("p**2/2 - 0.8*cos(x)", (0.0, 0.0), (0.0, 5.0))
+    assert (enclosure(5.0).radius < 1e-24).all()
+
+
+def test_constants_have_the_units_of_what_they_move():
+    """Over so many windows that sets are boxed, with a mass in kilograms."""
+    radii = []
+    for unit in (1.0, 2.0**-100):
+        H = hamsym.Hamiltonian(
+            "p**2/(2*m) + k*x**2/2 + k*x**4/4", parameters={"m": unit, "k": unit}
+        )
+        mass = hamsym.Ball(unit, 1e-13 * unit)
+        enclosure = hamsym.enclose(H, (1.0, 0.0), (0.0, 100.0), parameters={"m": mass})
+        assert len(enclosure.windows) > 70
+        radii.append(enclosure(100.0).radius / (1.0, unit))
+    assert radii[1] == pytest.approx(radii[0], rel=0.01)
+
+
+def test_sizes_that_underflow_are_still_positive():
+    """x moves p = 1e-150 by its own size from 1e-350 on."""
+    for coupling in (1e200, math.inf):
+        found = _sizes_of_all(np.array([0.0, 1e-150]), np.array([[0.0, 0.0], [coupling, 0.0]]), 1.0)
+        assert (found > 0).all()
 
 
 # -- a proton in a magnetic bottle --------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Steps of a window: bounds that hold in exact arithmetic and for linear equations."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -130,6 +131,29 @@ def test_sets_contain_corners_of_very_many_sets(L, name):
 def test_box_of_an_infinite_set_is_infinite(L, radius):
     found = L.boxed_set(np.eye(2), np.array([[1.0], [radius]]), np.ones(2))[1]
     assert not (found <= 1e300).all()
+
+
+def test_logarithmic_norm_covers_ratios_of_units_that_underflow(L):
+    """Half of 1e304 1e-170/1e155, between two components that are not coupled otherwise."""
+    units, none = np.array([1e155, 1e-170]), np.zeros(2)
+    V = np.zeros((2, 2, 4))
+    V[:, :, 0] = np.eye(2)
+    norm = L.transport(
+        np.array([[1e304, 0.0, 0.0, 0.0]]),
+        np.zeros(1),
+        np.ones(1, dtype=np.int64),
+        np.array([[0, 1, 0]]),
+        np.ones(1),
+        none,
+        none,
+        V,
+        none,
+        1.0,
+        units,
+        2,
+    )[3]
+    exact = Fraction(1e304) * Fraction(units[1]) / Fraction(units[0]) / 2
+    assert exact <= Fraction(norm) <= Fraction(1e-10)
 
 
 def test_box_of_a_flat_set_contains_it(L):
