@@ -57,6 +57,7 @@ _UNCOUPLED = 1e-6
 _LOOSE = 32.0  # defect in units of the accuracy
 _FINEST = 1e-28  # accuracy that twice float64 can reach
 _ROUND_OFF = 2e-14  # of coefficients, relative to the component
+_ABRUPT = 1e3  # drop of the coefficients to round-off, which is that of a polynomial
 
 
 class Equation:
@@ -504,6 +505,8 @@ class WindowStepper:
         last = max(int(places[-1]), 2) if len(places) else 2
         share = max(float(shares[last]), _ROUND_OFF)
         rate = math.log(share) / last if last < self._terms - 2 else -0.1
+        if last < self._terms - 2 and share > _ABRUPT * _ROUND_OFF:  # a polynomial of this degree
+            rate = math.log(_ROUND_OFF) / (last + 1)
         tail = math.exp(rate * self._terms)
         factor = (self._accuracy / max(tail, 1e-100)) ** (1 / self._terms)
         y[:, last + 1 :] = 0.0  # round-off, which the corrections replace

@@ -145,6 +145,18 @@ def test_free_fall_contains_the_parabola():
             assert holds(enclosure.parameter_derivative(t), [[-(time**2) / 2], [-2 * time]])
 
 
+@pytest.mark.parametrize("g", [9.75, 2.0**-80])
+def test_fall_from_rest_is_enclosed(g):
+    """A polynomial of a low degree, whose size is that of its leading term."""
+    H = Hamiltonian("p**2/2 + g*x", parameters={"g": g})
+    enclosure = enclose(H, [0, 0], (0, 4))
+    for t in sampled((0.0, 4.0)):
+        with working(200):
+            time = arb(t)
+            assert holds(enclosure(t), [-arb(g) * time**2 / 2, -arb(g) * time])
+    assert (enclosure(4.0).radius < 1e-24 * g).all()
+
+
 def kepler(t, a=1.0, e=0.6):
     """The orbit from its pericentre, with mean anomaly t: x, y, p_x, p_y."""
     with mpmath.workdps(50):
