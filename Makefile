@@ -19,7 +19,7 @@ $(VENV)/installed: pyproject.toml
 demo: $(VENV)/installed ## Train the paper's oscillator, compare, draw (two minutes)
 	$(BIN)/python examples/oscillator.py --out output
 
-test: $(VENV)/installed ## Run the test suite (six minutes)
+test: $(VENV)/installed ## Run the test suite (six to ten minutes)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not browser"
 
 test-slow: $(VENV)/installed ## Run the slow checks too
