@@ -12,6 +12,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_number
 from hamsym.systems.catalogue import Problem, check_positive, check_start, listed
+from hamsym.systems.planar import planar_integrals, planar_names
 
 __all__ = [
     "anisotropic_kepler",
@@ -95,18 +96,8 @@ def _planar_bodies(masses: Sequence[float]) -> Hamiltonian:
         f"{weights[i - 1]}{weights[j - 1]}1/sqrt((x{i} - x{j})**2 + (y{i} - y{j})**2)"
         for i, j in itertools.combinations(n, 2)
     )
-    names = [f"{axis}{i}" for axis in ("x", "y") for i in n]
+    names = planar_names(len(masses))
     return Hamiltonian(f"{kinetic} - {potential}", q=names, p=["p" + name for name in names])
-
-
-def _planar_integrals(n: int) -> tuple[str, ...]:
-    """Total momentum and angular momentum."""
-    every = range(1, n + 1)
-    return (
-        " + ".join(f"px{i}" for i in every),
-        " + ".join(f"py{i}" for i in every),
-        " + ".join(f"x{i}*py{i} - y{i}*px{i}" for i in every),
-    )
 
 
 @listed
@@ -129,7 +120,7 @@ def three_bodies() -> Problem:
         "Chenciner & Montgomery 2000",
         None,
         period,
-        _planar_integrals(3),
+        planar_integrals(3),
     )
 
 
@@ -149,7 +140,7 @@ def pleiades() -> Problem:
         tuple(float(value) for value in (*x, *y, *momenta)),
         (0.0, 3.0),
         "Hairer, Norsett & Wanner 1993, section II.10; IVP test set (Bari), plei",
-        conserved=_planar_integrals(7),
+        conserved=planar_integrals(7),
     )
 
 

@@ -8,6 +8,7 @@ import math
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_whole
 from hamsym.systems.catalogue import Problem, listed
+from hamsym.systems.planar import planar_integrals, planar_names
 
 __all__ = ["argon_crystal", "lennard_jones"]
 
@@ -20,21 +21,12 @@ def _cluster(n: int, **parameters: float) -> Hamiltonian:
     for i, j in itertools.combinations(every, 2):
         square = f"((x{i} - x{j})**2 + (y{i} - y{j})**2)"
         pairs.append(f"4*epsilon*(sigma**12/{square}**6 - sigma**6/{square}**3)")
-    names = [f"{axis}{i}" for axis in ("x", "y") for i in every]
+    names = planar_names(n)
     return Hamiltonian(
         f"{kinetic} + {' + '.join(pairs)}",
         q=names,
         p=["p" + name for name in names],
         parameters=parameters,
-    )
-
-
-def _integrals(n: int) -> tuple[str, ...]:
-    every = range(1, n + 1)
-    return (
-        " + ".join(f"px{i}" for i in every),
-        " + ".join(f"py{i}" for i in every),
-        " + ".join(f"x{i}*py{i} - y{i}*px{i}" for i in every),
     )
 
 
@@ -67,7 +59,7 @@ def lennard_jones(n: int = 3) -> Problem:
         tuple(round(value, 4) for value in (*positions, *speeds)),
         (0.0, 5.0),
         "Lennard-Jones 1924; start chosen here",
-        conserved=_integrals(n),
+        conserved=planar_integrals(n),
     )
 
 
@@ -90,5 +82,5 @@ def argon_crystal() -> Problem:
         (*x, *y, *px, *py),
         (0.0, 0.005),
         "Biesiadecki & Skeel 1993; Hairer, Lubich & Wanner 2006, section I.4",
-        conserved=_integrals(7),
+        conserved=planar_integrals(7),
     )
