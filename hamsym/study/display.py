@@ -43,54 +43,64 @@ class _Lines(Display):
         print(line, file=sys.stderr, flush=True)
 
 
-class _Bar(Display):
-    """A progress bar with the loss of the run that reported last."""
+class _Shares(Display):
+    """What bars show: the shares of the runs that go on, and the run that reported last."""
 
-    def __init__(self, total: int, progress: Progress) -> None:
+    def __init__(self, total: int) -> None:
         super().__init__(total)
-        self.progress, self.shares, self.finished = progress, dict[str, float](), set[str]()
-        self.task = progress.add_task("", total=total, of=total, ended=0, now="")
+        self.shares, self.finished = dict[str, float](), set[str]()
 
     def put(self, item: tuple[str, float, float]) -> None:
         label, share, loss = item
         if label in self.finished:  # its report was delayed in the queue
             return
         self.shares[label] = share
-        self.draw(f"{label}: loss {loss:.1e}")
+        self.draw(self._completed, f"{label}: loss {loss:.1e}")
 
     def ended(self, label: str) -> None:
         super().ended(label)
         self.shares.pop(label, None)
         self.finished.add(label)
-        self.draw("")
+        self.draw(self._completed, self.note)
 
-    def draw(self, now: str) -> None:
-        completed = self.count + sum(self.shares.values())
-        self.progress.update(self.task, completed=completed, ended=self.count, now=now)
+    @property
+    def _completed(self) -> float:
+        return self.count + sum(self.shares.values())
+
+    @property
+    def note(self) -> str:
+        """The text after a run has ended."""
+        return ""
+
+    def draw(self, completed: float, note: str) -> None:
+        """Show how many runs are completed, with a text."""
+        raise NotImplementedError
 
 
-class _Cell(Display):
-    """A progress bar in the cell of a notebook, with the run that reported last."""
+class _Bar(_Shares):
+    """A progress bar in a terminal."""
+
+    def __init__(self, total: int, progress: Progress) -> None:
+        super().__init__(total)
+        self.progress = progress
+        self.task = progress.add_task("", total=total, of=total, ended=0, now="")
+
+    def draw(self, completed: float, note: str) -> None:
+        self.progress.update(self.task, completed=completed, ended=self.count, now=note)
+
+
+class _Cell(_Shares):
+    """A progress bar in the cell of a notebook."""
 
     def __init__(self, total: int, bar: CellBar) -> None:
         super().__init__(total)
-        self.bar, self.shares, self.finished = bar, dict[str, float](), set[str]()
-        self.drawn = 0.0
+        self.bar, self.drawn = bar, 0.0
 
-    def put(self, item: tuple[str, float, float]) -> None:
-        label, share, loss = item
-        if label not in self.finished:
-            self.shares[label] = share
-            self.draw(f"{label}: loss {loss:.1e}")
+    @property
+    def note(self) -> str:
+        return f"{self.count} of {self.total} runs"
 
-    def ended(self, label: str) -> None:
-        super().ended(label)
-        self.shares.pop(label, None)
-        self.finished.add(label)
-        self.draw(f"{self.count} of {self.total} runs")
-
-    def draw(self, note: str) -> None:
-        completed = self.count + sum(self.shares.values())
+    def draw(self, completed: float, note: str) -> None:
         self.bar.advance(completed - self.drawn, note)
         self.drawn = completed
 
