@@ -230,15 +230,20 @@ FORMULAS = {
 }
 
 
-@pytest.fixture(scope="module")
-def every_function() -> tuple[Hamiltonian, np.ndarray]:
-    """A sum with one formula for each degree of freedom, and states inside all domains."""
+def sum_of_formulas() -> Hamiltonian:
+    """Return a Hamiltonian with one formula for each degree of freedom."""
     terms = []
     for i, formula in enumerate(FORMULAS):
         own = re.sub(r"\b[xp]\b", lambda name, i=i: f"{name.group()}{i}", formula)
         terms.append(f"p{i}**2/2 + {own}")
     names = [[f"{letter}{i}" for i in range(len(FORMULAS))] for letter in "xp"]
-    H = Hamiltonian(" + ".join(terms), q=names[0], p=names[1], parameters={"k": 1.3})
+    return Hamiltonian(" + ".join(terms), q=names[0], p=names[1], parameters={"k": 1.3})
+
+
+@pytest.fixture(scope="module")
+def every_function() -> tuple[Hamiltonian, np.ndarray]:
+    """The sum of all formulas, and states inside their domains."""
+    H = sum_of_formulas()
     at = np.array(list(FORMULAS.values()))
     z = np.stack((np.concatenate((at, 0 * at + 0.8)), np.concatenate((at + 0.01, 0 * at - 0.4))))
     return H, z

@@ -27,6 +27,7 @@ from tests.codegen.test_generated_code import (
     SYSTEMS,
     TIME,
     states,
+    sum_of_formulas,
     sympy_values,
 )
 
@@ -233,12 +234,7 @@ def test_all_functions_match_sympy(problem: Problem, caller: Callable[..., Calle
 
 
 def test_every_function_of_formulas(caller: Callable[..., Caller]) -> None:
-    terms = []
-    for i, formula in enumerate(FORMULAS):
-        own = re.sub(r"\b[xp]\b", lambda name, i=i: f"{name.group()}{i}", formula)
-        terms.append(f"p{i}**2/2 + {own}")
-    names = [[f"{letter}{i}" for i in range(len(FORMULAS))] for letter in "xp"]
-    H = Hamiltonian(" + ".join(terms), q=names[0], p=names[1], parameters={"k": 1.3})
+    H = sum_of_formulas()
     call, n = caller(H), len(FORMULAS)
     z = np.array([*FORMULAS.values(), *n * [0.8]])
     J = np.array(H.poisson_matrix, dtype=float)
