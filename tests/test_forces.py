@@ -206,10 +206,6 @@ def test_ensembles_have_forces() -> None:
     assert many.success.all()
     for value, one in zip(c, many, strict=True):
         np.testing.assert_allclose(one(T), damped(T, c=float(value)), atol=1e-9)
-    tensors = hamsym.solve_many(
-        DAMPED, [1, 0], (0, 20), parameters={"c": c}, tol=1e-10, device="cpu"
-    )
-    np.testing.assert_allclose(tensors(T), many(T), atol=1e-9)
 
 
 # -- integrators -----------------------------------------------------------------------------------

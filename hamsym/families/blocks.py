@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,8 +50,6 @@ class BlockSolver:
     ----------
     family : Family
     members : Ensemble
-    device : str, optional
-        A device of torch; by default compiled code.
     known : KnownInvariants, optional
         Invariants whose drift a member must explain by its allowed errors.
     """
@@ -61,18 +58,16 @@ class BlockSolver:
         self,
         family: Family,
         members: Ensemble,
-        device: str | None = None,
         known: KnownInvariants | None = None,
     ) -> None:
         self._family, self._members = family, members
-        self._device, self._known = device, known
+        self._known = known
         self._basis = basis_for(family.seed, family.accuracy.tol)
 
-    @cached_property
+    @property
     def solver(self) -> MemberSolver | None:
         """The solver of batches, which is compiled on first use; None where it does not apply."""
-        family = self._family
-        return family.solver if self._device is None else _on_device(family, self._device)
+        return self._family.solver
 
     def valid_starts(self) -> tuple[np.ndarray, dict[int, str]]:
         """Return members whose starts solve accepts, and the messages of the others."""
@@ -211,20 +206,6 @@ class BlockSolver:
         table.excess[place] = error.excess(accuracy.allowed(error.scale))
         table.largest[place], table.sizes[place] = error.largest, march.scale
         return Packed(march.edges, march.states, march.readouts, error.series, error.floors)
-
-
-def _on_device(family: Family, device: str) -> MemberSolver | None:
-    """Make the solver on a device of torch; None where it does not apply."""
-    from hamsym.random_features.tensor_members import TensorSolver  # imports torch, which is slow
-
-    if not TensorSolver.applies(family.H):
-        return None
-    found, basis = family.accuracy, basis_for(family.seed, family.accuracy.tol)
-    return TensorSolver(
-        *(family.H, family.span, found.tol, found.local, found.absolute, found.longest),
-        basis,
-        device,
-    )
 
 
 def _note(solution: Solution) -> dict[str, Any]:

@@ -44,7 +44,6 @@ if TYPE_CHECKING:  # an optional package
 __all__ = ["solve_many"]
 
 _FIRST, _MOST = 32, 1_024  # members of the first chunk, and of any; a call costs a millisecond
-_ON_DEVICE = 32_768  # members of a chunk on a device of torch
 _SECONDS = 0.2  # that a chunk should take, so that Ctrl-C is soon obeyed
 _WAITING = 2  # chunks for each core
 _BUFFER = 2**26  # bytes of windows that are kept before they are moved to a store
@@ -64,7 +63,6 @@ def solve_many(
     seed: int = 0,
     progress: bool | None = None,
     zarr: str | os.PathLike[str] | None = None,
-    device: str | None = None,
     client: Client | None = None,
     retries: int = 3,
     prove: bool = False,
@@ -96,10 +94,6 @@ def solve_many(
         result reads them when they are needed; :func:`hamsym.load` opens the store again. A store
         that an interrupted call with the same arguments began is completed: members that are in
         it are not solved again.
-    device : str, optional
-        A device of torch, for example ``"cuda"``: the march of
-        :mod:`hamsym.random_features.tensor_march`, the same up to round-off, for a million members.
-        By default compiled code on all cores.
     client : dask.distributed.Client, optional
         Solve on the workers of this cluster, with the same results to the last bit on processors
         of one kind. With ``zarr``, workers write to the store themselves if they reach its path.
@@ -152,16 +146,14 @@ def solve_many(
     if client is not None:
         require_client(client)
         require_whole("retries", retries, 0)
-        if device is not None:
-            raise InputError("client and device exclude each other; give one of them")
     known = KnownInvariants(members.H, invariants, members.varied)
     if known and (zarr is not None or client is not None):
         raise InputError(
             "invariants are tested in one process and in memory; leave out zarr and client"
         )
-    store = None if zarr is None else WindowStore(zarr, family, members, device)
+    store = None if zarr is None else WindowStore(zarr, family, members)
     with nullcontext() if store is None else store.locked():
-        run = _Run(family, members, store, device, known)
+        run = _Run(family, members, store, known)
         with stepping_progress(len(members), progress, "solving") as report:
             if client is None:
                 run.solve(report)
@@ -181,14 +173,10 @@ class _Run:
         family: Family,
         members: Ensemble,
         store: WindowStore | None,
-        device: str | None,
         known: KnownInvariants,
     ) -> None:
         self._family, self._members, self._store = family, members, store
-        self._solver = BlockSolver(family, members, device, known)
-        # One chunk occupies a device.
-        self._cores = available_cores() if device is None else 1
-        self._sizes = (_FIRST, 1, _MOST) if device is None else (_ON_DEVICE,) * 3
+        self._solver = BlockSolver(family, members, known)
         self._blocks: list[Block] = []  # those in memory
         #: Blocks that are not in the store yet, and those that are being written to it.
         self._pending: list[Block] = []
@@ -201,13 +189,13 @@ class _Run:
     def solve(self, report: Callable[[int], None]) -> None:
         """Solve all members, or as many as there are before Ctrl-C."""
         waiting: deque[tuple[np.ndarray, Future[tuple[Batch | None, float]]]] = deque()
-        cores, (start, least, largest) = self._cores, self._sizes
+        cores = available_cores()
         pool = ThreadPoolExecutor(cores)
         try:
             valid = self._missing(report)
             if len(valid):
                 _ = self._solver.solver  # compiled before the threads need it
-            position, size = 0, start
+            position, size = 0, _FIRST
             while waiting or position < len(valid):
                 # Nothing follows the first chunk before the memory is known to suffice.
                 known = bool(self._blocks) or self._store is not None
@@ -218,9 +206,9 @@ class _Run:
                     position += len(chunk)
                 batch, seconds = waiting[0][1].result()
                 # Smaller chunks at the end occupy all cores until then.
-                fair = max((len(valid) - position) // (_WAITING * cores), start)
+                fair = max((len(valid) - position) // (_WAITING * cores), _FIRST)
                 wanted = _SECONDS * len(waiting[0][0]) / seconds
-                size = int(min(max(wanted, least), fair, largest))
+                size = int(min(max(wanted, 1), fair, _MOST))
                 chunk, _ = waiting.popleft()
                 self._finish(chunk, batch, report)
                 self._limit_memory(len(valid))

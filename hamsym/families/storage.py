@@ -116,17 +116,11 @@ class WindowStore:
         be written.
     """
 
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        family: Family,
-        members: Ensemble,
-        device: str | None = None,
-    ) -> None:
+    def __init__(self, path: str | os.PathLike[str], family: Family, members: Ensemble) -> None:
         zarr = zarr_of()
         self._path, self._family, self._members = Path(os.path.abspath(path)), family, members
         _require_formula(path, family)
-        request = _request(family, members, device)
+        request = _request(family, members)
         try:
             if self._path.exists():
                 begun = {}
@@ -201,7 +195,7 @@ class WindowStore:
         return solutions
 
 
-def _request(family: Family, members: Ensemble, device: str | None) -> str:
+def _request(family: Family, members: Ensemble) -> str:
     """Compute SHA-256 of all that determines the solutions."""
     found, longest = family.accuracy, family.options.max_window
     values = {
@@ -212,7 +206,6 @@ def _request(family: Family, members: Ensemble, device: str | None) -> str:
         "seed": family.seed,
         "varied": list(family.varied),
         "shape": list(members.shape),
-        "device": device,
     }
     arrays = {"z0": members.states, "parameters": members.parameters, "basis": family.series}
     return _digest(arrays, values)

@@ -129,7 +129,7 @@ class FeatureTrial:
 
     def tensors(self, t: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluate z^ and dz^/dt at times t of shape (K,), differentiable in t."""
-        from hamsym.random_features.tensor_evaluation import evaluate
+        from hamsym.random_features.trial_tensors import evaluate
 
         return evaluate(t, **self.arrays(), rate_series=self._rate_series)
 

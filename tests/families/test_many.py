@@ -785,23 +785,3 @@ def test_successes_are_true(survey: Callable[[int], None], count: int) -> None:
 )
 def test_every_success_of_many_is_true(survey: Callable[[int], None], count: int) -> None:
     survey(count)
-
-
-# -- devices of torch -----------------------------------------------------------------------------
-
-
-def test_tensors_agree_with_compiled_code() -> None:
-    starts = random_starts(12)
-    starts[3] = np.nan
-    compiled = hamsym.solve_many(HENON, starts, SPAN, tol=1e-9)
-    tensors = hamsym.solve_many(HENON, starts, SPAN, tol=1e-9, device="cpu")
-    np.testing.assert_array_equal(tensors.success, compiled.success)
-    assert tensors.message[3] == compiled.message[3]
-    t = np.linspace(*SPAN, 50)
-    np.testing.assert_allclose(tensors(t), compiled(t), atol=2e-9)
-    assert tensors[0].success
-
-
-def test_unknown_device_is_refused() -> None:
-    with pytest.raises(InputError, match="device='abacus' cannot be used here"):
-        hamsym.solve_many(HENON, random_starts(2), SPAN, device="abacus")
