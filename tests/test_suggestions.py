@@ -77,7 +77,7 @@ def test_keywords_of_other_packages_are_answered(function, keywords, answer: str
 
 @pytest.mark.parametrize(
     ("keyword", "answer"),
-    [("rtol", "give tol=..."), ("widht", "'widht' is not an option of method 'features'")],
+    [("rtol", "give tol=..."), ("widht", "'widht' is not an argument of flow_map; it has")],
 )
 def test_keywords_of_flow_maps_are_answered(keyword: str, answer: str) -> None:
     with pytest.raises(KeywordError, match=answer):

@@ -178,7 +178,7 @@ def image_of(
 
     Parameters
     ----------
-    map : Leg or NetworkMap
+    map : Leg
     domain : Domain
         All components of the state are inputs of it.
     time : float

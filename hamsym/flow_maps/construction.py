@@ -1,4 +1,4 @@
-"""Construction of flow maps, by expansion or by training: attempts, each with its judgement."""
+"""Construction of flow maps by expansion: attempts, each with its judgement."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from hamsym.flow_maps.box import Box, checked_box
 from hamsym.flow_maps.building import Builder, Built
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement, judged
-from hamsym.flow_maps.options import FeatureMapOptions, NetworkMapOptions, checked_options
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.problem import checked_span
 from hamsym.suggestions import checked_keywords
@@ -27,8 +26,6 @@ from hamsym.support.validation import require, require_whole
 
 if TYPE_CHECKING:
     from distributed import Client
-
-    from hamsym.flow_maps.workers import Workers
 
 __all__ = ["flow_map"]
 
@@ -50,21 +47,17 @@ def flow_map(
     *,
     tol: float = 1e-6,
     atol: float | Sequence[float] = 0.0,
-    method: str = "features",
     points: int = 2_000,
     seed: int = 0,
     progress: bool | None = None,
     client: Client | None = None,
-    **options: Any,
+    max_solutions: int = 100_000,
 ) -> FlowMap:
     """Find one closed form of all trajectories that start in a box.
 
     Solutions at the points of a sparse grid in the box, as many as the tolerance needs in each
     direction, are expanded in Chebyshev polynomials of the initial state and the parameters:
     z^ = z0 + (t - t0) N(t, z0, parameters), with columns in time and readouts that are polynomials.
-    With the method "network", a network of sines N(t, z0, parameters) in
-    z^ = z0 + f(t) N is trained instead, on the residual of Hamilton's equations at random points of
-    the box, without any solution.
     The error is estimated over the whole box by comparison with other solutions, by a search for
     the worst place and by the linear equation of the error.
 
@@ -81,60 +74,17 @@ def flow_map(
         Tolerance over the whole box, relative to the largest value of each component there.
     atol : float or sequence
         Absolute tolerance, added to it.
-    method : {"features", "network"}
     points : int
         Random points at which the error is estimated.
     seed : int
-        Of the random points, and of the basis or the weights.
+        Of the random points, and of the basis.
     progress : bool, optional
         Write lines about the progress, with the number of solutions that is expected, on standard
         error; by default if that is a terminal.
     client : dask.distributed.Client, optional
         Solve on the workers of this cluster; see :func:`hamsym.solve_many`. The map is the same.
-    **options
-        For ``"features"``:
-
-        max_solutions : int, default 100_000
-            Largest number of solutions of which the map may be made.
-
-        For ``"network"``:
-
-        hidden : sequence of int, default (40, 40)
-            Neurons of each hidden layer.
-        envelope : {"exponential", "linear"}
-            f = 1 - exp(-(t - t0) / tau) or f = (t - t0) / tau.
-        tau : float
-            Unit of time of the envelope; by default the length of a window.
-        frequency : float, default 2
-            Weights of the first layer start uniform within +- this; its inputs are within +- 1.
-        windows : int, default 1
-            Networks, one after the other in time; each starts from the states in which the one
-            before it ends. More than one need intervals for all components of z0.
-        optimizer : {"levenberg-marquardt", "adam"}
-        collocation_points : int
-            Fresh random points of each iteration, in each process; by default so many that there
-            are two residuals for each weight.
-        stages : int, default 4
-            Sequential training: number of spans in each window, each longer by an equal part, with
-            the weights carried over.
-        iterations : int, default 1_000
-            Largest number of iterations for each window.
-        patience : int, optional
-            End a window after this number of iterations without a lower residual at held-out
-            points.
-        learning_rate : float, default 3e-3
-            Of Adam, at the start; it falls to zero along half a cosine.
-        time_limit : float, optional
-            Seconds after which the training ends, shared among the windows.
-        checkpoint : path, optional
-            A file that is written every ``checkpoint_every`` (20) iterations and at the end. If it
-            exists, the training is resumed from it.
-        device : {"cpu", "cuda"}
-
-        A training converges when its error by the linear equation, at held-out starts, is within
-        the tolerance. It ends early, with what there is, at the time limit and at Ctrl-C. Under
-        ``torchrun`` it is data-parallel: each process has its own points, and all return the same
-        map; the first one writes the checkpoint and lines about the progress.
+    max_solutions : int
+        Largest number of solutions of which the map may be made.
 
     Returns
     -------
@@ -143,10 +93,8 @@ def flow_map(
     Raises
     ------
     InputError
-        If an argument or option is invalid, a solution fails at the start of the span, or more
+        If an argument is invalid, a solution fails at the start of the span, or more
         solutions are needed than ``max_solutions``.
-    FileError
-        If a checkpoint cannot be read or written, or belongs to another training.
 
     Examples
     --------
@@ -168,26 +116,18 @@ def flow_map(
     )
     require_whole("points", points, 100)
     require_whole("seed", seed, 0)
-    chosen = checked_options(method, options)
+    require_whole("max_solutions", max_solutions, 1)
     absolute = np.broadcast_to(np.asarray(atol, dtype=float), box.H.dim)
     show = is_shown(progress)
-    workers = None
-    if isinstance(chosen, NetworkMapOptions):
-        from hamsym.flow_maps.workers import Workers  # imports torch, which is slow
-
-        workers = Workers(chosen.device)
 
     def note(text: str) -> None:
-        if show and not (workers and workers.rank):
+        if show:
             print(f"flow map: {text}", file=sys.stderr, flush=True)
 
     if client is not None:
         require_client(client)
     construction = _Construction(box, times, float(tol), absolute, points, seed, note, client)
-    if workers is not None and isinstance(chosen, NetworkMapOptions):
-        return construction.trained(chosen, workers)
-    assert isinstance(chosen, FeatureMapOptions)
-    return construction.expanded(chosen.max_solutions)
+    return construction.expanded(max_solutions)
 
 
 class _Construction:
@@ -223,21 +163,6 @@ class _Construction:
         self._of_solutions = self._of_solutions + self._solution_tol * scale
         return scale, self._absolute + self._tol * scale
 
-    def trained(self, options: NetworkMapOptions, workers: Workers) -> FlowMap:
-        """Return a map by a network; the first process judges it."""
-        from hamsym.flow_maps.network_building import NetworkBuilder  # imports torch
-
-        scale, allowed = self._sizes()
-        built, training = NetworkBuilder(
-            *(self._box, self._span, allowed, scale, options, self._seed, workers, self._note)
-        ).build()
-        seconds = time.perf_counter() - self._began
-        self._note(f"{training} in {seconds:.3g} s; estimating the error")
-        judgement = workers.of_first(lambda: self._judged(built, allowed, scale))
-        return self._result(
-            "network", built, judgement, allowed, training, workers.of_first(lambda: seconds)
-        )
-
     def expanded(self, most: int) -> FlowMap:
         """Return a map by expansion of at most so many solutions."""
         self._most = most
@@ -257,7 +182,7 @@ class _Construction:
                 break
             share *= _AIM / excess
             self._note(f"the error is {excess:.2g} of the tolerance; again with a smaller share")
-        return self._result("features", built, judgement, allowed, "", seconds)
+        return self._result(built, judgement, allowed, seconds)
 
     def _judged(self, built: Built, allowed: np.ndarray, scale: np.ndarray) -> Judgement:
         span = (self._span[0], built.reached)
@@ -268,11 +193,9 @@ class _Construction:
 
     def _result(
         self,
-        method: str,
         built: Built,
         judgement: Judgement,
         allowed: np.ndarray,
-        training: str,
         seconds: float,
     ) -> FlowMap:
         span = (self._span[0], built.reached)
@@ -283,11 +206,10 @@ class _Construction:
         return FlowMap(
             self._box,
             span,
-            method,
             built.map,
             self._tol,
             bool(success),
-            f"{message}; {training}" if training else message,
+            message,
             judgement.error,
             excess,
             judgement,

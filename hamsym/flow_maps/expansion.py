@@ -215,7 +215,7 @@ def affine(inputs, matrix, shift, xp=np):
 
 
 def starts(map, inputs, y, xp=np):
-    """Return z_a of a leg, a network or a domain, for inputs and their scaled values y."""
+    """Return z_a of a leg or a domain, for inputs and their scaled values y."""
     states = affine(inputs, map.selection, map.offset, xp)
     if len(map.start):
         values = products(map.start_degrees, tables(map.start_degrees, y, xp))

@@ -145,11 +145,10 @@ def _form(map: Any, numbers: list[np.ndarray]) -> dict[str, Any]:
         arrays = [[name, _placed(getattr(map, name), numbers)] for name in ("joints", "kept")]
         parts = [_form(part, numbers) for part in map.maps]
         return {"form": "chain", "arrays": arrays, "parts": parts}
-    if isinstance(map, Split):
-        arrays = [["normal", _placed(map.normal, numbers)]]
-        parts = [_form(part, numbers) for part in (map.low, map.high)]
-        return {"form": "split", "threshold": map.threshold, "arrays": arrays, "parts": parts}
-    raise FileError("a map by a network has no exported form; write it with save")
+    assert isinstance(map, Split)
+    arrays = [["normal", _placed(map.normal, numbers)]]
+    parts = [_form(part, numbers) for part in (map.low, map.high)]
+    return {"form": "split", "threshold": map.threshold, "arrays": arrays, "parts": parts}
 
 
 def _placed(array: np.ndarray, numbers: list[np.ndarray]) -> list[Any]:

@@ -44,16 +44,14 @@ class FlowMap(Shown):
         What varies.
     span : (float, float)
         Times for which the map holds; it ends early where solutions fail.
-    method : str
-        "features" or "network".
-    map : Leg, Chain, Split or NetworkMap
+    map : Leg, Chain or Split
         The closed form, in the inputs ``inputs``.
     tol : float
         The tolerance that was asked for.
     success : bool
         Whether the estimated error over the whole box and span is within the tolerance.
     message : str
-        Outcome, with the worst place found and how a training ended.
+        Outcome, with the worst place found.
     error_estimate : numpy.ndarray
         Estimated largest error of each component over the box and the span, shape (dim,); see
         :mod:`hamsym.flow_maps.judging`.
@@ -62,14 +60,13 @@ class FlowMap(Shown):
     judgement : Judgement
         How the error was estimated: places, worst place, confidence, symplecticity.
     solutions : int
-        Number of solutions from which the map was made; a network is made without any.
+        Number of solutions from which the map was made.
     seconds : float
         Wall time of the construction, without the judgement.
     """
 
     region: Box
     span: tuple[float, float]
-    method: str
     map: Any
     tol: float
     success: bool

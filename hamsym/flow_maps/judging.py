@@ -87,7 +87,7 @@ def judged(
 
     Parameters
     ----------
-    map : Leg, Chain, Split or network
+    map : Leg, Chain or Split
     box : Box
     span : (float, float)
     edges : numpy.ndarray
@@ -184,7 +184,7 @@ def linear_error(
 
     Parameters
     ----------
-    map : Leg, Chain, Split or network
+    map : Leg, Chain or Split
     H : Hamiltonian
     box : Box or Domain
         Where the inputs are; it gives the parameters that vary.

@@ -14,7 +14,6 @@ from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement
-from hamsym.flow_maps.network_map import ENVELOPES, NetworkMap
 from hamsym.numerics.lower_sets import MOST_DEGREE
 from hamsym.support.checked_data import (
     arrays_of,
@@ -65,7 +64,6 @@ def write_flow_map(flow: FlowMap, path: str | os.PathLike[str]) -> None:
 
 
 _PLAIN = {
-    "method": "str",
     "tol": "float",
     "success": "bool",
     "message": "str",
@@ -144,10 +142,6 @@ def _map(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int, 
     if kind == "leg":
         require_names("leg", form, {"form", "begin", "pieces"})
         return _leg(form, arrays, d, dim)
-    if kind == "network":
-        names = {"form", "begin", "length", "tau", "envelope", "layers"}
-        require_names("network", form, names)
-        return _network(form, arrays, d, dim)
     if kind == "chain":
         require_names("chain", form, {"form", "maps"})
         forms = checked_list("maps", form["maps"])
@@ -193,29 +187,6 @@ def _leg(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int) 
         if not min(*readouts.shape, *columns.shape):
             raise ValueError("a piece of its map is empty")
     return Leg(checked_number("begin", form["begin"]), edges, pieces=pieces, **own)
-
-
-def _network(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int) -> NetworkMap:
-    count = checked_type("layers", form["layers"], "int")
-    begin, length, tau = (checked_number(name, form[name]) for name in ("begin", "length", "tau"))
-    if not (length and tau and (length > 0) == (tau > 0)):
-        raise ValueError("the length or tau of its network is zero, or their signs differ")
-    if form["envelope"] not in ENVELOPES:
-        raise ValueError("the envelope of its network is unknown")
-    if not 2 <= count <= len(arrays):
-        raise ValueError("its network has no hidden layer, or too many")
-    own = _domain(arrays, d, dim)
-    layers, width = [], 1 + d
-    for number in range(count):
-        layer = taken(arrays, str(number))
-        require_names("layer", layer, {"matrix", "bias"})
-        matrix, bias = layer["matrix"], layer["bias"]
-        outputs = dim if number == count - 1 else max(1, bias.size)
-        require_array("bias", bias, (outputs,))
-        require_array("matrix", matrix, (outputs, width))
-        layers.append((matrix, bias))
-        width = outputs
-    return NetworkMap(begin, length, tau, form["envelope"], layers=layers, **own)
 
 
 def _domain(arrays: dict[str, np.ndarray], d: int, dim: int) -> dict[str, np.ndarray]:

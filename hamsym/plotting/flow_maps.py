@@ -97,7 +97,7 @@ def _caption(flow: FlowMap, *sentences: str, over_time: bool, planes: bool) -> l
         parts.append(
             f"Shaded: range of {_STARTS} random starts of the box; lines: {_SHOWN} of them"
         )
-    parts.append(f"By {flow.method}: {flow.message}")
+    parts.append(flow.message)
     fixed = {name: v for name, v in H.parameters.items() if name not in varied}
     return caption_words(H, *parts, *sentences, parameters=fixed)
 

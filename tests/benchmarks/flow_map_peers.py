@@ -1,4 +1,4 @@
-"""The oscillator's box by trained networks: neurodiffeq and flow_map, ten minutes each.
+"""The oscillator's box by flow_map, and by networks of neurodiffeq trained for ten minutes.
 
 neurodiffeq's BundleSolver1D with its default points, two networks with two hidden layers of 64
 sines, and Adam at its default rate. Errors are the largest from 10,000 random starts at 20 times
@@ -15,7 +15,6 @@ import numpy as np
 import torch
 
 import hamsym
-from hamsym.errors import InputError
 
 from . import markdown
 from .flow_map_errors import OSCILLATOR, MapCase, queries_of
@@ -25,7 +24,6 @@ from .results import Section
 __all__ = ["measure", "table"]
 
 _HIDDEN = (64, 64)
-_FEATURES, _NETWORK = "flow map, features", "flow map, network"
 
 
 def measure(quick: bool) -> Section:
@@ -44,16 +42,7 @@ def measure(quick: bool) -> Section:
     torch.set_num_threads(1)
     try:
         box.compile()
-        rows = [_row(_FEATURES, box, z0, t, truth)]
-        try:
-            network = MapCase(
-                *(box.label, box.H, box.z0, box.span, box.tol),
-                options={"method": "network", "time_limit": limit},
-            )
-            rows.append(_row(_NETWORK, network, z0, t, truth))
-        except (InputError, TypeError) as error:
-            print(f"{_NETWORK}: skipped; {error}")
-            skipped.append('flow_map(method="network")')
+        rows = [_row(box, z0, t, truth)]
         if optional("neurodiffeq", skipped):
             rows.append(_neurodiffeq(box, limit, z0, t, truth))
     finally:
@@ -62,15 +51,13 @@ def measure(quick: bool) -> Section:
     return {"limit": limit, "starts": starts, "times": times, "rows": rows, "skipped": skipped}
 
 
-def _row(
-    name: str, case: MapCase, z0: np.ndarray, t: np.ndarray, truth: np.ndarray
-) -> dict[str, Any]:
+def _row(case: MapCase, z0: np.ndarray, t: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
     began = time.perf_counter()
     flow = case.build()
     seconds = time.perf_counter() - began
     states = flow(t, *queries_of(flow, z0[:, None]))
     return {
-        "method": name,
+        "method": "flow map",
         "seconds": seconds,
         "numbers": sum(array.size for array in flow.map.arrays().values()),
         "estimate": float(flow.error_estimate.max()),

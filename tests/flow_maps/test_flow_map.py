@@ -273,7 +273,7 @@ def test_bad_boxes_are_refused(arguments: tuple, message: str) -> None:
         ({"tol": 0}, "tol=0 cannot be used; give a number from 1e-11"),
         ({"tol": float("nan")}, "tol=nan cannot be used"),
         ({"points": 3}, "points=3 cannot be used"),
-        ({"method": "magic"}, "method='magic' cannot be used"),
+        ({"max_solutions": 0}, "max_solutions=0 cannot be used"),
         ({"seed": -1}, "seed=-1 cannot be used"),
         ({"parameters": {"k": (1, 2)}}, "'k' is not a parameter of H"),
         ({"parameters": 3}, "parameters=3 is not a mapping"),

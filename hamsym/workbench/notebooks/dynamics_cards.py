@@ -80,7 +80,7 @@ def _flow_map(flow: FlowMap) -> Card:
         ("outcome", cut(flow.message)),
         ("box", ", ".join(f"{name} from {interval(ends)}" for name, ends in flow.box.items())),
         ("span", f"t from {interval(flow.span)}"),
-        ("method", f"{flow.method}, {flow.nbytes:,} bytes, {seconds_text(flow.seconds)}"),
+        ("size", f"{flow.nbytes:,} bytes, {seconds_text(flow.seconds)}"),
         *((name, number(value)) for name, value in flow.fixed.items()),
     ]
     if flow.symplecticity is not None:
