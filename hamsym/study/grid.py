@@ -1,8 +1,7 @@
 """Sweeps over a grid of parameters, starts and energies, to a store on disk.
 
 Input:  a Hamiltonian, the axes of the grid, a task: solve, lyapunov, section or a function.
-Output: a store of zarr or parquet, written box by box; a box that is written is never computed
-        again.
+Output: a store of zarr, written box by box; a box that is written is never computed again.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ class StoredSweep(Shown):
     Attributes
     ----------
     path : pathlib.Path
-        The store: ``xarray.open_zarr(path)`` or ``pandas.read_parquet(path)`` read it.
+        The store: ``xarray.open_zarr(path)`` reads it.
     shape : tuple of int
         Lengths of the axes of the grid.
     done : int
@@ -82,12 +81,12 @@ class StoredSweep(Shown):
         return self.done == int(np.prod(self.shape))
 
     def open(self) -> Any:
-        """Open the store as an ``xarray.Dataset`` or read it as a ``pandas.DataFrame``.
+        """Open the store as an ``xarray.Dataset``.
 
         Raises
         ------
         InputError
-            If xarray or pandas is not installed.
+            If xarray is not installed.
         """
         return self.store.open()
 
@@ -101,7 +100,7 @@ class StoredSweep(Shown):
         Raises
         ------
         InputError
-            If zarr or pandas is not installed.
+            If zarr is not installed.
         """
         return self.store.values()
 
@@ -198,10 +197,10 @@ def sweep_to_store(
         attributes=_attributes(members, times, task, given),
         box=box_shape(members.shape, most),
     )
-    if place.path.suffix == ".zarr" and task == "section" and given.get("crossings") is None:
+    if task == "section" and given.get("crossings") is None:
         raise InputError(
-            "a store of zarr needs the length of its rows; give crossings=, the most that are kept "
-            "of each trajectory, or a store that ends .parquet"
+            "a store needs the length of its rows; give crossings=, the most that are kept of each "
+            "trajectory"
         )
     if not place.path.parent.is_dir():
         raise InputError(f"the folder of store={str(store)!r} does not exist; make it first")

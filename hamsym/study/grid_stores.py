@@ -1,10 +1,10 @@
-"""Stores of a sweep over a grid: zarr, for xarray, and parquet, for pandas.
+"""Stores of a sweep over a grid: groups of zarr, which xarray opens.
 
 Input:  columns of the points of a box of the grid.
 Output: a store in which each box is either there as a whole, or known to be missing.
 
-Boxes are the chunks of zarr, and the files of parquet, so that processes that write different boxes
-never touch the same file.
+Boxes are the chunks of zarr, so that processes that write different boxes never touch the same
+file.
 """
 
 from __future__ import annotations
@@ -25,14 +25,12 @@ import numpy as np
 from hamsym.errors import FileError, InputError
 from hamsym.families.parts import zarr_of
 from hamsym.study.grid_tasks import Columns
-from hamsym.support.atomic import write_atomically
 
 __all__ = ["Box", "GridStore", "box_shape", "store_at"]
 
 Box = tuple[slice, ...]
 
-_LONG = ("time", "crossing")  # axes that are rows of a table; others are columns
-_HEAD = "_hamsym.json"  # names that begin with _ are no data to readers of parquet
+_LONG = ("time", "crossing")  # axes along which a point has many values
 
 
 def box_shape(shape: Sequence[int], most: int) -> tuple[int, ...]:
@@ -46,7 +44,7 @@ def box_shape(shape: Sequence[int], most: int) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class GridStore:
-    """A store, which a worker of a cluster may write to.
+    """A group of zarr with named axes, a dataset of xarray; workers of a cluster write to it too.
 
     Attributes
     ----------
@@ -128,45 +126,12 @@ class GridStore:
             raise FileError(f"'{self.path}' cannot be written: {error.strerror or error}") from None
         return store
 
-    def missing(self) -> list[Box]:
-        """Return the boxes that are not written."""
-        raise NotImplementedError
-
-    def write(self, box: Box, columns: Columns) -> None:
-        """Write a box."""
-        raise NotImplementedError
-
-    def complete(self) -> None:
-        """Mark the store as complete."""
-
-    def open(self) -> Any:
-        """Open the store with the package that reads it."""
-        raise NotImplementedError
-
-    def values(self) -> dict[str, np.ndarray]:
-        """Return what has one value at each point, in arrays of the shape of the grid.
-
-        An exponent or a component is an array of its own, ``exponent_1`` or ``z0_x``. ``done``
-        tells which points are in the store; others have nan, False or "".
-        """
-        raise NotImplementedError
-
     def _labels(self, axes: tuple[str, ...], shape: tuple[int, ...]) -> list[str]:
         names = [
             [f"_{label}" for label in self.coordinates.get(axis, range(length))]
             for axis, length in zip(axes, shape, strict=True)
         ]
         return ["".join(parts) for parts in itertools.product(*names)]
-
-    def _head(self) -> dict[str, Any]:
-        raise NotImplementedError
-
-    def _create(self, columns: Columns, head: dict[str, Any]) -> None:
-        raise NotImplementedError
-
-
-class _ZarrStore(GridStore):
-    """A group of zarr with named axes: a dataset of xarray."""
 
     def _head(self) -> dict[str, Any]:
         found = json.loads((self.path / "zarr.json").read_text("utf-8"))
@@ -208,10 +173,12 @@ class _ZarrStore(GridStore):
         )
 
     def missing(self) -> list[Box]:
+        """Return the boxes that are not written."""
         done = np.asarray(zarr_of().open_group(self.path, mode="r")["done"][...])
         return [box for box in self.boxes if not done[box].all()]
 
     def write(self, box: Box, columns: Columns) -> None:
+        """Write a box."""
         group = zarr_of().open_group(self.path, mode="r+")
         size = tuple(part.stop - part.start for part in box)
         for name, (_, values) in columns.items():
@@ -219,6 +186,7 @@ class _ZarrStore(GridStore):
         group["done"][box] = np.ones(size, dtype=bool)  # last: a box without it is missing
 
     def complete(self) -> None:
+        """Mark the store as complete."""
         zarr = zarr_of()
         zarr.open_group(self.path, mode="r+").attrs["complete"] = 1
         with warnings.catch_warnings():
@@ -231,13 +199,28 @@ class _ZarrStore(GridStore):
         return bool(found["attributes"]["complete"])
 
     def open(self) -> Any:
+        """Open the store as a dataset of xarray.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+        """
         try:
             import xarray
         except ImportError:
-            raise _missing("xarray") from None
+            raise InputError(
+                "this store needs the package xarray, which is not installed; install it with "
+                "pip install xarray"
+            ) from None
         return xarray.open_zarr(self.path, consolidated=None if self._is_complete() else False)
 
     def values(self) -> dict[str, np.ndarray]:
+        """Return what has one value at each point, in arrays of the shape of the grid.
+
+        An exponent or a component is an array of its own, ``exponent_1`` or ``z0_x``. ``done``
+        tells which points are in the store; others have nan, False or "".
+        """
         group = zarr_of().open_group(self.path, mode="r")
         found: dict[str, np.ndarray] = {}
         for name, array in group.arrays():
@@ -252,130 +235,19 @@ class _ZarrStore(GridStore):
         return found
 
 
-class _ParquetStore(GridStore):
-    """A folder of parquet files, one for each box: a table of pandas."""
-
-    def _head(self) -> dict[str, Any]:
-        return dict(json.loads((self.path / _HEAD).read_text("utf-8")))
-
-    def _create(self, columns: Columns, head: dict[str, Any]) -> None:
-        _parquet()
-        self.path.mkdir(parents=True)
-        write_atomically(self.path / _HEAD, json.dumps(head | {"complete": 0}).encode())
-
-    def _file(self, box: Box) -> Path:
-        return self.path / ("part" + "".join(f"-{part.start:06d}" for part in box) + ".parquet")
-
-    def missing(self) -> list[Box]:
-        return [box for box in self.boxes if not self._file(box).exists()]
-
-    def write(self, box: Box, columns: Columns) -> None:
-        arrow, parquet = _parquet()
-        table = arrow.table(self._rows(box, columns))
-        file = self._file(box)
-        aside = file.with_name(f".{file.name}-{uuid.uuid4().hex}")
-        parquet.write_table(table, aside)
-        os.replace(aside, file)
-
-    def _rows(self, box: Box, columns: Columns) -> dict[str, np.ndarray]:
-        """Return a row for each point, time and crossing; a point without crossings has one."""
-        points = np.meshgrid(
-            *(values[part] for values, part in zip(self.axes.values(), box, strict=True)),
-            indexing="ij",
-        )
-        long = {axes[0]: values.shape[1] for axes, values in columns.values() if axes[:1] in _ROWS}
-        (length,) = long.values() or (1,)
-        count = points[0].size
-        place, row = (index.ravel() for index in np.indices((count, length)))
-        if "crossing" in long:
-            kept = row < np.maximum(columns["count"][1][place], 1)
-            place, row = place[kept], row[kept]
-        found = {name: grid.ravel()[place] for name, grid in zip(self.axes, points, strict=True)}
-        if "time" in long:
-            found["time"] = np.asarray(self.coordinates["time"])[row]
-        for name, (axes, values) in columns.items():
-            is_long = axes[:1] in _ROWS
-            own = values[place, row] if is_long else values[place]
-            inner, rest = axes[is_long:], own.reshape(len(own), -1)
-            labels = self._labels(inner, own.shape[1:])
-            for k, label in enumerate(labels):
-                found[name + label] = rest[:, k]
-        return found
-
-    def complete(self) -> None:
-        head = self._head() | {"complete": 1}
-        write_atomically(self.path / _HEAD, json.dumps(head).encode())
-
-    def open(self) -> Any:
-        try:
-            import pandas
-        except ImportError:
-            raise _missing("pandas") from None
-        return pandas.read_parquet(self.path)
-
-    def values(self) -> dict[str, np.ndarray]:
-        written = [box for box in self.boxes if self._file(box).exists()]
-        done = np.zeros(self.shape, dtype=bool)
-        found: dict[str, np.ndarray] = {"done": done}
-        if not written:
-            return found
-        # Of each point the first row: others are further times or crossings.
-        table = self.open().drop_duplicates(list(self.axes))
-        place = []
-        for name, axis in self.axes.items():
-            order = np.argsort(axis)
-            place.append(order[np.searchsorted(axis, table[name], sorter=order)])
-        done[tuple(place)] = True
-        of_rows = _OF_ROWS.get(self.attributes["task"], ())
-        for name in table.columns:
-            if name in self.axes or name.startswith(of_rows):
-                continue
-            column = table[name].to_numpy()
-            fill: Any = {"b": False, "O": ""}.get(column.dtype.kind, math.nan)
-            kind = float if column.dtype.kind in "iu" else column.dtype
-            found[name] = np.full(self.shape, fill, dtype=kind)
-            found[name][tuple(place)] = column
-        return found
-
-
-_ROWS = [(name,) for name in _LONG]
-#: How columns begin that have a value for each time or crossing, by task.
-_OF_ROWS = {"solve": ("time", "state_"), "section": ("t", "z_")}
-_KINDS: dict[str, type[GridStore]] = {".zarr": _ZarrStore, ".parquet": _ParquetStore}
-
-
 def store_at(path: str | os.PathLike[str], **values: Any) -> GridStore:
-    """Return the store of the kind that the ending of the path tells.
+    """Return the store at a path.
 
     Raises
     ------
     InputError
-        If the path ends with neither ``.zarr`` nor ``.parquet``, or the package is missing.
+        If the path does not end with ``.zarr``, or zarr is not installed.
     """
     try:
         place = Path(os.path.abspath(path))
     except TypeError:
         place = Path()
-    if place.suffix not in _KINDS:
-        raise InputError(f"store={path!r} cannot be used; give a path that ends .zarr or .parquet")
-    if place.suffix == ".zarr":
-        zarr_of()
-    else:
-        _parquet()
-    return _KINDS[place.suffix](path=place, **values)
-
-
-def _parquet() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise _missing("pyarrow") from None
-    return pyarrow, pyarrow.parquet
-
-
-def _missing(package: str) -> InputError:
-    return InputError(
-        f"this store needs the package {package}, which is not installed; install it with "
-        f"pip install {package}"
-    )
+    if place.suffix != ".zarr":
+        raise InputError(f"store={path!r} cannot be used; give a path that ends .zarr")
+    zarr_of()
+    return GridStore(path=place, **values)

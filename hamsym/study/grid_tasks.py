@@ -136,7 +136,7 @@ def _section(members: Ensemble, span: tuple[float, float], options: dict[str, An
             raise KeyboardInterrupt
         found.append(one)
     counts = [0 if isinstance(one, str) else len(one.t) for one in found]
-    most = options.get("crossings") or max([*counts, 1])
+    most = options["crossings"]
     t, z = np.full((len(found), most), np.nan), np.full((len(found), most, members.H.dim), np.nan)
     for k, one in enumerate(found):
         if counts[k]:

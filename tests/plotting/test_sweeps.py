@@ -86,11 +86,11 @@ def product(H: hamsym.Hamiltonian, z0: np.ndarray, span: Any) -> dict[str, float
     return {"product": H.parameters["k"] * z0[0] + 100 * z0[1]}
 
 
-def stored(folder: Path, ending: str, **over: Any) -> hamsym.StoredSweep:
-    pytest.importorskip("zarr" if ending == "zarr" else "pyarrow")
+def stored(folder: Path, **over: Any) -> hamsym.StoredSweep:
+    pytest.importorskip("zarr")
     pytest.importorskip("pandas")
     H = hamsym.Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1.0})
-    store = folder / f"a.{ending}"
+    store = folder / "a.zarr"
     found = hamsym.sweep(H, [0.5, 0.0], SPAN, over=over, task=product, store=store)
     assert isinstance(found, hamsym.StoredSweep)
     return found
@@ -99,9 +99,8 @@ def stored(folder: Path, ending: str, **over: Any) -> hamsym.StoredSweep:
 OVER = {"k": [3.0, 1.0, 2.0], "x": [0.5, 1.0, 2.5, 1.5]}
 
 
-@pytest.mark.parametrize("ending", ["zarr", "parquet"])
-def test_two_axes_are_a_plane_with_failures_in_red(tmp_path: Path, ending: str) -> None:
-    sweep = stored(tmp_path, ending, **OVER)
+def test_two_axes_are_a_plane_with_failures_in_red(tmp_path: Path) -> None:
+    sweep = stored(tmp_path, **OVER)
     figure = sweep.plot()
     check_layout(figure)
     axes = figure.axes[0]
@@ -118,13 +117,13 @@ def test_two_axes_are_a_plane_with_failures_in_red(tmp_path: Path, ending: str) 
 
 
 def test_one_axis_is_a_line(tmp_path: Path) -> None:
-    axes = stored(tmp_path, "zarr", x=[1.5, 0.5, 2.5]).plot("product").axes[0]
+    axes = stored(tmp_path, x=[1.5, 0.5, 2.5]).plot("product").axes[0]
     np.testing.assert_array_equal(axes.lines[0].get_xdata(), [0.5, 1.5, 2.5])
     np.testing.assert_array_equal(red(axes), [2.5])
 
 
 def test_further_axes_are_drawn_at_one_value(tmp_path: Path) -> None:
-    sweep = stored(tmp_path, "zarr", **OVER, p=[0.0, 1.0])
+    sweep = stored(tmp_path, **OVER, p=[0.0, 1.0])
     assert "plot(at={'p':" in sweep.plot().caption.replace("\n", " ")
     drawn = sweep.plot(at={"p": 0.9}).axes[0].collections[0].get_array()
     assert drawn.reshape(3, 4)[0, 0] == 100.5

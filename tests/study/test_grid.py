@@ -13,10 +13,8 @@ import hamsym
 from hamsym.study import grid as grid_module
 from hamsym.study.grid_stores import box_shape
 
-pandas = pytest.importorskip("pandas")
 xarray = pytest.importorskip("xarray")
 pytest.importorskip("zarr")
-pytest.importorskip("pyarrow")
 
 H = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + k*(x**2*y - y**3/3)")
 START = {"x": 0.0, "y": 0.1, "p_y": 0.0}
@@ -67,7 +65,6 @@ def test_exponents_are_those_of_a_map(tmp_path: Path) -> None:
 def test_crossings_are_those_of_each_point(tmp_path: Path) -> None:
     over, options = {"k": [0.2, 1.0], "y": [0.1, 0.2]}, {"surface": "x = 0, p_x > 0", "dt": 0.1}
     start = {"x": 0.0, "y": 0.0, "p_x": 0.3, "p_y": 0.0}
-    hamsym.sweep(H, start, SPAN, over=over, task="section", store=tmp_path / "a.parquet", **options)
     hamsym.sweep(
         *(H, start, SPAN),
         over=over,
@@ -76,16 +73,13 @@ def test_crossings_are_those_of_each_point(tmp_path: Path) -> None:
         crossings=2,
         **options,
     )
-    table = pandas.read_parquet(tmp_path / "a.parquet")
     data = xarray.open_zarr(tmp_path / "a.zarr")
     for k in over["k"]:
         for y in over["y"]:
             found = hamsym.section(H.with_parameters(k=k), start | {"y": y}, SPAN, **options)
-            rows = table[(table["k"] == k) & (table["y"] == y)]
-            np.testing.assert_array_equal(rows["t"], found.t)
-            np.testing.assert_array_equal(rows[[f"z_{name}" for name in H.names]], found.z)
-            assert (rows["count"] == len(found.t)).all()
             own = data.sel(k=k, y=y)
+            assert int(own["count"]) == 2 <= len(found.t)
+            np.testing.assert_array_equal(own["t"], found.t[:2])
             np.testing.assert_array_equal(own["z"], found.z[:2])
 
 
@@ -95,31 +89,25 @@ def lengths(H: hamsym.Hamiltonian, z0: np.ndarray, span: Any, power: int = 1) ->
     return {"sum": z0.sum() ** power, "rows": [[H.parameters["k"], 1.0]]}
 
 
-@pytest.mark.parametrize("ending", ["zarr", "parquet"])
-def test_functions_of_the_user(tmp_path: Path, ending: str) -> None:
+def test_functions_of_the_user(tmp_path: Path) -> None:
     found = hamsym.sweep(
         "p**2/2 + k*x**2/2",
         [0.0, 1.0],
         SPAN,
         over={"k": [1.0, 3.0], "x": [0.5, 2.5]},
         task=lengths,
-        store=tmp_path / f"a.{ending}",
+        store=tmp_path / "a.zarr",
         power=2,
     )
     data = found.open()
-    if ending == "zarr":
-        np.testing.assert_array_equal(data["sum"], [[2.25, np.nan]] * 2)
-        np.testing.assert_array_equal(data["rows"][1, 0], [[3.0, 1.0]])
-        assert data["message"][0, 1] == "x is too large"
-    else:
-        np.testing.assert_array_equal(data["sum"], [2.25, np.nan] * 2)
-        np.testing.assert_array_equal(data["rows_0_0"], [1.0, np.nan, 3.0, np.nan])
-        assert data["success"].tolist() == [True, False] * 2
+    np.testing.assert_array_equal(data["sum"], [[2.25, np.nan]] * 2)
+    np.testing.assert_array_equal(data["rows"][1, 0], [[3.0, 1.0]])
+    assert data["message"][0, 1] == "x is too large"
+    assert data["success"].values.tolist() == [[True, False]] * 2
 
 
-@pytest.mark.parametrize("ending", ["zarr", "parquet"])
 def test_interrupted_sweep_computes_what_is_missing(
-    tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     points: list[int] = []
     computed = grid_module.computed
@@ -132,7 +120,7 @@ def test_interrupted_sweep_computes_what_is_missing(
         return computed(task, members, *rest)
 
     monkeypatch.setattr(grid_module, "computed", counted)
-    store = tmp_path / f"a.{ending}"
+    store = tmp_path / "a.zarr"
     part = swept(store, chunk=1)
     assert (part.done, part.interrupted, part.complete) == (2, True, False)
     assert len(part.open()) > 0
@@ -141,12 +129,12 @@ def test_interrupted_sweep_computes_what_is_missing(
     assert points == [1, 1, 0, 1, 1, 1, 1]
     swept(store)
     assert len(points) == 7
-    assert whole.open().equals(swept(tmp_path / f"b.{ending}").open())
+    assert whole.open().equals(swept(tmp_path / "b.zarr").open())
 
 
 def test_half_written_store_is_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[int] = []
-    write = grid_module.GridStore.__subclasses__()[0].write
+    write = grid_module.GridStore.write
 
     def fails(store: Any, box: Any, columns: Any) -> None:
         calls.append(1)
@@ -154,7 +142,7 @@ def test_half_written_store_is_marked(tmp_path: Path, monkeypatch: pytest.Monkey
             raise KeyboardInterrupt
         write(store, box, columns)
 
-    monkeypatch.setattr(grid_module.GridStore.__subclasses__()[0], "write", fails)
+    monkeypatch.setattr(grid_module.GridStore, "write", fails)
     found = swept(tmp_path / "a.zarr", chunk=3)
     data = found.open()
     assert data["done"].values.tolist() == [[True] * 3, [False] * 3]
@@ -162,23 +150,21 @@ def test_half_written_store_is_marked(tmp_path: Path, monkeypatch: pytest.Monkey
     assert np.isnan(data["state"][1]).all()
 
 
-@pytest.mark.parametrize("ending", ["zarr", "parquet"])
-def test_other_requests_are_refused(tmp_path: Path, ending: str) -> None:
-    store = tmp_path / f"a.{ending}"
+def test_other_requests_are_refused(tmp_path: Path) -> None:
+    store = tmp_path / "a.zarr"
     swept(store)
     for change in ({"t": [1.0]}, {"tol": 1e-8}, {"over": OVER | {"k": [0.2, 0.9]}}):
         with pytest.raises(hamsym.FileError, match="exists; give the path of a new store, or"):
             swept(store, **change)
-    other = tmp_path / f"b.{ending}"
+    other = tmp_path / "b.zarr"
     other.mkdir()
     with pytest.raises(hamsym.FileError, match="exists; give the path of a new store"):
         swept(other)
-    if ending == "parquet":
-        head = store / "_hamsym.json"
-        assert json.loads(head.read_text())["task"] == "solve"
-        head.write_text("{")
-        with pytest.raises(hamsym.FileError, match="exists"):
-            swept(store)
+    head = store / "zarr.json"
+    assert json.loads(head.read_text())["attributes"]["task"] == "solve"
+    head.write_text("{")
+    with pytest.raises(hamsym.FileError, match="exists"):
+        swept(store)
 
 
 @pytest.mark.parametrize(
@@ -198,8 +184,8 @@ def test_other_requests_are_refused(tmp_path: Path, ending: str) -> None:
         ({"store": None}, "has a store"),
         ({"folder": "a"}, "no settings or folder"),
         ({"over": None}, "give one pair"),
-        ({"store": "a.nc"}, "ends .zarr or .parquet"),
-        ({"store": 3}, "ends .zarr or .parquet"),
+        ({"store": "a.nc"}, "ends .zarr"),
+        ({"store": 3}, "ends .zarr"),
         ({"store": "no/such/a.zarr"}, "does not exist"),
         ({"task": "section", "t": None}, "needs a surface"),
         ({"task": "section", "t": None, "surface": "x = 0"}, "give crossings="),
