@@ -1,4 +1,4 @@
-"""Suggestions in messages: similar names, and what replaces the arguments of other packages."""
+"""Suggestions in messages: similar names, and what replaces the arguments of scipy."""
 
 from __future__ import annotations
 
@@ -100,15 +100,8 @@ def unknown(name: object, names: Iterable[str], kind: str, remedy: str = "choose
     return f"{given} is not {kind}{hint}; {remedy} {', '.join(known) or 'none'}"
 
 
-# -- arguments of other packages -------------------------------------------------------------------
+# -- arguments of scipy ----------------------------------------------------------------------------
 
-_WINDOWS = (
-    "max_window",
-    "the lengths of windows follow from tol; max_window=... limits them",
-)
-_STEPS = ("dt", "give dt=... for the largest step, or steps=... for their number")
-_TOL = ("tol", "give tol=..., the error of each component relative to its largest value")
-_FIXED = ("dt", "steps have a fixed length: give dt=... or steps=...")
 _TIMES = (
     (
         "saves",
@@ -117,6 +110,7 @@ _TIMES = (
     ),
     ("tol", "the result is a function of time: call it with the times, solution(t)"),
 )
+_FIXED = ("dt", "steps have a fixed length: give dt=... or steps=...")
 _NAMED = (
     (
         "",
@@ -124,109 +118,42 @@ _NAMED = (
         "H.with_parameters(m=1.0)",
     ),
 )
-_START = (
-    ("span", "give the initial state as the second argument, z0"),
-    ("orbit", "give the orbit itself"),
-)
-_SPAN = (("span", "give the times as the third argument, the pair span=(start, end)"),)
-_DERIVED = (("", "leave it out: derivatives are derived from H"),)
-_EVENTS = (
-    ("surface", "give the surface as the fourth argument, e.g. 'x = 0, p_x > 0'"),
-    ("saves", "call section(H, z0, span, 'x = 0, p_x > 0') for crossings of a surface"),
-    ("tol", "call events of the result: solution.events('x = 0, p_x > 0')"),
-)
-_RATE = (("", "give H, a formula or a Hamiltonian, as the first argument: its equations follow"),)
-_METHOD = (("method", "give method=..., by its name"),)
-_STEP = (_STEPS, _WINDOWS)
 
-#: Keywords of scipy, torchdiffeq, diffrax and others: pairs of an argument, and what to do in a
-#: function that has it; the first pair that applies is the answer.
+#: Keywords of ``scipy.integrate.solve_ivp``, and ``parameters``: pairs of an argument, and what to
+#: do in a function that has it; the first pair that applies is the answer.
 _ELSEWHERE: dict[str, Sequence[tuple[str, str]]] = {
-    **dict.fromkeys(["rtol", "reltol"], (_TOL, _FIXED)),
-    **dict.fromkeys(["atol", "abstol"], (("atol", "give atol=..."), _TOL, _FIXED)),
-    **dict.fromkeys(["tolerance", "accuracy", "precision"], (_TOL, _FIXED)),
-    "tol": (_FIXED,),
-    **dict.fromkeys(["t_eval", "saveat", "save_at", "teval", "ts", "tsave", "t_out"], _TIMES),
-    **dict.fromkeys(["dense_output", "dense"], _TIMES),
-    **dict.fromkeys(
-        [
-            "max_step",
-            "min_step",
-            "first_step",
-            "hmax",
-            "hmin",
-            "h0",
-            "h",
-            "step",
-            "step_size",
-            "stepsize",
-            "timestep",
-            "time_step",
-            "dt",
-            "dt0",
-            "delta_t",
-        ],
-        _STEP,
+    "fun": (
+        ("", "give H, a formula or a Hamiltonian, as the first argument: its equations follow"),
     ),
-    **dict.fromkeys(
-        ["steps", "n_steps", "num_steps", "nsteps", "mxstep", "max_steps"],
-        (
-            ("steps", "give steps=..., or dt=... for the largest step"),
-            ("max_window", "it takes no steps: give tol=..., or call integrate, which takes steps"),
-        ),
+    "y0": (("span", "give the initial state as the second argument, z0"),),
+    "t_span": (("span", "give the times as the third argument, the pair span=(start, end)"),),
+    "t_eval": _TIMES,
+    "dense_output": _TIMES,
+    "rtol": (
+        ("tol", "give tol=..., the error of each component relative to its largest value"),
+        _FIXED,
     ),
-    **dict.fromkeys(["args", "params", "p", "param", "constants"], _NAMED),
+    "atol": (("tol", "give tol=..., and atol=... where it is taken"), _FIXED),
+    "max_step": (
+        ("dt", "give dt=... for the largest step, or steps=... for their number"),
+        ("max_window", "the lengths of windows follow from tol; max_window=... limits them"),
+    ),
+    "events": (
+        ("surface", "give the surface as the fourth argument, e.g. 'x = 0, p_x > 0'"),
+        ("saves", "call section(H, z0, span, 'x = 0, p_x > 0') for crossings of a surface"),
+        ("tol", "call events of the result: solution.events('x = 0, p_x > 0')"),
+    ),
+    "jac": (("", "leave it out: derivatives are derived from H"),),
+    "args": _NAMED,
     "parameters": _NAMED,
-    **dict.fromkeys(["y0", "x0", "u0", "q0", "s0", "initial", "initial_state", "state"], _START),
-    **dict.fromkeys(["t_span", "tspan", "t", "times", "t0", "t1", "t_end", "t_final"], _SPAN),
-    **dict.fromkeys(["fun", "func", "f", "rhs", "terms", "vector_field"], _RATE),
-    **dict.fromkeys(["jac", "Dfun", "lband", "uband", "jac_sparsity", "vectorized"], _DERIVED),
-    **dict.fromkeys(["events", "event", "event_fn"], _EVENTS),
-    **dict.fromkeys(["solver", "integrator", "stepper", "scheme", "algorithm", "alg"], _METHOD),
-    **dict.fromkeys(
-        ["stepsize_controller", "options"],
-        (("", "write each option as a keyword of its own"),),
-    ),
-    **dict.fromkeys(
-        ["adjoint_params", "adjoint_method", "adjoint"],
-        (
-            (
-                "prove",
-                "leave it out: solution(t, z0=..., parameters=...) of tensors is differentiable",
-            ),
-            ("", "leave it out; solutions of solve are differentiable"),
-        ),
-    ),
-    **dict.fromkeys(["verbose", "disp", "show_progress"], (("progress", "give progress=True"),)),
-    **dict.fromkeys(["random_state", "rng", "key"], (("seed", "give seed=..., a whole number"),)),
-    **dict.fromkeys(["lr", "eta"], (("hidden", "give learning_rate=..., with method='adam'"),)),
-    **dict.fromkeys(
-        ["n_epochs", "num_epochs", "nepochs", "max_epochs"],
-        (("hidden", "give epochs=..., with method='adam'"),),
-    ),
-    **dict.fromkeys(
-        ["maxiter", "max_iter", "n_iter", "max_iterations", "niter"],
-        (("hidden", "give iterations=..., with a method that trains a network"),),
-    ),
-    **dict.fromkeys(
-        ["layers", "hidden_layers", "hidden_sizes", "width", "neurons"],
-        (("hidden", "give hidden=(50, 50), with a method that trains a network"),),
-    ),
-    **dict.fromkeys(["p0", "guess", "guesses"], (("free", "give free={'k': 1.0}, with guesses"),)),
-    "absolute_sigma": (("sigma", "leave it out: sigma=... is taken as absolute"),),
-    **dict.fromkeys(
-        ["ydata", "y", "data"],
-        (("observations", "give the data as the third argument, e.g. {'x': values}"),),
-    ),
-    "xdata": (("observations", "give the times as the second argument, t"),),
 }
 
 #: Arguments of ``solve`` that are options of its methods.
-_OF_METHODS = ("tol", "atol", "max_window", "hidden")
+_OF_METHODS = ("tol", "max_window")
 
 
 def advice(name: str, function: str, arguments: Iterable[str]) -> str | None:
-    """Return what to do instead of a keyword of another package, or None.
+    """Return what to do instead of a keyword of scipy, or None.
 
     Parameters
     ----------
@@ -327,39 +254,16 @@ give dt=... or steps=...
 
 # -- attributes ------------------------------------------------------------------------------------
 
+_CALL = ("span", "it is a function of time: call it, solution(t)")
+
+#: Attributes of results of scipy, as pairs of an attribute that an object has and what to do.
 _ATTRIBUTES: dict[str, Sequence[tuple[str, str]]] = {
-    **dict.fromkeys(
-        ["y", "ys", "x", "states"],
-        (
-            ("z", "the states are z"),
-            ("span", "it is a function of time: call it, solution(t)"),
-        ),
-    ),
-    **dict.fromkeys(
-        ["ts", "times", "time"],
-        (
-            ("t", "the times are t"),
-            ("span", "it is a function of time: call it, solution(t); the ends are span"),
-        ),
-    ),
-    "t": (("span", "it is a function of time: call it, solution(t); the ends are span"),),
-    "z": (("span", "it is a function of time: call it, solution(t)"),),
-    "sol": (
-        ("span", "it is a function of time itself: call it, solution(t)"),
-        ("saves", "call solve for a function of time"),
-    ),
-    **dict.fromkeys(["nfev", "njev"], (("evaluations", "the number is evaluations"),)),
-    **dict.fromkeys(["status", "converged"], (("success", "the verdict is success, and message"),)),
-    **dict.fromkeys(["t_events", "y_events"], (("events", "call events('x = 0')"),)),
-    **dict.fromkeys(["popt", "params", "estimates"], (("covariance", "they are parameters"),)),
-    "pcov": (("covariance", "it is covariance"),),
-    **dict.fromkeys(
-        ["error", "errors"],
-        (
-            ("largest_error", "it is error_estimate(t), and largest_error"),
-            ("error_estimate", "it is error_estimate"),
-        ),
-    ),
+    "y": (("z", "the states are z"), _CALL),
+    "t": (_CALL,),
+    "sol": (_CALL,),
+    "nfev": (("evaluations", "the number is evaluations"),),
+    "status": (("success", "the verdict is success, and message"),),
+    "t_events": (("events", "call events('x = 0')"),),
 }
 
 

@@ -1,4 +1,4 @@
-"""Suggestions: similar names, keywords and attributes of other packages."""
+"""Suggestions: similar names, keywords and attributes of scipy."""
 
 from __future__ import annotations
 
@@ -42,12 +42,9 @@ def test_similar_names(name: object, names: list[str], expected: str | None) -> 
         (hamsym.solve, {"t_eval": [1]}, "call it with the times, solution(t)"),
         (hamsym.solve, {"dense_output": True}, "call it with the times, solution(t)"),
         (hamsym.solve, {"max_step": 0.1}, "max_window=... limits them"),
-        (hamsym.solve, {"dt": 0.1}, "max_window=... limits them"),
-        (hamsym.solve, {"steps": 10}, "call integrate, which takes steps"),
         (hamsym.solve, {"args": (1,)}, "H.with_parameters(m=1.0)"),
         (hamsym.solve, {"parameters": {}}, "H.with_parameters(m=1.0)"),
         (hamsym.solve, {"events": []}, "solution.events('x = 0, p_x > 0')"),
-        (hamsym.solve, {"lr": 1e-3}, "learning_rate=..."),
         (hamsym.solve, {"max_windw": 1}, "(did you mean 'max_window'?)"),
         (hamsym.solve, {"epochs": 9}, "not an option of method 'features', but of 'adam'"),
         (hamsym.integrate, {"t_eval": [1]}, "saves=... or save_every=..."),
@@ -56,15 +53,11 @@ def test_similar_names(name: object, names: list[str], expected: str | None) -> 
         (hamsym.integrate, {"stps": 9}, "(did you mean 'steps'?)"),
         (hamsym.integrate, {"spam": 9}, "it has H, z0, span, method, parameters"),
         (hamsym.lyapunov, {"rtol": 1e-9}, "give dt=... or steps=..."),
-        (hamsym.lyapunov, {"tol": 1e-9}, "give dt=... or steps=..."),
         (hamsym.solve_many, {"rtol": 1e-9}, "give tol=..."),
         (hamsym.solve_many, {"epochs": 9}, "it has "),
-        (hamsym.solve_many, {"n_epochs": 9}, "it has "),
-        (hamsym.solve, {"n_epochs": 9}, "give epochs=..."),
-        (hamsym.chaos_indicators, {"random_state": 1}, "give seed=..."),
     ],
 )
-def test_keywords_of_other_packages_are_answered(function, keywords, answer: str) -> None:
+def test_keywords_of_scipy_are_answered(function, keywords, answer: str) -> None:
     with pytest.raises(KeywordError) as caught:
         function(*START, **keywords)
     message = str(caught.value)
@@ -85,7 +78,7 @@ def test_keywords_of_flow_maps_are_answered(keyword: str, answer: str) -> None:
 
 
 @pytest.mark.parametrize("function", [hamsym.solve, hamsym.integrate, hamsym.solve_many])
-def test_start_and_span_of_other_packages_are_answered(function) -> None:
+def test_start_and_span_of_scipy_are_answered(function) -> None:
     with pytest.raises(KeywordError, match="initial state as the second argument, z0"):
         function(OSCILLATOR, y0=[1.0, 0.0], t_span=(0, 1))
     with pytest.raises(KeywordError, match="the third argument, the pair span"):
@@ -93,8 +86,8 @@ def test_start_and_span_of_other_packages_are_answered(function) -> None:
 
 
 def test_keywords_of_a_hamiltonian_are_answered() -> None:
-    with pytest.raises(KeywordError, match=r"'params' is not an argument of Hamiltonian; .*m=1.0"):
-        Hamiltonian(OSCILLATOR, params={"k": 1.0})
+    with pytest.raises(KeywordError, match=r"'args' is not an argument of Hamiltonian; .*m=1.0"):
+        Hamiltonian(OSCILLATOR, args={"k": 1.0})
     with pytest.raises(KeywordError, match="did you mean 'forces'"):
         Hamiltonian(OSCILLATOR, force={"p": "-p"})
 
