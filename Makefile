@@ -57,7 +57,6 @@ tables: $(VENV)/installed ## Make the tables and the figure of examples/benchmar
 
 pictures: tables ## Make tables and pictures of the pages again (five minutes)
 	$(BIN)/python examples/oscillator.py --out examples/pictures
-	$(BIN)/python examples/henon_heiles.py --out examples/pictures
 	$(BIN)/python examples/chaos.py --out examples/pictures
 	$(BIN)/python examples/chaos_map.py --out examples/pictures
 	$(BIN)/python examples/pendulum_period.py --out examples/pictures

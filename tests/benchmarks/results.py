@@ -39,18 +39,9 @@ def replace_section(name: str, section: Section, quick: bool, path: Path = FILE)
 
 
 def as_text(sections: Mapping[str, Section]) -> str:
-    """JSON with one line for each row of a table, so that changes can be read."""
-    parts = []
-    for name, section in sections.items():
-        entries = [f"  {json.dumps(key)}: {_entry(value)}" for key, value in section.items()]
-        parts.append(f" {json.dumps(name)}: {{\n" + ",\n".join(entries) + "\n }")
-    return "{\n" + ",\n".join(parts) + "\n}\n"
-
-
-def _entry(value: Any) -> str:
-    if not (isinstance(value, list) and value and isinstance(value[0], dict)):
-        return json.dumps(value)
-    return "[\n" + ",\n".join(f"   {json.dumps(row)}" for row in value) + "\n  ]"
+    """JSON with one line for each benchmark."""
+    lines = [f"{json.dumps(name)}: {json.dumps(section)}" for name, section in sections.items()]
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def environment() -> dict[str, Any]:
