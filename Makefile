@@ -6,10 +6,10 @@ BIN := $(VENV)/bin
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-browser test-wheel coverage lint bench bench-quick tables pictures docs clean
+.PHONY: help demo test test-portable test-slow test-browser test-wheel coverage lint bench bench-quick tables pictures docs clean
 
 help: ## List what can be done
-	@grep -hE '^[a-z-]+:.*## ' Makefile | sed 's/:.*## /: /' | awk -F': ' '{printf "  make %-11s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*## ' Makefile | sed 's/:.*## /: /' | awk -F': ' '{printf "  make %-13s %s\n", $$1, $$2}'
 
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -21,6 +21,14 @@ demo: $(VENV)/installed ## Train the paper's oscillator, compare, draw (two minu
 
 test: $(VENV)/installed ## Run the test suite (six to ten minutes)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not browser"
+
+# The folders whose tests compute; not compilers and packages that these settings do not reach.
+PORTABLE := $(addprefix tests/,codegen dynamics families fitting flow_maps integrators networks numerics \
+    orbits proof random_features solution systems workbench/test_animation.py docs/test_documentation.py) \
+    $(addprefix --ignore=tests/codegen/,test_jax.py test_other_languages.py)
+
+test-portable: $(VENV)/installed ## Test the numerics with the code for an older processor
+	$(BIN)/python -m tests.older_processor -n 2 --dist worksteal -m "not slow and not browser" $(PORTABLE)
 
 test-slow: $(VENV)/installed ## Run the slow checks too
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not browser"

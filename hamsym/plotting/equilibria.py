@@ -24,6 +24,7 @@ __all__ = ["draw_equilibria", "draw_equilibrium"]
 _GRID, _LEVELS = 161, 16
 _QUADRATIC = 1e-6  # of the rates, which vanish at zero velocity
 _MOST_NUMBERED = 60
+_NEAR = 1e-9  # of the axes: places that differ by round-off have one label
 
 
 def draw_equilibria(found: Equilibria, *names: Any, ax: Any = None) -> Any:
@@ -72,7 +73,8 @@ def draw_equilibria(found: Equilibria, *names: Any, ax: Any = None) -> Any:
 
 def _draw_places(axes: Axes, found: Equilibria, there: list[int], i: int, j: int) -> None:
     kinds = sorted({found[k].type for k in there})
-    texts: dict[tuple[float, float], list[str]] = {}
+    places = np.array([[found[k].z[i], found[k].z[j]] for k in there]).reshape(-1, 2)
+    near = _NEAR * np.abs(np.diff([axes.get_xlim(), axes.get_ylim()])[:, 0])
     for number_of, kind in enumerate(kinds):
         style: dict[str, Any] = {
             "color": color_of(number_of),
@@ -94,10 +96,12 @@ def _draw_places(axes: Axes, found: Equilibria, there: list[int], i: int, j: int
                 **style,
             )
             named = True
-    for k in there[:_MOST_NUMBERED]:
-        texts.setdefault((float(found[k].z[i]), float(found[k].z[j])), []).append(f"{k + 1}")
-    drawn = []
-    for place, numbers in texts.items():
+    drawn, left = [], np.arange(min(len(there), _MOST_NUMBERED))
+    while len(left):
+        place = places[left[0]]
+        here = (np.abs(places[left] - place) <= near).all(axis=1)
+        numbers = [f"{there[k] + 1}" for k in left[here]]
+        left = left[~here]
         shown = ", ".join(numbers[:4]) + (", …" if len(numbers) > 4 else "")
         drawn.append(
             axes.annotate(shown, place, (4, 3), textcoords="offset points", fontsize=6, zorder=5)

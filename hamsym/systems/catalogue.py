@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
+import inspect
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
@@ -129,12 +130,17 @@ CATALOGUE: dict[str, Callable[..., Problem]] = {}
 
 
 def listed(function: Callable[..., Problem]) -> Callable[..., Problem]:
-    """Add a function to the catalogue; its problems get their reference states."""
+    """Add a function to the catalogue; its problems of usual arguments get their references."""
+    signature = inspect.signature(function)
+    usual = {name: each.default for name, each in signature.parameters.items() if name != "start"}
 
     @functools.wraps(function)
     def made(*arguments: Any, **options: Any) -> Problem:
         problem = function(*arguments, **options)
-        return replace(problem, reference=_reference(function.__name__, problem))
+        given = signature.bind(*arguments, **options).arguments
+        if any(given.get(name, value) != value for name, value in usual.items()):
+            return problem
+        return _with_reference(function.__name__, problem)
 
     CATALOGUE[function.__name__] = made
     return made
@@ -146,18 +152,18 @@ def _references() -> list[dict[str, Any]]:
     return json.loads(text)
 
 
-def _reference(system: str, problem: Problem) -> Reference | None:
-    """The stored state of this very problem: equal start, parameters and time."""
+def _with_reference(system: str, problem: Problem) -> Problem:
+    """The problem with its stored state, from the stored numbers of the start and the end.
+
+    A computed start has other last digits on another processor; the state is that of these.
+    """
     for row in _references():
-        if (
-            row["system"] == system
-            and tuple(row["z0"]) == problem.z0
-            and row["parameters"] == dict(problem.H.parameters)
-            and row["t"] == problem.span[1]
-        ):
+        if (row["system"], row["start"]) == (system, problem.start):
             fields = (row[name] for name in ("digits", "growth", "source", "method"))
-            return Reference(row["t"], tuple(row["z"]), *fields)
-    return None
+            reference = Reference(row["t"], tuple(row["z"]), *fields)
+            span = (problem.span[0], row["t"])
+            return replace(problem, z0=tuple(row["z0"]), span=span, reference=reference)
+    return problem
 
 
 # -- arguments and formulas ----------------------------------------------------------------------

@@ -11,6 +11,7 @@ import pytest
 
 from hamsym import Certificate
 from hamsym.methods import METHODS, Method
+from hamsym.proof.certificate import rounded_up
 from hamsym.random_features.method import solve_by_features
 from hamsym.random_features.options import FeatureOptions
 from tests.cli.test_commands import Captured, run
@@ -125,7 +126,7 @@ def test_forged_certificate_exits_with_1(capsys: Captured, saved: str) -> None:
     assert run(capsys, "certify", saved)[0] == 0
     path = Path(f"{saved}.certificate")
     proven = Certificate.from_json(path.read_text())
-    low = tuple(0.9 * value for value in proven.component_lowers)
+    low = tuple(rounded_up(0.9 * value) for value in proven.component_lowers)
     forged = dataclasses.replace(
         proven, component_bounds=low, component_lowers=(0.0, 0.0), asked=low
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import matplotlib.figure
@@ -243,6 +244,12 @@ def test_equilibria_stand_at_their_places_over_level_sets(well: hamsym.Equilibri
     assert legend == ["centre", "saddle"]
     assert any(len(getattr(artist, "levels", ())) > 3 for artist in axes.collections)
     assert "proven to be all" in titles(figure)[0]
+
+
+def test_places_that_differ_by_round_off_have_one_label(well: hamsym.Equilibria) -> None:
+    beside = dataclasses.replace(well[0], z=np.nextafter(well[0].z, 9.0))
+    figure = dataclasses.replace(well, found=(*well, beside)).plot()
+    assert f"1, {len(well) + 1}" in [text.get_text() for text in figure.axes[0].texts]
 
 
 def test_level_sets_in_a_rotating_frame_are_those_of_the_effective_potential() -> None:

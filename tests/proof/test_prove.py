@@ -11,7 +11,7 @@ import pytest
 import hamsym
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof import prove
-from hamsym.proof.certificate import ARB, FLOAT64, Certificate
+from hamsym.proof.certificate import ARB, FLOAT64, Certificate, rounded_up
 from hamsym.proof.prove import verify
 from hamsym.proof.taylor_proof import TaylorProof
 from hamsym.proof.window_proof import WindowProof
@@ -226,7 +226,7 @@ def test_forged_bounds_of_windows_are_not_proven(solution, sharp, name):
 
 
 def test_smaller_bounds_than_asked_are_not_proven(solution, asked, sharp):
-    low = _times(sharp.component_lowers, 0.9)
+    low = tuple(map(rounded_up, _times(sharp.component_lowers, 0.9)))
     claims = {"asked": low, "component_bounds": low, "component_lowers": (0.0, 0.0)}
     forged = dataclasses.replace(asked, **claims)
     with pytest.raises(CertificationError, match="does not hold|not proven"):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import inspect
 import itertools
 import json
 from collections.abc import Callable
@@ -17,7 +19,7 @@ import sympy
 import hamsym
 from hamsym import systems
 from hamsym.systems import CATALOGUE, Problem
-from hamsym.systems.catalogue import _references
+from hamsym.systems.catalogue import _references, listed
 from tests.audit import make_references
 from tests.audit.taylor import formula
 
@@ -76,6 +78,30 @@ def test_every_usual_problem_has_a_reference() -> None:
         assert reference.digits == 30
         assert len(reference.z) == problem.H.dim
         assert all((name, other) in ROWS for other in problem.starts)
+
+
+def test_problem_and_reference_have_the_same_numbers() -> None:
+    """The stored ones, which a function computes up to its round-off."""
+    for row in _references():
+        name, start = row["system"], row["start"]
+        problem = made(name, start)
+        assert problem.z0 == tuple(row["z0"])
+        assert problem.span[1] == problem.reference.t == row["t"]
+        assert dict(problem.H.parameters) == row["parameters"]  # as written, not computed
+        computed = inspect.unwrap(CATALOGUE[name])(**({"start": start} if start else {}))
+        np.testing.assert_allclose(computed.z0, problem.z0, rtol=1e-13, atol=1e-15)
+        np.testing.assert_allclose(computed.span, problem.span, rtol=1e-13)
+
+
+def test_round_off_of_the_start_leaves_its_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    def ablowitz_ladik() -> Problem:
+        problem = inspect.unwrap(systems.ablowitz_ladik)()
+        return dataclasses.replace(problem, z0=tuple(np.nextafter(problem.z0, 9.0).tolist()))
+
+    monkeypatch.setitem(CATALOGUE, "ablowitz_ladik", systems.ablowitz_ladik)  # put back later
+    found, usual = listed(ablowitz_ladik)(), systems.ablowitz_ladik()
+    assert found.reference == usual.reference is not None
+    assert found.z0 == usual.z0
 
 
 @pytest.mark.parametrize("name", _FEW)
@@ -190,7 +216,9 @@ def test_other_arguments_have_no_reference(make) -> None:
 
 
 def test_usual_arguments_may_be_written_out() -> None:
-    assert systems.kepler(eccentricity=0.6).reference == systems.kepler().reference
+    usual = systems.kepler().reference
+    assert usual is not None
+    assert systems.kepler(0.6).reference == systems.kepler(eccentricity=0.6).reference == usual
 
 
 def test_references_are_strict_json() -> None:
