@@ -17,7 +17,7 @@ from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.ball import Ball
-from hamsym.proof.compiled import loops
+from hamsym.proof.compiled import loops, require_compiled_float64
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import split
 from hamsym.proof.windows import ErrorSet, Window, WindowStepper, equation_of
@@ -107,6 +107,7 @@ def enclose(
     if time_limit is not None:
         require_positive("time_limit", time_limit)
     began, deadline = time.monotonic(), Deadline.after(time_limit)
+    require_compiled_float64()
     equation = equation_of(H, tuple(names))
     every = [*start, *(balls[name] for name in names)]
     begin, end = (Fraction(value) for value in times)
@@ -282,6 +283,7 @@ class Enclosure(Shown):
         return hamsym.plot(self, *names, ax=ax)
 
     def _at(self, t: Any, value: Any, shape: tuple[int, ...]) -> Ball:
+        require_compiled_float64()
         times = times_in_span(t, self.span, extrapolate=True)
         low, high = min(self.span), max(self.span)
         if not ((times >= low) & (times <= high)).all():
