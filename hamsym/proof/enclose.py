@@ -17,9 +17,9 @@ from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.ball import Ball
+from hamsym.proof.ball_arithmetic import number_of
 from hamsym.proof.compiled import loops, require_compiled_float64
 from hamsym.proof.limits import Deadline
-from hamsym.proof.programs import split
 from hamsym.proof.windows import ErrorSet, Window, WindowStepper, equation_of
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
@@ -302,7 +302,7 @@ class Enclosure(Shown):
         k = bisect_right(self.windows, elapsed, key=lambda window: window.start) - 1
         window = self.windows[k]
         x = (elapsed - window.start) / window.half - 1
-        return k, loops().chebyshev_balls(split(x), window.high.shape[1])
+        return k, loops().chebyshev_balls(number_of(x), window.high.shape[1])
 
     def _state(self, k: int, basis: np.ndarray) -> list[np.ndarray]:
         window, dim = self.windows[k], self.H.dim

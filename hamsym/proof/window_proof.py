@@ -31,7 +31,7 @@ from hamsym.proof.ball_arithmetic import UNIT, number_of
 from hamsym.proof.balls import SMALLEST, at_least, at_most, working
 from hamsym.proof.certificate import FLOOR, Certificate
 from hamsym.proof.limits import Deadline, TimeLimitError
-from hamsym.proof.programs import BITS, ModelRows, Rows, split, tables
+from hamsym.proof.programs import BITS, ModelRows, Rows, tables
 from hamsym.proof.trial_models import Piece, trial_pieces, zero_components
 from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of, set_sizes
 from hamsym.random_features.trial import FeatureTrial
@@ -275,8 +275,8 @@ class _Comparison:
         """Upper and lower bounds of the dim + 3 quantities in a window, and their scales."""
         equation, dim = self._equation, self._equation.dim
         state, rate = piece.models(window.start, window.half, _TERMS)
-        centre = split(self._begin + self._direction * (window.start + window.half))
-        slope = split(self._direction * window.half)
+        centre = number_of(self._begin + self._direction * (window.start + window.half))
+        slope = number_of(self._direction * window.half)
         width = _widths(window)
         terms = window.high.shape[1]
         y = Rows(window.high, window.low, np.zeros(dim), np.full(dim, terms))

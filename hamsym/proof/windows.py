@@ -28,12 +28,12 @@ from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import coupled_sizes
-from hamsym.proof.ball_arithmetic import MIDDLE, UNDERFLOW, UNIT
+from hamsym.proof.ball_arithmetic import MIDDLE, UNDERFLOW, UNIT, number_of
 from hamsym.proof.balls import working
 from hamsym.proof.compiled import loops
 from hamsym.proof.generated import GeneratedFunctions, evaluated
 from hamsym.proof.limits import Deadline
-from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, split, tables
+from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, tables
 from hamsym.symbolic.exact import rational
 
 __all__ = ["Equation", "ErrorSet", "Window", "WindowStepper", "equation_of", "set_sizes"]
@@ -380,8 +380,8 @@ class WindowStepper:
         place = _Place(
             half,
             float(half),
-            split(self._time + self._direction * (self.elapsed + half)),
-            split(half * self._direction),
+            number_of(self._time + self._direction * (self.elapsed + half)),
+            number_of(half * self._direction),
         )
         sizes, y = self._guess(place)
         if y is None:
