@@ -20,7 +20,8 @@ A ball is a triple (h, l, r) and means the set of all x with |x - (h + l)| <= r.
 *Functions.* exp, sin and cos reduce their arguments with constants that are balls, and sum a Taylor
 series whose remainder is added to the radius; nothing is assumed about the processor's or the
 library's functions. log, atan and asin begin with the library's value y, an arbitrary number, and
-enclose the difference by addition theorems: log(x) = y + log(x exp(-y)), and so on.
+enclose the difference by addition theorems: log(x) = y + log(x exp(-y)), and so on. An angle y of
+more than 2 is refused, because the theorems tell angles only up to 2 pi.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from flint import arb
 from numba import njit, types
 from numba.extending import intrinsic
 
-from hamsym.proof.balls import above, exact, working
+from hamsym.proof.balls import above, exact, float_above, working
 
 __all__ = [
     "MIDDLE",
@@ -52,7 +53,8 @@ __all__ = [
 UNIT = 2.0**-53
 MIDDLE = 32 * UNIT * UNIT
 TINY = 1e-290
-UNDERFLOW = 2.0**-1060
+# 2^-1060 by its bits, which no setting of the processor falsifies.
+UNDERFLOW = np.array(1 << 14, dtype=np.uint64).view(np.float64).item()
 _UP = 1 + 64 * UNIT
 _BITS = 240  # of constants
 
@@ -62,18 +64,19 @@ inlined = njit(error_model="numpy", nogil=True)
 
 def number_of(value: arb | Fraction) -> tuple[float, float, float]:
     """The ball around a ball of Arb or a fraction."""
-    with working(_BITS):
-        if isinstance(value, Fraction):
-            value = arb(value.numerator) / arb(value.denominator)
-        if not value.is_finite():
-            return math.nan, math.nan, math.inf
-        middle = exact(value)
-        try:
-            high = float(middle)
-            low = float(middle - Fraction(high))
-        except OverflowError:
-            return math.nan, math.nan, math.inf
-        return high, low, above(abs(value - arb(high) - arb(low)))
+    if not isinstance(value, Fraction) and not value.is_finite():
+        return math.nan, math.nan, math.inf
+    middle = value if isinstance(value, Fraction) else exact(value)
+    try:
+        high = float(middle)
+        rest = middle - Fraction(high)
+        low = float(rest)
+    except OverflowError:
+        return math.nan, math.nan, math.inf
+    if not isinstance(value, Fraction):
+        with working(_BITS):
+            return high, low, above(abs(value - arb(high) - arb(low)))
+    return high, low, float_above(abs(rest - Fraction(low)))
 
 
 def _table(values: list[Any]) -> np.ndarray:
@@ -95,6 +98,16 @@ def fma(_context: Any, a: Any, b: Any, c: Any) -> Any:
         return builder.fma(*arguments)
 
     return types.float64(types.float64, types.float64, types.float64), emit
+
+
+@compiled
+def basic_operations(a, b, c):
+    """a + b, a b, a / b, sqrt(|a|) and a b + c with one rounding, for arrays of one length."""
+    found = np.empty((5, len(a)))
+    for k in range(len(a)):
+        found[0, k], found[1, k], found[2, k] = a[k] + b[k], a[k] * b[k], a[k] / b[k]
+        found[3, k], found[4, k] = math.sqrt(abs(a[k])), fma(a[k], b[k], c[k])
+    return found
 
 
 @inlined
@@ -271,13 +284,20 @@ def logarithm(x):
     return widened(found, x[2] / low * (1 + 16 * UNIT) if x[2] > 0 else 0.0)
 
 
+@inlined
+def guessed_angle(value):
+    """The number as a ball; NaN, which no test admits, unless it is within [-2, 2]."""
+    return ball_of(value if abs(value) <= 2 else math.nan)
+
+
 @compiled
 def arctangent(x):
-    y = ball_of(math.atan(x[0]))
+    y = guessed_angle(math.atan(x[0]))
     middle = (x[0], x[1], 0.0)
     sine, cosine = sine_cosine(y)
     below = add(cosine, multiply(middle, sine))
-    # A positive cosine means that atan(x) - y is between -pi/2 and pi/2.
+    # A positive cosine means that atan(x) - y is between -pi/2 and pi/2: it is within 3 pi/2,
+    # because |y| <= 2.
     if not below[0] - abs(below[1]) - below[2] > 0:
         return invalid()
     z = divide(add(multiply(middle, cosine), negative(sine)), below)
@@ -292,10 +312,10 @@ def arcsine(x):
     if not abs(x[0]) + abs(x[1]) + x[2] < 1 - 4 * UNIT:
         return invalid()
     middle = (x[0], x[1], 0.0)
-    y = ball_of(math.asin(x[0]))
+    y = guessed_angle(math.asin(x[0]))
     sine, cosine = sine_cosine(y)
     beside = root(add(ball_of(1.0), negative(multiply(middle, middle))))
-    inner = add(multiply(beside, cosine), multiply(middle, sine))
+    inner = add(multiply(beside, cosine), multiply(middle, sine))  # as in arctangent
     if not inner[0] - abs(inner[1]) - inner[2] > 0:
         return invalid()
     z = add(multiply(middle, cosine), negative(multiply(beside, sine)))

@@ -28,6 +28,7 @@ __all__ = [
     "decimal_above",
     "decimal_below",
     "exact",
+    "float_above",
     "interval",
     "working",
 ]
@@ -92,7 +93,7 @@ def above(number: arb) -> float:
     if mantissa and abs(size) > _MOST_BITS:  # such a fraction may be too long for the memory
         low = size < 0
         return (math.ulp(0.0) if low else math.inf) if mantissa > 0 else (0.0 if low else -_LARGEST)
-    return _float_above(exact(upper))
+    return float_above(exact(upper))
 
 
 def below(number: arb) -> float:
@@ -100,7 +101,8 @@ def below(number: arb) -> float:
     return -above(-number)
 
 
-def _float_above(value: Fraction) -> float:
+def float_above(value: Fraction) -> float:
+    """The smallest float64 that is not below a fraction; infinite beyond float64."""
     try:
         nearest = float(value)
     except OverflowError:
@@ -145,7 +147,7 @@ def at_most(value: float) -> float:
     """The largest float64 that is not above the decimal of another."""
     if not math.isfinite(value):
         return value
-    return -_float_above(-Fraction(decimal(value)))
+    return -float_above(-Fraction(decimal(value)))
 
 
 def at_least(value: float) -> float:

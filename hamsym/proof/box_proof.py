@@ -24,6 +24,7 @@ from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.proof.balls import working
 from hamsym.proof.box_certificate import BoxCertificate, map_digest
+from hamsym.proof.compiled import require_compiled_float64
 from hamsym.proof.functions import SingularityError
 from hamsym.proof.generated import evaluated, require_smooth
 from hamsym.proof.limits import Deadline
@@ -64,6 +65,7 @@ def certify_box(
         require_positive("time_limit", time_limit)
     require_whole("max_parts", max_parts, 1)
     began = time.monotonic()
+    require_compiled_float64()
     intervals = _intervals(flow, box)
     if not isinstance(flow.map, Leg | Chain | Split):
         raise CertificationError(

@@ -12,8 +12,9 @@ import importlib.resources
 from typing import Any
 
 from hamsym.codegen.numba_cache import load_module
+from hamsym.proof.float64_arithmetic import require_float64
 
-__all__ = ["loops"]
+__all__ = ["loops", "require_compiled_float64"]
 
 _PARTS = ("ball_arithmetic", "chebyshev_models", "window_steps")
 
@@ -40,4 +41,16 @@ def _text() -> str:
 @functools.cache
 def loops() -> Any:
     """The module with all functions, compiled on first use or loaded from the cache."""
+    require_float64()  # also for the constants of the text
     return load_module(_text(), "enclosures")
+
+
+def require_compiled_float64() -> None:
+    """Require IEEE 754 arithmetic in this thread, in numpy and in the compiled functions.
+
+    Raises
+    ------
+    CertificationError
+        Naming what is missing.
+    """
+    require_float64(loops().basic_operations)

@@ -14,6 +14,7 @@ from flint import arb, fmpq
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof import functions
+from hamsym.proof.float64_arithmetic import require_float64
 from hamsym.proof.functions import Arithmetic, SingularityError
 from hamsym.proof.generated import GeneratedFunctions
 
@@ -87,7 +88,8 @@ class DerivativeBalls:
     Raises
     ------
     CertificationError
-        If H contains a function that is not smooth or has no enclosure.
+        If H contains a function that is not smooth or has no enclosure, or arithmetic does not
+        round as IEEE 754 has it.
 
     Examples
     --------
@@ -97,6 +99,7 @@ class DerivativeBalls:
     """
 
     def __init__(self, H: Hamiltonian, rounded: bool = False) -> None:
+        require_float64()  # of conversions, between balls and numbers
         H.require_parameters()
         self.dim, self._half = H.dim, H.dof
         self._functions = GeneratedFunctions(H, (_Rounded if rounded else Arithmetic)(_or_nan))

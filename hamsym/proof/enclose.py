@@ -17,9 +17,9 @@ from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.ball import Ball
-from hamsym.proof.compiled import loops
+from hamsym.proof.ball_arithmetic import number_of
+from hamsym.proof.compiled import loops, require_compiled_float64
 from hamsym.proof.limits import Deadline
-from hamsym.proof.programs import split
 from hamsym.proof.windows import ErrorSet, Window, WindowStepper, equation_of
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
@@ -107,6 +107,7 @@ def enclose(
     if time_limit is not None:
         require_positive("time_limit", time_limit)
     began, deadline = time.monotonic(), Deadline.after(time_limit)
+    require_compiled_float64()
     equation = equation_of(H, tuple(names))
     every = [*start, *(balls[name] for name in names)]
     begin, end = (Fraction(value) for value in times)
@@ -282,6 +283,7 @@ class Enclosure(Shown):
         return hamsym.plot(self, *names, ax=ax)
 
     def _at(self, t: Any, value: Any, shape: tuple[int, ...]) -> Ball:
+        require_compiled_float64()
         times = times_in_span(t, self.span, extrapolate=True)
         low, high = min(self.span), max(self.span)
         if not ((times >= low) & (times <= high)).all():
@@ -300,7 +302,7 @@ class Enclosure(Shown):
         k = bisect_right(self.windows, elapsed, key=lambda window: window.start) - 1
         window = self.windows[k]
         x = (elapsed - window.start) / window.half - 1
-        return k, loops().chebyshev_balls(split(x), window.high.shape[1])
+        return k, loops().chebyshev_balls(number_of(x), window.high.shape[1])
 
     def _state(self, k: int, basis: np.ndarray) -> list[np.ndarray]:
         window, dim = self.windows[k], self.H.dim

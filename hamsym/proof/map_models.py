@@ -28,6 +28,7 @@ from hamsym.proof.taylor_models import (
     BITS,
     Model,
     Space,
+    deflated,
     float_with_radius,
     inflated,
     multi_indices,
@@ -176,6 +177,7 @@ class LegModels:
         indices = np.array(self._indices)
         d, cells = self._sizes.shape
         powers, power_radii = self._powers
+        powers_of_size = _lower_powers(self._sizes, self._space.degree)
         n, rank = readouts.shape
         found = np.empty((len(indices), rank, cells))
         rest = np.empty((rank, cells))
@@ -192,11 +194,11 @@ class LegModels:
                 factors = factors * values
                 bounds = inflated(bounds * (np.abs(values) + spread))
                 wholes = inflated(wholes * sums[k, degrees[:, k], cell])
-                sizes = sizes * self._sizes[k, cell] ** indices[:, k]
+                sizes = deflated(sizes * powers_of_size[k, indices[:, k], cell])
             errors = inflated(errors + 2 * d * _UNIT * bounds)
             # What is kept is rounded down, which makes the part that is left out larger.
-            kept = (np.maximum(np.abs(factors) - errors, 0) * sizes[:, None]).sum(axis=0)
-            kept *= 1 - 4 * (len(indices) + 64) * _UNIT
+            shares = deflated(np.maximum(np.abs(factors) - errors, 0) * sizes[:, None])
+            kept = deflated(shares.sum(axis=0), len(indices))
             left_out = inflated(np.maximum(wholes - kept, 0), n)
             q = factors @ readouts
             q_errors = inflated(
@@ -289,6 +291,14 @@ class LegModels:
             + (spreads + 2 * (rank + 4) * _UNIT * amounts) @ sizes
         )
         return Model(self._space, coefficients, inflated(rest, rank + full[:, :, 0].size))
+
+
+def _lower_powers(sizes: np.ndarray, degree: int) -> np.ndarray:
+    """Lower bounds on the powers of numbers >= 0, by products: shape (d, degree + 1, cells)."""
+    found = [np.ones_like(sizes)]
+    for _ in range(degree):
+        found.append(deflated(found[-1] * sizes))
+    return np.stack(found, axis=1)
 
 
 def _combined(row: np.ndarray, models: list[Model]) -> Model:

@@ -12,14 +12,13 @@ import math
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from flint import arb
 
 from hamsym.proof import functions
-from hamsym.proof.ball_arithmetic import UNIT, number_of
+from hamsym.proof.ball_arithmetic import number_of
 from hamsym.proof.balls import working
 from hamsym.proof.chebyshev_models import (
     ADD,
@@ -42,7 +41,7 @@ from hamsym.proof.chebyshev_models import (
 from hamsym.proof.compiled import loops
 from hamsym.proof.functions import Arithmetic
 
-__all__ = ["BITS", "ModelRows", "Program", "Recorder", "Rows", "split", "tables"]
+__all__ = ["BITS", "ModelRows", "Program", "Recorder", "Rows", "tables"]
 
 BITS = 240  # of numbers
 
@@ -357,11 +356,3 @@ class ModelRows:
     def taken(self, places: np.ndarray) -> Rows:
         """Some registers."""
         return Rows(self.high[places], self.low[places], self.radius[places], self.length[places])
-
-
-def split(value: Fraction) -> tuple[float, float, float]:
-    """The ball of a fraction."""
-    high = float(value)
-    rest = value - Fraction(high)
-    low = float(rest)
-    return high, low, 0.0 if Fraction(low) == rest else abs(low) * 2 * UNIT

@@ -44,6 +44,7 @@ from hamsym.proof.certificate import (
     rounded_down,
     rounded_up,
 )
+from hamsym.proof.compiled import require_compiled_float64
 from hamsym.proof.limits import Deadline, TimeLimitError
 from hamsym.proof.taylor_proof import TaylorProof
 from hamsym.proof.trials import require_exact, segments
@@ -120,6 +121,7 @@ def certify(
         require_whole("bits", bits, FEWEST_BITS, MOST_BITS)
     asked = None if bound is None else _asked(bound, solution.H.names)
     began = time.monotonic()
+    require_compiled_float64()
     _require_exact(solution)
     segments(solution.trial, solution.span)  # its windows cover the span
     deadline = Deadline.after(time_limit)
@@ -291,6 +293,7 @@ def verify(
         solution = load_solution(Path(solution))
     if not isinstance(solution, Solution):
         raise InputError(f"solution must be a Solution or a path, not {type(solution).__name__}")
+    require_compiled_float64()
     claims = certificate
     try:
         check(claims)

@@ -37,7 +37,7 @@ from flint import arb, arb_series
 from hamsym.proof.balls import above, working
 from hamsym.proof.functions import Arithmetic, SingularityError, general_power
 
-__all__ = ["BITS", "MODELS", "Model", "Space", "float_with_radius", "inflated"]
+__all__ = ["BITS", "MODELS", "Model", "Space", "deflated", "float_with_radius", "inflated"]
 
 BITS = 160  # of constants, tables and elementary functions
 _UNIT = 2.0**-53
@@ -49,6 +49,14 @@ _NEGLIGIBLE = 2.0**-58
 def inflated(values: Any, terms: int = 1) -> Any:
     """An upper bound on sums of so many numbers >= 0 that were computed in float64."""
     return values * (1 + 2 * (terms + 32) * _UNIT) + _TINY
+
+
+def deflated(values: Any, terms: int = 1) -> Any:
+    """A lower bound on sums of so many products >= 0 that were computed in float64.
+
+    Zero where underflow may count beside the result.
+    """
+    return np.where(values > _TINY, values * (1 - 2 * (terms + 32) * _UNIT), 0.0)
 
 
 def float_with_radius(number: arb) -> tuple[float, float]:

@@ -18,8 +18,9 @@ from flint import arb
 
 from hamsym.errors import CertificationError
 from hamsym.proof import functions
+from hamsym.proof.ball_arithmetic import number_of
 from hamsym.proof.compiled import loops
-from hamsym.proof.programs import ModelRows, Program, Recorder, Rows, split, tables
+from hamsym.proof.programs import ModelRows, Program, Recorder, Rows, tables
 from hamsym.random_features.trial import FeatureTrial
 
 __all__ = ["Piece", "trial_pieces", "zero_components"]
@@ -139,15 +140,15 @@ class _FeatureWindow:
         middle = (start + half - self._start) / self._length  # of s
         rows = ModelRows(self._program, terms)
         high, low, error, length = loops().clenshaw(
-            *self._both, split(2 * middle - 1), split(2 * share), terms
+            *self._both, number_of(2 * middle - 1), number_of(2 * share), terms
         )
         rows.high[:dim, 0] = self._state
         rows.high[dim : 3 * dim], rows.low[dim : 3 * dim] = high, low
         rows.radius[dim : 2 * dim] = (error[:dim] + self._error) * (1 + 1e-9)
         rows.radius[2 * dim : 3 * dim] = (error[dim:] + self._slope_error) * (1 + 1e-9)
         rows.length[dim : 3 * dim] = length
-        rows.set_line(3 * dim, split(middle), split(share))
-        rows.set_number(3 * dim + 1, split(1 / self._length))
+        rows.set_line(3 * dim, number_of(middle), number_of(share))
+        rows.set_number(3 * dim + 1, number_of(1 / self._length))
         rows.run(tables(terms), True)
         found = rows.taken(self._program.results)
         return found[:dim], found[dim:]
@@ -182,7 +183,7 @@ class _Network:
         dim = len(self._z0)
         middle = (self._begin + self._direction * (start + half) - self._t0) / self._tau
         pace = self._direction / self._tau
-        line = split(middle), split(pace * half)
+        line = number_of(middle), number_of(pace * half)
         values, slopes = [], []
         for activation, layers in self._parts:
             value, slope = _propagated(activation, layers, line, terms)
@@ -195,7 +196,7 @@ class _Network:
             rows.set_models(first, part)
             first += len(part.radius)
         rows.set_line(3 * dim, *line)
-        rows.set_number(3 * dim + 1, split(pace))
+        rows.set_number(3 * dim + 1, number_of(pace))
         rows.run(tables(terms), True)
         found = rows.taken(self._program.results)
         return found[:dim], found[dim:]

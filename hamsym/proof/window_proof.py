@@ -27,20 +27,20 @@ import numpy as np
 from flint import arb
 
 from hamsym.errors import CertificationError
-from hamsym.proof.ball_arithmetic import UNIT, number_of
+from hamsym.proof.ball_arithmetic import TINY, UNIT, number_of
 from hamsym.proof.balls import SMALLEST, at_least, at_most, working
 from hamsym.proof.certificate import FLOOR, Certificate
 from hamsym.proof.limits import Deadline, TimeLimitError
-from hamsym.proof.programs import BITS, ModelRows, Rows, split, tables
+from hamsym.proof.programs import BITS, ModelRows, Rows, tables
 from hamsym.proof.trial_models import Piece, trial_pieces, zero_components
 from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of, set_sizes
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 
-__all__ = ["WindowBounds", "WindowProof"]
+__all__ = ["WindowBounds", "WindowProof", "norm_and_parts"]
 
 _TERMS = 64  # of models of z^
-_ROOM = 1 + 1e-9  # for the rounding of sums of numbers >= 0
+_ROOM, _LESS = 1 + 1e-9, 1 - 1e-9  # for the rounding of sums of numbers >= 0
 # Accuracy of the enclosure, terms of its polynomials and least number of windows of attempts.
 _ATTEMPTS = ((2.0**-70, 32, 8), (2.0**-86, 48, 8))
 _OF_NETWORKS = (2.0**-70, 32, 64)  # which vary in a window of the motion
@@ -275,15 +275,15 @@ class _Comparison:
         """Upper and lower bounds of the dim + 3 quantities in a window, and their scales."""
         equation, dim = self._equation, self._equation.dim
         state, rate = piece.models(window.start, window.half, _TERMS)
-        centre = split(self._begin + self._direction * (window.start + window.half))
-        slope = split(self._direction * window.half)
+        centre = number_of(self._begin + self._direction * (window.start + window.half))
+        slope = number_of(self._direction * window.half)
         width = _widths(window)
         terms = window.high.shape[1]
         y = Rows(window.high, window.low, np.zeros(dim), np.full(dim, terms))
         error, error_radius = _difference(state, y)
         uppers, lowers = np.zeros(dim + 3), np.zeros(dim + 3)
-        uppers[: dim + 1], lowers[: dim + 1] = self._norm_and_parts(
-            error, (error_radius + width) * _ROOM
+        uppers[: dim + 1], lowers[: dim + 1] = norm_and_parts(
+            error, (error_radius + width) * _ROOM, self._samples
         )
         sizes = np.abs(window.high).sum(axis=1)
         if not whole:
@@ -297,7 +297,7 @@ class _Comparison:
         G = rows.taken(equation.rates.results)
         signed = Rows(self._direction * G.high, self._direction * G.low, G.radius, G.length)
         residual, residual_radius = _difference(rate, signed)
-        upper, lower = self._norm_and_parts(residual, residual_radius)
+        upper, lower = norm_and_parts(residual, residual_radius, self._samples)
         uppers[-1], lowers[-1] = upper[0], lower[0]
         # the energy
         energy = self._energy_of(state, centre, slope)
@@ -313,7 +313,7 @@ class _Comparison:
             other = self._energy_of(y, centre, slope)
             slack = self._energy_slack(window, width, centre, slope)
         change, radius = _difference(energy, other)
-        upper, lower = self._norm_and_parts(change, radius + slack * _ROOM)
+        upper, lower = norm_and_parts(change, radius + slack * _ROOM, self._samples)
         uppers[-2], lowers[-2] = upper[1], lower[1]
         rates = np.abs(G.high).sum(axis=1)
         half = dim // 2
@@ -358,28 +358,37 @@ class _Comparison:
             slopes = np.concatenate([slopes[dim // 2 :], slopes[: dim // 2]])
         return float(slopes @ width) * _ROOM
 
-    def _norm_and_parts(
-        self, series: np.ndarray, radius: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds on the 2-norm and on the size of each of several models, shape (1 + n,)."""
-        table = _sample_table(self._samples)
-        with np.errstate(all="ignore"):
-            values = series @ table[: series.shape[1]]
-            sums = np.abs(series).sum(axis=1) * _ROOM
-            rounding = sums * (series.shape[1] + 4) * 2 * UNIT
-            largest = np.abs(values).max(axis=1)
-            # In units of the largest, because squares of tiny numbers vanish.
-            unit = max(float(largest.max()), float(rounding.max()), float(radius.max())) or 1.0
-            squares, beside, whole = (
-                unit * math.sqrt(float(((part / unit) ** 2).sum(axis=0).max()))
-                for part in (values, rounding, radius)
-            )
-            degree = series.shape[1] - 1
-            parts = np.minimum((largest + rounding) * _factor(degree, self._samples), sums)
-            norm = (squares + beside) * math.sqrt(_factor(2 * degree, self._samples))
-        uppers = np.concatenate([[norm + whole], parts + radius]) * _ROOM
-        lowers = np.concatenate([[squares - beside - whole], largest - rounding - radius])
-        return uppers, np.maximum(lowers * (1 - 1e-9), 0.0)
+
+def norm_and_parts(
+    series: np.ndarray, radius: np.ndarray, samples: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds on the 2-norm and on the size of each of several models, shape (1 + n,).
+
+    *Rounding.* A sample is a sum of m products with rounded numbers |T_k| <= 1: it is wrong by at
+    most (m + 1) u sum |c_k|, twice of which is ``rounding``; TINY covers underflow. What follows
+    are sums and products of numbers >= 0 and their roots, of fewer than 10^5 terms, with relative
+    errors below 10^-10: each is multiplied by 1 + 10^-9 or 1 - 10^-9, whichever is safe, before one
+    is subtracted from another. This also covers squares that vanish in the unit of the largest
+    number: they change a norm by less than 10^-150 units, and one of the three norms is a unit.
+    """
+    table = _sample_table(samples)
+    with np.errstate(all="ignore"):
+        values = series @ table[: series.shape[1]]
+        sums = np.abs(series).sum(axis=1) * _ROOM
+        rounding = sums * (series.shape[1] + 4) * 2 * UNIT + TINY
+        largest = np.abs(values).max(axis=1)
+        unit = max(float(largest.max()), float(rounding.max()), float(radius.max()))
+        squares, beside, whole = (
+            unit * math.sqrt(float(((part / unit) ** 2).sum(axis=0).max()))
+            for part in (values, rounding, radius)
+        )
+        degree = series.shape[1] - 1
+        parts = np.minimum((largest + rounding) * _factor(degree, samples), sums)
+        norm = (squares + beside) * math.sqrt(_factor(2 * degree, samples))
+    uppers = np.concatenate([[norm + whole], parts + radius]) * _ROOM
+    sizes = np.concatenate([[squares], largest]) * _LESS
+    errors = np.concatenate([[beside + whole], rounding + radius]) * _ROOM
+    return uppers, np.maximum((sizes - errors) * _LESS, 0.0)
 
 
 @functools.cache

@@ -28,12 +28,12 @@ from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import coupled_sizes
-from hamsym.proof.ball_arithmetic import MIDDLE, UNDERFLOW, UNIT
+from hamsym.proof.ball_arithmetic import MIDDLE, UNDERFLOW, UNIT, number_of
 from hamsym.proof.balls import working
 from hamsym.proof.compiled import loops
 from hamsym.proof.generated import GeneratedFunctions, evaluated
 from hamsym.proof.limits import Deadline
-from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, split, tables
+from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, tables
 from hamsym.symbolic.exact import rational
 
 __all__ = ["Equation", "ErrorSet", "Window", "WindowStepper", "equation_of", "set_sizes"]
@@ -380,8 +380,8 @@ class WindowStepper:
         place = _Place(
             half,
             float(half),
-            split(self._time + self._direction * (self.elapsed + half)),
-            split(half * self._direction),
+            number_of(self._time + self._direction * (self.elapsed + half)),
+            number_of(half * self._direction),
         )
         sizes, y = self._guess(place)
         if y is None:
@@ -517,20 +517,14 @@ class WindowStepper:
         for i in range(self.equation.dim):
             value, rest, _ = loops().end_value(models.high[i], models.low[i], self._terms, -1)
             gap = (self._centre[i] - value) + (self._centre_low[i] - rest)
-            high, low = models.high[i, 0], models.low[i, 0]
-            total = high + gap
-            back = total - high
-            models.high[i, 0] = total
-            models.low[i, 0] = low + ((high - (total - back)) + (gap - back))
+            total, error = _two_sum(models.high[i, 0], gap)
+            pair = _two_sum(total, models.low[i, 0] + error)
+            models.high[i, 0], models.low[i, 0] = pair
 
     def _corrected(self, models: ModelRows, series: np.ndarray) -> None:
         dim = self.equation.dim
-        high, low = models.high[:dim], models.low[:dim]
-        add = low + series
-        total = high + add
-        back = total - high
-        models.low[:dim] = (high - (total - back)) + (add - back)
-        models.high[:dim] = total
+        pair = _two_sum(models.high[:dim], models.low[:dim] + series)
+        models.high[:dim], models.low[:dim] = pair
         self._start(models)
 
     def _enclosed(
@@ -732,6 +726,13 @@ class WindowStepper:
             raise CertificationError("the enclosure became infinite; use an earlier end time")
         self.elapsed = window.end
         return window
+
+
+def _two_sum(a: Any, b: Any) -> tuple[Any, Any]:
+    """a + b rounded, and its error: a low part within half an ulp, as bounds of products need."""
+    total = a + b
+    back = total - a
+    return total, (a - (total - back)) + (b - back)
 
 
 def _sizes_of_all(sizes: np.ndarray, couplings: np.ndarray, w: float) -> np.ndarray:

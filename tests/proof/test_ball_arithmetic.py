@@ -252,6 +252,7 @@ def test_scaled_contains_also_subnormal_numbers(L):
         *(Fraction(1, 3), Fraction(0), Fraction(-22, 7), Fraction(2) ** 1000 / 3),
         *(Fraction(2) ** -1060, Fraction(1, 3) / 2**1050, Fraction(1, 10**400)),
         *(Fraction(1, 3) + Fraction(1, 10**30), Fraction(_LARGEST)),
+        Fraction(5e-324) / 2 + Fraction(1e-300),  # whose low part underflows
     ],
 )
 def test_ball_of_a_fraction_contains_it(value):
@@ -279,3 +280,10 @@ def test_ball_without_bound_has_no_ball():
     with working(240):
         assert not number_of(arb("nan"))[2] < math.inf
         assert not number_of(arb("inf"))[2] < math.inf
+
+
+@pytest.mark.parametrize("value", [Fraction(0), Fraction(0.1), Fraction(1e8) + Fraction(2) ** -70])
+def test_sum_of_two_numbers_has_no_radius(value):
+    high, low, radius = number_of(value)
+    assert radius == 0
+    assert Fraction(high) + Fraction(low) == value

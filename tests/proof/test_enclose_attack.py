@@ -11,7 +11,7 @@ import sympy
 import hamsym
 from hamsym.errors import InputError
 from hamsym.proof.compiled import loops
-from hamsym.proof.window_proof import _Comparison
+from hamsym.proof.window_proof import norm_and_parts
 
 
 @pytest.mark.parametrize("span", [(1.0, 2.0), (2.0, 1.0), (1e6, 1e6 + 1e-3)])
@@ -49,13 +49,32 @@ def test_exact_numbers_are_inside_their_balls(value: object) -> None:
 
 
 def test_bounds_on_the_norm_hold_for_errors_whose_squares_vanish() -> None:
-    comparison = _Comparison.__new__(_Comparison)
-    comparison._samples = 1024
     series = np.zeros((2, 8))
     series[:, 0] = 3e-200, -4e-200
-    uppers, lowers = comparison._norm_and_parts(series, np.full(2, 1e-201))
+    uppers, lowers = norm_and_parts(series, np.full(2, 1e-201), 1024)
     assert lowers[0] <= 5e-200 <= uppers[0] <= 1e-199
     assert lowers[0] >= 3e-200
+
+
+@pytest.mark.parametrize("count", [1, 3, 2_001])
+def test_bounds_on_the_norm_include_its_own_roundings(count: int) -> None:
+    """Of constants, whose exact norms fractions give: also where the bounds cancel."""
+    random = np.random.default_rng(count)
+    for gap in (0.0, 1e-16, 1e-15, 1e-13, 1e-6):
+        sizes = (
+            np.full(count, math.sqrt(2.0**-53) * (1 - 1e-15)) if gap else random.normal(size=count)
+        )
+        sizes[0] = 1.0
+        uppers, lowers = norm_and_parts(sizes[:, None], np.abs(sizes) * (1 - gap), 256)
+        squares = sum(Fraction(value) ** 2 for value in sizes.tolist())
+        others = sum(Fraction(abs(value) * (1 - gap)) ** 2 for value in sizes.tolist())
+        digits = 10**60
+        norm, whole = (
+            Fraction(math.isqrt(int(part * digits)), 10**30) for part in (squares, others)
+        )
+        assert Fraction(lowers[0]) <= max(norm - whole + Fraction(1, 10**29), 0)
+        assert Fraction(uppers[0]) >= norm + whole
+        assert Fraction(uppers[0]) <= (norm + whole) * (1 + Fraction(1, 10**4))
 
 
 def test_parameters_must_be_a_mapping() -> None:

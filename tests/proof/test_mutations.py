@@ -152,8 +152,11 @@ _ADD = "_up(x[2] + y[2] + MIDDLE * (abs(x[0]) + abs(y[0])))"
 _MULTIPLY = "_up(a * y[2] + x[2] * (b + y[2]) + MIDDLE * (a * b))"
 _LIBRARY = "0.0001"  # relative error of a library that a proof must survive
 _POOR_LOG = (("math.log(x[0])", f"(math.log(x[0]) * (1 + {_LIBRARY}))"),)
-_POOR_ATAN = (("ball_of(math.atan(x[0]))", f"ball_of(math.atan(x[0]) * (1 + {_LIBRARY}))"),)
-_POOR_ASIN = (("ball_of(math.asin(x[0]))", f"ball_of(math.asin(x[0]) * (1 - {_LIBRARY}))"),)
+_POOR_ATAN = (("math.atan(x[0])", f"math.atan(x[0]) * (1 + {_LIBRARY})"),)
+_POOR_ASIN = (("math.asin(x[0])", f"math.asin(x[0]) * (1 - {_LIBRARY})"),)
+#: A library whose angles are wrong by a whole turn.
+_TURNED_ATAN = (("math.atan(x[0])", "math.atan(x[0]) + 2 * math.pi"),)
+_TURNED_ASIN = (("math.asin(x[0])", "math.asin(x[0]) - 2 * math.pi"),)
 _RIPPLE = np.array([[1e-3, -2e-3], [5e-4, 1e-3]])
 _RIPPLED = transport(np.eye(2) * 1e-3, start=np.ones(2), F=-_RIPPLE, ripple=_RIPPLE)
 _POOR_TURN = (("found[i, c] /= length\n", "found[i, c] /= length * 1.001\n"),)
@@ -224,6 +227,12 @@ MUTATIONS: dict[str, Mutation] = {
         "found = widened(add(y, z), 0.01 * size**3)",
         unary("arcsine"),
         _POOR_ASIN,
+    ),
+    "arctangent, whole turns": Mutation(
+        "value if abs(value) <= 2 else math.nan", "value", unary("arctangent", 50), _TURNED_ATAN
+    ),
+    "arcsine, whole turns": Mutation(
+        "value if abs(value) <= 2 else math.nan", "value", unary("arcsine", 50), _TURNED_ASIN
     ),
     "arcsine, radius": Mutation("x[2] / math.sqrt(room)", "x[2]", unary("arcsine")),
     "error function, radius": Mutation(

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from flint import arb
 
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.balls import working
-from hamsym.proof.windows import ErrorSet, set_sizes
+from hamsym.proof.limits import Deadline
+from hamsym.proof.programs import ModelRows
+from hamsym.proof.windows import Equation, ErrorSet, WindowStepper, set_sizes
 from tests.proof.misses import TERMS, exact_polynomials
 
 _BITS = 300
@@ -126,3 +129,21 @@ def test_sizes_over_a_window_bound_the_exact_values():
                     )
                     total += abs(entry) * Fraction(float(R[c]))
                 assert total <= Fraction(float(bounds[i]))
+
+
+def test_polynomial_from_its_start_has_normal_low_parts():
+    """Bounds of products leave out those of two low parts, which only small ones allow."""
+    equation = Equation(Hamiltonian("p**2/2 + x**2/2"))
+    stepper = WindowStepper(
+        *(equation, Fraction(0), 1, Fraction(1), np.array([0.0, 1.0]), np.zeros(2), 1e-20),
+        Deadline.after(None),
+    )
+    models = ModelRows(equation.rates, 32)
+    for high, low in ((1.0, 1e-17), (1.0, -1.1e-16), (1e-30, 1e-47), (0.0, 0.0), (3.0, 2e-16)):
+        models.high[:2], models.low[:2] = 0.0, 0.0
+        models.high[:2, 0], models.low[:2, 0] = high, low
+        stepper._start(models)
+        starts = [Fraction(models.high[i, 0]) + Fraction(models.low[i, 0]) for i in range(2)]
+        assert abs(starts[0]) < 1e-15
+        assert abs(starts[1] - 1) < 1e-15
+        assert (np.abs(models.low) <= 2.0**-53 * np.abs(models.high)).all()

@@ -11,7 +11,7 @@ from hamsym.codegen.functions import compile_straight_line
 from hamsym.proof.balls import working
 from hamsym.proof.functions import SingularityError
 from hamsym.proof.generated import evaluated
-from hamsym.proof.map_models import affine_models
+from hamsym.proof.map_models import _lower_powers, affine_models
 from hamsym.proof.taylor_models import BITS, MODELS, Model, Space
 
 x, y = sympy.symbols("x y", real=True)
@@ -73,3 +73,13 @@ def test_constants_remain_balls(space):
         constant, model = evaluated(function, MODELS, *affine_models(space, CELLS))
     assert not isinstance(constant, Model)
     assert isinstance(model, Model)
+
+
+def test_lower_powers_are_below_the_powers():
+    sizes = np.concatenate([np.random.default_rng(1).uniform(0, 2, 200), [0, 1, 5e-324, 1e-30]])
+    found = _lower_powers(sizes[None], 12)
+    for size, powers in zip(sizes.tolist(), found[0].T.tolist(), strict=True):
+        for n, power in enumerate(powers):
+            exact = Fraction(size) ** n
+            assert Fraction(power) <= exact
+            assert Fraction(power) >= exact * (1 - Fraction(1, 10**12)) or exact < 1e-289

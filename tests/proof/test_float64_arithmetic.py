@@ -1,0 +1,132 @@
+"""Proofs refuse arithmetic that does not round as IEEE 754 has it."""
+
+import ctypes
+import ctypes.util
+import platform
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from hamsym.errors import CertificationError
+from hamsym.proof import float64_arithmetic
+from hamsym.proof.compiled import loops, require_compiled_float64
+from hamsym.proof.float64_arithmetic import require_float64
+
+# Settings of the processor are changed in processes of their own.
+_ENTRIES = """
+import hamsym, ctypes, ctypes.util, threading, sys
+from hamsym.proof.prove import verify
+oscillator = "p**2/2 + x**2/2"
+solution = hamsym.solve(oscillator, [1.0, 0.0], (0.0, 1.0), tol=1e-8)
+certificate = solution.certify()
+enclosure = hamsym.enclose(oscillator, [1, 0], (0, 1))
+flow = hamsym.flow_map(oscillator, {"x": (1, 1.1), "p": 0}, (0, 1), tol=1e-6)
+orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0])
+entries = {
+    "certify": solution.certify,
+    "Taylor steps": lambda: solution.certify(bits=106),
+    "verify": lambda: verify(certificate, solution),
+    "enclose": lambda: hamsym.enclose(oscillator, [1, 0], (0, 1)),
+    "values of an enclosure": lambda: enclosure(0.5),
+    "flow map": flow.certify,
+    "orbit": orbit.certify,
+    "equilibria": lambda: hamsym.equilibria("p**2/2 - cos(x)", box={"x": (-1, 1), "p": (-1, 1)}),
+    "prove=True": lambda: hamsym.solve(oscillator, [1, 0], (0, 1), tol=1e-8, prove=True),
+}
+"""
+_ATTEMPT = """
+def attempt():
+    for name, entry in entries.items():
+        try:
+            found = entry()
+        except hamsym.CertificationError as error:
+            print(f"{name}: {error}")
+        else:
+            print(f"{name}: {getattr(found, 'message', 'no error')}")
+"""
+_UPWARD = {"x86_64": 0x800, "AMD64": 0x800, "aarch64": 0x400000}.get(platform.machine())
+_CHANGES = {
+    "subnormal numbers": "import torch; assert torch.set_flush_denormal(True)",
+    "rounding to nearest": (
+        f"assert ctypes.CDLL(ctypes.util.find_library('m')).fesetround({_UPWARD}) == 0"
+    ),
+}
+_KNOWN = pytest.mark.skipif(
+    _UPWARD is None or sys.platform == "win32", reason="no settings known for this processor"
+)
+
+
+@_KNOWN
+@pytest.mark.slow
+@pytest.mark.parametrize("missing", _CHANGES)
+def test_every_proof_refuses_other_arithmetic(missing):
+    """In the main thread, and in one that is started later, which inherits its settings."""
+    code = f"""{_ENTRIES}{_ATTEMPT}
+{_CHANGES[missing]}
+attempt()
+thread = threading.Thread(target=attempt)
+thread.start()
+thread.join()
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    lines = done.stdout.splitlines()
+    assert len(lines) == 18
+    for line in lines:
+        assert f"lacks {missing} in this thread; " in line
+
+
+@_KNOWN
+@pytest.mark.parametrize("missing", _CHANGES)
+@pytest.mark.parametrize("require", [require_float64, require_compiled_float64])
+def test_settings_of_one_thread_are_found(missing, require):
+    messages = []
+
+    def change_and_require():
+        exec(_CHANGES[missing], {"ctypes": ctypes})  # noqa: S102
+        try:
+            require()
+        except CertificationError as error:
+            messages.append(str(error))
+
+    thread = threading.Thread(target=change_and_require)
+    thread.start()
+    thread.join()
+    (message,) = messages
+    assert f"lacks {missing} in this thread; " in message
+    require()
+
+
+def test_arithmetic_of_this_thread_is_accepted():
+    require_float64()
+    require_compiled_float64()
+
+
+@pytest.mark.parametrize("place", range(len(float64_arithmetic._NAMES)))
+@pytest.mark.parametrize("wrong", [-1, 1, np.nan])
+def test_each_wrong_result_of_compiled_code_is_refused(place, wrong):
+    rows = dict(zip(("sum", "product", "quotient", "root", "fused"), range(5), strict=True))
+
+    def falsified(a, b, c):
+        found = loops().basic_operations(a, b, c)
+        own = found[rows[float64_arithmetic._NAMES[place]]]
+        if np.isnan(wrong):
+            own[place] = np.nan
+        else:
+            own.view(np.int64)[place] += wrong
+        return found
+
+    with pytest.raises(CertificationError, match="compiled code lacks"):
+        require_float64(falsified)
+
+
+def test_separate_product_and_sum_are_no_fused_operation():
+    def unfused(a, b, c):
+        found = loops().basic_operations(a, b, c)
+        found[4] = a * b + c
+        return found
+
+    with pytest.raises(CertificationError, match="compiled code lacks fused multiply-add"):
+        require_float64(unfused)
