@@ -21,6 +21,7 @@ from hamsym.errors import CertificationError, InputError
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.flow_maps.time_order import require_order
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.proof.balls import working
 from hamsym.proof.box_certificate import BoxCertificate, map_digest
@@ -72,6 +73,11 @@ def certify_box(
         )
     if not all(np.isfinite(array).all() for array in flow.map.arrays().values()):
         raise CertificationError("the map has numbers that are not finite; make it again")
+    try:
+        flow.region.check()
+        require_order(flow.map, flow.span)
+    except ValueError as error:
+        raise CertificationError(f"the map is not valid: {error}; make it again") from None
     proof = _Proof(flow, Deadline.after(time_limit), max_parts)
     bound, parts = np.zeros(flow.H.dim), 0
     with np.errstate(all="ignore"):  # what overflows has no bound
@@ -175,10 +181,9 @@ class _Proof:
         """A bound on the error over a region, and the number of its cells."""
         legs, joints, kept, box = region
         self._legs, self._kept = legs, kept
-        span = tuple(Fraction(float(t)) for t in self._map.span)
-        self._ends = [*(Fraction(joint) for joint in joints), span[1]]
-        if Fraction(float(legs[0].begin)) != span[0]:
-            raise CertificationError("the map does not begin with its span; make it again")
+        self._start, end = (Fraction(float(t)) for t in self._map.span)
+        self._ends = [*(Fraction(joint) for joint in joints), end]
+        self._direction = 1 if end > self._start else -1
         grid = self._grid(box)
         largest, accepted = np.zeros(self._flow.dim), 0
         waiting: list[tuple[tuple[Interval, ...], int]] = [(box, 0)]
@@ -217,10 +222,13 @@ class _Proof:
     def _pieces(self, number: int) -> Iterator[Step]:
         """The pieces of a leg, up to its end."""
         leg = self._legs[number]
-        edges = [Fraction(float(edge)) for edge in leg.edges]
-        end = self._ends[number] - Fraction(float(leg.begin))
-        sign = 1 if end > 0 else -1
-        edges = [edge for edge in edges[:-1] if sign * edge < sign * end] + [end]
+        begin, end = Fraction(float(leg.begin)), self._ends[number]
+        # The last piece ends with the leg: its own edge is that, up to round-off.
+        edges = [*(Fraction(float(edge)) for edge in leg.edges[:-1]), end - begin]
+        starts = [self._start, *self._ends][number]
+        forward = all(self._direction * (high - low) > 0 for low, high in pairwise(edges))
+        if not (begin == starts and edges[0] == 0 and forward and len(edges) == len(leg.edges)):
+            raise CertificationError("the pieces of the map are not in order; make it again")
         for place, (low, high) in enumerate(pairwise(edges)):
             yield Step(place, low, high)
 
