@@ -29,6 +29,7 @@ from hamsym.proof.functions import SingularityError
 from hamsym.proof.generated import evaluated, require_smooth
 from hamsym.proof.limits import Deadline
 from hamsym.proof.map_models import Cells, LegModels, Step, affine_models
+from hamsym.proof.public_check import check_map
 from hamsym.proof.taylor_models import BITS, MODELS, Model, Space
 from hamsym.proof.tube import Flow, StepModels, Stepper, Tube
 from hamsym.support.validation import require_positive, require_whole
@@ -81,9 +82,11 @@ def certify_box(
     proof = _Proof(flow, Deadline.after(time_limit), max_parts)
     bound, parts = np.zeros(flow.H.dim), 0
     with np.errstate(all="ignore"):  # what overflows has no bound
-        for region in _regions(flow.map, tuple(intervals)):
+        regions = list(_regions(flow.map, tuple(intervals)))
+        for region in regions:
             found, count = proof.bound(region)
             bound, parts = np.maximum(bound, found), parts + count
+        check_map(flow, regions)
     return BoxCertificate(
         bound=tuple(bound.tolist()),
         components=tuple(flow.H.names),

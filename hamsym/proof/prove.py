@@ -45,6 +45,7 @@ from hamsym.proof.certificate import (
     rounded_up,
 )
 from hamsym.proof.limits import Deadline, TimeLimitError
+from hamsym.proof.public_check import check_solution
 from hamsym.proof.taylor_proof import TaylorProof
 from hamsym.proof.trials import require_exact, segments
 from hamsym.proof.window_proof import WindowBounds, WindowProof
@@ -138,6 +139,7 @@ def certify(
     if asked is not None:
         _require_below(claims, asked, solution.H.names)
         claims["asked"] = asked
+    check_solution(solution)
     return Certificate(
         **claims,
         rtol=float(rtol),
