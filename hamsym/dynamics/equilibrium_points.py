@@ -25,6 +25,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import above, exact, working
 from hamsym.proof.derivative_balls import DerivativeBalls
+from hamsym.proof.public_check import require_same
 from hamsym.proof.roots import BITS, Root, enclosed_root
 
 __all__ = ["NEAR", "Finder", "add_points", "counted", "is_known", "ordered", "spread_out"]
@@ -33,6 +34,8 @@ NEAR = 1e-3  # of the sizes: distance of approximations of one point with a sing
 _SAME = 1e-7  # of the sizes: the same, for other points
 _SAME_ENERGY = 1e-9
 _PLAUSIBLE = 1e-9  # of the terms of its row: |g| at a numerical point
+_COARSE = 40  # bits whose roundings include those of float64, in any order of operations
+_TINY = 1e-290  # what underflows
 _BLUR = 1e-9  # of the sizes: uncertainty of a numerical point
 
 
@@ -77,6 +80,7 @@ class Finder:
             radius = [above(abs(e - arb(m))) for e, m in zip(root.enclosure, middle, strict=True)]
             energy = self._balls[0].energy(root.enclosure)
         z = np.array(middle) + 0.0
+        self._require_same_function(z, root)
         return Equilibrium(
             self.H.names,
             z,
@@ -85,6 +89,24 @@ class Finder:
             Ball(z, np.array(radius)),
             linear=self._stability_of(z),
             **known,
+        )
+
+    def _require_same_function(self, z: np.ndarray, root: Root) -> None:
+        """Require that H evaluates the energy and gradient that were proven."""
+        assert self._balls is not None
+        with working(_COARSE):
+            balls = self._balls[0]
+            found = [balls.energy(root.enclosure), *balls.gradient(root.enclosure)]
+            middle = [float(entry.mid()) for entry in found]
+            radius = [above(entry.rad()) + _TINY for entry in found]
+        slopes = np.asarray(self.H.compile("numpy").gradient(z))
+        require_same(
+            "Hamiltonian",
+            ("H", *(f"dH/d{name}" for name in self.H.names)),
+            np.array([[self.energy(z), *slopes]]),
+            np.array([[middle]]),
+            np.array([[radius]]),
+            lambda _: f"z = {z.tolist()}",
         )
 
     def _around(self, z: np.ndarray) -> np.ndarray:

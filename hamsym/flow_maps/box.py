@@ -72,6 +72,25 @@ class Box:
         """Whether every component of z0 varies."""
         return len(self.components) == self.H.dim
 
+    def check(self) -> None:
+        """Raise ValueError unless it is a box as :func:`checked_box` makes them."""
+        names, components = self.names, self.components
+        if not (names and len(set(names)) == len(names) and (self.low < self.high).all()):
+            raise ValueError("its box has no intervals")
+        if names[: len(components)] != components:
+            raise ValueError("its box has components of z0 after parameters")
+        if sorted([*components, *self.fixed, *self.expressions]) != sorted(self.H.names):
+            raise ValueError("its box does not give every component of z0 once")
+        used = {
+            canonical_name(symbol.name)
+            for text in self.expressions.values()
+            for symbol in parse_expression(text).free_symbols
+        }
+        known = {*map(canonical_name, self.H.parameter_names), *used}
+        if not {*map(canonical_name, self.parameters)} <= known:
+            raise ValueError("its box varies what neither H nor an expression contains")
+        self.states(self.at(np.zeros((1, len(self)))))  # raises for expressions of other symbols
+
     def scaled(self, inputs: np.ndarray) -> np.ndarray:
         """Return inputs, shape (..., d), scaled to [-1, 1]."""
         return (2 * inputs - (self.low + self.high)) / (self.high - self.low)
@@ -282,8 +301,7 @@ def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | Non
         )
     ends = np.array([intervals.get(name) or varied[name] for name in names])
     box = Box(H, names, ends[:, 0].copy(), ends[:, 1].copy(), fixed, expressions)
-    if expressions:
-        box.states(box.at(np.zeros((1, len(box)))))  # raises for symbols that do not vary
+    box.check()  # raises for symbols that do not vary
     return box
 
 

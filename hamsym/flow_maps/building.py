@@ -18,6 +18,7 @@ from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.domain import Domain, box_domain, image_domain, random_places, split_domain
 from hamsym.flow_maps.expansion import Chain, Split
 from hamsym.flow_maps.legs import FailedError, LegBuilder
+from hamsym.flow_maps.time_order import ended
 
 __all__ = ["Builder", "Built", "image_of"]
 
@@ -151,9 +152,10 @@ class Builder:
         if len(parts) == 1:
             return parts[0]
         threshold = -float(domain.shift[direction])
-        split = Split(domain.scaling[direction], threshold, parts[0].map, parts[1].map)
         sign = np.sign(self._span[1] - self._span[0])
         reached = float(sign * min(sign * part.reached for part in parts))
+        maps = [p.map if p.reached == reached else ended(p.map, reached) for p in parts]
+        split = Split(domain.scaling[direction], threshold, *maps)
         edges = np.unique(np.concatenate([part.edges for part in parts]))[:: int(sign)]
         failures = [part.failure for part in parts if part.failure]
         return Built(

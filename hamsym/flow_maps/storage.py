@@ -14,6 +14,7 @@ from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement
+from hamsym.flow_maps.time_order import require_order
 from hamsym.numerics.lower_sets import MOST_DEGREE
 from hamsym.support.checked_data import (
     arrays_of,
@@ -110,12 +111,7 @@ def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> FlowMap
         for name, text in checked_mapping("expressions", values["expressions"]).items()
     }
     box = Box(H, names, low, high, fixed, expressions)
-    if not (d and len(set(names)) == d and (low < high).all()):
-        raise ValueError("its box has no intervals")
-    parts = [*box.components, *fixed, *expressions]
-    if sorted(parts) != sorted(H.names):
-        raise ValueError("its box does not give every component of z0 once")
-    box.states(box.at(np.zeros((1, d))))  # raises for expressions of other symbols
+    box.check()
     error = arrays.pop("error_estimate")
     require_array("error_estimate", error, (dim,), finite=plain["success"])
     judgement = checked_record(Judgement, values["judgement"], taken(arrays, "judgement"))
@@ -127,7 +123,8 @@ def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> FlowMap
     map = _map(checked_mapping("map", values["map"]), given, d, dim, _DEEPEST)
     if given:
         raise ValueError(f"'{min(given)[:40]}' is not a part of a flow map")
-    if plain["success"] and not (plain["excess"] <= 1 and map.begin == start != end):
+    require_order(map, (start, end))
+    if plain["success"] and not plain["excess"] <= 1:
         raise ValueError("its success is true, but its error is not within the tolerance")
     return FlowMap(
         region=box, span=(start, end), map=map, error_estimate=error, judgement=judgement, **plain
@@ -153,8 +150,6 @@ def _map(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int, 
             _map(checked_mapping("map", part), taken(arrays, str(k)), d, dim, depth - 1)
             for k, part in enumerate(forms)
         ]
-        if [part.begin for part in maps[1:]] != joints.tolist():
-            raise ValueError("its legs do not follow each other")
         return Chain(maps, joints, kept)
     if kind == "split":
         require_names("split", form, {"form", "threshold", "low", "high"})
@@ -172,9 +167,6 @@ def _leg(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int) 
     count = checked_type("pieces", form["pieces"], "int")
     edges = arrays.pop("edges")
     require_array("edges", edges, (count + 1,))
-    steps = np.diff(edges)
-    if count < 1 or edges[0] != 0 or not ((steps > 0).all() or (steps < 0).all()):
-        raise ValueError("the pieces of its time are not in order")
     own = _domain(arrays, d, dim)
     pieces = []
     for number in range(count):

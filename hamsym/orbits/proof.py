@@ -31,6 +31,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.orbits.arc import Problem
 from hamsym.orbits.certificate import OrbitCertificate
+from hamsym.orbits.orbit_check import check_orbit
 from hamsym.orbits.proven_stability import proven_attraction, proven_stability
 from hamsym.orbits.rescaled import exact_period, in_units_of_the_arc
 from hamsym.orbits.search import vector_field_at
@@ -38,7 +39,7 @@ from hamsym.orbits.symmetry import SignedPermutation, is_unchanged
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import above, working
 from hamsym.proof.compiled import require_compiled_float64
-from hamsym.proof.enclose import Enclosure, enclose
+from hamsym.proof.enclose import Enclosure, enclosed
 from hamsym.proof.functions import BALLS, SingularityError
 from hamsym.proof.generated import GeneratedFunctions
 from hamsym.proof.limits import Deadline
@@ -195,7 +196,7 @@ class _Proof:
     def _piece(self, k: int, start: Ball, period: Ball) -> Enclosure:
         span = (k / self.pieces, (k + 1) / self.pieces)  # exact: a power of two
         parameters = None if self._name is None else {self._name: period}
-        return enclose(self._H, start, span, parameters=parameters, time_limit=self._deadline.left)
+        return enclosed(self._H, start, span, parameters, self._deadline.left)
 
     # -- the system ---------------------------------------------------------------------------
 
@@ -326,6 +327,7 @@ class _Proof:
             )
         self._require_closed(found, radii)
         self._require_motion(radii)
+        check_orbit(self._orbit, self._states)
         unique = self._unique(C, gaps, radii)
         return self._stated(found, np.minimum(image, radii), unique)
 

@@ -21,6 +21,7 @@ from hamsym.errors import CertificationError, InputError
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.flow_maps.time_order import require_order
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.proof.balls import working
 from hamsym.proof.box_certificate import BoxCertificate, map_digest
@@ -29,6 +30,7 @@ from hamsym.proof.functions import SingularityError
 from hamsym.proof.generated import evaluated, require_smooth
 from hamsym.proof.limits import Deadline
 from hamsym.proof.map_models import Cells, LegModels, Step, affine_models
+from hamsym.proof.public_check import check_map
 from hamsym.proof.taylor_models import BITS, MODELS, Model, Space
 from hamsym.proof.tube import Flow, StepModels, Stepper, Tube
 from hamsym.support.validation import require_positive, require_whole
@@ -74,12 +76,19 @@ def certify_box(
         )
     if not all(np.isfinite(array).all() for array in flow.map.arrays().values()):
         raise CertificationError("the map has numbers that are not finite; make it again")
+    try:
+        flow.region.check()
+        require_order(flow.map, flow.span)
+    except ValueError as error:
+        raise CertificationError(f"the map is not valid: {error}; make it again") from None
     proof = _Proof(flow, Deadline.after(time_limit), max_parts)
     bound, parts = np.zeros(flow.H.dim), 0
     with np.errstate(all="ignore"):  # what overflows has no bound
-        for region in _regions(flow.map, tuple(intervals)):
+        regions = list(_regions(flow.map, tuple(intervals)))
+        for region in regions:
             found, count = proof.bound(region)
             bound, parts = np.maximum(bound, found), parts + count
+        check_map(flow, regions)
     return BoxCertificate(
         bound=tuple(bound.tolist()),
         components=tuple(flow.H.names),
@@ -177,10 +186,9 @@ class _Proof:
         """A bound on the error over a region, and the number of its cells."""
         legs, joints, kept, box = region
         self._legs, self._kept = legs, kept
-        span = tuple(Fraction(float(t)) for t in self._map.span)
-        self._ends = [*(Fraction(joint) for joint in joints), span[1]]
-        if Fraction(float(legs[0].begin)) != span[0]:
-            raise CertificationError("the map does not begin with its span; make it again")
+        self._start, end = (Fraction(float(t)) for t in self._map.span)
+        self._ends = [*(Fraction(joint) for joint in joints), end]
+        self._direction = 1 if end > self._start else -1
         grid = self._grid(box)
         largest, accepted = np.zeros(self._flow.dim), 0
         waiting: list[tuple[tuple[Interval, ...], int]] = [(box, 0)]
@@ -219,10 +227,13 @@ class _Proof:
     def _pieces(self, number: int) -> Iterator[Step]:
         """The pieces of a leg, up to its end."""
         leg = self._legs[number]
-        edges = [Fraction(float(edge)) for edge in leg.edges]
-        end = self._ends[number] - Fraction(float(leg.begin))
-        sign = 1 if end > 0 else -1
-        edges = [edge for edge in edges[:-1] if sign * edge < sign * end] + [end]
+        begin, end = Fraction(float(leg.begin)), self._ends[number]
+        # The last piece ends with the leg: its own edge is that, up to round-off.
+        edges = [*(Fraction(float(edge)) for edge in leg.edges[:-1]), end - begin]
+        starts = [self._start, *self._ends][number]
+        forward = all(self._direction * (high - low) > 0 for low, high in pairwise(edges))
+        if not (begin == starts and edges[0] == 0 and forward and len(edges) == len(leg.edges)):
+            raise CertificationError("the pieces of the map are not in order; make it again")
         for place, (low, high) in enumerate(pairwise(edges)):
             yield Step(place, low, high)
 

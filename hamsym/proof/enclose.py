@@ -20,6 +20,7 @@ from hamsym.proof.ball import Ball
 from hamsym.proof.ball_arithmetic import number_of
 from hamsym.proof.compiled import loops, require_compiled_float64
 from hamsym.proof.limits import Deadline
+from hamsym.proof.public_check import check_enclosure
 from hamsym.proof.windows import ErrorSet, Window, WindowStepper, equation_of
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
@@ -29,7 +30,7 @@ from hamsym.support.validation import require_positive
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Enclosure", "enclose"]
+__all__ = ["Enclosure", "enclose", "enclosed"]
 
 # Accuracies of the polynomials, relative to the components, and their terms; the cheaper first.
 _ACCURACIES = ((2.0**-70, 32), (2.0**-86, 48))
@@ -92,6 +93,19 @@ def enclose(
     >>> bool(enclosure(2.0).width < 1e-2)
     True
     """
+    found = enclosed(H, z0, span, parameters, time_limit)
+    check_enclosure(found)
+    return found
+
+
+def enclosed(
+    H: HamiltonianLike,
+    z0: Sequence[Any] | Mapping[Any, Any] | np.ndarray | Ball,
+    span: tuple[float, float],
+    parameters: Mapping[str, Any] | None,
+    time_limit: float | None,
+) -> Enclosure:
+    """The enclosure of :func:`enclose`, whose evaluation is not checked."""
     H = Hamiltonian.of(H)
     balls = _parameter_balls(H, parameters)
     names = list(balls)

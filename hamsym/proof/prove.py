@@ -46,6 +46,7 @@ from hamsym.proof.certificate import (
 )
 from hamsym.proof.compiled import require_compiled_float64
 from hamsym.proof.limits import Deadline, TimeLimitError
+from hamsym.proof.public_check import check_solution
 from hamsym.proof.taylor_proof import TaylorProof
 from hamsym.proof.trials import require_exact, segments
 from hamsym.proof.window_proof import WindowBounds, WindowProof
@@ -140,6 +141,7 @@ def certify(
     if asked is not None:
         _require_below(claims, asked, solution.H.names)
         claims["asked"] = asked
+    check_solution(solution)
     return Certificate(
         **claims,
         rtol=float(rtol),

@@ -11,6 +11,7 @@ import pytest
 import hamsym
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.box import checked_box
+from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Split
 from hamsym.proof.box_certificate import BoxCertificate
 from hamsym.proof.tube import Flow
@@ -45,7 +46,10 @@ def turned(starts, times):
 def corrupted(flow, amount):
     """A map with one readout changed."""
     changed = copy.deepcopy(flow.map)
-    changed.pieces[0].readouts[0, 0] += amount
+    piece = changed.pieces[0]
+    readouts = piece.readouts.copy()
+    readouts[0, 0] += amount
+    changed.pieces[0] = CompiledPiece(piece.degrees, readouts, piece.columns)
     return dataclasses.replace(flow, map=changed)
 
 
