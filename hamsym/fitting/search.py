@@ -135,9 +135,13 @@ class Model:
         residuals, slopes = model.residuals(found.unknowns, np.zeros(1, dtype=int))
         converged = np.zeros(1, dtype=bool)
         if np.isfinite(residuals).all() and np.isfinite(slopes).all():
-            scatter = model.variance((residuals**2).sum(axis=1), np.zeros(1, dtype=int))
-            box = self.unknowns.low, self.unknowns.high
-            minimal = are_minima(found.unknowns, residuals, slopes, *box, scatter)
+            unknowns = self.unknowns
+            minimal = are_minima(
+                lambda values, rows: model.residuals(values, 0 * rows),
+                *(found.unknowns, residuals, slopes, unknowns.low, unknowns.high),
+                model.variance((residuals**2).sum(axis=1), np.zeros(1, dtype=int)),
+                unknowns.sizes[None],
+            )
             converged = found.converged & minimal
         return replace(found, residuals=residuals, jacobian=slopes, converged=converged)
 
