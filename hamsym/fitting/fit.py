@@ -26,6 +26,7 @@ from hamsym.fitting.motions import (
 )
 from hamsym.fitting.observations import checked_observations, checked_times
 from hamsym.fitting.search import Found, Model, search
+from hamsym.fitting.uncertainty import Uncertainty, uncertainty_of
 from hamsym.fitting.unknowns import checked_unknowns
 from hamsym.fitting.verdicts import Verdicts, judged
 from hamsym.formula.parser import canonical_name
@@ -162,6 +163,7 @@ def fit(
         motions = LiftedMotions(unknowns, observed.t, times, tol)
     model = Model(unknowns, observed, motions, times, tol if flow is None else float(flow.tol))
     found = search(model, int(starts), int(seed))
+    uncertainty = uncertainty_of(model, found, confidence)
     motion: Any = flow
     if flow is None and observed.single:
         # The verdict rests on one solution and its sensitivity, however the minimum was found.
@@ -176,8 +178,8 @@ def fit(
             parameters=values,
             progress=False,
         )
-    verdicts = judged(model, found, confidence, motion)
-    return _result(model, found, verdicts, confidence, flow, motion)
+    verdicts = judged(model, found, uncertainty, motion)
+    return _result(model, found, uncertainty, verdicts, confidence, flow, motion)
 
 
 def _within(
@@ -222,6 +224,7 @@ def _within(
 def _result(
     model: Model,
     found: Found,
+    uncertainty: Uncertainty,
     verdicts: Verdicts,
     confidence: float,
     flow: FlowLike | None,
@@ -249,10 +252,10 @@ def _result(
         H=unknowns.hamiltonian(found.unknowns[0]),
         names=unknowns.names,
         parameters={name: _plain(of(found.unknowns[:, j])) for j, name in columns},
-        covariance=of(verdicts.covariance),
+        covariance=of(uncertainty.covariance),
         confidence=float(confidence),
         confidence_intervals={
-            name: (_plain(of(verdicts.low[:, j])), _plain(of(verdicts.high[:, j])))
+            name: (_plain(of(uncertainty.low[:, j])), _plain(of(uncertainty.high[:, j])))
             for j, name in columns
         },
         z0=of(unknowns.starts(found.unknowns)),

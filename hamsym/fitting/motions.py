@@ -83,6 +83,9 @@ class Motions(Protocol):
         Rows that have no motion over all times are nan.
         """
 
+    def states(self, values: np.ndarray) -> np.ndarray:
+        """States alone, for a part of the time."""
+
     def reason(self, values: np.ndarray) -> str:
         """Return why values of shape (k,) have no motion."""
 
@@ -130,6 +133,17 @@ class SolvedMotions:
             except HamsymError:
                 continue
         return states, slopes
+
+    def states(self, values: np.ndarray) -> np.ndarray:
+        states = np.full((len(values), len(self.t), self.unknowns.H.dim), np.nan)
+        for row in np.flatnonzero(~_is_too_fast(self.unknowns, values, self.span)):
+            try:
+                solution = self.solution(values[row])
+            except HamsymError:
+                continue
+            if solution.span[1] == self.span[1]:
+                states[row] = solution(self.t)
+        return states
 
     def _motion(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         unknowns, solution = self.unknowns, self.solution(values)
@@ -259,6 +273,22 @@ class LiftedMotions:
             slopes[..., j] = responses[:, place] / self._sizes[name]
         return found[:, 0][..., own], slopes
 
+    def states(self, values: np.ndarray) -> np.ndarray:
+        unknowns = self._unknowns
+        states = np.full((len(values), len(self._t), unknowns.H.dim), np.nan)
+        rows = np.flatnonzero(~_is_too_fast(unknowns, values, self._span))
+        if len(rows):
+            many = solve_many(
+                unknowns.H,
+                unknowns.starts(values[rows]),
+                self._span,
+                tol=self._tol,
+                parameters=unknowns.parameters(values[rows]),
+                progress=False,
+            )
+            states[rows] = many(self._t)
+        return states
+
     def _resized(self, responses: np.ndarray, reference: np.ndarray) -> bool:
         """Enlarge changes of parameters whose response is lost beside that of the start."""
         changed = False
@@ -344,25 +374,23 @@ class MappedMotions:
     t: np.ndarray
 
     def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        arguments = self._arguments(values, self.t)
-        shape = (len(values), len(self.t), self.unknowns.H.dim)
-        states = np.asarray(self.flow(*arguments)).reshape(shape)
-        every = np.asarray(self.flow.jacobian(*arguments)).reshape(*shape, -1)
+        states = self.states(values)
+        every = np.asarray(self.flow.jacobian(*self._arguments(values)))
+        every = every.reshape(*states.shape, -1)
         columns = [self.flow.inputs.index(name) for name in self.unknowns.names]
         return states, every[..., columns]
 
     def _arguments(
-        self, values: np.ndarray, t: np.ndarray
+        self, values: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        repeated = np.repeat(values, len(t), axis=0)
+        repeated = np.repeat(values, len(self.t), axis=0)
         parameters = self.unknowns.parameters(repeated)
         varied = {name: array for name, array in parameters.items() if name in self.flow.inputs}
-        return np.tile(t, len(values)), self.unknowns.starts(repeated), varied
+        return np.tile(self.t, len(values)), self.unknowns.starts(repeated), varied
 
-    def states(self, values: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return states at times (m,) for values (n, k), shape (n, m, dim)."""
-        found = np.asarray(self.flow(*self._arguments(values, t)))
-        return found.reshape(len(values), len(t), -1)
+    def states(self, values: np.ndarray) -> np.ndarray:
+        found = np.asarray(self.flow(*self._arguments(values)))
+        return found.reshape(len(values), len(self.t), -1)
 
     def reason(self, values: np.ndarray) -> str:
         return "the map or an observable is not finite"

@@ -104,6 +104,15 @@ class Model:
         slopes[..., columns] += explicit
         return found, slopes
 
+    def squares(self, values: np.ndarray, sets: np.ndarray) -> np.ndarray:
+        """Return chi-square for values (n, k) and their sets, nan without a motion, shape (n,)."""
+        parameters = self.unknowns.parameters(values)
+        found, _, _ = self.observables(self.motions.states(values), self.observed.t, parameters)
+        present, sigma = self.observed.present[sets], self.observed.sigma[sets]
+        with np.errstate(all="ignore"):
+            residuals = np.where(present, (found - self.observed.data[sets]) / sigma, 0.0)
+            return np.asarray((residuals**2).sum(axis=(1, 2)))
+
     def prospects(self, values: np.ndarray) -> np.ndarray:
         """Return the least chi-square of the linear model at values (n, k), shape (sets, n).
 
