@@ -10,6 +10,7 @@ Stage 3  The best minimum of every set of data is judged (:mod:`hamsym.fitting.v
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -159,11 +160,16 @@ def fit(
     motions: Motions = solved
     if flow is not None:
         motions = MappedMotions(flow, unknowns, observed.t)
-    elif (starts > 1 or len(observed.data) > 1) and LiftedMotions.applies(unknowns):
-        motions = LiftedMotions(unknowns, observed.t, times, tol)
+    elif starts > 1 or len(observed.data) > 1:
+        motions = _of_many(solved)
     model = Model(unknowns, observed, motions, times, tol if flow is None else float(flow.tol))
     found = search(model, int(starts), int(seed))
-    uncertainty = uncertainty_of(model, found, confidence)
+    uncertainty = uncertainty_of(
+        model,
+        found,
+        confidence,
+        lambda: replace(model, motions=_of_many(solved)) if motions is solved else model,
+    )
     motion: Any = flow
     if flow is None and observed.single:
         # The verdict rests on one solution and its sensitivity, however the minimum was found.
@@ -180,6 +186,13 @@ def fit(
         )
     verdicts = judged(model, found, uncertainty, motion)
     return _result(model, found, uncertainty, verdicts, confidence, flow, motion)
+
+
+def _of_many(solved: SolvedMotions) -> Motions:
+    """Return a source that solves many motions at once, if there is one."""
+    if not LiftedMotions.applies(solved.unknowns):
+        return solved
+    return LiftedMotions(solved.unknowns, solved.t, solved.span, solved.tol)
 
 
 def _within(

@@ -24,7 +24,7 @@ from hamsym.solution.solution import Solution
 from hamsym.solving import solve
 from hamsym.symbolic import derivatives
 
-__all__ = ["FlowLike", "LiftedMotions", "MappedMotions", "Motions", "SolvedMotions"]
+__all__ = ["FlowLike", "LiftedMotions", "MappedMotions", "Motions", "SolvedMotions", "rates"]
 
 _ROWS = 256  # that are solved together, to bound the memory
 _FAST = 2e4  # radians in the span, from which a motion takes a second
@@ -118,9 +118,12 @@ class SolvedMotions:
         """
         key = values.tobytes()
         if key not in self._last:
-            H, start = self.unknowns.hamiltonian(values), self.unknowns.starts(values[None])[0]
-            self._last = {key: solve(H, start, self.span, tol=self.tol, compiled=True)}
+            self._last = {key: self._solved(values)}
         return self._last[key]
+
+    def _solved(self, values: np.ndarray) -> Solution:
+        H, start = self.unknowns.hamiltonian(values), self.unknowns.starts(values[None])[0]
+        return solve(H, start, self.span, tol=self.tol, compiled=True)
 
     def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shape = (len(values), len(self.t), self.unknowns.H.dim)
@@ -138,7 +141,7 @@ class SolvedMotions:
         states = np.full((len(values), len(self.t), self.unknowns.H.dim), np.nan)
         for row in np.flatnonzero(~_is_too_fast(self.unknowns, values, self.span)):
             try:
-                solution = self.solution(values[row])
+                solution = self._solved(values[row])
             except HamsymError:
                 continue
             if solution.span[1] == self.span[1]:
@@ -173,12 +176,13 @@ def _is_too_fast(unknowns: Unknowns, values: np.ndarray, span: tuple[float, floa
 
     By the eigenvalues of J Hess at the start. The first guess is never too fast.
     """
-    rates = _rates(unknowns, np.vstack((unknowns.guesses, values)), span[0])
-    limit = max(_FAST / abs(span[1] - span[0]), _FASTER * float(np.nan_to_num(rates[0])))
-    return rates[1:] > limit
+    every = rates(unknowns, np.vstack((unknowns.guesses, values)), span[0])
+    limit = max(_FAST / abs(span[1] - span[0]), _FASTER * float(np.nan_to_num(every[0])))
+    return every[1:] > limit
 
 
-def _rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
+def rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
+    """Return the largest sizes of the eigenvalues of J Hess at starts, nan without one, (n,)."""
     system = unknowns.H.compile("numpy")
     columns = unknowns.parameters(values)
     rows = np.array([columns[name] for name in unknowns.H.parameter_names]).T if columns else None
@@ -188,9 +192,9 @@ def _rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
     shape = (len(values), unknowns.H.dim, unknowns.H.dim)
     matrices = np.broadcast_to(matrices, shape)
     finite = np.isfinite(matrices).all(axis=(1, 2))
-    rates = np.full(len(values), np.nan)
-    rates[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(axis=1)
-    return rates
+    found = np.full(len(values), np.nan)
+    found[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(axis=1)
+    return found
 
 
 class LiftedMotions:

@@ -79,9 +79,12 @@ def profiled(
     """
     count, unknowns = len(sets), model.unknowns
     every = np.arange(count)
-    sizes = np.maximum(np.abs(minima[every, columns]), unknowns.sizes[columns])
     limit = np.where(signs > 0, unknowns.high[columns], unknowns.low[columns])
     room = np.abs(limit - minima[every, columns])
+    # Where a column of J nearly vanishes, the linear model changes its quantity by far too much.
+    reach = np.maximum(np.abs(minima), unknowns.sizes)
+    sizes = reach[every, columns]
+    trace = np.where(np.abs(trace) * first[:, None] <= reach, trace, 0.0)
     inner = _Points(np.zeros(count), np.zeros(count), minima.copy())
     before = _Points(-np.ones(count), np.full(count, np.nan), minima - trace)
     outer = _Points(np.full(count, np.inf), np.full(count, np.nan), minima.copy())
@@ -202,6 +205,8 @@ def _least(
         model.unknowns.high[others],
         lambda squares, rows: model.variance(squares, sets[rows]),
         _ITERATIONS,
+        _BETTER,
+        model.unknowns.sizes[others],
     )
     with np.errstate(all="ignore"):
         squares = (found.residuals**2).sum(axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,7 @@ class Uncertainty:
     low, high : numpy.ndarray
         Ends of the confidence intervals, shape (sets, k).
     profiled : numpy.ndarray
-        Whether they are those of the profile likelihood, shape (sets, k).
+        Whether they are those of the profile likelihood, shape (sets,).
     variance : numpy.ndarray
         Of the data in units of sigma^2, given or estimated, shape (sets,).
     better : dict of int to numpy.ndarray
@@ -48,11 +49,14 @@ class Uncertainty:
     better: dict[int, np.ndarray]
 
 
-def uncertainty_of(model: Model, found: Found, confidence: float) -> Uncertainty:
+def uncertainty_of(
+    model: Model, found: Found, confidence: float, many: Callable[[], Model]
+) -> Uncertainty:
     """Compute covariances and intervals.
 
-    Intervals are those of the linear model if chi-square at their ends is what that model
-    predicts, and those of the profile likelihood otherwise.
+    Intervals of a set are those of the linear model if chi-square at all their ends is what that
+    model predicts, and those of the profile likelihood otherwise, from the model with a source of
+    many motions at once.
     """
     unknowns, observed = model.unknowns, model.observed
     freedom = observed.counts - len(unknowns.names)
@@ -84,16 +88,21 @@ def uncertainty_of(model: Model, found: Found, confidence: float) -> Uncertainty
         curved[k] = not idle[k].any()
     better = {}
     if curved.any():
-        sets, columns = (np.repeat(part, 2) for part in np.nonzero(curved))
-        signs = np.tile([-1.0, 1.0], len(sets) // 2)
+        count = low.shape[1]
+        sets, columns, sides = (
+            part.ravel()
+            for part in np.meshgrid(np.flatnonzero(curved), np.arange(count), [0, 1], indexing="ij")
+        )
+        signs = 2.0 * sides - 1.0
         sizes = np.maximum(np.abs(found.unknowns), unknowns.sizes)
         first = np.fmin(widths, sizes)[sets, columns] / 2
         profiles = profiled(
-            model,
+            many(),
             *(sets, columns, signs, found.unknowns[sets], found.chi_square[sets], level[sets]),
             *(first, signs[:, None] * traces[sets, columns]),
         )
-        low[curved], high[curved] = profiles.ends[::2], profiles.ends[1::2]
+        ends = profiles.ends.reshape(-1, count, 2)
+        low[curved], high[curved] = ends[..., 0], ends[..., 1]
         better = profiles.better
     return Uncertainty(covariance, texts, low, high, curved, variance, better)
 
@@ -111,10 +120,11 @@ def _curvature(
     Returns
     -------
     curved, rises : numpy.ndarray
-        Whether it is another one, or an end is out of bounds, and the larger rise, shape (sets, k).
+        Whether it is another one, or an end is out of bounds, shape (sets,); the larger rise,
+        shape (sets, k).
     """
     unknowns, count = model.unknowns, len(model.unknowns.names)
-    curved = np.zeros(widths.shape, dtype=bool)
+    curved = np.zeros(len(widths), dtype=bool)
     rises = np.full(widths.shape, np.nan)
     if not len(sets):
         return curved, rises
@@ -126,7 +136,7 @@ def _curvature(
     with np.errstate(all="ignore"):
         rise = squares - found.chi_square[sets, None, None]
         ratio = np.sqrt(np.maximum(rise, 0.0)) / level[sets, None, None]
-    curved[sets] = ~(inside & (np.abs(ratio - 1) <= _CURVED)).all(axis=1)
+    curved[sets] = ~(inside & (np.abs(ratio - 1) <= _CURVED)).all(axis=(1, 2))
     rises[sets] = np.where(np.isnan(rise), np.inf, rise).max(axis=1)
     return curved, rises
 

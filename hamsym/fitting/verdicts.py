@@ -9,6 +9,7 @@ from scipy import special
 
 from hamsym.families.solutions import Solutions
 from hamsym.fitting.motions import FlowLike
+from hamsym.fitting.rivals import aliased, reflected, reflections
 from hamsym.fitting.search import Found, Model
 from hamsym.fitting.uncertainty import Uncertainty
 from hamsym.fitting.unknowns import Unknowns
@@ -59,6 +60,7 @@ def judged(
         sigma = observed.sigma * np.sqrt(variance)[:, None, None]
     ratios = _errors(model, found, motion, sigma)
     solved = np.broadcast_to(np.asarray(motion.success), len(squares))
+    changes = reflections(unknowns, tuple(observed.expressions.values()))
     success, messages = np.zeros(len(squares), dtype=bool), []
     for k in range(len(squares)):
         problems = []
@@ -85,6 +87,8 @@ def judged(
                     else "residuals are not much larger than errors of the motion, so that sigma "
                     "cannot be estimated"
                 )
+            problems += reflected(unknowns, changes, x, uncertainty.low[k], uncertainty.high[k])
+            problems += aliased(model, found, variance, k)
             if rivals := [m for m in found.minima[1:] if not m[1] - squares[k] > 4 * variance[k]]:
                 problems.append(f"another minimum fits as well, {unknowns.text(rivals[0][0])}")
             if observed.known and freedom[k] > 0 and not p_value[k] >= _IMPROBABLE:
@@ -98,7 +102,8 @@ def judged(
         start = (
             "; ".join(problems) if problems else f"converged in {found.iterations[k]} iterations"
         )
-        state += _source(unknowns, uncertainty.profiled[k])
+        if uncertainty.profiled[k]:
+            state += "; intervals by profile likelihood"
         messages.append(f"{start}: {state}{_starts(unknowns, found, k)}")
     return Verdicts(sigma, freedom, p_value, success, messages)
 
@@ -116,13 +121,6 @@ def _undetermined(unknowns: Unknowns, uncertainty: Uncertainty, k: int) -> list[
             sides = " and ".join(np.array(["below", "above"])[list(open_)])
             texts.append(f"the data do not bound {name} from {sides}")
     return texts
-
-
-def _source(unknowns: Unknowns, profiled: np.ndarray) -> str:
-    """Say which intervals are those of the profile likelihood."""
-    names = [name for name, one in zip(unknowns.names, profiled, strict=True) if one]
-    listed = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-    return f"; interval of {listed} by profile likelihood" if names else ""
 
 
 def _errors(

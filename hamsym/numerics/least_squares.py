@@ -19,8 +19,8 @@ import numpy as np
 
 __all__ = ["Minima", "are_minima", "minimize_squares", "projections"]
 
-_ENOUGH = 1e-8  # of the variance of the residuals: iterations end
-_CLOSE = 1e-6  # of it: a minimum, if no step improves it further
+_CLOSE = 1e-6  # of the variance of the residuals: a minimum, if no step improves it further
+_ENOUGH = 0.01  # of that: iterations end
 _FIRST_DAMPING = 1e-2
 _LARGEST_DAMPING = 1e12
 _SMALLEST_DAMPING = 1e-14
@@ -65,6 +65,8 @@ def minimize_squares(
     high: np.ndarray,
     variance: Callable[[np.ndarray, np.ndarray], np.ndarray],
     iterations: int = 200,
+    close: float = _CLOSE,
+    sizes: np.ndarray | None = None,
 ) -> Minima:
     """Minimise the sums of squares of all rows.
 
@@ -81,6 +83,10 @@ def minimize_squares(
         convergence is judged: the projection of the residuals on the columns of J, which is the
         distance to the minimum in standard errors of the unknowns.
     iterations : int
+    close : float
+        Part of the variance by which a converged row may be above the minimum.
+    sizes : numpy.ndarray, optional
+        Sizes of the unknowns, shape (n, k); by default those of the starts, 1 where one is zero.
 
     Examples
     --------
@@ -96,7 +102,8 @@ def minimize_squares(
     x = np.clip(np.array(starts, dtype=float), low, high)
     low, high = np.broadcast_to(low, x.shape), np.broadcast_to(high, x.shape)
     count = len(x)
-    everything, sizes = np.arange(count), np.where(x == 0, 1.0, np.abs(x))
+    everything = np.arange(count)
+    sizes = np.where(x == 0, 1.0, np.abs(x)) if sizes is None else sizes
     residuals, jacobian = (np.array(part) for part in function(x, everything))
     squares = _squares(residuals, jacobian)
     damping, scale = np.full(count, _FIRST_DAMPING), np.zeros(x.shape)
@@ -113,7 +120,7 @@ def minimize_squares(
         parts = np.einsum("nmk,nm->nk", left, r)
         distance = _counted(values, parts)
         scatter = variance(squares[rows], rows)
-        done = distance <= _ENOUGH * scatter
+        done = distance <= _ENOUGH * close * scatter
         step = np.einsum("nkj,nk->nj", right, values / (values**2 + damping[rows, None]) * parts)
         there = np.clip(here - step / unit, low[rows], high[rows])
         still = (np.abs(there - here) <= 4 * np.finfo(float).eps * np.abs(here)).all(axis=1)
@@ -137,9 +144,9 @@ def minimize_squares(
         x[better], squares[better] = there[useful], found[useful]
         residuals[better], jacobian[better] = tried[useful], slopes[useful]
         # A step that fails so near to the minimum fails by the errors of the residuals.
-        near = ~useful & (distance[going] <= _CLOSE * scatter[going])
+        near = ~useful & (distance[going] <= close * scatter[going])
         # Where a column of J vanishes, the projection on it does not; the decrease does.
-        little = useful & (predicted <= _ENOUGH * scatter[going])
+        little = useful & (predicted <= _ENOUGH * close * scatter[going])
         stalled[rows] = np.where(little, stalled[rows] + 1, np.where(useful, 0, stalled[rows]))
         ended = near | (stalled[rows] >= _STALLED) | ~(damping[rows] <= _LARGEST_DAMPING)
         open_[rows[ended]] = False
@@ -151,6 +158,7 @@ def minimize_squares(
             *(x[rows], residuals[rows], jacobian[rows], low[rows], high[rows]),
             variance(squares[rows], rows),
             sizes[rows],
+            close,
         )
     return Minima(x, residuals, jacobian, converged, steps)
 
@@ -164,6 +172,7 @@ def are_minima(
     high: np.ndarray,
     variance: np.ndarray,
     sizes: np.ndarray,
+    close: float = _CLOSE,
 ) -> np.ndarray:
     """Return whether no step inside the box improves the rows, shape (n,).
 
@@ -173,7 +182,7 @@ def are_minima(
     """
     low, high = np.broadcast_to(low, x.shape), np.broadcast_to(high, x.shape)
     J = _inside(x, residuals, jacobian, low, high, np.arange(len(x)))
-    found = projections(residuals, J) <= _CLOSE * variance
+    found = projections(residuals, J) <= close * variance
     rows = np.flatnonzero(~found)
     if not len(rows):
         return found
@@ -191,7 +200,7 @@ def are_minima(
         inside = (J[row] != 0).any(axis=0)
         gradient = (J[row].T @ residuals[row] * step)[inside]
         curvature = (curvature + curvature.T)[np.ix_(inside, inside)] / 2
-        found[row] = _newton_decrease(gradient, curvature) <= _CLOSE * variance[row]
+        found[row] = _newton_decrease(gradient, curvature) <= close * variance[row]
     return found
 
 
