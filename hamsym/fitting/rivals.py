@@ -40,13 +40,12 @@ def reflected(
     texts: list[str] = []
     named = [np.ones(len(x))]
     for signs in changes:
-        other = signs * x
-        inside = ((other >= unknowns.low) & (other <= unknowns.high)).all()
-        if not (inside and (other != x).any()) or any((signs == one).all() for one in named):
+        other, flipped = signs * x, signs < 0
+        inside = ((other > unknowns.low) & (other < unknowns.high))[flipped].all()
+        if not inside or any((signs == one).all() for one in named):
             continue
         named += [signs * one for one in named]
         names = [name for name, sign in zip(unknowns.names, signs, strict=True) if sign < 0]
-        flipped = signs < 0
         if ((low <= 0) & (high >= 0))[flipped].all():
             verb = "is" if len(names) == 1 else "are"
             interval = "its interval includes 0" if len(names) == 1 else "intervals include 0"

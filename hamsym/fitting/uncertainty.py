@@ -17,6 +17,8 @@ __all__ = ["Uncertainty", "uncertainty_of"]
 _SINGULAR = 1e-6  # of the largest singular value of J, its columns of unit length
 _IN_COMBINATION = 1e-4  # part of a unit vector
 _CURVED = 0.1  # relative error of the root of the rise of chi-square at the end of an interval
+_VAGUE = 3.0  # sizes of a quantity: a linear interval as wide says nothing
+_BESIDE = 0.1  # sizes
 _NO_EFFECT = 1e-6  # of the variance: rise of chi-square
 
 
@@ -77,6 +79,7 @@ def uncertainty_of(
     low, high = found.unknowns - widths, found.unknowns + widths
     low[unknown], high[unknown] = -np.inf, np.inf
     fitted = np.isfinite(found.chi_square) & (level > 0) & ~unknown.any(axis=1)
+    reach = np.maximum(np.abs(found.unknowns), unknowns.sizes)
     traces = np.where(lost.any(axis=1)[:, None, None], np.eye(lost.shape[1]), traces)
     curved, rises = _curvature(model, found, np.flatnonzero(fitted), traces, widths, level)
     idle = lost & ~(rises > _NO_EFFECT * variance[:, None])
@@ -85,7 +88,10 @@ def uncertainty_of(
             names = [name for j, name in enumerate(unknowns.names) if idle[k, j]]
             texts[k] = f"the data do not depend on {', '.join(names)}"
             low[k], high[k] = (np.where(idle[k], end, np.nan) for end in (-np.inf, np.inf))
-        curved[k] = not idle[k].any()
+        else:
+            names = [name for j, name in enumerate(unknowns.names) if lost[k, j]]
+            texts[k] = f"the data depend on {', '.join(names)} to second order only"
+            curved[k] = True
     better = {}
     if curved.any():
         count = low.shape[1]
@@ -94,12 +100,16 @@ def uncertainty_of(
             for part in np.meshgrid(np.flatnonzero(curved), np.arange(count), [0, 1], indexing="ij")
         )
         signs = 2.0 * sides - 1.0
-        sizes = np.maximum(np.abs(found.unknowns), unknowns.sizes)
-        first = np.fmin(widths, sizes)[sets, columns] / 2
+        first = np.fmin(widths, reach)[sets, columns] / 2
+        # Searches hardly leave a point at which a column of J vanishes, so they start beside it.
+        vague = lost | ~(widths <= _VAGUE * reach)
+        beside = np.where(found.unknowns + _BESIDE * reach < unknowns.high, _BESIDE, -_BESIDE)
+        beside = (beside * reach)[sets] / first[:, None]
         profiles = profiled(
             many(),
             *(sets, columns, signs, found.unknowns[sets], found.chi_square[sets], level[sets]),
-            *(first, signs[:, None] * traces[sets, columns]),
+            first,
+            np.where(vague[sets], beside, signs[:, None] * traces[sets, columns]),
         )
         ends = profiles.ends.reshape(-1, count, 2)
         low[curved], high[curved] = ends[..., 0], ends[..., 1]

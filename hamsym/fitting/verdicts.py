@@ -110,9 +110,9 @@ def judged(
 
 def _undetermined(unknowns: Unknowns, uncertainty: Uncertainty, k: int) -> list[str]:
     """Say what the data of a set do not determine, or leave without an end."""
-    if uncertainty.undetermined[k]:
-        return [uncertainty.undetermined[k]]
-    texts = []
+    texts = [text] if (text := uncertainty.undetermined[k]) else []
+    if texts and not uncertainty.profiled[k]:
+        return texts
     if k in uncertainty.better:
         texts.append(f"another solution fits better, {unknowns.text(uncertainty.better[k])}")
     for j, name in enumerate(unknowns.names):
