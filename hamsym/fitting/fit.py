@@ -10,6 +10,7 @@ Stage 3  The best minimum of every set of data is judged (:mod:`hamsym.fitting.v
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from hamsym.fitting.motions import (
 )
 from hamsym.fitting.observations import checked_observations, checked_times
 from hamsym.fitting.search import Found, Model, search
+from hamsym.fitting.uncertainty import Uncertainty, uncertainty_of
 from hamsym.fitting.unknowns import checked_unknowns
 from hamsym.fitting.verdicts import Verdicts, judged
 from hamsym.formula.parser import canonical_name
@@ -158,10 +160,16 @@ def fit(
     motions: Motions = solved
     if flow is not None:
         motions = MappedMotions(flow, unknowns, observed.t)
-    elif (starts > 1 or len(observed.data) > 1) and LiftedMotions.applies(unknowns):
-        motions = LiftedMotions(unknowns, observed.t, times, tol)
+    elif starts > 1 or len(observed.data) > 1:
+        motions = _of_many(solved)
     model = Model(unknowns, observed, motions, times, tol if flow is None else float(flow.tol))
     found = search(model, int(starts), int(seed))
+    uncertainty = uncertainty_of(
+        model,
+        found,
+        confidence,
+        lambda: replace(model, motions=_of_many(solved)) if motions is solved else model,
+    )
     motion: Any = flow
     if flow is None and observed.single:
         # The verdict rests on one solution and its sensitivity, however the minimum was found.
@@ -176,8 +184,15 @@ def fit(
             parameters=values,
             progress=False,
         )
-    verdicts = judged(model, found, confidence, motion)
-    return _result(model, found, verdicts, confidence, flow, motion)
+    verdicts = judged(model, found, uncertainty, motion)
+    return _result(model, found, uncertainty, verdicts, confidence, flow, motion)
+
+
+def _of_many(solved: SolvedMotions) -> Motions:
+    """Return a source that solves many motions at once, if there is one."""
+    if not LiftedMotions.applies(solved.unknowns):
+        return solved
+    return LiftedMotions(solved.unknowns, solved.t, solved.span, solved.tol)
 
 
 def _within(
@@ -222,6 +237,7 @@ def _within(
 def _result(
     model: Model,
     found: Found,
+    uncertainty: Uncertainty,
     verdicts: Verdicts,
     confidence: float,
     flow: FlowLike | None,
@@ -249,10 +265,10 @@ def _result(
         H=unknowns.hamiltonian(found.unknowns[0]),
         names=unknowns.names,
         parameters={name: _plain(of(found.unknowns[:, j])) for j, name in columns},
-        covariance=of(verdicts.covariance),
+        covariance=of(uncertainty.covariance),
         confidence=float(confidence),
         confidence_intervals={
-            name: (_plain(of(verdicts.low[:, j])), _plain(of(verdicts.high[:, j])))
+            name: (_plain(of(uncertainty.low[:, j])), _plain(of(uncertainty.high[:, j])))
             for j, name in columns
         },
         z0=of(unknowns.starts(found.unknowns)),

@@ -170,7 +170,7 @@ class Fit(Shown):
         if self.solution is not None:
             states = np.asarray(self.solution(flat)).reshape(len(values), len(flat), -1)
         elif self.flow is not None:
-            states = MappedMotions(self.flow, self.unknowns, flat).states(values, flat)
+            states = MappedMotions(self.flow, self.unknowns, flat).states(values)
         else:
             raise InputError("this fit has no motion; see its message")
         rows = np.array(list(self.unknowns.parameters(values).values())).T[:, None]

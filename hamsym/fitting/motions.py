@@ -24,7 +24,7 @@ from hamsym.solution.solution import Solution
 from hamsym.solving import solve
 from hamsym.symbolic import derivatives
 
-__all__ = ["FlowLike", "LiftedMotions", "MappedMotions", "Motions", "SolvedMotions"]
+__all__ = ["FlowLike", "LiftedMotions", "MappedMotions", "Motions", "SolvedMotions", "rates"]
 
 _ROWS = 256  # that are solved together, to bound the memory
 _FAST = 2e4  # radians in the span, from which a motion takes a second
@@ -83,6 +83,9 @@ class Motions(Protocol):
         Rows that have no motion over all times are nan.
         """
 
+    def states(self, values: np.ndarray) -> np.ndarray:
+        """States alone, for a part of the time."""
+
     def reason(self, values: np.ndarray) -> str:
         """Return why values of shape (k,) have no motion."""
 
@@ -115,9 +118,12 @@ class SolvedMotions:
         """
         key = values.tobytes()
         if key not in self._last:
-            H, start = self.unknowns.hamiltonian(values), self.unknowns.starts(values[None])[0]
-            self._last = {key: solve(H, start, self.span, tol=self.tol, compiled=True)}
+            self._last = {key: self._solved(values)}
         return self._last[key]
+
+    def _solved(self, values: np.ndarray) -> Solution:
+        H, start = self.unknowns.hamiltonian(values), self.unknowns.starts(values[None])[0]
+        return solve(H, start, self.span, tol=self.tol, compiled=True)
 
     def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shape = (len(values), len(self.t), self.unknowns.H.dim)
@@ -130,6 +136,17 @@ class SolvedMotions:
             except HamsymError:
                 continue
         return states, slopes
+
+    def states(self, values: np.ndarray) -> np.ndarray:
+        states = np.full((len(values), len(self.t), self.unknowns.H.dim), np.nan)
+        for row in np.flatnonzero(~_is_too_fast(self.unknowns, values, self.span)):
+            try:
+                solution = self._solved(values[row])
+            except HamsymError:
+                continue
+            if solution.span[1] == self.span[1]:
+                states[row] = solution(self.t)
+        return states
 
     def _motion(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         unknowns, solution = self.unknowns, self.solution(values)
@@ -159,12 +176,13 @@ def _is_too_fast(unknowns: Unknowns, values: np.ndarray, span: tuple[float, floa
 
     By the eigenvalues of J Hess at the start. The first guess is never too fast.
     """
-    rates = _rates(unknowns, np.vstack((unknowns.guesses, values)), span[0])
-    limit = max(_FAST / abs(span[1] - span[0]), _FASTER * float(np.nan_to_num(rates[0])))
-    return rates[1:] > limit
+    every = rates(unknowns, np.vstack((unknowns.guesses, values)), span[0])
+    limit = max(_FAST / abs(span[1] - span[0]), _FASTER * float(np.nan_to_num(every[0])))
+    return every[1:] > limit
 
 
-def _rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
+def rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
+    """Return the largest sizes of the eigenvalues of J Hess at starts, nan without one, (n,)."""
     system = unknowns.H.compile("numpy")
     columns = unknowns.parameters(values)
     rows = np.array([columns[name] for name in unknowns.H.parameter_names]).T if columns else None
@@ -174,9 +192,9 @@ def _rates(unknowns: Unknowns, values: np.ndarray, start: float) -> np.ndarray:
     shape = (len(values), unknowns.H.dim, unknowns.H.dim)
     matrices = np.broadcast_to(matrices, shape)
     finite = np.isfinite(matrices).all(axis=(1, 2))
-    rates = np.full(len(values), np.nan)
-    rates[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(axis=1)
-    return rates
+    found = np.full(len(values), np.nan)
+    found[finite] = np.abs(np.linalg.eigvals(matrices[finite])).max(axis=1)
+    return found
 
 
 class LiftedMotions:
@@ -258,6 +276,22 @@ class LiftedMotions:
         for place, (j, name) in enumerate(zip(columns, free, strict=True)):
             slopes[..., j] = responses[:, place] / self._sizes[name]
         return found[:, 0][..., own], slopes
+
+    def states(self, values: np.ndarray) -> np.ndarray:
+        unknowns = self._unknowns
+        states = np.full((len(values), len(self._t), unknowns.H.dim), np.nan)
+        rows = np.flatnonzero(~_is_too_fast(unknowns, values, self._span))
+        if len(rows):
+            many = solve_many(
+                unknowns.H,
+                unknowns.starts(values[rows]),
+                self._span,
+                tol=self._tol,
+                parameters=unknowns.parameters(values[rows]),
+                progress=False,
+            )
+            states[rows] = many(self._t)
+        return states
 
     def _resized(self, responses: np.ndarray, reference: np.ndarray) -> bool:
         """Enlarge changes of parameters whose response is lost beside that of the start."""
@@ -344,25 +378,23 @@ class MappedMotions:
     t: np.ndarray
 
     def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        arguments = self._arguments(values, self.t)
-        shape = (len(values), len(self.t), self.unknowns.H.dim)
-        states = np.asarray(self.flow(*arguments)).reshape(shape)
-        every = np.asarray(self.flow.jacobian(*arguments)).reshape(*shape, -1)
+        states = self.states(values)
+        every = np.asarray(self.flow.jacobian(*self._arguments(values)))
+        every = every.reshape(*states.shape, -1)
         columns = [self.flow.inputs.index(name) for name in self.unknowns.names]
         return states, every[..., columns]
 
     def _arguments(
-        self, values: np.ndarray, t: np.ndarray
+        self, values: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        repeated = np.repeat(values, len(t), axis=0)
+        repeated = np.repeat(values, len(self.t), axis=0)
         parameters = self.unknowns.parameters(repeated)
         varied = {name: array for name, array in parameters.items() if name in self.flow.inputs}
-        return np.tile(t, len(values)), self.unknowns.starts(repeated), varied
+        return np.tile(self.t, len(values)), self.unknowns.starts(repeated), varied
 
-    def states(self, values: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return states at times (m,) for values (n, k), shape (n, m, dim)."""
-        found = np.asarray(self.flow(*self._arguments(values, t)))
-        return found.reshape(len(values), len(t), -1)
+    def states(self, values: np.ndarray) -> np.ndarray:
+        found = np.asarray(self.flow(*self._arguments(values)))
+        return found.reshape(len(values), len(self.t), -1)
 
     def reason(self, values: np.ndarray) -> str:
         return "the map or an observable is not finite"

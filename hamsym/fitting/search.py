@@ -104,6 +104,15 @@ class Model:
         slopes[..., columns] += explicit
         return found, slopes
 
+    def squares(self, values: np.ndarray, sets: np.ndarray) -> np.ndarray:
+        """Return chi-square for values (n, k) and their sets, nan without a motion, shape (n,)."""
+        parameters = self.unknowns.parameters(values)
+        found, _, _ = self.observables(self.motions.states(values), self.observed.t, parameters)
+        present, sigma = self.observed.present[sets], self.observed.sigma[sets]
+        with np.errstate(all="ignore"):
+            residuals = np.where(present, (found - self.observed.data[sets]) / sigma, 0.0)
+            return np.asarray((residuals**2).sum(axis=(1, 2)))
+
     def prospects(self, values: np.ndarray) -> np.ndarray:
         """Return the least chi-square of the linear model at values (n, k), shape (sets, n).
 
@@ -135,9 +144,13 @@ class Model:
         residuals, slopes = model.residuals(found.unknowns, np.zeros(1, dtype=int))
         converged = np.zeros(1, dtype=bool)
         if np.isfinite(residuals).all() and np.isfinite(slopes).all():
-            scatter = model.variance((residuals**2).sum(axis=1), np.zeros(1, dtype=int))
-            box = self.unknowns.low, self.unknowns.high
-            minimal = are_minima(found.unknowns, residuals, slopes, *box, scatter)
+            unknowns = self.unknowns
+            minimal = are_minima(
+                lambda values, rows: model.residuals(values, 0 * rows),
+                *(found.unknowns, residuals, slopes, unknowns.low, unknowns.high),
+                model.variance((residuals**2).sum(axis=1), np.zeros(1, dtype=int)),
+                unknowns.sizes[None],
+            )
             converged = found.converged & minimal
         return replace(found, residuals=residuals, jacobian=slopes, converged=converged)
 

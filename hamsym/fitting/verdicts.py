@@ -9,14 +9,14 @@ from scipy import special
 
 from hamsym.families.solutions import Solutions
 from hamsym.fitting.motions import FlowLike
+from hamsym.fitting.rivals import aliased, reflected, reflections
 from hamsym.fitting.search import Found, Model
+from hamsym.fitting.uncertainty import Uncertainty
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.solution.solution import Solution
 
 __all__ = ["Verdicts", "judged"]
 
-_SINGULAR = 1e-6  # of the largest singular value of J, its columns of unit length
-_IN_COMBINATION = 1e-4  # part of a unit vector
 _ACCURACY = 0.1  # of sigma: errors of the motion
 _IMPROBABLE = 1e-6
 _SHOWN = 3  # further minima in a message
@@ -24,14 +24,10 @@ _SHOWN = 3  # further minima in a message
 
 @dataclass(frozen=True)
 class Verdicts:
-    """Uncertainty and verdict of each set.
+    """Verdict on each set.
 
     Attributes
     ----------
-    covariance : numpy.ndarray
-        Shape (sets, k, k).
-    low, high : numpy.ndarray
-        Ends of the confidence intervals, shape (sets, k).
     sigma : numpy.ndarray
         Standard deviations of the data, given or estimated, shape (sets, observables, times).
     freedom, p_value, success : numpy.ndarray
@@ -39,9 +35,6 @@ class Verdicts:
     messages : list of str
     """
 
-    covariance: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
     sigma: np.ndarray
     freedom: np.ndarray
     p_value: np.ndarray
@@ -52,30 +45,22 @@ class Verdicts:
 def judged(
     model: Model,
     found: Found,
-    confidence: float,
+    uncertainty: Uncertainty,
     motion: Solution | Solutions | FlowLike,
 ) -> Verdicts:
-    """Compute uncertainties, and judge every set."""
+    """Judge every set."""
     unknowns, observed = model.unknowns, model.observed
-    count = len(unknowns.names)
-    freedom = observed.counts - count
+    count, variance = len(unknowns.names), uncertainty.variance
+    freedom, squares = observed.counts - count, found.chi_square
     with np.errstate(all="ignore"):
-        squares = found.chi_square
-        scatter = np.where(freedom > 0, squares / freedom, np.nan)
+        p_value = np.full(len(squares), np.nan)
         if observed.known:
-            variance, p_value = np.ones(len(squares)), special.chdtrc(freedom, squares)
-            p_value = np.where(freedom > 0, p_value, np.nan)
-            factor = np.full(len(squares), special.ndtri((1 + confidence) / 2))
-        else:
-            variance, p_value = scatter, np.full(len(squares), np.nan)
-            factor = np.where(freedom > 0, special.stdtrit(freedom, (1 + confidence) / 2), np.nan)
-    covariance, combinations = _covariance(unknowns, found, max(_SINGULAR, 30 * model.tol))
-    covariance = covariance * variance[:, None, None]
-    with np.errstate(all="ignore"):
-        errors = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * factor[:, None]
+            p_value = np.where(freedom > 0, special.chdtrc(freedom, squares), np.nan)
+        scatter = np.where(freedom > 0, squares / freedom, np.nan)
         sigma = observed.sigma * np.sqrt(variance)[:, None, None]
     ratios = _errors(model, found, motion, sigma)
     solved = np.broadcast_to(np.asarray(motion.success), len(squares))
+    changes = reflections(unknowns, tuple(observed.expressions.values()))
     success, messages = np.zeros(len(squares), dtype=bool), []
     for k in range(len(squares)):
         problems = []
@@ -84,8 +69,7 @@ def judged(
         elif not np.isfinite(squares[k]):
             problems.append("the motion cannot be solved from the first guess")
         else:
-            if combinations[k]:
-                problems.append(combinations[k])
+            problems += _undetermined(unknowns, uncertainty, k)
             if not found.converged[k]:
                 problems.append(f"no convergence in {found.iterations[k]} iterations")
             x = found.unknowns[k]
@@ -103,6 +87,8 @@ def judged(
                     else "residuals are not much larger than errors of the motion, so that sigma "
                     "cannot be estimated"
                 )
+            problems += reflected(unknowns, changes, x, uncertainty.low[k], uncertainty.high[k])
+            problems += aliased(model, found, variance, k)
             if rivals := [m for m in found.minima[1:] if not m[1] - squares[k] > 4 * variance[k]]:
                 problems.append(f"another minimum fits as well, {unknowns.text(rivals[0][0])}")
             if observed.known and freedom[k] > 0 and not p_value[k] >= _IMPROBABLE:
@@ -116,54 +102,25 @@ def judged(
         start = (
             "; ".join(problems) if problems else f"converged in {found.iterations[k]} iterations"
         )
+        if uncertainty.profiled[k]:
+            state += "; intervals by profile likelihood"
         messages.append(f"{start}: {state}{_starts(unknowns, found, k)}")
-    return Verdicts(
-        covariance,
-        found.unknowns - errors,
-        found.unknowns + errors,
-        sigma,
-        freedom,
-        p_value,
-        success,
-        messages,
-    )
+    return Verdicts(sigma, freedom, p_value, success, messages)
 
 
-def _covariance(unknowns: Unknowns, found: Found, smallest: float) -> tuple[np.ndarray, list[str]]:
-    """Return (J^T J)^-1 of each set, and what the data do not determine, or an empty text."""
-    sets, _, count = found.jacobian.shape
-    covariance, texts = np.full((sets, count, count), np.nan), [""] * sets
-    for k, J in enumerate(found.jacobian):
-        if not np.isfinite(J).all():
-            continue
-        lengths = np.linalg.norm(J, axis=0)
-        if lost := [n for n, size in zip(unknowns.names, lengths, strict=True) if not size > 0]:
-            texts[k] = f"the data do not depend on {', '.join(lost)}"
-            continue
-        _, values, right = np.linalg.svd(J / lengths, full_matrices=len(J) < count)
-        values = np.append(values, np.zeros(count - len(values)))
-        null = right[~(values > smallest * values[0])]
-        if len(null):
-            texts[k] = _combination(unknowns, null, lengths)
-            continue
-        root = right.T / values / lengths[:, None]
-        covariance[k] = root @ root.T
-    return covariance, texts
-
-
-def _combination(unknowns: Unknowns, null: np.ndarray, lengths: np.ndarray) -> str:
-    """Name the free quantities that data do not determine, with the direction if it is one."""
-    involved = np.flatnonzero((np.abs(null) > _IN_COMBINATION).any(axis=0))
-    names = [unknowns.names[j] for j in involved]
-    if len(names) == 1:
-        return f"the data do not determine {names[0]}"
-    text = f"the data do not determine {', '.join(names[:-1])} and {names[-1]} separately"
-    if len(null) > 1:
-        return f"{text}, only {len(lengths) - len(null)} combinations"
-    change = (null[0] / lengths)[involved]
-    change /= change[np.argmax(np.abs(change))]
-    listed = ", ".join(f"{c:+.4g} in {n}" for c, n in zip(change, names, strict=True))
-    return f"{text}: changes by {listed} together have no effect"
+def _undetermined(unknowns: Unknowns, uncertainty: Uncertainty, k: int) -> list[str]:
+    """Say what the data of a set do not determine, or leave without an end."""
+    texts = [text] if (text := uncertainty.undetermined[k]) else []
+    if texts and not uncertainty.profiled[k]:
+        return texts
+    if k in uncertainty.better:
+        texts.append(f"another solution fits better, {unknowns.text(uncertainty.better[k])}")
+    for j, name in enumerate(unknowns.names):
+        open_ = uncertainty.low[k, j] == -np.inf, uncertainty.high[k, j] == np.inf
+        if any(open_):
+            sides = " and ".join(np.array(["below", "above"])[list(open_)])
+            texts.append(f"the data do not bound {name} from {sides}")
+    return texts
 
 
 def _errors(

@@ -19,13 +19,16 @@ import numpy as np
 
 __all__ = ["Minima", "are_minima", "minimize_squares", "projections"]
 
-_ENOUGH = 1e-8  # of the variance of the residuals: iterations end
-_CLOSE = 1e-6  # of it: a minimum, if no step improves it further
+_CLOSE = 1e-6  # of the variance of the residuals: a minimum, if no step improves it further
+_ENOUGH = 0.01  # of that: iterations end
 _FIRST_DAMPING = 1e-2
 _LARGEST_DAMPING = 1e12
 _SMALLEST_DAMPING = 1e-14
 _USEFUL = 1e-4  # part of the predicted decrease that a step has to achieve
 _SINGULAR = 1e-7  # of the largest singular value: the residuals do not depend on this direction
+_STALLED = 3  # successful steps in turn with no decrease worth another one
+_DIFFERENCE = 1e-4  # of the size of an unknown: step of the differences for second derivatives
+_FLAT = 1e-5  # of a curvature: what differences cannot tell from zero
 
 #: (unknowns (n, k), rows (n,)) -> residuals (n, m) and their derivatives (n, m, k).
 Residuals = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -43,7 +46,7 @@ class Minima:
         At the unknowns, shapes (n, m) and (n, m, k); not finite in rows without values at the
         start.
     converged : numpy.ndarray
-        Whether the projected residuals vanish, shape (n,).
+        Whether no step of first or second order improves the row, shape (n,).
     iterations : numpy.ndarray
         Steps that were tried, shape (n,).
     """
@@ -62,6 +65,8 @@ def minimize_squares(
     high: np.ndarray,
     variance: Callable[[np.ndarray, np.ndarray], np.ndarray],
     iterations: int = 200,
+    close: float = _CLOSE,
+    sizes: np.ndarray | None = None,
 ) -> Minima:
     """Minimise the sums of squares of all rows.
 
@@ -72,12 +77,16 @@ def minimize_squares(
     starts : numpy.ndarray
         First unknowns, shape (n, k).
     low, high : numpy.ndarray
-        Bounds, shape (k,); infinite where there are none.
+        Bounds, shape (k,) or (n, k); infinite where there are none.
     variance : callable
         (sums of squares, rows) -> variance of one residual, shape (n,), the unit in which the
         convergence is judged: the projection of the residuals on the columns of J, which is the
         distance to the minimum in standard errors of the unknowns.
     iterations : int
+    close : float
+        Part of the variance by which a converged row may be above the minimum.
+    sizes : numpy.ndarray, optional
+        Sizes of the unknowns, shape (n, k); by default those of the starts, 1 where one is zero.
 
     Examples
     --------
@@ -91,12 +100,15 @@ def minimize_squares(
     (array([[1., 2.]]), array([ True]))
     """
     x = np.clip(np.array(starts, dtype=float), low, high)
+    low, high = np.broadcast_to(low, x.shape), np.broadcast_to(high, x.shape)
     count = len(x)
     everything = np.arange(count)
+    sizes = np.where(x == 0, 1.0, np.abs(x)) if sizes is None else sizes
     residuals, jacobian = (np.array(part) for part in function(x, everything))
     squares = _squares(residuals, jacobian)
     damping, scale = np.full(count, _FIRST_DAMPING), np.zeros(x.shape)
     steps, open_ = np.zeros(count, dtype=int), np.isfinite(squares)
+    stalled = np.zeros(count, dtype=int)
     for _ in range(iterations):
         rows = np.flatnonzero(open_)
         if not len(rows):
@@ -108,9 +120,9 @@ def minimize_squares(
         parts = np.einsum("nmk,nm->nk", left, r)
         distance = _counted(values, parts)
         scatter = variance(squares[rows], rows)
-        done = distance <= _ENOUGH * scatter
+        done = distance <= _ENOUGH * close * scatter
         step = np.einsum("nkj,nk->nj", right, values / (values**2 + damping[rows, None]) * parts)
-        there = np.clip(here - step / unit, low, high)
+        there = np.clip(here - step / unit, low[rows], high[rows])
         still = (np.abs(there - here) <= 4 * np.finfo(float).eps * np.abs(here)).all(axis=1)
         open_[rows[done | still]] = False
         going = ~(done | still)
@@ -132,27 +144,78 @@ def minimize_squares(
         x[better], squares[better] = there[useful], found[useful]
         residuals[better], jacobian[better] = tried[useful], slopes[useful]
         # A step that fails so near to the minimum fails by the errors of the residuals.
-        near = ~useful & (distance[going] <= _CLOSE * scatter[going])
-        open_[rows[near | ~(damping[rows] <= _LARGEST_DAMPING)]] = False
+        near = ~useful & (distance[going] <= close * scatter[going])
+        # Where a column of J vanishes, the projection on it does not; the decrease does.
+        little = useful & (predicted <= _ENOUGH * close * scatter[going])
+        stalled[rows] = np.where(little, stalled[rows] + 1, np.where(useful, 0, stalled[rows]))
+        ended = near | (stalled[rows] >= _STALLED) | ~(damping[rows] <= _LARGEST_DAMPING)
+        open_[rows[ended]] = False
     converged = np.zeros(count, dtype=bool)
     rows = np.flatnonzero(np.isfinite(squares))
     if len(rows):
-        parts = x[rows], residuals[rows], jacobian[rows]
-        converged[rows] = are_minima(*parts, low, high, variance(squares[rows], rows))
+        converged[rows] = are_minima(
+            lambda values, some: function(values, rows[some]),
+            *(x[rows], residuals[rows], jacobian[rows], low[rows], high[rows]),
+            variance(squares[rows], rows),
+            sizes[rows],
+            close,
+        )
     return Minima(x, residuals, jacobian, converged, steps)
 
 
 def are_minima(
+    function: Residuals,
     x: np.ndarray,
     residuals: np.ndarray,
     jacobian: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
     variance: np.ndarray,
+    sizes: np.ndarray,
+    close: float = _CLOSE,
 ) -> np.ndarray:
-    """Return whether the projected residuals vanish, up to steps out of the box, shape (n,)."""
+    """Return whether no step inside the box improves the rows, shape (n,).
+
+    The projected residuals vanish; or, where a column of J vanishes with its unknown, the decrease
+    that Newton's method predicts does, with second derivatives from differences of J by a small
+    part of ``sizes`` (n, k), and no curvature is negative.
+    """
+    low, high = np.broadcast_to(low, x.shape), np.broadcast_to(high, x.shape)
     J = _inside(x, residuals, jacobian, low, high, np.arange(len(x)))
-    return projections(residuals, J) <= _CLOSE * variance
+    found = projections(residuals, J) <= close * variance
+    rows = np.flatnonzero(~found)
+    if not len(rows):
+        return found
+    with np.errstate(all="ignore"):
+        most = 0.1 * np.sqrt(variance[rows, None]) / _lengths(J[rows])
+    steps = np.fmin(_DIFFERENCE * np.maximum(np.abs(x[rows]), sizes[rows]), most)
+    count = x.shape[1]
+    shifts = np.einsum("s,nk,kj->nskj", [1.0, -1.0], steps, np.eye(count))
+    near = (x[rows, None, None] + shifts).reshape(-1, count)
+    r, slopes = function(near, np.repeat(rows, 2 * count))
+    with np.errstate(all="ignore"):
+        gradients = np.einsum("nmk,nm->nk", slopes, r).reshape(-1, 2, count, count)
+        curvatures = (gradients[:, 0] - gradients[:, 1]) / 2 * steps[:, None]
+    for row, step, curvature in zip(rows, steps, curvatures, strict=True):
+        inside = (J[row] != 0).any(axis=0)
+        gradient = (J[row].T @ residuals[row] * step)[inside]
+        curvature = (curvature + curvature.T)[np.ix_(inside, inside)] / 2
+        found[row] = _newton_decrease(gradient, curvature) <= close * variance[row]
+    return found
+
+
+def _newton_decrease(gradient: np.ndarray, curvature: np.ndarray) -> float:
+    """Return the decrease to the minimum of a quadratic form, infinite if it has none."""
+    diagonal = np.diag(curvature)
+    if not (np.isfinite(curvature).all() and (diagonal > 0).all()):
+        return np.inf
+    unit = np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(curvature / unit / unit[:, None])
+    if not values[0] >= -_FLAT:
+        return np.inf
+    along = values > _FLAT
+    parts = vectors.T @ (gradient / unit)
+    return float((parts[along] ** 2 / values[along]).sum())
 
 
 def projections(residuals: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
@@ -180,7 +243,7 @@ def _inside(
     """Return J of some rows, zero for unknowns at a bound that they would leave."""
     J, at = jacobian[rows], x[rows]
     slope = np.einsum("nmk,nm->nk", J, residuals[rows])
-    kept = ((at <= low) & (slope > 0)) | ((at >= high) & (slope < 0))
+    kept = ((at <= low[rows]) & (slope > 0)) | ((at >= high[rows]) & (slope < 0))
     return np.where(kept[:, None], 0.0, J)
 
 
