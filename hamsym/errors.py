@@ -9,6 +9,7 @@ from __future__ import annotations
 __all__ = [
     "CertificationError",
     "CodeGenerationError",
+    "EventWarning",
     "FileError",
     "HamsymError",
     "InputError",
@@ -79,6 +80,10 @@ class FileError(HamsymError):
 
 class VacuousBoundWarning(UserWarning):
     """An infinite error bound, because the Hessian is singular along the trajectory."""
+
+
+class EventWarning(UserWarning):
+    """Events that cannot be decided: a surface is touched, or crossed too often to be resolved."""
 
 
 class StepSizeWarning(UserWarning):

@@ -6,15 +6,23 @@ Output: a :class:`Surface`, whose functions vanish on it or are positive.
 
 from __future__ import annotations
 
+import functools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import sympy
 
+from hamsym.codegen.functions import compile_straight_line
+from hamsym.codegen.straight_line import without_arithmetic
 from hamsym.errors import InputError
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.intervals import RangeArithmetic, Ranges
+from hamsym.symbolic.exact import rational
+from hamsym.symbolic.variables import TIME
 
 __all__ = ["Surface", "parse_surface"]
 
@@ -32,12 +40,21 @@ class Surface:
         (z, t, parameters=None) -> g, shape (...); see :meth:`hamsym.Hamiltonian.observable`.
     conditions : tuple of callable
         (z, t, parameters=None) -> c_k, shape (...).
+    enclosed : callable or None
+        (component, t, parameter=None) -> g over intervals, from the
+        :class:`~hamsym.numerics.intervals.Ranges` of each component by its place in ``components``,
+        of the time, and of each parameter by its number if values are not those of H; None if g is
+        not smooth.
+    components : list of int
+        Numbers of the components of z in g.
     """
 
     text: str
     names: frozenset[str]
     value: Callable[..., np.ndarray] = field(repr=False)
     conditions: tuple[Callable[..., np.ndarray], ...] = field(repr=False)
+    enclosed: Callable[..., Ranges] | None = field(repr=False)
+    components: list[int] = field(repr=False)
 
     def holds(
         self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None = None
@@ -90,7 +107,44 @@ def parse_surface(H: Hamiltonian, text: str) -> Surface:
         raise InputError(
             f"'{text}' does not depend on the state; use a component of z in the equation"
         )
-    return Surface(text, names, value, tuple(H.observable(condition) for condition in conditions))
+    observed = tuple(H.observable(condition) for condition in conditions)
+    components = [i for i, name in enumerate(H.names) if name in names]
+    return Surface(text, names, value, observed, _enclosed(H, expr, components), components)
+
+
+def _enclosed(
+    H: Hamiltonian, expr: sympy.Expr, components: Sequence[int]
+) -> Callable[..., Ranges] | None:
+    """Compile a function for ranges over intervals; None if it is not smooth."""
+    function, form = H.function(expr), H.real_equations
+    if without_arithmetic(function) is not None:
+        return None
+    bound = {symbol: value for symbol, value in form.parameters.values() if value is not None}
+    parameters = [symbol for symbol, _ in form.parameters.values()]
+    time = sympy.Symbol(TIME, real=True)
+
+    @functools.cache
+    def program(varied: bool) -> tuple[Callable[..., list[Any]], list[int]]:
+        """The text with arguments for parameters or with their values, and which it takes."""
+        # A number in an exponent decides between a product and a power.
+        exact = (
+            function if varied else function.xreplace({s: rational(v) for s, v in bound.items()})
+        )
+        given = [i for i, symbol in enumerate(parameters) if symbol in exact.free_symbols]
+        symbols = [*(form.z[i] for i in components), *(parameters[i] for i in given), time]
+        return compile_straight_line([exact], symbols), given
+
+    def enclosed(
+        component: Callable[[int], Ranges],
+        t: Ranges,
+        parameter: Callable[[int], Ranges] | None = None,
+    ) -> Ranges:
+        run, given = program(parameter is not None)
+        own = [parameter(i) for i in given] if parameter else []
+        found: Ranges = run(RangeArithmetic(), *map(component, range(len(components))), *own, t)[0]
+        return found
+
+    return enclosed
 
 
 def _parts(text: str) -> list[str]:

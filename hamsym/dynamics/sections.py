@@ -4,12 +4,14 @@ Input:  a Hamiltonian, initial states, a surface, for example "x = 0, p_x > 0".
 Output: a :class:`Section` with the states of all crossings.
 
 The trajectories are stepped with a generated loop. Between two steps with different signs a
-crossing is located by taking part of a step: the point lies on the curve of the method itself. A
-pair of crossings within one step is found from the slopes at its ends, taken along the flow.
+crossing is located by taking part of a step: the point lies on the curve of the method itself. The
+formula of a smooth surface is bounded between steps, so that every crossing is found. Others are
+sampled, and a pair of crossings within one step is found from the slopes at its ends.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 import warnings
@@ -29,6 +31,8 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.energy_drift import AIM, COARSE, EnergyDrift
 from hamsym.integrators.integrate import choose_steps, fixed_step, usable_method, usual_method
+from hamsym.numerics.intervals import Intervals, Ranges
+from hamsym.numerics.isolation import Cells, component_ranges, isolated_zeros, rate_bends
 from hamsym.numerics.roots import suspects, zeros
 from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, suggest_attributes
@@ -250,9 +254,10 @@ def section(
 ) -> Section:
     """Locate crossings of a surface by one trajectory or by each of an ensemble.
 
-    A pair of crossings within one step is found if the trajectory approaches the surface once in
-    it; pairs with several approaches, and a third crossing, are missed. A start on the surface is
-    not a crossing.
+    Every crossing of a smooth surface is found, however narrow, because its formula is bounded
+    between steps; the message counts places where the surface is touched within round-off. Of other
+    surfaces, as those with ``abs``, pairs of crossings within one step are found if the trajectory
+    approaches the surface once in it. A start on the surface is not a crossing.
 
     Parameters
     ----------
@@ -336,6 +341,8 @@ def section(
     t, z, trajectory, drift = found.t, found.z, found.trajectory, found.drift
     problem = setting.problem(found, end)
     message = f"{len(t):,} crossings of {surface}, {method} with dt = {size:.3g}"
+    if found.doubts.touches:
+        message += f", touched {found.doubts.touches:,} times within round-off without a crossing"
     if H.conserves_energy:
         message += f", H kept to {drift:.1e} of its scale" if drift else ", H kept to round-off"
         kept = drift <= COARSE
@@ -366,12 +373,31 @@ def section(
     )
 
 
+class _Doubts(NamedTuple):
+    """What may be missing among crossings.
+
+    ``undefined`` is the first time at which a state is finite and the surface is NaN, or NaN,
+    ``touches`` the number of places, other than starts, where the surface is touched within
+    round-off, ``unresolved`` that of parts of steps with too many crossings to be resolved.
+    """
+
+    undefined: float = math.nan
+    touches: int = 0
+    unresolved: int = 0
+
+    def together(self, other: _Doubts) -> _Doubts:
+        """Doubts of both, these first in time."""
+        undefined = other.undefined if math.isnan(self.undefined) else self.undefined
+        both = self.touches + other.touches, self.unresolved + other.unresolved
+        return _Doubts(undefined, *both)
+
+
 class _Found(NamedTuple):
     """Crossings of some trajectories, and what may be missing.
 
     ``numbers`` are those of the crossings of each trajectory before the limit, ``lost`` tells
-    whether it ended early, ``undefined`` is the first time at which the surface has no value, and
-    ``until`` the time that was reached if Ctrl-C interrupted, else nan.
+    whether it ended early, and ``until`` is the time that was reached if Ctrl-C interrupted, else
+    nan.
     """
 
     t: np.ndarray
@@ -379,7 +405,7 @@ class _Found(NamedTuple):
     trajectory: np.ndarray
     numbers: np.ndarray
     lost: np.ndarray
-    undefined: float
+    doubts: _Doubts
     drift: float
     until: float = math.nan
 
@@ -424,10 +450,15 @@ class _Setting:
                 f"{found.lost.sum()} of {count:,} trajectories overflowed or came to a step that "
                 f"could not be solved, for example number {int(np.argmax(found.lost))}"
             )
-        if not math.isnan(found.undefined):
+        if not math.isnan(found.doubts.undefined):
             return (
-                f"{self.surface} is not a number at t = {found.undefined:.6g}; crossings there "
-                "are missed"
+                f"{self.surface} is not a number at t = {found.doubts.undefined:.6g}; crossings "
+                "there are missed"
+            )
+        if found.doubts.unresolved:
+            return (
+                f"{self.surface} may be crossed more often than the {len(found.t):,} times that "
+                "were found, because it varies too fast or stays within round-off of zero"
             )
         if self.limit is not None and numbers.min() < self.limit:
             return (
@@ -467,15 +498,17 @@ def _found_on_cluster(
     ]
     if not found:
         nothing = np.empty(0), np.empty((0, members.H.dim)), np.empty(0, dtype=int)
-        return _Found(*nothing, numbers, lost, math.nan, math.nan, until)
-    undefined = [part.undefined for part in found if not math.isnan(part.undefined)]
+        return _Found(*nothing, numbers, lost, _Doubts(), math.nan, until)
+    ordered = sorted(
+        (part.doubts for part in found), key=lambda d: abs(d.undefined - setting.start)
+    )
     return _Found(
         np.concatenate([part.t for part in found]),
         np.concatenate([part.z for part in found]),
         np.concatenate([part.trajectory for part in found]),
         numbers,
         lost,
-        min(undefined, key=lambda t: abs(t - setting.start), default=math.nan),
+        functools.reduce(_Doubts.together, ordered),
         float(np.max([part.drift for part in found])),
         until,
     )
@@ -524,7 +557,7 @@ class _Crossings:
         self._start, self._size, self._limit = start, size, limit
         self._found = [(np.empty(0), np.empty((0, members.H.dim)), np.empty(0, dtype=int))]
         self._numbers = np.zeros(count, dtype=int)  # of crossings of each trajectory
-        self._undefined = math.nan  # first time at which the surface has no value
+        self._doubts = _Doubts()
         self._last = members.states
         self.done = 0
         self.drift = EnergyDrift(members.H, count, _varied(members))
@@ -536,12 +569,19 @@ class _Crossings:
             raise KeyboardInterrupt
         path = np.concatenate((self._last[:, None], moved.states), axis=1)
         times = self._start + self._size * np.arange(done, done + count + 1)
-        found, undefined = _crossings(
-            self._members, self._method, self._where, self._direction, path, times, self._size
+        found, doubts = _crossings(
+            self._members,
+            self._method,
+            self._where,
+            self._direction,
+            path,
+            times,
+            self._size,
+            self._start,
         )
         self._found.append(found)
         self.drift.add(path)
-        self._undefined = undefined if math.isnan(self._undefined) else self._undefined
+        self._doubts = self._doubts.together(doubts)
         self._numbers += np.bincount(found[2], minlength=len(self._numbers))
         self.done, self._last = done + count, path[:, -1]
         enough = self._limit is not None and self._numbers.min() >= self._limit
@@ -562,7 +602,7 @@ class _Crossings:
             *self.ordered(),
             numbers=self._numbers,
             lost=~np.isfinite(self._last).all(axis=-1),
-            undefined=self._undefined,
+            doubts=self._doubts,
             drift=float(self.drift.relative(self.done).max()),
         )
 
@@ -580,60 +620,130 @@ def _crossings(
     path: np.ndarray,
     times: np.ndarray,
     size: float,
-) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], float]:
+    start: float,
+) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], _Doubts]:
     """Locate crossings on paths of shape (n, steps + 1, dim).
 
     Returns
     -------
     crossings : tuple of numpy.ndarray
         Times, states and trajectories.
-    undefined : float
-        First time at which the state is finite and the surface is NaN, or NaN.
+    doubts : _Doubts
     """
     at, parameters = np.broadcast_to(times, path.shape[:2]), _varied(members)
     with np.errstate(all="ignore"):  # where a trajectory has escaped
         rows = None if parameters is None else parameters[:, None]
         values = np.asarray(where.value(path, at, rows), dtype=float)
-        slopes = _slopes(members.H, where, path, at, size, rows)
+        rates = _rates(members.H, path, at, rows)
     without = (np.isnan(values) & np.isfinite(path).all(axis=-1)).any(axis=0)
     undefined = float(times[np.argmax(without)]) if without.any() else math.nan
-    (trajectory, step), dips = suspects(values, slopes)
-    before, since = path[trajectory, step], times[step]
+    if where.enclosed is None:
+        slopes = _slopes(where, path, at, rates, size, rows)
+        (trajectory, step), dips = suspects(values, slopes)
+    else:
+        finite = np.isfinite(values) & np.isfinite(rates).all(axis=-1)
+        trajectory, step = np.nonzero(finite[:, :-1] & finite[:, 1:])
+    steps = _Steps(members, method, where, size, path[trajectory, step], times[step], trajectory)
+    ends = np.stack([values[trajectory, step], values[trajectory, step + 1]])
+    touches, unresolved = np.empty(0), 0
+    if where.enclosed is None:
+        share, index = zeros(steps.value, *ends, dips, direction)
+    else:
+        path, rates = path[..., where.components], rates[..., where.components]
+        with np.errstate(all="ignore"):
+            bends = rate_bends(times, rates)[trajectory, step]
+        cells = Cells.whole(
+            np.full(len(step), size),
+            ends,
+            np.stack([path[trajectory, step], path[trajectory, step + 1]]),
+            np.stack([rates[trajectory, step], rates[trajectory, step + 1]]),
+            bends,
+        )
+        found = isolated_zeros(cells, steps.enclosed, steps.sample, steps.value, direction)
+        share, index, unresolved = found.share, found.index, found.undecided
+        touches = np.array([steps.since[i] + low * size for low, i in found.touched])
+    z, t, own = steps.states(share, index), steps.times(share, index), steps.parameters(index)
+    holds = where.holds(z, t, own)
+    doubts = _Doubts(undefined, int((touches != start).sum()), unresolved)
+    return (t[holds], z[holds], trajectory[index][holds]), doubts
 
-    def part_of_a_step(share: np.ndarray, index: np.ndarray) -> np.ndarray:
-        given = members.parameters[trajectory[index]]
+
+@dataclass(frozen=True)
+class _Steps:
+    """The path within steps, from the states ``before`` them at the times ``since``."""
+
+    members: Ensemble
+    method: str
+    where: Surface
+    size: float
+    before: np.ndarray
+    since: np.ndarray
+    trajectory: np.ndarray
+
+    def times(self, share: np.ndarray, index: np.ndarray) -> np.ndarray:
+        return np.asarray(self.since[index] + share * self.size)
+
+    def parameters(self, index: np.ndarray) -> np.ndarray | None:
+        varied = _varied(self.members)
+        return None if varied is None else varied[self.trajectory[index]]
+
+    def states(self, share: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """States after parts of steps."""
+        before = self.before[index]
+        if not len(index):
+            return before
         stepper = fixed_step(
-            members.H, method, before[index], since[index], share * size, parameters=given
+            self.members.H,
+            self.method,
+            before,
+            self.since[index],
+            share * self.size,
+            parameters=self.members.parameters[self.trajectory[index]],
         )
         # No step at all is the state itself, also where a method divides by the step.
-        return np.where(share[:, None] == 0, before[index], stepper.step(1))
+        return np.where(share[:, None] == 0, before, stepper.step(1))
 
-    def of(index: np.ndarray) -> np.ndarray | None:
-        return None if parameters is None else parameters[trajectory[index]]
+    def value(self, share: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """Values of the surface function."""
+        z, t = self.states(share, index), self.times(share, index)
+        return np.asarray(self.where.value(z, t, self.parameters(index)), dtype=float)
 
-    def value(share: np.ndarray, index: np.ndarray) -> np.ndarray:
-        return where.value(part_of_a_step(share, index), since[index] + share * size, of(index))
+    def sample(
+        self, share: np.ndarray, index: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Values of the surface function, and its components with their rates."""
+        z, t, own = self.states(share, index), self.times(share, index), self.parameters(index)
+        values = np.asarray(self.where.value(z, t, own), dtype=float)
+        rates = _rates(self.members.H, z, t, own)
+        return values, z[:, self.where.components], rates[:, self.where.components]
 
-    ends = values[trajectory, step], values[trajectory, step + 1]
-    share, index = zeros(value, *ends, dips, direction)
-    z = part_of_a_step(share, index) if len(index) else before[:0]
-    t = since[index] + share * size
-    holds = where.holds(z, t, of(index))
-    return (t[holds], z[holds], trajectory[index][holds]), undefined
+    def enclosed(self, cells: Cells) -> Ranges:
+        """The surface function over parts of steps."""
+        ends = np.stack([self.times(share, cells.index) for share in (cells.low, cells.high)])
+        one, own = np.ones(len(cells)), self.parameters(cells.index)
+        t = Ranges.of_slopes(ends, Intervals(one, one), np.abs(ends[1] - ends[0]))
+        given = None if own is None else lambda i: Ranges.constant(own[:, i])
+        assert self.where.enclosed is not None
+        return self.where.enclosed(lambda i: component_ranges(cells, i), t, given)
+
+
+def _rates(
+    H: Hamiltonian, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None
+) -> np.ndarray:
+    system = H.compile("numpy")
+    return np.asarray(system.vector_field(*system.arguments(z, t), **system.keywords(parameters)))
 
 
 def _slopes(
-    H: Hamiltonian,
     where: Surface,
     path: np.ndarray,
     at: np.ndarray,
+    rates: np.ndarray,
     size: float,
     parameters: np.ndarray | None,
 ) -> np.ndarray:
     """Return the change of the surface function over a small distance along the flow."""
-    system, aside = H.compile("numpy"), _ASIDE * size
-    arguments, values = system.arguments(path, at), system.keywords(parameters)
-    rates = np.asarray(system.vector_field(*arguments, **values))
+    aside = _ASIDE * size
     ahead = where.value(path + aside * rates, at + aside, parameters)
     behind = where.value(path - aside * rates, at - aside, parameters)
     return np.asarray(ahead - behind, dtype=float)

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import elementwise
 
-__all__ = ["first_zeros", "refine", "sign_changes", "suspects", "zeros"]
+__all__ = ["changes", "first_zeros", "refine", "sign_changes", "suspects", "zeros"]
 
 _ASIDE = (
     1e-3  # of an interval: distance from its ends at which the search for a turning point begins
@@ -32,10 +32,11 @@ def sign_changes(values: np.ndarray, direction: float = 0.0) -> tuple[np.ndarray
     A zero belongs to the interval that ends there, and is therefore counted once. A direction above
     zero selects rising values, below zero falling ones.
     """
-    return np.nonzero(_changes(values[..., :-1], values[..., 1:], direction))
+    return np.nonzero(changes(values[..., :-1], values[..., 1:], direction))
 
 
-def _changes(before: np.ndarray, after: np.ndarray, direction: float = 0.0) -> np.ndarray:
+def changes(before: np.ndarray, after: np.ndarray, direction: float = 0.0) -> np.ndarray:
+    """Whether a sign changes from before to after, as in :func:`sign_changes`."""
     rising, falling = (before < 0) & (after >= 0), (before > 0) & (after <= 0)
     if direction > 0:
         return rising
@@ -62,7 +63,7 @@ def suspects(values: np.ndarray, slopes: np.ndarray) -> tuple[tuple[np.ndarray, 
     side = np.where(after == 0, before, after)
     towards, away = np.sign(slopes[..., :-1]) * side < 0, np.sign(slopes[..., 1:]) * side > 0
     dips = (before * side >= 0) & towards & away
-    where = np.nonzero(_changes(before, after) | dips)
+    where = np.nonzero(changes(before, after) | dips)
     return where, dips[where]
 
 
@@ -99,7 +100,7 @@ def zeros(
     at_low = np.concatenate((before[whole], before[dip], value))
     at_high = np.concatenate((after[whole], value, after[dip]))
     index = np.concatenate((whole, dip, dip))
-    crossed = np.flatnonzero(_changes(at_low, at_high, direction))
+    crossed = np.flatnonzero(changes(at_low, at_high, direction))
     index = index[crossed]
     share = refine(lambda x, k: function(x, index[k]), low[crossed], high[crossed])
     order = np.lexsort((share, index))

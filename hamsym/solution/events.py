@@ -1,21 +1,31 @@
 """Events of a solution, in the conventions of scipy's solve_ivp.
 
-The event function is sampled on a grid of times and just after each of them, which gives its slope;
-:mod:`hamsym.numerics.roots` describes the zeros that are found from both.
+A smooth formula is bounded between a grid of times, so that all of its zeros are found
+(:mod:`hamsym.numerics.isolation`). Any other function is sampled there and just after each of them,
+which gives its slope; :mod:`hamsym.numerics.roots` describes the zeros that are found from both.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hamsym.errors import InputError
+from hamsym.errors import EventWarning, InputError
+from hamsym.numerics.intervals import Intervals, Ranges
+from hamsym.numerics.isolation import (
+    Cells,
+    Isolated,
+    component_ranges,
+    isolated_zeros,
+    rate_bends,
+)
 from hamsym.numerics.roots import suspects, zeros
 from hamsym.solution.path import Path
 from hamsym.support.validation import is_positive, require, require_number
-from hamsym.surface import parse_surface
+from hamsym.surface import Surface, parse_surface
 
 __all__ = ["Event", "Events", "find_events"]
 
@@ -66,26 +76,89 @@ def _terminal(event: Event) -> int:
 
 
 def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
-    conditions: Callable[..., np.ndarray] | None = None
-    if isinstance(event, str):
-        surface = parse_surface(solution.H, event)
-        conditions = surface.holds
-
-        def value(t: np.ndarray) -> np.ndarray:
-            return np.asarray(surface.value(solution(t), t), dtype=float)
-
-    elif callable(event):
+    direction = getattr(event, "direction", 0.0) or 0.0
+    require_number("direction", direction)
+    if callable(event):
 
         def value(t: np.ndarray) -> np.ndarray:
             pairs = zip(t, solution(t), strict=True)
             return np.array([_number(event(time, z)) for time, z in pairs])
 
-    else:
+        return _sampled(event, value, times, direction)
+    if not isinstance(event, str):
         raise InputError(
             f"{event!r} is not an event; give a text, for example 'x = 0', or a function"
         )
-    direction = getattr(event, "direction", 0.0) or 0.0
-    require_number("direction", direction)
+    surface = parse_surface(solution.H, event)
+    if surface.enclosed is not None:
+        t = _isolated(solution, surface, times)
+    else:
+        t = _sampled(
+            event, lambda t: np.asarray(surface.value(solution(t), t), float), times, direction
+        )
+    return t[surface.holds(solution(t), t)] if len(t) else t
+
+
+def _isolated(solution: Path, surface: Surface, times: np.ndarray) -> np.ndarray:
+    """Find all zeros of a formula, by bounds between the times."""
+    enclosed = surface.enclosed
+    assert enclosed is not None
+
+    def when(share: np.ndarray, index: np.ndarray) -> np.ndarray:
+        # Exact at both ends, so that no time is outside the span.
+        return (1 - share) * times[index] + share * times[index + 1]
+
+    def sample(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        states, rates = solution.evaluate(t)
+        values = np.asarray(surface.value(states, t), dtype=float)
+        _require_numbers(surface.text, t, values)
+        return values, states[:, surface.components], rates[:, surface.components]
+
+    def over(cells: Cells) -> Ranges:
+        ends = np.stack([when(cells.low, cells.index), when(cells.high, cells.index)])
+        one = np.ones(len(cells))
+        time = Ranges.of_slopes(ends, Intervals(one, one), np.abs(ends[1] - ends[0]))
+        return enclosed(lambda i: component_ranges(cells, i), time)
+
+    def value(share: np.ndarray, index: np.ndarray) -> np.ndarray:
+        t = when(share, index)
+        return np.asarray(surface.value(solution(t), t), dtype=float)
+
+    with np.errstate(all="ignore"):
+        values, states, rates = sample(times)
+    cells = Cells.whole(
+        np.diff(times),
+        np.stack([values[:-1], values[1:]]),
+        np.stack([states[:-1], states[1:]]),
+        np.stack([rates[:-1], rates[1:]]),
+        rate_bends(times, rates),
+    )
+    found = isolated_zeros(cells, over, lambda share, index: sample(when(share, index)), value)
+    touched = [place for place in found.touched if place != (0.0, 0)]  # the start is no event
+    if touched or found.undecided:
+        _warn(surface.text, [float(when(*map(np.array, place))) for place in touched], found)
+    return when(found.share, found.index)
+
+
+def _warn(text: str, touched: Sequence[float], found: Isolated) -> None:
+    if found.undecided:
+        reason = (
+            f"it may cross zero more often than the {len(found.index):,} times that were found, "
+            "because it varies too fast or stays within round-off of zero"
+        )
+    else:
+        listed = ", ".join(f"{t:.6g}" for t in touched[:3]) + ", ..." * (len(touched) > 3)
+        reason = (
+            f"it comes to zero within round-off at t = {listed} without a change of sign, which is "
+            "not counted"
+        )
+    warnings.warn(f"'{text}': {reason}", EventWarning, stacklevel=6)
+
+
+def _sampled(
+    event: Event, value: Callable[[np.ndarray], np.ndarray], times: np.ndarray, direction: float
+) -> np.ndarray:
+    """Find zeros of any function, from its values and slopes at the times."""
     # The last slope is measured before the end of the span, beyond which there is no solution.
     aside = _AFTER * np.append(np.diff(times), times[-2] - times[-1])
     with np.errstate(all="ignore"):
@@ -95,7 +168,6 @@ def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
     (step,), dips = suspects(values, slopes)
 
     def when(share: np.ndarray, index: np.ndarray) -> np.ndarray:
-        # Exact at both ends, so that no time is outside the span.
         return (1 - share) * times[step[index]] + share * times[step[index] + 1]
 
     share, index = zeros(
@@ -105,8 +177,7 @@ def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
         dips,
         direction,
     )
-    t = when(share, index)
-    return t if conditions is None or not len(t) else t[conditions(solution(t), t)]
+    return when(share, index)
 
 
 def _require_numbers(event: Event, times: np.ndarray, values: np.ndarray) -> None:

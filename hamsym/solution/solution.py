@@ -571,14 +571,21 @@ class Solution(Shown):
             (True or a number) ends the search for all events after this number of zeros. Unlike
             there, a zero at the very start is not an event.
 
-        Between two neighbouring ``scan_times`` (thousands, and at least nine in every window of a
-        march) a pair of zeros is missed if the event function turns around more than once, and so
-        is a third zero.
+        Every change of sign of a smooth formula is found, however narrow, because the formula is
+        bounded between two neighbouring ``scan_times`` (thousands, and at least nine in every
+        window of a march). Of functions, and of formulas with ``abs`` and the like, a pair of zeros
+        between them is missed if they turn around more than once, and so is a third zero.
 
         Returns
         -------
         Events
             With ``t_events`` and ``y_events``, a list with an array for each event.
+
+        Warns
+        -----
+        EventWarning
+            If a formula comes to zero within round-off without a change of sign, or varies too fast
+            for all of its zeros to be found.
 
         Raises
         ------

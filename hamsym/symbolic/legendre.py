@@ -5,7 +5,7 @@ Output: G(w) = w s - F(s), where w = dF/ds.
 
 Where F is quadratic in s, the matrix of second derivatives falls into connected blocks, each of
 which is inverted exactly. Elsewhere one scalar equation is solved, and its solution is accepted
-after a comparison with w s - F at random points.
+after comparisons with w s - F at random points, in many digits and in float64.
 """
 
 from __future__ import annotations
@@ -21,21 +21,20 @@ from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.rational_matrices import inverse_matrix
+from hamsym.symbolic.transform_checks import TransformChecks
 
 __all__ = ["legendre_transform"]
 
 MAX_EFFORT = 20_000_000  # function calls, most of them sympy's; ten seconds
 MAX_SECONDS = 15.0  # of processor time
+# Inverting a matrix ends, so that waiting for it pays; a search for roots may have no end.
+MAX_SEARCH_EFFORT = 3_000_000
+MAX_SEARCH_SECONDS = 4.0
 _DENSE = 3  # size up to which a block is inverted as a whole, without elimination
 _LARGEST = 20_000  # operations of a matrix during its elimination
 _POINTS = 20  # at which a matrix is positive definite
-_SAMPLES = 8  # random velocities at which a transform that is not quadratic is compared
-_TRIALS = 200
-_DIGITS = 120  # of the slopes: those of sqrt(m**2 + s**2) differ little where s is large
-_NOISE = sympy.Float("1e-100", _DIGITS)  # of a determinant
+_INVERTIBLE = (sympy.exp, sympy.log, sympy.sinh, sympy.tan, sympy.asinh, sympy.atan, sympy.atanh)
 _INFINITE = (sympy.zoo, sympy.nan, sympy.oo, -sympy.oo)
-_DECADES = range(-3, 9)  # sizes of velocities at which a transform must be unique
-_DRAWS = 3  # of the constants
 
 Matrix = dict[tuple[sympy.Symbol, sympy.Symbol], sympy.Expr]
 
@@ -85,7 +84,10 @@ def legendre_transform(
             )
     try:
         with call_limit(MAX_EFFORT, MAX_SECONDS):
-            found = _Transform(expr, slots, duals, state, parameters or {}, name).result()
+            transform = _Transform(expr, slots, duals, state, parameters or {}, name)
+            found, others, rest = transform.quadratic()
+        with call_limit(MAX_SEARCH_EFFORT, MAX_SEARCH_SECONDS):
+            found += transform.others(others, rest)
             _check_finite(expr, found, parameters or {}, name)
             return found
     except CallLimitExceededError:
@@ -93,7 +95,7 @@ def legendre_transform(
         raise InputError(
             f"the equations for {listed} take too long to solve symbolically; use coordinates in "
             "which fewer of them are coupled in the kinetic energy, or give numbers for parameters "
-            f"inside {name}"
+            f"inside {name}, or give {'H' if name == 'L' else 'L'} itself"
         ) from None
     except CodeGenerationError:
         raise InputError(
@@ -152,7 +154,8 @@ class _Transform:
         # Expanded, its terms belong to one block each wherever that is possible.
         return forms[1]
 
-    def result(self) -> sympy.Expr:
+    def quadratic(self) -> tuple[sympy.Expr, list[list[sympy.Symbol]], sympy.Expr]:
+        """The transform of all quadratic blocks, the other blocks, and what is left of F."""
         second = {index: entry for index, entry in self.second.items() if entry != 0}
         blocks = [
             [self.slots[i] for i in block]
@@ -160,7 +163,7 @@ class _Transform:
         ]
         position = {slot: i for i, slot in enumerate(self.slots)}
         quadratic: list[tuple[list[sympy.Symbol], Matrix]] = []
-        others: list[tuple[list[sympy.Symbol], Matrix]] = []
+        others: list[list[sympy.Symbol]] = []
         for block in blocks:
             entries = {
                 (i, j): second[position[i], position[j]]
@@ -169,7 +172,10 @@ class _Transform:
                 if (position[i], position[j]) in second
             }
             whole = not any(entry.has(*self.slots) for entry in entries.values())
-            (quadratic if whole else others).append((block, entries))
+            if whole:
+                quadratic.append((block, entries))
+            else:
+                others.append(block)
         origin = dict.fromkeys((slot for block, _ in quadratic for slot in block), sympy.S.Zero)
         rest = self.expr.xreplace(origin)
         if rest.has(sympy.nan, sympy.zoo, sympy.oo):
@@ -183,7 +189,12 @@ class _Transform:
                     raise self._unsolved(block)
                 shifted[slot] = self.duals[slot] - offset
             parts.append(self._quadratic(block, entries, shifted))
-        for block, _ in others:
+        return sympy.Add(*parts), others, rest
+
+    def others(self, blocks: list[list[sympy.Symbol]], rest: sympy.Expr) -> sympy.Expr:
+        """The transform of blocks that are not quadratic, less the terms without velocities."""
+        parts = []
+        for block in blocks:
             terms = [term for term in sympy.Add.make_args(rest) if term.has(*block)]
             rest = sympy.Add(*(t for t in sympy.Add.make_args(rest) if t not in set(terms)))
             part = sympy.Add(*terms)
@@ -305,131 +316,102 @@ class _Transform:
             if not any(sympy.diff(term, slot).has(*block) for slot in block)
         ]
         slopes = derivatives.gradient(sympy.Add(*linear), block)
-        shifted = [self.duals[slot] - slope for slot, slope in zip(block, slopes, strict=True)]
-        curved = part - sympy.Add(*linear)
-        for solved in self._candidates(block, curved, shifted):
-            if self._agrees(block, curved, shifted, solved) and self._is_unique(block, curved):
-                return solved
-        raise self._unsolved(block)
-
-    def _candidates(
-        self, block: list[sympy.Symbol], curved: sympy.Expr, shifted: list[sympy.Expr]
-    ) -> Iterator[sympy.Expr]:
-        size = sympy.Dummy("size", positive=True)
-        for form, function in _quadratic_forms(curved, block, size):
-            matrix = sympy.hessian(form, block) / 2
-            square = sympy.Dummy("square", nonnegative=True)
-            if len(block) == 1:
-                value = shifted[0] ** 2 / matrix[0]
-            else:
-                inverse, denominator = inverse_matrix(matrix.tolist())
-                if denominator is None:
-                    return
-                column = sympy.Matrix(shifted)
-                value = (column.T * sympy.Matrix(inverse) * column)[0] / denominator
-            slope = sympy.diff(function, size)
-            # w = 2 F'(u) G s for F(u), u = s G s; so that w G**-1 w = 4 F'(u)**2 u.
-            for root in _roots(4 * slope**2 * size - square, size):
-                found = _compact((2 * size * slope - function).xreplace({size: root}), square)
-                yield found.xreplace({square: value})
-        if len(block) == 1:
-            slot, dual = block[0], sympy.Dummy("dual", real=True)
-            for root in _roots(sympy.diff(curved, slot) - dual, slot):
-                found = dual * root - curved.xreplace({slot: root})
-                forms = (sympy.simplify(found), sympy.simplify(found.rewrite(sympy.exp)))
-                yield min(forms, key=sympy.count_ops).xreplace({dual: shifted[0]})
-
-    def _agrees(
-        self,
-        block: list[sympy.Symbol],
-        curved: sympy.Expr,
-        shifted: list[sympy.Expr],
-        solved: sympy.Expr,
-    ) -> bool:
-        """Compare a transform and its slopes with w s - F and s at random s, of both signs.
-
-        If two values of s belonged to one w, the transform could not agree for both.
-        """
-        generator = random.Random(1)
         duals = [self.duals[slot] for slot in block]
-        slopes = derivatives.gradient(curved, block)
-        back = derivatives.gradient(solved, duals)
-        others = sorted(
-            (curved.free_symbols | solved.free_symbols | {*duals}) - {*block, *duals}, key=str
-        )
-        offsets = [dual - value for dual, value in zip(duals, shifted, strict=True)]
-        agreed = [0, 0]
-        for _ in range(_TRIALS):
-            at = self._constants(others, generator)
-            scale = sympy.Rational(generator.choice([1, 10, 100, 1000]), 100)
-            for slot in block:
-                at[slot] = scale * sympy.Rational(generator.randint(-999, 999), 1000)
-            rates = [slope.xreplace(at).evalf(_DIGITS) for slope in slopes]
-            if not all(rate.is_Float for rate in rates):
-                continue
-            for dual, rate, offset in zip(duals, rates, offsets, strict=True):
-                at[dual] = rate + offset.xreplace(at)
-            wanted = sum(r * at[s] for r, s in zip(rates, block, strict=True)) - curved.xreplace(at)
-            pairs = [(solved, wanted), *zip(back, (at[slot] for slot in block), strict=True)]
-            for found, value in pairs:
-                difference = (found.xreplace(at) - value).evalf(30)
-                if not difference.is_number or difference.has(*_INFINITE):
-                    return False
-                if not abs(difference) <= 1e-18 * (1 + abs(value)):
-                    return False
-            agreed[int(bool(at[block[0]] > 0))] += 1
-            if sum(agreed) >= _SAMPLES and min(agreed) > 0:
-                return True
-        return sum(agreed) >= _SAMPLES
+        curved = part - sympy.Add(*linear)
+        checks = TransformChecks(curved, block, duals, self.parameters)
+        inaccurate = False
+        # Before the search, which takes long where there are branches.
+        for solved in _candidates(block, duals, curved) if checks.is_unique() else ():
+            if checks.agrees(solved):
+                if checks.is_accurate(solved):
+                    return solved.xreplace(
+                        {dual: dual - slope for dual, slope in zip(duals, slopes, strict=True)}
+                    )
+                inaccurate = True
+        raise self._unsolved(block, inaccurate)
 
-    def _is_unique(self, block: list[sympy.Symbol], curved: sympy.Expr) -> bool:
-        """Whether the determinant of second derivatives has one sign at random s of all sizes.
-
-        Where it changes, two values of s belong to one w, and the transform has branches. Places
-        where F is not real are no part of its domain.
-        """
-        generator = random.Random(3)
-        slopes = derivatives.gradient(curved, block)
-        second = sympy.Matrix([[sympy.diff(slope, slot) for slot in block] for slope in slopes])
-        others = sorted(curved.free_symbols - {*block}, key=str)
-        for _ in range(_DRAWS):
-            constants, signs = self._constants(others, generator), set()
-            for decade in _DECADES:
-                at = dict(constants)
-                for slot in block:
-                    share = sympy.Rational(generator.randint(-999, 999), 1000)
-                    at[slot] = share * sympy.Rational(10) ** decade
-                first = [curved.xreplace(at).evalf(20), *(e.xreplace(at).evalf(20) for e in slopes)]
-                if not all(value.is_Float for value in first):
-                    continue
-                matrix = second.xreplace(at).evalf(_DIGITS)
-                size, largest = matrix.det(), max(abs(entry) for entry in matrix)
-                if size.is_Float and abs(size) > _NOISE * largest ** len(block):
-                    signs.add(bool(size > 0))
-            if len(signs) > 1:
-                return False
-        return True
-
-    def _constants(
-        self, symbols: Sequence[sympy.Symbol], generator: random.Random
-    ) -> dict[sympy.Symbol, sympy.Expr]:
-        """Random values of both signs, and those of parameters that have one."""
-        return {
-            symbol: sympy.Rational(generator.choice([-1, 1]) * generator.randint(20, 300), 100)
-            for symbol in symbols
-        } | {symbol: sympy.Rational(str(v)) for symbol, v in self.parameters.items()}
-
-    def _unsolved(self, block: Sequence[sympy.Symbol]) -> InputError:
+    def _unsolved(self, block: Sequence[sympy.Symbol], inaccurate: bool = False) -> InputError:
         listed = ", ".join(symbol.name for symbol in block)
-        if self.name == "L":
-            return InputError(
-                f"L is not quadratic in {listed}, and the velocities were not found as unique "
-                "functions of the momenta; give parameters their values, or give H itself"
+        found, given = ("velocities", "momenta") if self.name == "L" else ("momenta", "velocities")
+        if inaccurate:
+            failure = (
+                f"the {found} were found only in a form that loses digits or is not a number at "
+                "rest or near it"
             )
-        return InputError(
-            f"H is not quadratic in {listed}, and the momenta were not found as unique functions "
-            "of the velocities"
-        )
+        else:
+            failure = f"the {found} were not found as unique functions of the {given}"
+        remedy = "; give parameters their values, or give H itself" if self.name == "L" else ""
+        return InputError(f"{self.name} is not quadratic in {listed}, and {failure}{remedy}")
+
+
+def _candidates(
+    block: Sequence[sympy.Symbol], duals: Sequence[sympy.Symbol], curved: sympy.Expr
+) -> Iterator[sympy.Expr]:
+    """Functions of the duals that may be the transform, those without cancellation first."""
+    if len(block) == 1:
+        slot, dual = block[0], duals[0]
+        slope = sympy.diff(curved, slot)
+        powers = sympy.Poly(slope, slot) if slope.is_polynomial(slot) else None
+        if powers is None:
+            root = _peeled(slope, slot, dual)
+            if root is not None:
+                found = dual * root - curved.xreplace({slot: root})
+                yield min(found, sympy.simplify(found), key=sympy.count_ops)
+        elif len(powers.terms()) > 1:
+            root = _cubic_root(powers, dual)
+            if root is not None:
+                # In powers of the root nothing cancels that would in w s - F(s).
+                yield sympy.expand(slot * slope - curved).xreplace({slot: root})
+            return  # the radicals of Cardano and Ferrari cancel near rest
+    size = sympy.Dummy("size", positive=True)
+    for form, function in _quadratic_forms(curved, block, size):
+        matrix = sympy.hessian(form, block) / 2
+        square = sympy.Dummy("square", nonnegative=True)
+        if len(block) == 1:
+            value = duals[0] ** 2 / matrix[0]
+        else:
+            inverse, denominator = inverse_matrix(matrix.tolist())
+            if denominator is None:
+                return
+            column = sympy.Matrix(duals)
+            value = (column.T * sympy.Matrix(inverse) * column)[0] / denominator
+        slope = sympy.diff(function, size)
+        # w = 2 F'(u) G s for F(u), u = s G s; so that w G**-1 w = 4 F'(u)**2 u.
+        for root in _roots(4 * slope**2 * size - square, size):
+            found = _compact((2 * size * slope - function).xreplace({size: root}), square)
+            yield found.xreplace({square: value})
+    if len(block) == 1:
+        for root in _roots(sympy.diff(curved, slot) - dual, slot):
+            found = dual * root - curved.xreplace({slot: root})
+            forms = (sympy.simplify(found), sympy.simplify(found.rewrite(sympy.exp)))
+            yield min(forms, key=sympy.count_ops)
+
+
+def _peeled(slope: sympy.Expr, slot: sympy.Symbol, dual: sympy.Expr) -> sympy.Expr | None:
+    """s where the slope is a function with an inverse, of s times a constant and the like."""
+    while slope != slot:
+        constant, rest = slope.as_independent(slot)
+        if slope.is_Add and constant != 0:
+            slope, dual = rest, dual - constant
+        elif slope.is_Mul and constant != 1:
+            slope, dual = rest, dual / constant
+        elif isinstance(slope, _INVERTIBLE):
+            slope, dual = slope.args[0], slope.inverse()(dual)
+        else:
+            return None
+    return dual
+
+
+def _cubic_root(powers: sympy.Poly, dual: sympy.Expr) -> sympy.Expr | None:
+    """The root of a s**3 + c s = w that is real for a/c > 0, by a hyperbolic sine.
+
+    With s = 2 sqrt(c/(3 a)) sinh(y) it is sinh(3 y) = 3 sqrt(3 a/c) w/(2 c).
+    """
+    if {degree for (degree,), _ in powers.terms()} != {1, 3}:
+        return None
+    a, c = powers.coeff_monomial((3,)), powers.coeff_monomial((1,))
+    third = sympy.asinh(3 * sympy.sqrt(3 * a / c) * dual / (2 * c)) / 3
+    return 2 * sympy.sqrt(c / (3 * a)) * sympy.sinh(third)
 
 
 def _quadratic_forms(

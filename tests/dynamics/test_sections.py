@@ -12,7 +12,7 @@ import scipy.integrate
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.dynamics import sections
-from hamsym.errors import StepSizeWarning
+from hamsym.errors import EventWarning, StepSizeWarning
 from hamsym.integrators import fixed_step
 from hamsym.numerics.roots import refine, sign_changes
 from hamsym.surface import parse_surface
@@ -432,6 +432,55 @@ def test_tangency_is_two_events_at_most(circle: hamsym.Solution) -> None:
     found = hamsym.section(circle.H, [1.0, 0.0], (0, 300), "x = 1", dt=0.1)
     turns = found.t / (2 * np.pi)
     assert np.abs(turns - turns.round()).max(initial=0.0) < 1e-6
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-7])
+@pytest.mark.parametrize("end", [40.0, -40.0])
+def test_events_on_a_narrow_surface_are_found(width: float, end: float) -> None:
+    """exp(-((x - 1/2)/w)**2) = 1/2 at two values of x next to 1/2."""
+    H = harmonic_oscillator().H
+    solution = hamsym.solve(H, [1.0, 0.0], (0, end), tol=1e-11)
+    text = f"exp(-((x - 0.5)/{width})**2) = 0.5"
+    beside = width * np.sqrt(np.log(2))
+    levels = [np.arccos(0.5 + side) for side in (-beside, beside)]
+    turns = 2 * np.pi * np.arange(8)
+    expected = np.sort([t for a in levels for t in (*(turns + a), *(turns - a)) if 0 < t < 40])
+    for found in (solution.events(text).t_events[0], hamsym.section(H, [1, 0], (0, end), text).t):
+        np.testing.assert_allclose(np.abs(found), expected, atol=1e-7)
+
+
+def test_every_zero_of_a_fast_formula_is_found(circle: hamsym.Solution) -> None:
+    """sin(1000 x) = 0 where 1000 x is a multiple of pi: 637 times in a half turn."""
+    found = circle.events("sin(1000*x) = 0").t_events[0]
+    zeros = np.arccos(np.pi * np.arange(-318, 319) / 1000)
+    expected = np.concatenate([zeros, 2 * np.pi - zeros])
+    first = found[found < 2 * np.pi]
+    np.testing.assert_allclose(first, np.sort(expected), atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("x**2 = 0", "round-off at t = 1.57"), ("x**2 + p**2 = 1", "more often than")],
+)
+def test_undecided_events_are_named(circle: hamsym.Solution, text: str, message: str) -> None:
+    with pytest.warns(EventWarning, match=message):
+        circle.events(text)
+
+
+def test_undecided_crossings_of_a_section_are_named() -> None:
+    H = harmonic_oscillator().H
+    found = hamsym.section(H, [1.0, 0.0], (0, 20), "x**2 = 0")
+    assert len(found.t) == 0
+    assert "touched 6 times" in found.message
+    found = hamsym.section(H, [1.0, 0.0], (0, 20), "(x**2 + p**2)*10**9 = 10**9")
+    assert not found.success
+    assert "more often" in found.message
+
+
+def test_jumps_of_an_angle_are_not_events(circle: hamsym.Solution) -> None:
+    """atan2(p, x) falls through 1 once in a turn, and jumps from -pi to pi."""
+    found = circle.events("atan2(p, x) = 1").t_events[0]
+    np.testing.assert_allclose(found, 2 * np.pi * np.arange(1, 48) - 1, atol=1e-7)
 
 
 def test_events_far_from_the_origin_of_time() -> None:

@@ -1,0 +1,229 @@
+"""Isolation of the zeros of a function along a path, whatever their distance.
+
+Input:  states and rates of a path at both ends of cells, and a function with bounds of its range
+        and of its slope over parts of cells (:mod:`hamsym.numerics.intervals`).
+Output: parts of cells with one zero each, and those that were not decided.
+
+A part whose range excludes zero has no zero. Where the slope excludes zero there is at most one,
+and the signs at both ends tell. Other parts are halved, down to a tangency. The path between two
+samples is bounded by the second differences of its rates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from hamsym.numerics.intervals import Intervals, Ranges
+from hamsym.numerics.roots import changes, refine
+
+__all__ = ["Cells", "Isolated", "component_ranges", "isolated_zeros", "rate_bends"]
+
+_SAFETY = 4  # of the second derivatives of the rates, which are differences
+_HALVINGS = 36  # of a cell, to the distance at which a tangency is round-off
+_MOST = 200_000  # parts at a time
+_TOUCHES = 1e-3  # size of a function at a tangency, relative to that at the ends of the cell
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Parts of the cells between two samples of a path.
+
+    Attributes
+    ----------
+    index : numpy.ndarray
+        Of the cell of each part, shape (k,).
+    low, high : numpy.ndarray
+        Ends of the part, as shares of the cell, shape (k,).
+    width : numpy.ndarray
+        Duration of the whole cell, shape (k,).
+    values : numpy.ndarray
+        Of the function at the ends of the part, shape (2, k).
+    states, rates : numpy.ndarray
+        Of the components of the path that the function depends on, there, shape (2, k, dim).
+    bends : numpy.ndarray
+        Bounds of the second derivatives of the rates, shape (k, dim).
+    scale : numpy.ndarray
+        Largest magnitude of the function at the ends of the cell, shape (k,).
+    """
+
+    index: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    width: np.ndarray
+    values: np.ndarray
+    states: np.ndarray
+    rates: np.ndarray
+    bends: np.ndarray
+    scale: np.ndarray
+
+    @classmethod
+    def whole(
+        cls,
+        width: np.ndarray,
+        values: np.ndarray,
+        states: np.ndarray,
+        rates: np.ndarray,
+        bends: np.ndarray,
+    ) -> Cells:
+        """All cells."""
+        low = np.zeros(len(width))
+        scale = np.abs(values).max(axis=0)
+        return cls(np.arange(len(low)), low, low + 1, width, values, states, rates, bends, scale)
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __getitem__(self, chosen: np.ndarray) -> Cells:
+        pairs = ("values", "states", "rates")
+        parts = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Cells(**{n: a[:, chosen] if n in pairs else a[chosen] for n, a in parts.items()})
+
+    def halves(self, values: np.ndarray, states: np.ndarray, rates: np.ndarray) -> Cells:
+        """Both halves of each part, by what the path and the function are in the middle."""
+        middle = (self.low + self.high) / 2
+
+        def twice(array: np.ndarray) -> np.ndarray:
+            return np.concatenate((array, array))
+
+        def split(ends: np.ndarray, between: np.ndarray) -> np.ndarray:
+            first, last = np.stack((ends[0], between)), np.stack((between, ends[1]))
+            return np.concatenate((first, last), axis=1)
+
+        return Cells(
+            twice(self.index),
+            np.concatenate((self.low, middle)),
+            np.concatenate((middle, self.high)),
+            twice(self.width),
+            split(self.values, values),
+            split(self.states, states),
+            split(self.rates, rates),
+            twice(self.bends),
+            twice(self.scale),
+        )
+
+
+@dataclass(frozen=True)
+class Isolated:
+    """Zeros of a function along a path.
+
+    Attributes
+    ----------
+    share, index : numpy.ndarray
+        Of each zero: its place in its cell from 0 to 1, and the cell, in this order, shape (n,).
+    touched : list of (float, int)
+        The same of places where the function comes to zero within round-off without a sign change.
+    undecided : int
+        Number of parts that may contain more zeros, because there were too many.
+    """
+
+    share: np.ndarray
+    index: np.ndarray
+    touched: list[tuple[float, int]]
+    undecided: int
+
+
+def rate_bends(times: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Bound the second derivatives of rates between samples, shape (..., n, dim).
+
+    Returns shape (..., n - 1, dim).
+    """
+    gaps = np.diff(times)[:, None]
+    slopes = np.diff(rates, axis=-2) / gaps
+    if slopes.shape[-2] == 1:
+        return _SAFETY * np.abs(slopes / gaps)
+    found = np.abs(np.diff(slopes, axis=-2) / (gaps[1:] + gaps[:-1])) * 2
+    ends = np.concatenate((found[..., :1, :], found, found[..., -1:, :]), axis=-2)  # at all nodes
+    around = np.concatenate((ends[..., :1, :], ends, ends[..., -1:, :]), axis=-2)
+    pairs = np.maximum(around[..., 1:, :], around[..., :-1, :])
+    return np.asarray(_SAFETY * np.maximum(pairs[..., 2:, :], pairs[..., :-2, :]))
+
+
+def component_ranges(cells: Cells, component: int) -> Ranges:
+    """A component of the path over parts of cells."""
+    ends, rates = cells.states[..., component], cells.rates[..., component]
+    width = np.abs(cells.width) * (cells.high - cells.low)
+    beyond = cells.bends[..., component] * width**2 / 8
+    slope = Intervals(np.minimum(*rates) - beyond, np.maximum(*rates) + beyond)
+    return Ranges.of_slopes(ends, slope, width)
+
+
+def isolated_zeros(
+    cells: Cells,
+    enclosed: Callable[[Cells], Ranges],
+    sample: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]],
+    value: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    direction: float = 0.0,
+) -> Isolated:
+    """Locate all zeros with a change of sign.
+
+    Parameters
+    ----------
+    cells : Cells
+        Whole ones.
+    enclosed : callable
+        Parts of cells -> the function over them.
+    sample : callable
+        (share, index) -> values of the function, states and rates of the path, shape (n, dim).
+    value : callable
+        (share, index) -> values of the function alone.
+    direction : float
+        Above zero, only zeros at which the function rises in the order of the samples; below zero,
+        falls.
+    """
+    found, touched, undecided, most = [], [], 0, _MOST + len(cells)
+    with np.errstate(all="ignore"):
+        for depth in range(_HALVINGS + 1):
+            ranges = enclosed(cells)
+            # Next to a zero at an end the values, which neighbours share, decide over round-off.
+            outside = (ranges.within.low > 0) | (ranges.within.high < 0)
+            without = outside & ~changes(*cells.values)
+            monotonic = (ranges.slope.low > 0) | (ranges.slope.high < 0)
+            found.append(cells[np.flatnonzero(~without & monotonic)])
+            cells = cells[np.flatnonzero(~without & ~monotonic)]
+            if not len(cells) or len(cells) > most or depth == _HALVINGS:
+                break
+            middle = (cells.low + cells.high) / 2
+            cells = cells.halves(*sample(middle, cells.index))
+    if len(cells) > most:
+        found.append(cells)
+        undecided = len(cells)
+    elif len(cells):
+        cells, touched = _joined(cells)
+        found.append(cells)
+    parts = [_brackets(each, direction) for each in found]
+    low, high, index = (np.concatenate(column) for column in zip(*parts, strict=True))
+    share = refine(lambda x, k: value(x, index[k]), low, high)
+    order = np.lexsort((share, index))
+    order = order[np.isfinite(share[order])]
+    return Isolated(share[order], index[order], touched, undecided)
+
+
+def _brackets(cells: Cells, direction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    crossed = changes(*cells.values, direction)
+    return cells.low[crossed], cells.high[crossed], cells.index[crossed]
+
+
+def _joined(cells: Cells) -> tuple[Cells, list[tuple[float, int]]]:
+    """Neighbouring parts as one, of which round-off decides: only signs at its ends count.
+
+    Also the places of those whose ends have one sign, where the function is as small as at a
+    tangency, not large as at a pole.
+    """
+    cells = cells[np.lexsort((cells.low, cells.index))]
+    apart = (np.diff(cells.index) != 0) | (cells.low[1:] != cells.high[:-1])
+    first = np.flatnonzero(np.concatenate(([True], apart)))
+    last = np.append(first[1:], len(cells)) - 1
+    joined = {
+        name: np.stack((getattr(cells, name)[0, first], getattr(cells, name)[1, last]))
+        for name in ("values", "states", "rates")
+    }
+    others = {name: getattr(cells, name)[first] for name in ("index", "low", "width", "bends")}
+    groups = Cells(**joined, **others, high=cells.high[last], scale=cells.scale[first])
+    size = np.abs(groups.values).max(axis=0)
+    continuous = ~(size > _TOUCHES * groups.scale)  # no pole and no jump
+    touches = continuous & ~changes(*groups.values)
+    places = zip(groups.low[touches].tolist(), groups.index[touches].tolist(), strict=True)
+    return groups[continuous], list(places)
