@@ -18,7 +18,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from hamsym.numerics.collocation import collocation
-from hamsym.orbits.arc import Arc, NewtonSystem, Problem
+from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.newton_system import NewtonSystem
 from hamsym.orbits.orbit import PeriodicOrbit, solved_orbit
 from hamsym.orbits.period import period_of
 from hamsym.orbits.search import anchor_of
