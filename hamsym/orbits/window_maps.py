@@ -1,4 +1,9 @@
-"""The equations of collocation in the windows of an arc, solved for the points of each window."""
+"""The equations of collocation in the windows of an arc, solved for the points of each window.
+
+Residuals are evaluated in extended precision (numpy.longdouble, where it is more than float64):
+their round-off is what limits the accuracy of an orbit, because close encounters multiply it by
+many thousands. Newton's matrix is needed in float64 only.
+"""
 
 from __future__ import annotations
 
@@ -60,9 +65,7 @@ class WindowMaps:
             found = ParameterForcing(problem.H, (problem.parameter,))(states, times)
             forcing[..., 2] = found.reshape(windows, nodes, dim) * lengths
         inside, last = rule.integration[:-1], rule.integration[-1]
-        moved = lengths * rates
-        starts, stops = arc.ends[:-1][block], arc.ends[1:][block]
-        residual = starts[:, None] + np.einsum("ij,kjd->kid", inside, moved) - values
+        residual, gaps = self._residuals(block, states, times)
         columns = np.zeros((windows, nodes, dim, dim + 4))
         columns[..., :dim] = np.eye(dim)
         columns[..., dim:] = np.einsum("ij,kjdc->kidc", inside, forcing)
@@ -78,8 +81,33 @@ class WindowMaps:
         driven[..., dim:] += forcing
         ends = np.einsum("j,kjac->kac", last, driven)
         ends[..., :dim] += np.eye(dim)
-        ends[..., dim + 3] += starts - stops + np.einsum("j,kjd->kd", last, moved)
+        ends[..., dim + 3] += gaps
         self.inside[block], self.ends[block], self.residual[block] = solution, ends, residual
+
+    def _residuals(
+        self, block: slice, states: np.ndarray, times: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals at the points and at the ends of some of the windows."""
+        arc, values = self._arc, self._arc.values[block]
+        rates = _extended_rates(self._problem, states, times).reshape(values.shape)
+        edges = arc.edges.astype(np.longdouble)
+        widths = np.diff(edges)[block] / self._problem.closing.parts
+        moved = rates * (widths * arc.period)[:, None, None]
+        integrals = np.einsum(
+            "ij,kjd->kid", collocation(values.shape[1]).extended_integration, moved
+        )
+        starts, stops = arc.ends[:-1][block], arc.ends[1:][block]
+        residual = integrals[:, :-1] + starts[:, None] - values
+        return residual.astype(float), (integrals[:, -1] + starts - stops).astype(float)
+
+
+def _extended_rates(problem: Problem, states: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The vector field in extended precision, where its functions have it."""
+    field = flow_of(problem.H).vector_field
+    try:
+        return field(states.astype(np.longdouble), times.astype(np.longdouble))
+    except TypeError:
+        return field(states, times)
 
 
 def _each_solved(matrices: np.ndarray, columns: np.ndarray) -> np.ndarray:
