@@ -284,7 +284,7 @@ def converged(problem: Problem, arc: Arc) -> Found:
             slow += share < _SLOW
             if slow > _MOST_SLOW:
                 return Found(trial, after, "Newton's method is too slow from this guess")
-            stalled = step.size <= 1e-9 and after.size > 0.3 * step.size
+            stalled = step.size <= 1e-7 and after.size > 0.3 * step.size
             arc, step = trial, after
             if stalled:
                 return Found(arc, step)
