@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
+from scipy.linalg import lapack
 
 __all__ = ["CondensedWindows", "solved"]
 
@@ -98,9 +99,9 @@ def solved(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, bool]:
         return np.full(matrix.shape[1], math.nan), True
     rows, columns = matrix.shape
     if rows == columns:
-        factors = scipy.linalg.lu_factor(matrix, check_finite=False)
-        rcond, _ = scipy.linalg.lapack.dgecon(factors[0], np.abs(matrix).sum(axis=0).max())
-        if rcond > _SINGULAR:
-            return scipy.linalg.lu_solve(factors, right, check_finite=False), False
+        factor, pivots, info = lapack.dgetrf(matrix)
+        rcond, _ = lapack.dgecon(factor, np.abs(matrix).sum(axis=0).max())
+        if info == 0 and rcond > _SINGULAR:
+            return np.asarray(lapack.dgetrs(factor, pivots, right)[0]), False
     solution, _, rank, _ = scipy.linalg.lstsq(matrix, right, cond=_RANK, lapack_driver="gelsy")
     return solution, rows >= columns or rank < rows

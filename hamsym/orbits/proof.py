@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 __all__ = ["prove_orbit"]
 
 _BITS = 128
-_WINDOWS = 3  # of the numerical arc in a piece, about
+_WINDOWS = 2  # of the numerical arc in a piece, about
 _MOST_PIECES = 32
 _TRIES = 6  # at a ball around the numerical orbit
 _WIDEST = 1e-1  # relative radius of balls that are tried for uniqueness

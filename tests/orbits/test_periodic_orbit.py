@@ -303,6 +303,35 @@ def test_stability_of_a_saddle_and_of_a_centre():
         assert np.trace(orbit.monodromy) - 2 == pytest.approx(expected, rel=1e-11)
 
 
+@pytest.mark.parametrize(
+    ("H", "guess", "word"),
+    [
+        ("p**2/2 - cos(x)", [2.0, 0.0], "parabolic"),
+        ("p**2/2 + 2*x**2", [1.0, 0.0], "elliptic"),
+        # the period depends on the energy, and there are two integrals of two degrees of freedom
+        ("(p_x**2 + p_y**2)/2 + (x**2 + y**2)**2/4", ([1.0, 0, 0, 1.0], 6.0), "parabolic"),
+        ("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2", ([1.0, 0, 0.2, 0.7], 6.28), "elliptic"),
+    ],
+)
+def test_orbit_without_other_multipliers_is_judged_by_its_shear(H, guess, word):
+    orbit = hamsym.periodic_orbit(H, guess)
+    assert orbit.success
+    assert len(orbit.shift_multipliers) == 0
+    assert (orbit.multipliers == 1).all()
+    assert orbit.stability == word
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_figure_eight_is_elliptic_without_its_eight_integrals(symmetric):
+    symmetry = eight_symmetries() if symmetric else None
+    orbit = hamsym.periodic_orbit(three_bodies(), (EIGHT, 6.3259), symmetry=symmetry)
+    # 12 components, less 2 and 2 of the centre of mass, 1 and 1 of rotations, 2 of the flow
+    assert len(orbit.shift_multipliers) == 4
+    assert orbit.stability == "elliptic"
+    for expected in (0.998599982092 + 0.052896826792j, -0.297596667517 + 0.954691690528j):
+        assert np.abs(orbit.multipliers - expected).min() < 1e-8
+
+
 # -- bad input -------------------------------------------------------------------------------------
 
 
