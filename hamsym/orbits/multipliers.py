@@ -58,22 +58,29 @@ def reduced_map(
     >>> np.round(np.abs(np.angle(np.linalg.eigvals(reduced))), 12)
     array([0.3, 0.3])
     """
-    scaled = matrix * scale / scale[:, None]
-    slopes = gradients * scale
+    units = _canonical(scale)
+    scaled = matrix * units / units[:, None]
+    slopes = gradients * units
     if not all(np.isfinite(part).all() for part in (scaled, slopes)):
         return np.full(matrix.shape, math.nan)
     slopes = _basis(slopes)
     # J grad I, and those combinations whose brackets with all integrals vanish
-    fields = poisson_product((slopes / scale).T) / scale[:, None]
-    brackets = slopes @ fields
-    size = np.linalg.norm(fields, 2) if fields.size else 0.0
-    singular, right = scipy.linalg.svd(brackets)[1:] if fields.size else (np.zeros(0), brackets)
-    inside = fields @ right[singular <= _RANK * size].T
-    trivial = np.concatenate([slopes, _basis(inside.T)])
+    fields = poisson_product(slopes.T)
+    trivial = slopes
+    if len(slopes):
+        _, singular, right = scipy.linalg.svd(slopes @ fields)
+        trivial = np.concatenate([slopes, (fields @ right[singular <= _RANK].T).T])
     if rate is not None:
-        trivial = np.concatenate([trivial, _basis(rate[None] / scale)])
+        trivial = np.concatenate([trivial, _basis(rate[None] / units)])
     across = scipy.linalg.null_space(trivial, rcond=_RANK) if len(trivial) else np.eye(len(scale))
     return np.asarray(across.T @ scaled @ across)
+
+
+def _canonical(scale: np.ndarray) -> np.ndarray:
+    """Units of the same ratios of coordinates to momenta, with products 1: a canonical change."""
+    q, p = np.split(scale, 2)
+    ratio = np.sqrt(q / p)
+    return np.concatenate([ratio, 1 / ratio])
 
 
 def _basis(rows: np.ndarray) -> np.ndarray:
@@ -88,7 +95,8 @@ def _basis(rows: np.ndarray) -> np.ndarray:
 
 def has_shear(monodromy: np.ndarray, scale: np.ndarray) -> bool:
     """Whether a monodromy matrix differs from the identity by more than round-off."""
-    excess = (monodromy - np.eye(len(scale))) * scale / scale[:, None]
+    units = _canonical(scale)
+    excess = (monodromy - np.eye(len(units))) * units / units[:, None]
     return bool(np.abs(excess).max() > _SHEAR)
 
 

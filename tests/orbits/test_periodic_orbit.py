@@ -308,8 +308,8 @@ def test_stability_of_a_saddle_and_of_a_centre():
     [
         ("p**2/2 - cos(x)", [2.0, 0.0], "parabolic"),
         ("p**2/2 + 2*x**2", [1.0, 0.0], "elliptic"),
-        # the period depends on the energy, and there are two integrals of two degrees of freedom
-        ("(p_x**2 + p_y**2)/2 + (x**2 + y**2)**2/4", ([1.0, 0, 0, 1.0], 6.0), "parabolic"),
+        # two integrals of two degrees of freedom
+        ("(p_x**2 + p_y**2)/2 + (x**2 + y**2)**2/4", ([1.0, 0, 0, 0], 7.4), "parabolic"),
         ("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2", ([1.0, 0, 0.2, 0.7], 6.28), "elliptic"),
     ],
 )
@@ -329,7 +329,7 @@ def test_figure_eight_is_elliptic_without_its_eight_integrals(symmetric):
     assert len(orbit.shift_multipliers) == 4
     assert orbit.stability == "elliptic"
     for expected in (0.998599982092 + 0.052896826792j, -0.297596667517 + 0.954691690528j):
-        assert np.abs(orbit.multipliers - expected).min() < 1e-8
+        assert np.abs(orbit.multipliers - expected).min() < 1e-7
 
 
 # -- bad input -------------------------------------------------------------------------------------
