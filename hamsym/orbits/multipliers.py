@@ -100,9 +100,7 @@ def has_shear(monodromy: np.ndarray, scale: np.ndarray) -> bool:
     return bool(np.abs(excess).max() > _SHEAR)
 
 
-def stability_of(
-    multipliers: np.ndarray, *, conservative: bool = True, shear: bool = False
-) -> str:
+def stability_of(multipliers: np.ndarray, *, conservative: bool = True, shear: bool = False) -> str:
     """Return the word for the linear stability that nontrivial multipliers imply.
 
     - "elliptic": all are on the unit circle, and none is 1 or -1;

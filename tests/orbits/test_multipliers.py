@@ -113,6 +113,8 @@ def test_words_for_pairs_of_multipliers(multipliers, word):
     assert stability_of(np.array(multipliers)) == word
 
 
-@pytest.mark.parametrize(("slope", "word"), [(3.0, "parabolic"), (-1e-4, "parabolic"), (0.0, "elliptic")])
+@pytest.mark.parametrize(
+    ("slope", "word"), [(3.0, "parabolic"), (-1e-4, "parabolic"), (0.0, "elliptic")]
+)
 def test_shear_decides_where_no_multiplier_is_left(slope, word):
     assert stability_of(np.array([]), shear=has_shear(shear(slope), np.ones(2))) == word

@@ -64,7 +64,8 @@ def closure(orbit, axes):
 
 
 @pytest.mark.parametrize(
-    "name", ["moth I", *(pytest.param(n, marks=pytest.mark.slow) for n in ("butterfly I", "yin-yang I"))]
+    "name",
+    ["moth I", *(pytest.param(n, marks=pytest.mark.slow) for n in ("butterfly I", "yin-yang I"))],
 )
 def test_published_orbit_is_found_and_closes(name):
     guess, period = published(name)
