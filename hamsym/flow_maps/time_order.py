@@ -21,7 +21,7 @@ def require_order(map: Any, span: tuple[float, float]) -> None:
 
     Parameters
     ----------
-    map : Leg, Chain, Split or NetworkMap
+    map : Leg, Chain or Split
     span : (float, float)
 
     Raises
@@ -48,10 +48,8 @@ def require_order(map: Any, span: tuple[float, float]) -> None:
         for side in (map.low, map.high):
             require_order(side, span)
     else:
-        if isinstance(map, Leg):
-            _require_pieces(map, direction)
-        length = map.edges[-1] if isinstance(map, Leg) else map.length
-        if not abs(start + length - end) <= _ROUND_OFF * max(abs(start), abs(end)):
+        _require_pieces(map, direction)
+        if not abs(start + map.edges[-1] - end) <= _ROUND_OFF * max(abs(start), abs(end)):
             raise ValueError("a leg does not end where the next one starts, or with its span")
 
 

@@ -39,10 +39,11 @@ class OrbitCertificate(Shown):
         Contains dz(T)/dz0 of the true orbit over one shift of its symmetry, and back by it; over
         the period without a symmetry. Shape (dim, dim).
     stability : str
-        "elliptic", "hyperbolic", "inverse hyperbolic", "unstable", or "undecided". All but the
-        last are proven: multipliers of one shift of the symmetry other than the trivial ones are
-        simple and on the unit circle, or at least one of them is off it. With forces "attracting",
-        "repelling" or "unstable": all are inside the circle, outside it, or at least one is.
+        As :attr:`PeriodicOrbit.stability`, of one shift of the symmetry: "elliptic", "hyperbolic"
+        or "mixed" with pairs that are proven to be simple, "complex unstable" of two pairs,
+        "parabolic" where no pair is left; "unstable" if only one pair is proven to be off the unit
+        circle; or "undecided". All but the last are proven. With forces "attracting", "repelling"
+        or "unstable": all are inside the circle, outside it, or at least one is.
     pieces : int
     seconds : float
         Run time of the proof.

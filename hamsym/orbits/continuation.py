@@ -18,7 +18,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from hamsym.numerics.collocation import collocation
-from hamsym.orbits.arc import Arc, NewtonSystem, Problem
+from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.newton_system import NewtonSystem
 from hamsym.orbits.orbit import PeriodicOrbit, solved_orbit
 from hamsym.orbits.period import period_of
 from hamsym.orbits.search import anchor_of
@@ -351,6 +352,8 @@ def _close(here: _Point, there: _Point) -> bool:
         multipliers = point.orbit.shift_multipliers
         with np.errstate(all="ignore"):
             sums.append(np.sort_complex(multipliers + 1 / multipliers))
+    if len(sums[0]) != len(sums[1]):  # an integral, as the angular momentum, is zero for one
+        return True
     change = np.abs(sums[1] - sums[0])
     return bool((change <= _MOST_CHANGE * np.maximum(1.0, np.abs(sums[0]))).all())
 

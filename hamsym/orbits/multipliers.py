@@ -1,4 +1,12 @@
-"""Floquet multipliers of periodic orbits and their kinds."""
+"""Floquet multipliers of periodic orbits and the words for their stability.
+
+Along a periodic orbit each integral I of H has trivial multipliers 1: its gradient is a left
+eigenvector of the monodromy matrix, and the direction J grad I of its symmetry a right one. Each
+such pair is, in general, a Jordan block, so that round-off moves the computed eigenvalues by its
+square root. They are therefore left out by their directions, not by their distance from 1
+(:func:`reduced_map`). What is left has the words of :func:`stability_of`, which
+:mod:`hamsym.orbits.proven_stability` proves.
+"""
 
 from __future__ import annotations
 
@@ -7,51 +15,123 @@ import math
 import numpy as np
 import scipy.linalg
 
-__all__ = ["reduced_map", "stability_of"]
+from hamsym.numerics.symplectic import poisson_product
+
+__all__ = ["has_shear", "reduced_map", "stability_of"]
 
 _PARABOLIC = 1e-5  # distance of a multiplier from 1 or -1 that round-off may cause
 _ON_CIRCLE = 1e-6  # distance of |multiplier| from 1 that round-off may cause
+_SHEAR = 1e-9  # entries of a monodromy matrix without the identity that are no round-off
+_RANK = 1e-8  # singular values relative to the largest that count as zero
 
 
 def reduced_map(
-    matrix: np.ndarray, rate: np.ndarray, slope: np.ndarray | None, scale: np.ndarray
+    matrix: np.ndarray, gradients: np.ndarray, rate: np.ndarray | None, scale: np.ndarray
 ) -> np.ndarray:
-    """Return the map of states across the flow, and within the level of H where that is conserved.
+    """Return the map of states within the level of all integrals, across their symmetries.
 
-    The matrix maps the vector field to itself and the level of H to itself; the reduced map acts on
-    the level modulo the field, so that no multiplier is lost or doubled.
+    The matrix maps the tangent space V of the level to itself, and those directions J grad I, with
+    integrals I, that lie in V: the symmetries that keep the values of all integrals, among them the
+    flow. The reduced map acts on V modulo these, in an orthonormal basis. Of integrals that do not
+    commute, as the angular momenta of a motion in space, fewer directions lie in V.
 
     Parameters
     ----------
     matrix : numpy.ndarray
-        Shape (dim, dim).
-    rate : numpy.ndarray
-        The vector field, shape (dim,).
-    slope : numpy.ndarray or None
-        The gradient of a conserved H.
+        Of a symplectic map if there are integrals, shape (dim, dim).
+    gradients : numpy.ndarray
+        Of the integrals, shape (n, dim); they may depend on each other.
+    rate : numpy.ndarray or None
+        A vector field that the matrix maps to itself, beside those of the integrals.
     scale : numpy.ndarray
         Units of the components.
+
+    Examples
+    --------
+    A shear and a rotation by 0.3; the first momentum is an integral:
+
+    >>> shear = np.array([[1.0, 7.0], [0.0, 1.0]])
+    >>> c, s = np.cos(0.3), np.sin(0.3)
+    >>> matrix = np.zeros((4, 4))
+    >>> matrix[::2, ::2], matrix[1::2, 1::2] = shear, [[c, s], [-s, c]]
+    >>> reduced = reduced_map(matrix, np.array([[0, 0, 1.0, 0]]), None, np.ones(4))
+    >>> np.round(np.abs(np.angle(np.linalg.eigvals(reduced))), 12)
+    array([0.3, 0.3])
     """
-    scaled = matrix * scale / scale[:, None]
-    trivial = [rate / scale] if slope is None else [rate / scale, slope * scale]
-    if not (np.isfinite(scaled).all() and all(0 < _length(part) < math.inf for part in trivial)):
-        left = len(matrix) - len(trivial)
-        return np.full((left, left), math.nan)
-    across = scipy.linalg.null_space(np.array([part / _length(part) for part in trivial]))
+    units = _canonical(scale)
+    scaled = matrix * units / units[:, None]
+    slopes = gradients * units
+    if not all(np.isfinite(part).all() for part in (scaled, slopes)):
+        return np.full(matrix.shape, math.nan)
+    slopes = _basis(slopes)
+    # J grad I, and those combinations whose brackets with all integrals vanish
+    fields = poisson_product(slopes.T)
+    trivial = slopes
+    if len(slopes):
+        _, singular, right = scipy.linalg.svd(slopes @ fields)
+        trivial = np.concatenate([slopes, (fields @ right[singular <= _RANK].T).T])
+    if rate is not None:
+        trivial = np.concatenate([trivial, _basis(rate[None] / units)])
+    across = scipy.linalg.null_space(trivial, rcond=_RANK) if len(trivial) else np.eye(len(scale))
     return np.asarray(across.T @ scaled @ across)
 
 
-def _length(vector: np.ndarray) -> float:
-    return float(np.linalg.norm(vector))
+def _canonical(scale: np.ndarray) -> np.ndarray:
+    """Units of the same ratios of coordinates to momenta, with products 1: a canonical change."""
+    q, p = np.split(scale, 2)
+    ratio = np.sqrt(q / p)
+    return np.concatenate([ratio, 1 / ratio])
 
 
-def stability_of(multipliers: np.ndarray, *, conservative: bool = True) -> str:
-    """Return the kind of linear stability that multipliers other than the trivial ones imply.
+def _basis(rows: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of the span of rows of any sizes."""
+    lengths = np.linalg.norm(rows, axis=1)
+    rows = rows[lengths > 0] / lengths[lengths > 0, None]
+    if not len(rows):
+        return rows
+    _, singular, right = scipy.linalg.svd(rows, full_matrices=False)
+    return np.asarray(right[singular > _RANK * singular[0]])
+
+
+def has_shear(monodromy: np.ndarray, scale: np.ndarray) -> bool:
+    """Whether a monodromy matrix differs from the identity by more than round-off."""
+    units = _canonical(scale)
+    excess = (monodromy - np.eye(len(units))) * units / units[:, None]
+    return bool(np.abs(excess).max() > _SHEAR)
+
+
+def stability_of(multipliers: np.ndarray, *, conservative: bool = True, shear: bool = False) -> str:
+    """Return the word for the linear stability that nontrivial multipliers imply.
+
+    - "elliptic": all are on the unit circle, and none is 1 or -1;
+    - "hyperbolic": all are real, in pairs m, 1/m off the unit circle;
+    - "complex unstable": all are in quadruplets m, 1/m and their conjugates off the unit circle;
+    - "parabolic": all are 1 or -1, up to round-off;
+    - "mixed": of different kinds;
+    - "unknown": not finite.
+
+    Where none is left: "parabolic" with a shear, by which neighbours drift apart linearly, as those
+    of an orbit of a pendulum with other periods do; "elliptic" without one, where all neighbours
+    are periodic as well, as those of a harmonic oscillator.
+
+    With forces multipliers have no pairs: "attracting" if all are inside the unit circle,
+    "repelling" if all are outside, else "mixed".
+
+    Parameters
+    ----------
+    multipliers : numpy.ndarray
+        Of the period, without the trivial ones.
+    conservative : bool
+        Whether there are no forces.
+    shear : bool
+        Whether the monodromy matrix is not the identity.
 
     Examples
     --------
     >>> stability_of(np.exp([0.3j, -0.3j])), stability_of(np.array([-2.0, -0.5]))
-    ('elliptic', 'inverse hyperbolic')
+    ('elliptic', 'hyperbolic')
+    >>> stability_of(np.array([]), shear=True)
+    'parabolic'
     """
     sizes = np.abs(multipliers)
     if not np.isfinite(sizes).all():
@@ -60,16 +140,15 @@ def stability_of(multipliers: np.ndarray, *, conservative: bool = True) -> str:
         if (sizes < 1 - _ON_CIRCLE).all():
             return "attracting"
         return "repelling" if (sizes > 1 + _ON_CIRCLE).all() else "mixed"
-    kinds = set()
-    for value, size in zip(multipliers, sizes, strict=True):
-        if min(abs(value - 1), abs(value + 1)) < _PARABOLIC:
-            kinds.add("parabolic")
-        elif abs(size - 1) < _ON_CIRCLE:
-            kinds.add("elliptic")
-        elif abs(value.imag) > _PARABOLIC * size:
-            kinds.add("complex")
-        else:
-            kinds.add("hyperbolic" if value.real > 0 else "inverse hyperbolic")
+    kinds = {_kind(complex(value)) for value in multipliers}
     if not kinds:
-        return "elliptic"
+        return "parabolic" if shear else "elliptic"
     return kinds.pop() if len(kinds) == 1 else "mixed"
+
+
+def _kind(value: complex) -> str:
+    if min(abs(value - 1), abs(value + 1)) < _PARABOLIC:
+        return "parabolic"
+    if abs(abs(value) - 1) < _ON_CIRCLE:
+        return "elliptic"
+    return "complex unstable" if abs(value.imag) > _PARABOLIC * abs(value) else "hyperbolic"

@@ -17,7 +17,8 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.arc import Arc, Problem
-from hamsym.orbits.multipliers import reduced_map, stability_of
+from hamsym.orbits.integrals import gradients_of_integrals
+from hamsym.orbits.multipliers import has_shear, reduced_map, stability_of
 from hamsym.orbits.period import period_of
 from hamsym.orbits.search import check, first_arc, first_return, refined, vector_field_at
 from hamsym.orbits.symmetry import closing_of
@@ -165,13 +166,13 @@ class PeriodicOrbit(Shown):
 
     @cached_property
     def _reduced(self) -> np.ndarray:
-        """The shift map without the direction of the flow and without that across energies."""
-        if not self.problem.autonomous:
-            return self.shift_map
-        system, scale = self.H.compile("numpy"), self.arc.scale
-        slope = np.asarray(system.gradient(self.z0)) if self.problem.conservative else None
-        rate = vector_field_at(self.H, self.z0, self.problem.start)
-        return reduced_map(self.shift_map, rate, slope, scale)
+        """The shift map without the directions of integrals and of their symmetries."""
+        problem, z0 = self.problem, self.z0
+        gradients = gradients_of_integrals(self.H, z0, problem.closing.shift)
+        rate = vector_field_at(self.H, z0, problem.start) if problem.autonomous else None
+        if problem.conservative:
+            rate = None  # that of H
+        return reduced_map(self.shift_map, gradients, rate, self.arc.scale)
 
     @cached_property
     def shift_multipliers(self) -> np.ndarray:
@@ -191,7 +192,9 @@ class PeriodicOrbit(Shown):
     def multipliers(self) -> np.ndarray:
         """Eigenvalues of the monodromy matrix, the largest first, shape (dim,), complex.
 
-        If H has no explicit time one of them is 1, and two if energy is conserved; these are set.
+        The trivial ones, which integrals of H and the flow imply, are set to 1: if H has no
+        explicit time one, two if energy is conserved, and up to two more for each further integral
+        that :meth:`hamsym.Hamiltonian.invariants` finds.
         """
         found = self.shift_multipliers**self.problem.closing.order
         found = np.append(found, np.ones(self.H.dim - len(found)))
@@ -199,15 +202,15 @@ class PeriodicOrbit(Shown):
 
     @cached_property
     def stability(self) -> str:
-        """ "elliptic", "hyperbolic", "inverse hyperbolic", "complex", "mixed", or "parabolic".
+        """Linear stability, from the multipliers other than the trivial ones.
 
-        Linear stability, from the multipliers other than the trivial ones: all on the unit circle;
-        off it, positive, negative or complex; of different kinds; or too close to 1 or -1 to tell;
-        "unknown" where a failed orbit is not finite.
-        For an H with forces: "attracting", "repelling", or "mixed".
+        "elliptic", "hyperbolic", "complex unstable", "parabolic" or "mixed", and "unknown" where a
+        failed orbit is not finite; with forces "attracting", "repelling" or "mixed". The page
+        Words of the documentation defines them.
         """
         multipliers = self.shift_multipliers**self.problem.closing.order
-        return stability_of(multipliers, conservative=not self.H.forces)
+        shear = not len(multipliers) and has_shear(self.monodromy, self.arc.scale)
+        return stability_of(multipliers, conservative=not self.H.forces, shear=shear)
 
     # -- consumers ----------------------------------------------------------------------------
 

@@ -11,8 +11,11 @@ from flint import arb
 __all__ = ["proven_attraction", "proven_stability"]
 
 
-def proven_stability(matrix: Any, order: int, autonomous: bool) -> str:
-    """Return the kind of stability that holds for every symplectic matrix in a matrix of balls.
+def proven_stability(matrix: Any, autonomous: bool) -> str:
+    """Return the word for the stability of every symplectic matrix in a matrix of balls.
+
+    Words are those of :func:`hamsym.orbits.multipliers.stability_of`, without "mixed" where none
+    is proven for all pairs: then "unstable" if one of them is proven to be off the unit circle.
 
     The multipliers of a shift come in pairs m, 1/m. With the trivial pair divided out, the
     characteristic polynomial is one of m + 1/m, whose signs between its roots are tested.
@@ -21,8 +24,6 @@ def proven_stability(matrix: Any, order: int, autonomous: bool) -> str:
     ----------
     matrix : arb_mat
         The derivative over one shift.
-    order : int
-        Shifts in a period.
     autonomous : bool
         Whether there is a trivial pair.
     """
@@ -32,40 +33,41 @@ def proven_stability(matrix: Any, order: int, autonomous: bool) -> str:
         coefficients = _divided(coefficients)
     n = (len(coefficients) - 1) // 2
     if n == 0:
-        return "elliptic"
-
-    def value(rho: float) -> Any:
-        before, last, found = arb(2), arb(rho), coefficients[n]
-        for j in range(1, n + 1):
-            found = found + coefficients[n + j] * last
-            before, last = last, arb(rho) * last - before
-        return found
-
+        size = matrix.nrows()
+        excess = [matrix[i, j] - (i == j) for i in range(size) for j in range(size)]
+        return "parabolic" if any(entry != 0 for entry in excess) else "undecided"
     middles = np.array([float(entry.mid()) for entry in coefficients])
     if not np.isfinite(middles).all():
         return "undecided"
     roots = np.roots(middles[::-1])
     sums = roots + 1 / np.where(roots == 0, np.inf, roots)
-    real = np.unique(np.round(sums.real[np.abs(sums.imag) < 1e-6 * (1 + np.abs(sums))], 9))
-    inside = real[np.abs(real) < 2]
-    if len(inside) == n:
-        marks = [-2.0, *((inside[1:] + inside[:-1]) / 2).tolist(), 2.0]
-        signs = [_sign(value(mark)) for mark in marks]
-        if all(a * b == -1 for a, b in pairwise(signs)):
-            return "elliptic"
-    above, below = _sign(value(2.0)), _sign(value(-2.0)) * (-1) ** n
-    if above == -1:  # a pair of positive real multipliers
-        return "hyperbolic" if n == 1 else "unstable"
-    if below == -1:
-        if n > 1:
-            return "unstable"
-        return "inverse hyperbolic" if order % 2 else "hyperbolic"
-    # The sign far out is that of 1 and of (-1)^n; another one has a real pair beyond it.
-    for mark in ((real[1:] + real[:-1]) / 2).tolist():
-        sign = _sign(value(mark))
-        if (mark > 2 and sign == -1) or (mark < -2 and sign * (-1) ** n == -1):
+    real = np.sort(sums.real[np.abs(sums.imag) < 1e-6 * (1 + np.abs(sums))])
+    apart = np.diff(real) > 1e-6 * (1 + np.abs(real[1:]))  # m and 1/m have the same sum
+    marks = np.unique([-2.0, *((real[1:] + real[:-1])[apart] / 2).tolist(), 2.0]).tolist()
+    # Far out the polynomial, whose first coefficient is 1, has the signs of (-1)^n and 1.
+    signs = [(-1) ** n, *(_sign(_of_sums(coefficients, mark)) for mark in marks), 1]
+    changes = [a * b == -1 for a, b in pairwise(signs)]
+    if 0 not in signs and sum(changes) == n:
+        low, high = marks.index(-2.0) + 1, marks.index(2.0) + 1
+        inside = sum(changes[low:high])
+        return "elliptic" if inside == n else "mixed" if inside else "hyperbolic"
+    if n == 2 and coefficients[3] ** 2 < 4 * (coefficients[2] - 2):
+        return "complex unstable"
+    # Another sign at a mark than farther out has a real pair beyond it.
+    for mark, sign in zip(marks, signs[1:-1], strict=True):
+        if (mark >= 2 and sign == -1) or (mark <= -2 and sign * (-1) ** n == -1):
             return "unstable"
     return "undecided"
+
+
+def _of_sums(coefficients: list[Any], rho: float) -> Any:
+    """A characteristic polynomial of pairs m, 1/m, as one of rho = m + 1/m."""
+    n = (len(coefficients) - 1) // 2
+    before, last, found = arb(2), arb(rho), coefficients[n]
+    for j in range(1, n + 1):
+        found = found + coefficients[n + j] * last
+        before, last = last, arb(rho) * last - before
+    return found
 
 
 def proven_attraction(matrix: Any, autonomous: bool) -> str:

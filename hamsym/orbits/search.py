@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import DOP853, DenseOutput, OdeSolution
+from scipy.optimize import minimize_scalar
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import floored_sizes
-from hamsym.orbits.arc import Arc, NewtonSystem, Problem, Step
+from hamsym.orbits.arc import Arc, Problem
+from hamsym.orbits.newton_system import NewtonSystem, Step
 from hamsym.orbits.symmetry import Closing
 from hamsym.random_features.flow import flow_of
 
@@ -36,12 +38,14 @@ _SLOW, _MOST_SLOW = 0.1, 4  # share of a step that is slow, and the number of sl
 _CONVERGED = 1e-12  # size of a correction; later ones are round-off
 _TAIL = 1e-13  # coefficients that a window leaves out, relative to the components
 _REFINEMENTS = 12
-_MOST_WINDOWS = 200
-_STEPS_PER_WINDOW = 2  # of DOP853 with a tolerance of 1e-10
+_MOST_WINDOWS = 10_000
+_MOST_ENTRIES = 50_000_000  # of the derivatives at the points of all windows
+_STEPS_PER_WINDOW = 3  # of DOP853 with a tolerance of 1e-10
 _MOST_STEPS = 5000  # of DOP853 in the search for a return
 _HORIZONS = 6  # times that the search for a return doubles its time
 _NEAR = 0.1  # distance of a return that ends the search, relative to the motion
 _LEAST = 1e-3  # size of a component relative to the largest of its half
+_AROUND, _PLACES = 1e-2, 401  # share of the period around which a return is looked for, and times
 _FAR = 0.5  # distance of a return from which Newton's method has no chance
 
 
@@ -78,8 +82,13 @@ def _nodes(H: Hamiltonian) -> int:
     return _NODES if H.dim < _MANY else _FEW_NODES
 
 
+def _most_windows(H: Hamiltonian) -> int:
+    """The number of windows whose derivatives fit into memory."""
+    return min(_MOST_WINDOWS, _MOST_ENTRIES // (_nodes(H) * H.dim * (H.dim + 4)))
+
+
 def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
-    """Integrate an arc from a guess.
+    """Integrate an arc from a guess, to its nearest return where the period is unknown.
 
     Raises
     ------
@@ -87,10 +96,14 @@ def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
         If the trajectory does not reach the end of the arc.
     """
     duration = period / problem.closing.parts
-    span = (problem.start, problem.start + duration)
+    free = problem.autonomous and problem.period is None
+    longest = duration * (1 + _AROUND if free else 1)
+    span = (problem.start, problem.start + longest)
     sizes = _sizes(problem.H, state, problem.start)[1]
-    most = _STEPS_PER_WINDOW * (_MOST_WINDOWS + 1)
-    found, reached = _integrated(_rates(problem.H), span, state, 1e-10, sizes, most)
+    windows = _most_windows(problem.H)
+    most = _STEPS_PER_WINDOW * (windows + 1)
+    found, _ = _integrated(_rates(problem.H), span, state, 1e-10, sizes, most)
+    reached = found.ts[-1] >= problem.start + duration
     if not reached and len(found.ts) <= most:
         raise InputError(
             f"the trajectory of the guess ends at t = {found.ts[-1]:.6g}, before its period; give "
@@ -99,16 +112,44 @@ def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
     if not reached:
         raise InputError(
             f"the period {period:.6g} of the guess is too long for the motion: it would take more "
-            f"than {_MOST_WINDOWS} windows; give a guess with a shorter period"
+            f"than {windows:,} windows; give a guess with a shorter period"
         )
+    if free and found.ts[-1] == span[1]:
+        duration = _nearest_return(found, problem.closing, duration)
+        period = duration * problem.closing.parts
     edges = (found.ts[::_STEPS_PER_WINDOW] - problem.start) / duration
-    edges = np.append(edges[: -1 if len(edges) > 1 and edges[-1] > 1 - 1e-9 else None], 1.0)
+    edges = np.append(edges[edges < 1 - 1e-9], 1.0)
     edges = edges if len(edges) > 3 else np.linspace(0, 1, 4)
     nodes = _nodes(problem.H)
     points = edges[:-1, None] + np.diff(edges)[:, None] * collocation(nodes).nodes
     states = found(problem.start + points.ravel() * duration).T
     ends = found(problem.start + edges * duration).T
     return Arc(edges, ends, states.reshape(*points.shape, -1), period)
+
+
+def _nearest_return(found: OdeSolution, closing: Closing, duration: float) -> float:
+    """The time near a duration at which a path, from its start, is nearest to closing.
+
+    An error of the period is large where the motion is fast, as in close encounters, and Newton's
+    method would have to shift these in time.
+    """
+    start = found.ts[0]
+    units = np.ptp(found(found.ts).T, axis=0)
+
+    def distance(times: np.ndarray) -> np.ndarray:
+        return _distances(closing, found(start + np.append(0.0, times)).T, units)[1:]
+
+    near = duration * np.linspace(1 - _AROUND, 1 + _AROUND, _PLACES)
+    k = int(np.argmin(distance(near)))
+    if k in (0, _PLACES - 1):
+        return duration
+    best = minimize_scalar(
+        lambda t: float(distance(np.array([t]))[0]),
+        bounds=(near[k - 1], near[k + 1]),
+        method="bounded",
+        options={"xatol": 1e-12 * duration},
+    )
+    return float(best.x)
 
 
 def first_return(H: Hamiltonian, closing: Closing, state: np.ndarray) -> float:
@@ -132,7 +173,7 @@ def first_return(H: Hamiltonian, closing: Closing, state: np.ndarray) -> float:
         path = found(times).T
         if not np.isfinite(path).all():
             break
-        distances = _distances(closing, path)
+        distances = _distances(closing, path, np.ptp(path, axis=0))
         low = np.flatnonzero(
             (distances[1:-1] <= distances[:-2]) & (distances[1:-1] < distances[2:])
         )
@@ -193,9 +234,9 @@ def _sizes(H: Hamiltonian, state: np.ndarray, time: float) -> tuple[float, np.nd
     return rate, floored_sizes(sizes, _LEAST)
 
 
-def _distances(closing: Closing, path: np.ndarray) -> np.ndarray:
+def _distances(closing: Closing, path: np.ndarray, extent: np.ndarray) -> np.ndarray:
     """Distances of a path from closing, relative to its extent."""
-    units = floored_sizes(np.ptp(path, axis=0), _LEAST)
+    units = floored_sizes(extent, _LEAST)
     if closing.last is not None:
         gaps = path @ closing.last.conditions.T / (np.abs(closing.last.conditions) @ units)
     else:
@@ -243,7 +284,7 @@ def converged(problem: Problem, arc: Arc) -> Found:
             slow += share < _SLOW
             if slow > _MOST_SLOW:
                 return Found(trial, after, "Newton's method is too slow from this guess")
-            stalled = step.size <= 1e-9 and after.size > 0.3 * step.size
+            stalled = step.size <= 1e-7 and after.size > 0.3 * step.size
             arc, step = trial, after
             if stalled:
                 return Found(arc, step)
@@ -264,7 +305,7 @@ def refined(problem: Problem, arc: Arc) -> Found:
             return found
         edges = found.arc.edges
         middles = (edges[1:] + edges[:-1])[wide] / 2
-        if len(edges) + len(middles) > _MOST_WINDOWS:
+        if len(edges) + len(middles) > _most_windows(problem.H):
             return replace(found, failure="the orbit was not resolved by the windows")
         found = converged(problem, found.arc.on(np.sort(np.append(edges, middles)), nodes))
     return replace(found, failure="the orbit was not resolved by the windows")

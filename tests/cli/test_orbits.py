@@ -16,7 +16,7 @@ def test_orbit_is_printed_with_its_stability(capsys: Captured) -> None:
     assert status == 0
     # 4 K(sin(1)^2)
     assert "period 8.34975292691" in out
-    assert "stability: elliptic" in out
+    assert "stability: parabolic" in out
 
 
 def test_orbit_with_family_proof_and_figure(capsys: Captured, tmp_path: Path) -> None:

@@ -353,11 +353,16 @@ def test_time_limit_ends_the_proof():
     ("multipliers", "expected"),
     [
         ([0.3j, 1.0j], "elliptic"),
-        ([0.5, 1.0j], "unstable"),
-        ([0.3 + 0.2j, 0.3 - 0.2j], "undecided"),
+        ([0.5, 1.0j], "mixed"),
+        ([0.5 + math.pi * 1j, 1.0j], "mixed"),
+        ([0.3 + 0.2j, 0.3 - 0.2j], "complex unstable"),
         ([1.0j, 1.0j], "undecided"),
-        ([0.5, 1.5], "unstable"),
-        ([0.5 + math.pi * 1j, 1.5 + math.pi * 1j], "unstable"),
+        ([0.5, 0.5], "undecided"),
+        ([1e-9, 1.0j], "undecided"),
+        ([1e-9, 0.5], "unstable"),
+        ([0.5, 1.5], "hyperbolic"),
+        ([0.5, 1.5 + math.pi * 1j], "hyperbolic"),
+        ([0.5 + math.pi * 1j, 1.5 + math.pi * 1j], "hyperbolic"),
     ],
 )
 def test_stability_of_matrices_with_known_multipliers(multipliers, expected):
@@ -367,7 +372,18 @@ def test_stability_of_matrices_with_known_multipliers(multipliers, expected):
     companion = np.diag(np.ones(3), -1)
     companion[0] = -coefficients[1:]
     matrix = flint.arb_mat([[flint.arb(v, 1e-12) for v in row] for row in companion.tolist()])
-    assert proven_stability(matrix, 1, autonomous=False) == expected
+    assert proven_stability(matrix, autonomous=False) == expected
+
+
+@pytest.mark.parametrize(
+    ("shear", "radius", "expected"),
+    [(0.5, 1e-12, "parabolic"), (0.0, 1e-12, "undecided"), (1e-6, 1e-5, "undecided")],
+)
+def test_shear_is_proven_parabolic(shear, radius, expected):
+    matrix = flint.arb_mat(
+        [[flint.arb(v, radius) for v in row] for row in ((1.0, shear), (0.0, 1.0))]
+    )
+    assert proven_stability(matrix, autonomous=True) == expected
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import pytest
 
 import hamsym
 from hamsym.errors import InputError
-from hamsym.orbits.multipliers import stability_of
 
 HENON_HEILES = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3")
 DUFFING = "p**2/2 + x**2/2 + x**4/4"
@@ -269,8 +268,7 @@ def test_many_bounces_do_not_stop_the_search():
 def test_failed_orbit_has_a_text():
     orbit = hamsym.periodic_orbit("p**2/2 + x**2/2", [1e-200, 0.0])
     assert not orbit.success
-    assert "unknown" in repr(orbit) or "elliptic" in repr(orbit)
-    assert stability_of(np.array([math.nan, 1.0])) == "unknown"
+    assert orbit.stability in repr(orbit)
 
 
 def test_small_multiplier_is_the_inverse_of_the_large_one():
@@ -303,6 +301,35 @@ def test_stability_of_a_saddle_and_of_a_centre():
         phase = math.sqrt(0.3) * float(duffing_period(1.0))
         expected = 2 * (math.cos(phase) if sign > 0 else math.cosh(phase))
         assert np.trace(orbit.monodromy) - 2 == pytest.approx(expected, rel=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("H", "guess", "word"),
+    [
+        ("p**2/2 - cos(x)", [2.0, 0.0], "parabolic"),
+        ("p**2/2 + 2*x**2", [1.0, 0.0], "elliptic"),
+        # two integrals of two degrees of freedom
+        ("(p_x**2 + p_y**2)/2 + (x**2 + y**2)**2/4", ([1.0, 0, 0, 0], 7.4), "parabolic"),
+        ("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2", ([1.0, 0, 0.2, 0.7], 6.28), "elliptic"),
+    ],
+)
+def test_orbit_without_other_multipliers_is_judged_by_its_shear(H, guess, word):
+    orbit = hamsym.periodic_orbit(H, guess)
+    assert orbit.success
+    assert len(orbit.shift_multipliers) == 0
+    assert (orbit.multipliers == 1).all()
+    assert orbit.stability == word
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_figure_eight_is_elliptic_without_its_eight_integrals(symmetric):
+    symmetry = eight_symmetries() if symmetric else None
+    orbit = hamsym.periodic_orbit(three_bodies(), (EIGHT, 6.3259), symmetry=symmetry)
+    # 12 components, less 2 and 2 of the centre of mass, 1 and 1 of rotations, 2 of the flow
+    assert len(orbit.shift_multipliers) == 4
+    assert orbit.stability == "elliptic"
+    for expected in (0.998599982092 + 0.052896826792j, -0.297596667517 + 0.954691690528j):
+        assert np.abs(orbit.multipliers - expected).min() < 1e-7
 
 
 # -- bad input -------------------------------------------------------------------------------------

@@ -1,0 +1,1 @@
+"""Bounds between the sampled times."""

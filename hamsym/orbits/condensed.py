@@ -1,0 +1,107 @@
+"""Linear systems of an arc in windows: elimination of the states between its two ends.
+
+The unknowns are the states z_0 ... z_K at the ends of the windows and a few numbers g, such as the
+period. Each window has the equations A_k z_k - z_(k+1) + B_k g = r_k; all others are equations of
+z_0, z_K and g. The states between are eliminated one after the other by orthogonal transformations
+(Wright 1992), which are stable however much the motion stretches, with effort proportional to the
+number of windows. What is left is a small dense system.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from scipy.linalg import lapack
+
+__all__ = ["CondensedWindows", "solved"]
+
+_SINGULAR = 1e-11  # reciprocal condition number of a system without a unique solution
+_RANK = 1e-8  # singular values relative to the largest that count as zero
+
+
+@dataclass(frozen=True)
+class _Eliminated:
+    """R z_k = right - first z_0 - next z_(k+1) - numbers g."""
+
+    triangle: np.ndarray
+    first: np.ndarray
+    next: np.ndarray
+    numbers: np.ndarray
+    right: np.ndarray
+
+
+class CondensedWindows:
+    """The equations of windows without the states between the ends of the arc.
+
+    Parameters
+    ----------
+    maps : numpy.ndarray
+        A_k, shape (windows, dim, dim).
+    numbers : numpy.ndarray
+        B_k, shape (windows, dim, n).
+    right : numpy.ndarray
+        r_k, shape (windows, dim).
+
+    Attributes
+    ----------
+    matrix, right : numpy.ndarray
+        What is left, dim equations of (z_0, z_K, g), shapes (dim, 2 dim + n) and (dim,).
+    """
+
+    def __init__(self, maps: np.ndarray, numbers: np.ndarray, right: np.ndarray) -> None:
+        dim = maps.shape[1]
+        self._dim = dim
+        self._eliminated: list[_Eliminated] = []
+        first, last, free, rest = maps[0], -np.eye(dim), numbers[0], right[0]
+        if not (np.isfinite(maps).all() and np.isfinite(numbers).all()):
+            first = np.full((dim, dim), math.nan)
+            maps = maps[:1]
+        for k in range(1, len(maps)):
+            columns = np.zeros((2 * dim, 2 * dim + free.shape[1] + 1))
+            columns[:dim, :dim], columns[dim:, dim : 2 * dim] = first, -np.eye(dim)
+            columns[:dim, 2 * dim : -1], columns[dim:, 2 * dim : -1] = free, numbers[k]
+            columns[:dim, -1], columns[dim:, -1] = rest, right[k]
+            q, triangle = np.linalg.qr(np.concatenate([last, maps[k]]), mode="complete")
+            columns = q.T @ columns
+            parts = np.split(columns, [dim, 2 * dim, columns.shape[1] - 1], axis=1)
+            above = [part[:dim] for part in parts]
+            self._eliminated.append(_Eliminated(triangle[:dim], *above[:3], above[3][:, 0]))
+            first, last, free = (part[dim:] for part in parts[:3])
+            rest = parts[3][dim:, 0]
+        self.matrix, self.right = np.hstack([first, last, free]), rest
+
+    def states(self, solution: np.ndarray, *, homogeneous: bool = False) -> np.ndarray:
+        """Return all states z_0 ... z_K, shape (windows + 1, dim), from (z_0, z_K, g).
+
+        With ``homogeneous``, of the equations with r_k = 0.
+        """
+        dim = self._dim
+        first, last, numbers = np.split(solution, [dim, 2 * dim])
+        found = [last]
+        for step in reversed(self._eliminated):
+            right = -step.first @ first - step.next @ found[-1] - step.numbers @ numbers
+            if not homogeneous:
+                right = right + step.right
+            found.append(scipy.linalg.solve_triangular(step.triangle, right, check_finite=False))
+        found.append(first)
+        return np.array(found[::-1])
+
+
+def solved(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Solve a system, by least squares of least norm where it is singular, and say whether it is.
+
+    One with an equation less than unknowns counts as singular if its equations are dependent.
+    """
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        return np.full(matrix.shape[1], math.nan), True
+    rows, columns = matrix.shape
+    if rows == columns:
+        factor, pivots, info = lapack.dgetrf(matrix)
+        rcond, _ = lapack.dgecon(factor, np.abs(matrix).sum(axis=0).max())
+        if info == 0 and rcond > _SINGULAR:
+            return np.asarray(lapack.dgetrs(factor, pivots, right)[0]), False
+    solution, _, rank, _ = scipy.linalg.lstsq(matrix, right, cond=_RANK, lapack_driver="gelsy")
+    return solution, rows >= columns or rank < rows

@@ -1,0 +1,117 @@
+"""The equations of collocation in the windows of an arc, solved for the points of each window.
+
+Residuals are evaluated in extended precision (numpy.longdouble, where it is more than float64):
+their round-off is what limits the accuracy of an orbit, because close encounters multiply it by
+many thousands. Newton's matrix is needed in float64 only.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hamsym.numerics.collocation import collocation
+from hamsym.orbits.arc import Arc, Problem
+from hamsym.random_features.flow import flow_of
+from hamsym.solution.parameters import ParameterForcing
+
+__all__ = ["WindowMaps"]
+
+_BLOCK = 1 << 22  # entries of the matrices of windows that are solved at once
+
+
+class WindowMaps:
+    """Corrections in windows by those at their start, of T, alpha and a parameter, plus constants.
+
+    Attributes
+    ----------
+    inside, ends : numpy.ndarray
+        At the points, shape (k, nodes, dim, dim + 4), and at the ends, shape (k, dim, dim + 4).
+    residual : numpy.ndarray
+        Of the collocation equations, shape (k, nodes, dim).
+    """
+
+    def __init__(self, problem: Problem, arc: Arc) -> None:
+        windows, nodes, dim = arc.values.shape
+        self.inside = np.empty((windows, nodes, dim, dim + 4))
+        self.ends = np.empty((windows, dim, dim + 4))
+        self.residual = np.empty((windows, nodes, dim))
+        self._problem, self._arc, self._scale = problem, arc, arc.scale
+        count = max(1, _BLOCK // (nodes * dim) ** 2)
+        for first in range(0, windows, count):
+            self._solve(slice(first, first + count))
+
+    def _solve(self, block: slice) -> None:
+        """Solve the equations in some of the windows."""
+        problem, arc, scale = self._problem, self._arc, self._scale
+        flow, values, edges = flow_of(problem.H), arc.values[block], arc.edges
+        windows, nodes, dim = values.shape
+        rule = collocation(nodes)
+        widths = np.diff(edges)[block]
+        share = widths[:, None, None] / problem.closing.parts  # of the period
+        lengths = share * arc.period
+        points = edges[:-1][block][:, None] + widths[:, None] * rule.nodes
+        times = (problem.start + points / problem.closing.parts * arc.period).ravel()
+        states = values.reshape(-1, dim)
+        rates = flow.vector_field(states, times).reshape(windows, nodes, dim)
+        jacobians = flow.jacobian(states, times).reshape(windows, nodes, dim, dim)
+        jacobians = jacobians * lengths[..., None]
+        half = dim // 2
+        slopes = np.concatenate([-rates[..., half:], rates[..., :half]], axis=-1)  # grad H
+        forcing = np.zeros((windows, nodes, dim, 4))
+        forcing[..., 0], forcing[..., 1] = rates * share, slopes * lengths
+        if problem.parameter is not None:
+            found = ParameterForcing(problem.H, (problem.parameter,))(states, times)
+            forcing[..., 2] = found.reshape(windows, nodes, dim) * lengths
+        inside, last = rule.integration[:-1], rule.integration[-1]
+        residual, gaps = self._residuals(block, states, times)
+        columns = np.zeros((windows, nodes, dim, dim + 4))
+        columns[..., :dim] = np.eye(dim)
+        columns[..., dim:] = np.einsum("ij,kjdc->kidc", inside, forcing)
+        columns[..., dim + 3] = residual
+        size = nodes * dim
+        # In units of the components: pivots of coordinates and momenta are comparable in no others.
+        scaled = jacobians * scale / scale[:, None]
+        matrix = np.einsum("ij,kjab->kiajb", inside, scaled).reshape(windows, size, size)
+        right = (columns / scale[:, None]).reshape(windows, size, dim + 4)
+        solution = _each_solved(np.eye(size) - matrix, right).reshape(columns.shape)
+        solution *= scale[:, None]
+        driven = np.einsum("kjab,kjbc->kjac", jacobians, solution)
+        driven[..., dim:] += forcing
+        ends = np.einsum("j,kjac->kac", last, driven)
+        ends[..., :dim] += np.eye(dim)
+        ends[..., dim + 3] += gaps
+        self.inside[block], self.ends[block], self.residual[block] = solution, ends, residual
+
+    def _residuals(
+        self, block: slice, states: np.ndarray, times: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals at the points and at the ends of some of the windows."""
+        arc, values = self._arc, self._arc.values[block]
+        rates = _extended_rates(self._problem, states, times).reshape(values.shape)
+        edges = arc.edges.astype(np.longdouble)
+        widths = np.diff(edges)[block] / self._problem.closing.parts
+        moved = rates * (widths * arc.period)[:, None, None]
+        integrals = np.einsum(
+            "ij,kjd->kid", collocation(values.shape[1]).extended_integration, moved
+        )
+        starts, stops = arc.ends[:-1][block], arc.ends[1:][block]
+        residual = integrals[:, :-1] + starts[:, None] - values
+        return residual.astype(float), (integrals[:, -1] + starts - stops).astype(float)
+
+
+def _extended_rates(problem: Problem, states: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The vector field in extended precision, where its functions have it."""
+    field = flow_of(problem.H).vector_field
+    try:
+        return field(states.astype(np.longdouble), times.astype(np.longdouble))
+    except TypeError:
+        return field(states, times)
+
+
+def _each_solved(matrices: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    try:
+        return np.linalg.solve(matrices, columns)
+    except np.linalg.LinAlgError:
+        return np.full(columns.shape, math.nan)

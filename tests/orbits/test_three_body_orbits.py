@@ -1,0 +1,159 @@
+"""Published periodic orbits of three equal bodies, against an integrator of other origin."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import hamsym
+
+
+def three_bodies(axes):
+    q = [f"{c}{i}" for i in "123" for c in axes]
+    kinetic = " + ".join(f"p_{name}**2/2" for name in q)
+    potential = " - ".join(
+        "1/sqrt(" + " + ".join(f"({c}{i} - {c}{j})**2" for c in axes) + ")"
+        for i, j in ("12", "13", "23")
+    )
+    return hamsym.Hamiltonian(f"{kinetic} - {potential}", q=q, p=[f"p_{name}" for name in q])
+
+
+PLANAR = three_bodies("xy")
+
+#: Suvakov & Dmitrasinovic, Three classes of Newtonian three-body planar periodic orbits (2013):
+#: velocity of the outer bodies, published period.
+PUBLISHED = {
+    "butterfly I": (0.306892758965492, 0.125506782829762, 6.23564136316479),
+    "butterfly II": (0.392955223941802, 0.097579235208034, 7.0038),
+    "moth I": (0.464445237398184, 0.396059973403921, 14.8939113169584),
+    "yin-yang I": (0.513938052808, 0.304736003876, 17.328),
+    "bumblebee": (0.184278506469036, 0.587188195840054, 63.534),
+}
+
+#: Li & Liao, a stable orbit in space, O_3(1.0).
+STABLE = (
+    [
+        -1,
+        0,
+        0,
+        1,
+        0,
+        0,
+        0,
+        0,
+        0.476878264280312,
+        0.402136910074724,
+        0.180356951286259,
+        0.210445128137873,
+        0.402136910074724,
+        0.180356951286259,
+        -0.210445128137873,
+        -0.804273820149448,
+        -0.360713902572518,
+        0,
+    ],
+    6.83162203628444,
+)
+
+
+def published(name):
+    a, b, period = PUBLISHED[name]
+    return [-1, 0, 1, 0, 0, 0, a, b, a, b, -2 * a, -2 * b], period
+
+
+def motion(axes):
+    """Newton's equations in positions and velocities, by hand."""
+
+    def rates(t, z):
+        q, v = z.reshape(2, 3, axes)
+        apart = q[None] - q[:, None]
+        distances = np.linalg.norm(apart, axis=2) + np.eye(3)
+        return np.concatenate([v, (apart / distances[..., None] ** 3).sum(axis=1)]).ravel()
+
+    return rates
+
+
+def closure(orbit, axes):
+    """Distance of the end from the start, by Dormand and Prince's method of order 8."""
+    span = (0, orbit.period)
+    path = solve_ivp(motion(axes), span, orbit.z0, method="DOP853", rtol=3e-14, atol=1e-15)
+    return np.abs(path.y[:, -1] - orbit.z0).max()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["moth I", *(pytest.param(n, marks=pytest.mark.slow) for n in ("butterfly I", "yin-yang I"))],
+)
+def test_published_orbit_is_found_and_closes(name):
+    guess, period = published(name)
+    orbit = hamsym.periodic_orbit(PLANAR, (guess, period), tol=1e-8)
+    assert orbit.success
+    # The published periods have three to four digits in common with those of the starts.
+    assert orbit.period == pytest.approx(period, rel=2e-4)
+    assert np.abs(orbit.z0 - guess).max() < 2e-6
+    assert closure(orbit, 2) < 1e-8
+
+
+@pytest.mark.slow
+def test_closest_encounters_are_found_with_their_error():
+    guess, period = published("butterfly II")
+    orbit = hamsym.periodic_orbit(PLANAR, (guess, period), tol=1e-6)
+    assert orbit.success
+    assert np.abs(orbit.z0 - guess).max() < 2e-6
+    assert closure(orbit, 2) < 1e-6
+
+
+@pytest.mark.slow
+def test_long_orbit_takes_the_windows_it_needs():
+    orbit = hamsym.periodic_orbit(PLANAR, published("bumblebee"), tol=1e-7)
+    assert orbit.success
+    assert len(orbit.arc.edges) > 400
+    assert orbit.period == pytest.approx(63.534, rel=2e-5)
+    assert closure(orbit, 2) < 1e-6
+    assert orbit.stability == "elliptic"
+
+
+@pytest.mark.slow
+def test_period_of_a_guess_is_moved_to_the_nearest_return():
+    guess, period = published("moth I")
+    orbits = [
+        hamsym.periodic_orbit(PLANAR, (guess, factor * period), tol=1e-8)
+        for factor in (0.995, 1.005)
+    ]
+    assert all(orbit.success for orbit in orbits)
+    assert orbits[0].period == pytest.approx(orbits[1].period, rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def stable():
+    return hamsym.periodic_orbit(three_bodies("xyz"), STABLE, tol=1e-8)
+
+
+def test_stable_orbit_in_space_is_elliptic(stable):
+    assert stable.success
+    assert stable.period == pytest.approx(STABLE[1], rel=1e-9)
+    assert closure(stable, 3) < 1e-9
+    assert stable.stability == "elliptic"
+
+
+@pytest.mark.slow
+def test_multipliers_beside_ten_integrals_are_those_of_differences(stable):
+    # 18 components, less 3 and 3 of the centre of mass, 3 and 1 of rotations, 2 of the flow
+    nontrivial = stable.shift_multipliers
+    assert len(nontrivial) == 6
+    assert (stable.multipliers == 1).sum() == 12
+    np.testing.assert_allclose(np.abs(nontrivial), 1, atol=1e-9)
+    # The characteristic polynomial at other points has no trouble with Jordan blocks.
+    step, columns = 1e-5, []
+    for k in range(18):
+        ends = []
+        for sign in (1, -1):
+            start = stable.z0 + sign * step * np.eye(18)[k]
+            path = solve_ivp(
+                motion(3), (0, stable.period), start, method="DOP853", rtol=1e-12, atol=1e-13
+            )
+            ends.append(path.y[:, -1])
+        columns.append((ends[0] - ends[1]) / (2 * step))
+    monodromy = np.array(columns).T
+    for place in (2.0, -1.5, 1j, 0.3 + 0.3j):
+        own = np.prod(place - nontrivial) * (place - 1) ** 12
+        assert np.linalg.det(place * np.eye(18) - monodromy) == pytest.approx(own, rel=1e-4)
