@@ -220,7 +220,8 @@ def add(rows: Array, others: Array) -> None:
 def stretch(places: Array, h: float, start: float, out: Array) -> None:
     """Write the times at places of a window, inside it by some units in the last place.
 
-    At its ends, to which float64 rounds places in short windows, a switch has neither of its values.
+    At its ends, to which float64 rounds places of short windows, a switch has neither of its
+    values.
     """
     np.multiply(places, h, out=out)
     out += start

@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+import scipy.special
 import torch
 
 import hamsym
@@ -406,6 +407,30 @@ def test_rounded_equilibrium_is_not_exact() -> None:
     # In float64 sqrt(2) is beside the equilibrium: p is 1e-16, not zero.
     H = Hamiltonian("p**2/2 + (x**2 - 2)**2/4")
     assert not hamsym.solve(H, [math.sqrt(2), 0.0], (0, 10), tol=1e-11).success
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-9])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_steep_force_is_resolved_at_any_tolerance(tol: float, compiled: bool) -> None:
+    # |x| to 1e-18: parabolas, with sqrt(2) from the start to the zero.
+    H, t = Hamiltonian("p**2/2 + sqrt(x**2 + 1e-20)"), np.linspace(0, 4, 81)
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 4), tol=tol, compiled=compiled)
+    assert solution.success, solution.message
+    past = np.abs(t - 2 * math.sqrt(2))
+    x = np.where(t < math.sqrt(2), 1 - t**2 / 2, past**2 / 2 - 1)
+    assert np.abs(solution(t)[:, 0] - x).max() <= tol
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-7])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_root_of_the_force_is_resolved_at_any_tolerance(tol: float, compiled: bool) -> None:
+    # Half a period is sqrt(2) B(2/3, 1/2) * 2/3.
+    half = 2 * math.sqrt(2) / 3 * float(scipy.special.beta(2 / 3, 1 / 2))
+    solution = hamsym.solve(
+        "p**2/2 + (x**2)**0.75", [1.0, 0.0], (0, half), tol=tol, compiled=compiled
+    )
+    assert solution.success, solution.message
+    assert np.abs(solution(half) - [-1.0, 0.0]).max() <= tol
 
 
 @pytest.mark.parametrize("max_window", [0.0, -1.0, math.nan, "long"])
