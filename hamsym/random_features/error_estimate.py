@@ -117,6 +117,8 @@ def estimate_error(
     count, _, dim = windows.readouts.shape
     scale = _scales(windows, flow)
     settings = error_settings(flow, tables, windows.edges, scale, tolerance)
+    # Round-off does not move components at rest, of which the formulas give the rate 0.
+    settings.kicks[:, _resting(windows, flow)] = 0.0
     actions = halves(flow.entries, settings.scale, flow.symmetric)
     series = np.full((count, tables.lift.shape[1], dim), np.inf)
     floors, largest = np.full((count, dim), np.inf), np.zeros(dim)
@@ -240,7 +242,7 @@ def error_settings(
         usual_length=float((lengths**2).sum() / lengths.sum()),
         rounded=float(flow.rounded),
         signs=disturbances(tables.places.shape, dim),
-        kicks=kicks(dim),
+        kicks=kicks(dim).copy(),
         parameters=flow.parameters,
     )
 
@@ -289,6 +291,14 @@ def halves(
         )
 
     return actions(half), actions(0)
+
+
+def _resting(windows: March, flow: Flow) -> list[int]:
+    """Return the components that are constant in the march and by the equations."""
+    still = np.flatnonzero(~windows.readouts.any(axis=(0, 1)))
+    z = windows.states[0]
+    # Numbers that are zero have no round-off.
+    return flow.resting(z, still) if flow.resting and z[still].any() else []
 
 
 def _jumps(windows: March, basis: FeatureBasis) -> np.ndarray:

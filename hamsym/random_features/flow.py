@@ -15,7 +15,14 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.random_features.compiled_loop import PLAIN, Loops, compiled_loops, compiled_rows
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["Flow", "RowFunctions", "flow_of", "has_rounded_numbers", "stored_entries"]
+__all__ = [
+    "Flow",
+    "RowFunctions",
+    "flow_of",
+    "has_conserved_values",
+    "has_rounded_numbers",
+    "stored_entries",
+]
 
 NarrowArguments: TypeAlias = tuple[np.ndarray, np.ndarray]
 Rows: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
@@ -61,12 +68,14 @@ class Flow:
     jacobian : callable
         (z, t) -> dF/dz, shape (n, dim, dim).
     energy : callable, optional
-        (z, t) -> H, shape (n,), where H is conserved.
+        (z, t) -> H, shape (n,), where H is conserved and does not jump at the cut of an angle.
     autonomous : bool
         Whether the time does not occur.
     narrow_arguments : callable, optional
         (z, t) -> arguments of the functions in H that may act briefly, shape (n, k), and their
         kinds (:class:`~hamsym.symbolic.derivatives.Narrow`), shape (k,).
+    resting : callable, optional
+        (z, candidates) -> those components of one state that keep exactly their values.
     rounded : bool
         Whether the formulas have numbers that float64 cannot represent.
     loops : Loops
@@ -87,6 +96,7 @@ class Flow:
     energy: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     autonomous: bool = False
     narrow_arguments: Callable[[np.ndarray, np.ndarray], NarrowArguments] | None = None
+    resting: Callable[[np.ndarray, np.ndarray], list[int]] | None = None
     rounded: bool = False
     loops: Loops = PLAIN
     compiled: bool = False
@@ -114,13 +124,19 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
         H.is_separable,
         vector_field,
         jacobian,
-        energy=energy if H.conserves_energy else None,
+        energy=energy if has_conserved_values(H) else None,
         autonomous=H.time is None,
         narrow_arguments=_narrow_arguments(H),
+        resting=lambda z, candidates: H.real_equations.resting(z.tolist(), candidates.tolist()),
         rounded=any(map(has_rounded_numbers, H.real_equations.formulas)),
         compile=(lambda: _compiled(H, plain)) if compiled == "auto" else None,
     )
     return _compiled(H, plain) if compiled is True else plain
+
+
+def has_conserved_values(H: Hamiltonian) -> bool:
+    """Return whether values of H are constant along trajectories: no cut of an angle is in them."""
+    return H.conserves_energy and not H.real_equations.has_angle_cut
 
 
 def stored_entries(equations: Equations) -> np.ndarray:

@@ -128,7 +128,9 @@ class _Marching:
             parameters=flow.parameters,
             separable=flow.separable,
         )
-        self._rate = flow.vector_field(z0[None], np.array([self._start]))[0]
+        # Just inside the span: at the start a switch in time has neither of its values.
+        inside = self._start + self._direction * self._settings.shortest
+        self._rate = flow.vector_field(z0[None], np.array([inside]))[0]
         self._progress = Progress(
             clock=np.array([self._start, 0.0]),
             counts=np.array([0, 1, 0]),

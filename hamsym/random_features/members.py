@@ -27,7 +27,12 @@ from hamsym.random_features.error_estimate import (
     resolution_for,
 )
 from hamsym.random_features.error_loop import Actions
-from hamsym.random_features.flow import flow_of, has_rounded_numbers, stored_entries
+from hamsym.random_features.flow import (
+    flow_of,
+    has_conserved_values,
+    has_rounded_numbers,
+    stored_entries,
+)
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
 from hamsym.random_features.member_loop import Members, Span
 from hamsym.random_features.window_checks import WindowChecks
@@ -110,7 +115,8 @@ class MemberSolver:
         equations, kernels = H.kernels.equations, H.kernels
         kinds = [int(kind) for _, kind in equations.narrow_arguments]
         names = ["velocity", "force", "hessian", "velocity", "velocity"]
-        if H.conserves_energy:
+        conserved = has_conserved_values(H)
+        if conserved:
             names[3] = "energy"
         if kinds:
             names[4] = "argument"
@@ -133,7 +139,7 @@ class MemberSolver:
                 longest,
                 shortest_window(start, end),
                 H.is_separable,
-                H.conserves_energy,
+                conserved,
                 any(map(has_rounded_numbers, H.real_equations.formulas)),
                 np.array(kinds, dtype=np.int64),
             ),

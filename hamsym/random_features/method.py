@@ -3,7 +3,8 @@
 Stage 1  March with a local tolerance (:mod:`hamsym.random_features.march`).
 Stage 2  Estimate the global error and the round-off along the march
          (:mod:`hamsym.random_features.error_estimate`).
-Stage 3  If both together exceed the tolerance, march again with a tighter local tolerance.
+Stage 3  If both together exceed the tolerance, or the force is too steep for the windows of a loose
+         one, march again with a tighter local tolerance.
 """
 
 from __future__ import annotations
@@ -203,13 +204,18 @@ def solve_by_march(
                 break
             estimate = estimate_error(windows, basis, flow, local)
             error = estimate.error
-            tried = _Attempt(windows, estimate, accuracy.allowed(error.scale))
+            solution = _solution_of(problem, windows, basis, error, method)
+            tried = _Attempt(windows, estimate, accuracy.allowed(error.scale), solution)
             if best is None or tried.is_better_than(best):
                 best = tried
             # So close to round-off, residuals may exceed their limit in windows of any length.
             spare = tried.excess * _LOOSER < 1 and local <= _NEAR_ROUND_OFF
             if windows.doubt and spare and not loosened:
                 local, loosened = local * _LOOSER, True
+                continue
+            # Shorter windows show whether a force that is steep for these jumps.
+            if tried.is_too_steep and local > SMALLEST:
+                local = max(local * STEP, SMALLEST)
                 continue
             # A tighter march does not reduce an error that is mostly round-off.
             floors = error.floors.max(axis=0)
@@ -222,36 +228,57 @@ def solve_by_march(
             local = max(local * min(max(MARGIN / tried.too_large, STEP), MOST), SMALLEST)
     if best is None:
         raise InputError(f"no solution beyond t = {windows.reached:.6g}: {windows.reason}")
-    windows = best.windows
-    solution = Solution(
-        H,
+    success, message = _verdict(best, tol)
+    if best.jump is not None:
+        success, message = False, f"{best.jump} ({message})"
+    return best.solution.judged(success, message)
+
+
+def _solution_of(
+    problem: InitialValueProblem,
+    windows: March,
+    basis: FeatureBasis,
+    error: MarchError,
+    method: str,
+) -> Solution:
+    """Make the solution of a march, before its verdict."""
+    return Solution(
+        problem.H,
         problem.z0,
         (problem.span[0], windows.reached),
         FeatureTrial.of_march(windows, basis),
         method=method,
         record=windows,
-        error=best.estimate.error,
+        error=error,
     )
-    success, message = _verdict(best, tol)
-    if success or windows.doubt:
-        times = windows.times_in_windows(_JUMP_SAMPLES)
-        jump = first_jump(solution, times, best.estimate.unresolved)
-        if jump is not None:
-            success, message = False, f"{jump} ({message})"
-    return solution.judged(success, message)
 
 
 @dataclass(frozen=True)
 class _Attempt:
-    """A march, its estimated error, and the error that is allowed, shape (dim,)."""
+    """A march, its estimated error, the error that is allowed, shape (dim,), and its solution."""
 
     windows: March
     estimate: Estimate
     allowed: np.ndarray
+    solution: Solution
 
     @cached_property
     def excess(self) -> float:
         return self.estimate.error.excess(self.allowed)
+
+    @cached_property
+    def jump(self) -> str | None:
+        """Description of a discontinuity, where nothing else is amiss or the march is in doubt."""
+        passed = not self.windows.reason and (self.windows.doubt or self.excess <= 1)
+        return self._jump(self.estimate.unresolved) if passed else None
+
+    @property
+    def is_too_steep(self) -> bool:
+        """Whether only windows that do not resolve the force speak against it."""
+        return bool(self.jump and not self.windows.doubt and self._jump([]) is None)
+
+    def _jump(self, suspects: list[tuple[float, float]]) -> str | None:
+        return first_jump(self.solution, self.windows.times_in_windows(_JUMP_SAMPLES), suspects)
 
     @property
     def too_large(self) -> float:
@@ -266,8 +293,8 @@ class _Attempt:
 
     @property
     def fails(self) -> bool:
-        """Whether it is in doubt or its error is not allowed."""
-        return bool(self.windows.doubt) or not self.excess <= 1
+        """Whether it is in doubt, its error is not allowed, or the force seems to jump."""
+        return bool(self.windows.doubt) or not self.excess <= 1 or self.jump is not None
 
     def is_better_than(self, other: _Attempt) -> bool:
         """Return whether it reached further, or else failed less: without doubt, error, time."""

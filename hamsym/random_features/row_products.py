@@ -14,7 +14,7 @@ from numba import njit
 
 from hamsym.random_features import vector_products
 from hamsym.random_features.error_loop import PERTURBATIONS
-from hamsym.random_features.window_loop import TINY
+from hamsym.random_features.window_loop import INSIDE, TINY
 
 __all__ = ["ERROR_FUNCTIONS", "MARCH_FUNCTIONS"]
 
@@ -120,9 +120,12 @@ def add(rows, others):
 
 @njit(error_model="numpy")
 def stretch(places, h, start, out):
-    """Write the times at places of a window."""
+    """Write the times at places of a window, inside it by some units in the last place."""
+    end = start + h
+    margin = INSIDE * max(abs(start), abs(end))
+    low, high = min(start, end) + margin, max(start, end) - margin
     for column in range(len(places)):
-        out[column] = h * places[column] + start
+        out[column] = min(max(h * places[column] + start, low), high)
 
 
 @njit(error_model="numpy")

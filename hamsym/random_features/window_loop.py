@@ -37,6 +37,7 @@ FINISHED, NEWTON, TOO_SHORT, FULL = range(4)
 
 ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
 EPS = 2.0**-52
+INSIDE = 4 * EPS  # of a time: distance of places from the ends of their window at least
 NOISE = 8.0  # times the typical change of the rates for one unit in the last place of the states
 SLOW = 20  # iterations, after which the next window is shorter
 ROUND_OFF_TESTS = 3  # estimates of the round-off of the rates in one window
@@ -217,9 +218,16 @@ def add(rows: Array, others: Array) -> None:
 
 
 def stretch(places: Array, h: float, start: float, out: Array) -> None:
-    """Write the times at places of a window."""
+    """Write the times at places of a window, inside it by some units in the last place.
+
+    At its ends, to which float64 rounds places of short windows, a switch has neither of its
+    values.
+    """
     np.multiply(places, h, out=out)
     out += start
+    end = start + h
+    margin = INSIDE * max(abs(start), abs(end))
+    np.clip(out, min(start, end) + margin, max(start, end) - margin, out=out)
 
 
 def disturb(rows: Array, signs: Array, share: float, out: Array) -> None:

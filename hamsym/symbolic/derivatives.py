@@ -30,6 +30,7 @@ __all__ = [
     "common_subexpressions",
     "connected_blocks",
     "gradient",
+    "has_angle_cut",
     "hessian",
     "narrow_arguments",
     "poisson_rows",
@@ -509,7 +510,9 @@ def switches(
 ) -> list[tuple[sympy.Expr, list[sympy.Expr]]]:
     """Discontinuities of H and its gradient: pairs (function, jumps where the function is zero).
 
-    The jumps are those of the gradient, followed by that of H.
+    The jumps are those of the gradient, followed by that of H. Where the gradient does not jump at
+    the cut of an angle atan2, the constant by which H jumps there is left out: with the angle that
+    is continued, H is smooth.
     """
     jumping = [*gradient, expr]
     steps = {
@@ -523,7 +526,44 @@ def switches(
         low = -1 if isinstance(step, sympy.sign) else 0
         jumps = [term.xreplace({step: 1}) - term.xreplace({step: low}) for term in jumping]
         found.append((step.args[0], jumps))
+    for angle, jumps in _angle_jumps(expr, gradient, z):
+        if any(jump != 0 for jump in jumps[:-1]):
+            beyond = sympy.Heaviside(-angle.args[1])  # the cut is the negative half of an axis
+            found.append((angle.args[0], [beyond * jump for jump in jumps]))
     return found
+
+
+def has_angle_cut(
+    expr: sympy.Expr, gradient: Sequence[sympy.Expr], z: Sequence[sympy.Symbol]
+) -> bool:
+    """Whether H jumps by a constant at the cut of an angle atan2, and its gradient does not.
+
+    Examples
+    --------
+    >>> x, y = sympy.symbols("x y", real=True)
+    >>> angle = sympy.atan2(y, x)
+    >>> [has_angle_cut(H, gradient(H, (x, y)), (x, y)) for H in (angle, angle**2, x + y)]
+    [True, False, False]
+    """
+    return any(
+        jumps[-1] != 0 and all(jump == 0 for jump in jumps[:-1])
+        for _, jumps in _angle_jumps(expr, gradient, z)
+    )
+
+
+def _angle_jumps(
+    expr: sympy.Expr, gradient: Sequence[sympy.Expr], z: Sequence[sympy.Symbol]
+) -> Iterator[tuple[sympy.Expr, list[sympy.Expr]]]:
+    """Jumps of the gradient, then of H, at the cut of each angle atan2."""
+    jumping = [*gradient, expr]
+    angles = {angle for term in jumping for angle in term.atoms(sympy.atan2)}
+    for angle in sorted(angles, key=str):
+        if angle.free_symbols & set(z):
+            jumps = [
+                term.xreplace({angle: sympy.pi}) - term.xreplace({angle: -sympy.pi})
+                for term in jumping
+            ]
+            yield angle, [sympy.Integer(0) if vanishes(jump) else jump for jump in jumps]
 
 
 def switch_arguments(

@@ -216,6 +216,40 @@ class Equations(Shown):
         return derivatives.switches(self.expr, self.slopes, symbols)
 
     @cached_property
+    def has_angle_cut(self) -> bool:
+        """Whether H jumps at the cut of an angle atan2, at which the equations are smooth."""
+        return derivatives.has_angle_cut(self.expr, self.slopes, self.z)
+
+    def resting(self, z: Sequence[float], candidates: Iterable[int]) -> list[int]:
+        """Components that keep exactly their values in a state, among candidates.
+
+        Their rates vanish identically where they have these values, whatever the other components
+        and the time are.
+
+        Examples
+        --------
+        >>> x, y, px, py = sympy.symbols("x y px py", real=True)
+        >>> H = Equations((px**2 + py**2)/2 + x**2/2 + (y**2 - 1)**2, [x, y, px, py], None, {})
+        >>> H.resting([0.0, 1.0, 0.5, 0.0], range(4))
+        [1, 3]
+        """
+        given = {symbol: v for symbol, v in self.parameters.values() if v is not None}
+        left = set(candidates)
+        while left:
+            values = given | {self.z[i]: z[i] for i in left}
+            at = {symbol: sympy.Rational(float(v)) for symbol, v in values.items()}
+            moving = {i for i in left if not self._rate_vanishes(i, at)}
+            if not moving:
+                break
+            left -= moving
+        return sorted(left)
+
+    def _rate_vanishes(self, component: int, at: Mapping[sympy.Symbol, sympy.Expr]) -> bool:
+        rate = self.vector_field[component]
+        numbers = {number: sympy.Rational(number) for number in rate.atoms(sympy.Float)}
+        return derivatives.vanishes(rate.xreplace({**at, **numbers}))
+
+    @cached_property
     def is_separable(self) -> bool:
         """Whether dq/dt depends on p only, and dp/dt on q only, beside the time."""
         momenta = set(self.z[self.dof :])

@@ -7,12 +7,13 @@ import re
 
 import numpy as np
 import pytest
+import scipy.special
 import torch
 
 import hamsym
 from hamsym import Hamiltonian, InputError, systems
 from hamsym.integrators.integrate import reference
-from hamsym.random_features import window_loop
+from hamsym.random_features import row_products, window_loop
 from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import march, newton
@@ -345,6 +346,24 @@ def test_kink_of_the_force_succeeds() -> None:
     assert true_error(solution, truth).max() <= 1e-6
 
 
+@pytest.mark.parametrize(
+    ("potential", "smooth"),
+    [
+        ("atan2(y, x)", True),
+        ("atan2(y, x) + sin(2*atan2(y, x))", True),
+        ("cos(atan2(y, x))", True),
+        ("atan2(y, x)**2", False),
+        ("x*atan2(y, x)", False),
+    ],
+)
+def test_angle_crosses_its_cut_where_forces_are_smooth(potential: str, smooth: bool) -> None:
+    H = Hamiltonian(f"(px**2 + py**2)/2 + (x**2 + y**2)/2 + ({potential})/10")
+    for compiled in (False, True):
+        solution = hamsym.solve(H, [-1.0, 0.5, 0.0, -1.0], (0, 3), tol=1e-9, compiled=compiled)
+        assert solution.success == smooth, solution.message
+        assert smooth or "jumps at t = " in solution.message
+
+
 def test_brief_pulse_in_long_rest_is_resolved() -> None:
     H = Hamiltonian("p**2/2 - x*exp(-(t - 51.3)**2)")
     truth = hamsym.solve(H, [0.0, 0.0], (0, 100), tol=1e-9, max_window=0.5)
@@ -352,6 +371,66 @@ def test_brief_pulse_in_long_rest_is_resolved() -> None:
     assert truth(100.0)[1] == pytest.approx(math.sqrt(math.pi), rel=1e-9)
     assert true_error(solution, truth).max() <= 1e-6
     assert np.diff(truth.history.edges).max() <= 0.5 * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("force", [1.0, 1e8])
+def test_switch_at_the_start_is_resolved(force: float, compiled: bool) -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 + F*x*sign(sin(t))", parameters={"F": force})
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 5), tol=1e-9, compiled=compiled)
+    assert solution.success, solution.message
+    t = np.linspace(0, 5, 101)
+    # Around -F until pi, then around F.
+    x = np.where(t <= math.pi, (1 + force) * np.cos(t) - force, (1 + 3 * force) * np.cos(t) + force)
+    assert np.abs(solution(t)[:, 0] - x).max() <= 1e-9 * solution.scale[0]
+
+
+def test_places_of_short_windows_are_inside_them() -> None:
+    places, start, h = feature_basis(0).between, 3.0, 1e-8
+    for stretch in (window_loop.stretch, row_products.stretch):
+        times = np.empty(len(places))
+        for step in (h, -h):
+            stretch(places, step, start, times)
+            assert min(start, start + step) < times.min()
+            assert times.max() < max(start, start + step)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_stable_equilibrium_stays_exactly(compiled: bool) -> None:
+    H = Hamiltonian("p**2/2 + (x**2 - 1)**2/4")
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 10), tol=1e-11, compiled=compiled)
+    assert solution.success, solution.message
+    assert (solution(np.linspace(0, 10, 11)) == [1.0, 0.0]).all()
+
+
+def test_rounded_equilibrium_is_not_exact() -> None:
+    # In float64 sqrt(2) is beside the equilibrium: p is 1e-16, not zero.
+    H = Hamiltonian("p**2/2 + (x**2 - 2)**2/4")
+    assert not hamsym.solve(H, [math.sqrt(2), 0.0], (0, 10), tol=1e-11).success
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-9])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_steep_force_is_resolved_at_any_tolerance(tol: float, compiled: bool) -> None:
+    # |x| to 1e-18: parabolas, with sqrt(2) from the start to the zero.
+    H, t = Hamiltonian("p**2/2 + sqrt(x**2 + 1e-20)"), np.linspace(0, 4, 81)
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 4), tol=tol, compiled=compiled)
+    assert solution.success, solution.message
+    past = np.abs(t - 2 * math.sqrt(2))
+    x = np.where(t < math.sqrt(2), 1 - t**2 / 2, past**2 / 2 - 1)
+    assert np.abs(solution(t)[:, 0] - x).max() <= tol
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-7])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_root_of_the_force_is_resolved_at_any_tolerance(tol: float, compiled: bool) -> None:
+    # Half a period is sqrt(2) B(2/3, 1/2) * 2/3.
+    half = 2 * math.sqrt(2) / 3 * float(scipy.special.beta(2 / 3, 1 / 2))
+    solution = hamsym.solve(
+        "p**2/2 + (x**2)**0.75", [1.0, 0.0], (0, half), tol=tol, compiled=compiled
+    )
+    assert solution.success, solution.message
+    assert np.abs(solution(half) - [-1.0, 0.0]).max() <= tol
 
 
 @pytest.mark.parametrize("max_window", [0.0, -1.0, math.nan, "long"])
