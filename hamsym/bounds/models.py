@@ -73,10 +73,9 @@ class Models:
     high: np.ndarray
 
     @classmethod
-    def of_polynomials(cls, values: np.ndarray, error: Number = 0.0) -> Models:
-        """Make models of polynomials from their values, with distances that are known."""
-        error = np.broadcast_to(np.asarray(error, dtype=float), values.shape[:1])
-        return _tightened(values, error, -math.inf, math.inf)
+    def of_polynomials(cls, values: np.ndarray, low: Any = -math.inf, high: Any = math.inf) -> Models:
+        """Make models of polynomials from their values, with a range if it is known."""
+        return _tightened(values, np.zeros(len(values)), low, high)
 
     def __neg__(self) -> Models:
         return Models(-self.values, self.error, -self.high, -self.low)
@@ -404,9 +403,10 @@ def absolute(g: Models) -> Models:
 
 
 def signum(g: Models) -> Models:
-    """sign(g)."""
-    low = np.where(g.low > 0, 1.0, np.where(g.low == 0, 0.0, -1.0))
-    high = np.where(g.high < 0, -1.0, np.where(g.high == 0, 0.0, 1.0))
+    """sign(g); a zero at an end of the range is passed over."""
+    nothing = (g.low == 0) & (g.high == 0)
+    low = np.where(nothing, 0.0, np.where(g.low >= 0, 1.0, -1.0))
+    high = np.where(nothing, 0.0, np.where(g.high <= 0, -1.0, 1.0))
     return _ranged(low, high)
 
 

@@ -53,6 +53,8 @@ FUNCTIONS: dict[type, str] = {getattr(sympy, name): name for name in (*_ENTIRE, 
 
 # Kinks and jumps: the Taylor series that proofs rest on do not exist there.
 _NOT_SMOOTH = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Heaviside, sympy.DiracDelta)
+# Those that an arithmetic without series may have; Heaviside is written with sign.
+_KINKED = {sympy.Abs: "abs", sympy.sign: "sign", sympy.Min: "min", sympy.Max: "max"}
 _CONSTANTS = {sympy.pi: "pi", sympy.E: "e"}
 
 _COMMENT = "    # "  # before a subexpression
@@ -206,7 +208,7 @@ def without_arithmetic(expression: sympy.Expr) -> str | None:
     """The name of a function or constant in an expression that arithmetics lack, or None."""
     for kind in _NOT_SMOOTH:
         if expression.has(kind):
-            return {"Abs": "abs", "Min": "min", "Max": "max"}.get(kind.__name__, kind.__name__)
+            return _KINKED.get(kind, kind.__name__)
     lowered = Printer({}).lower(expression)
     found = {type(node) for node in lowered.atoms(sympy.Function, sympy.NumberSymbol)}
     known = FUNCTIONS.keys() | {type(constant) for constant in _CONSTANTS}
@@ -339,7 +341,8 @@ class _Graph:
             return self._product(expression)
         if expression.is_Pow and expression.base is not sympy.E:
             return self._power(expression)
-        name = "exp" if expression.is_Pow else FUNCTIONS.get(type(expression))
+        known = FUNCTIONS | _KINKED
+        name = "exp" if expression.is_Pow else known.get(type(expression))
         if name is None:
             raise CodeGenerationError(
                 f"'{type(expression).__name__}' cannot be generated for balls; use functions that "

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 import sympy
 
-from hamsym.codegen.functions import compile_expressions
+from hamsym.bounds.vector_field import ModelField, model_field
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.random_features.compiled_loop import PLAIN, Loops, compiled_loops, compiled_rows
 from hamsym.symbolic.equations import Equations
@@ -24,7 +24,6 @@ __all__ = [
     "stored_entries",
 ]
 
-NarrowArguments: TypeAlias = tuple[np.ndarray, np.ndarray]
 Rows: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
 
 
@@ -64,16 +63,15 @@ class Flow:
     separable : bool
         Whether dq/dt depends on p only, and dp/dt on q only, beside the time.
     vector_field : callable
-        (z, t) -> F, shapes (n, dim), (n,) -> (n, dim).
+        (z, t, parameters=None) -> F, shapes (n, dim), (n,), (n, k) -> (n, dim).
     jacobian : callable
         (z, t) -> dF/dz, shape (n, dim, dim).
     energy : callable, optional
         (z, t) -> H, shape (n,), where H is conserved and does not jump at the cut of an angle.
     autonomous : bool
         Whether the time does not occur.
-    narrow_arguments : callable, optional
-        (z, t) -> arguments of the functions in H that may act briefly, shape (n, k), and their
-        kinds (:class:`~hamsym.symbolic.derivatives.Narrow`), shape (k,).
+    models : ModelField
+        The equations in models, which bound the residual of windows.
     resting : callable, optional
         (z, candidates) -> those components of one state that keep exactly their values.
     rounded : bool
@@ -91,11 +89,11 @@ class Flow:
     entries: np.ndarray
     symmetric: bool
     separable: bool
-    vector_field: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    models: ModelField
+    vector_field: Callable[..., np.ndarray]
     jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray]
     energy: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     autonomous: bool = False
-    narrow_arguments: Callable[[np.ndarray, np.ndarray], NarrowArguments] | None = None
     resting: Callable[[np.ndarray, np.ndarray], list[int]] | None = None
     rounded: bool = False
     loops: Loops = PLAIN
@@ -107,8 +105,11 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
     """Make the flow of H: compiled, plain, or with ``"auto"`` plain until compiling pays."""
     system = H.compile("numpy")
 
-    def vector_field(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return np.asarray(system.vector_field(*system.arguments(z, t)))
+    def vector_field(
+        z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None = None
+    ) -> np.ndarray:
+        given = system.keywords(parameters)
+        return np.asarray(system.vector_field(*system.arguments(z, t), **given))
 
     def jacobian(z: np.ndarray, t: np.ndarray) -> np.ndarray:
         return np.asarray(system.jacobian(*system.arguments(z, t)))
@@ -122,11 +123,11 @@ def flow_of(H: Hamiltonian, compiled: bool | Literal["auto"] = False) -> Flow:
         stored_entries(H.real_equations),
         not H.forces,
         H.is_separable,
+        model_field(H),
         vector_field,
         jacobian,
         energy=energy if has_conserved_values(H) else None,
         autonomous=H.time is None,
-        narrow_arguments=_narrow_arguments(H),
         resting=lambda z, candidates: H.real_equations.resting(z.tolist(), candidates.tolist()),
         rounded=any(map(has_rounded_numbers, H.real_equations.formulas)),
         compile=(lambda: _compiled(H, plain)) if compiled == "auto" else None,
@@ -147,24 +148,6 @@ def stored_entries(equations: Equations) -> np.ndarray:
 def _compiled(H: Hamiltonian, plain: Flow) -> Flow:
     rows = RowFunctions(*(compiled_rows(H.kernels, name) for name in RowFunctions._fields))
     return replace(plain, rows=rows, loops=compiled_loops(), compiled=True, compile=None)
-
-
-@functools.lru_cache(maxsize=64)
-def _narrow_arguments(
-    H: Hamiltonian,
-) -> Callable[[np.ndarray, np.ndarray], NarrowArguments] | None:
-    """Compile the arguments of functions in H that may act briefly; None without such functions.
-
-    They are the arguments of exp, tanh, erf and similar functions, of abs and of Max, and the bases
-    of negative and fractional powers.
-    """
-    equations = H.real_equations
-    found = equations.narrow_arguments
-    if not found:
-        return None
-    arguments = compile_expressions([argument for argument, _ in found], equations)
-    kinds = np.array([kind for _, kind in found])
-    return lambda z, t: (arguments(z, t), kinds)
 
 
 @functools.lru_cache(maxsize=64)
