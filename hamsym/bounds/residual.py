@@ -26,7 +26,7 @@ from hamsym.bounds.vector_field import ModelField
 __all__ = ["Excess", "Parts", "Places", "first_excess"]
 
 _SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
-_MOST_SHARES = 4.0  # of the limit, that all parts of a window may use
+_MOST_SHARES = 2.0  # of the limit, that all parts of a window may use
 _MOST_PARTS = 4_096  # of one generation of halves
 _AT_ONCE = 256  # parts in one evaluation of models
 _GENERATIONS = 60
@@ -121,69 +121,90 @@ def first_excess(
     Excess or None
         None if every window passes.
     """
-    lengths = np.abs(edges[1] - edges[0])
-    resolution = _ULPS * _EPS * np.maximum(np.abs(edges[0]), np.abs(edges[1]))
-    spent = np.zeros(len(lengths))  # by parts that pass, in shares of the limit
-    worst: Excess | None = None
-    parts = Parts.whole(len(lengths))
+    search = _Search(field, rates, trial, noise, edges, limits, parameters)
+    parts = Parts.whole(limits.shape[0])
     for _ in range(_GENERATIONS):
-        undecided: list[Parts] = []
-        for first in range(0, len(parts), _AT_ONCE):
-            some = parts[slice(first, first + _AT_ONCE)]
-            if worst is not None:
-                some = some[some.window < worst.window]
-            if not len(some):
-                continue
-            places = trial(some)
-            weight = lengths[some.window] * some.width
-            bounds = _bounds(field, places, edges, some, parameters) * weight[:, None]
-            ratio = _ratios(bounds, limits[some.window])
-            passed = ratio <= np.maximum(some.width, _SHARE)
-            np.add.at(spent, some.window[passed], ratio[passed])
-            some, weight, bounds = some[~passed], weight[~passed], bounds[~passed]
-            if not len(some):
-                continue
-            at = Places(*(array[~passed] for array in places))
-            limit = limits[some.window] * np.maximum(some.width, _SHARE)[:, None]
-            limit = limit + noise(at, some) * weight[:, None]
-            passed = _ratios(bounds, limit) <= 1
-            found = _residuals(rates, at, some)
-            real = _ratios(found.mean(axis=1) * weight[:, None], limit)
-            failed = ~(real <= 1) | ~(passed | (weight > resolution[some.window]))
-            if failed.any():
-                index = int(np.argmin(np.where(failed, some.window, len(lengths))))
-                peak = int(np.argmax(_ratios(found[index], limits[some.window[index]])))
-                size = max(float(real[index]), float(_ratios(bounds[index], limit[index])))
-                worst = Excess(int(some.window[index]), [float(at.t[index, peak])], size)
-            undecided.append(some[~(failed | passed)])
-        parts = _joined(undecided)
-        if worst is not None:
-            parts = parts[parts.window < worst.window]
+        parts = search.undecided(parts)
         if not len(parts):
-            break
+            return search.excess
         if len(parts) > _MOST_PARTS:
-            parts = parts[np.argsort(parts.window, kind="stable")]
-            last = parts[slice(0, 1)]
-            return Excess(int(last.window[0]), [float(trial(last).t[0, PLACES // 2])], np.inf)
+            break
         parts = parts.halves()
-    else:
-        if len(parts):
-            return Excess(int(parts.window[0]), [float(trial(parts[:1]).t[0, 0])], np.inf)
-    overspent = np.flatnonzero(~(spent <= _MOST_SHARES))
-    if len(overspent) and (worst is None or overspent[0] < worst.window):
-        first = int(overspent[0])
-        return Excess(first, [float(edges[:, first].mean())], float(spent[first]))
-    return worst
+    first = parts[np.argsort(parts.window, kind="stable")[:1]]
+    return Excess(int(first.window[0]), [float(trial(first).t[0, PLACES // 2])], np.inf)
 
 
-def _joined(parts: list[Parts]) -> Parts:
-    if not parts:
-        return Parts.whole(0)
-    return Parts(
-        np.concatenate([part.window for part in parts]),
-        np.concatenate([part.start for part in parts]),
-        np.concatenate([part.width for part in parts]),
-    )
+class _Search:
+    """Bounds of parts of windows, and what they use up of the limits of their windows."""
+
+    def __init__(
+        self,
+        field: ModelField,
+        rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+        trial: Callable[[Parts], Places],
+        noise: Callable[[Places, Parts], np.ndarray],
+        edges: np.ndarray,
+        limits: np.ndarray,
+        parameters: np.ndarray,
+    ) -> None:
+        self._field, self._rates, self._trial, self._noise = field, rates, trial, noise
+        self._edges, self._limits, self._parameters = edges, limits, parameters
+        self._lengths = np.abs(edges[1] - edges[0])
+        self._resolution = _ULPS * _EPS * np.abs(edges).max(axis=0)
+        self._spent = np.zeros(len(limits))  # by parts that passed, in limits
+        self.excess: Excess | None = None  # of the first window that failed
+
+    def undecided(self, parts: Parts) -> Parts:
+        """Judge parts of one generation; return those that neither pass nor fail."""
+        chunks = range(0, len(parts), _AT_ONCE)
+        judged = [self._judged(parts[slice(first, first + _AT_ONCE)]) for first in chunks]
+        upper, lower, times = (np.concatenate(found) for found in zip(*judged, strict=True))
+        window, count = parts.window, len(self._limits)
+        passed = upper <= np.maximum(parts.width, _SHARE)
+        above = self._spent + np.bincount(window, upper, count)
+        np.add.at(self._spent, window[passed], upper[passed])
+        settled = above <= _MOST_SHARES
+        below = np.maximum(np.bincount(window, lower, count), self._spent)
+        failed = ~settled & ~(below <= _MOST_SHARES)
+        # What cannot be divided any more fails too.
+        smallest = ~passed & ~(self._lengths[window] * parts.width > self._resolution[window])
+        failed[window[smallest & ~settled[window]]] = True
+        kept = ~(passed | settled[window])
+        if failed.any():
+            first = int(np.argmax(failed))
+            # The largest residual that was met, or the largest bound where none was.
+            found = lower if lower[window == first].any() else upper
+            index = int(np.argmax(np.where(window == first, found, -1.0)))
+            self.excess = Excess(first, [float(times[index])], float(above[first]))
+            kept &= window < first
+        return parts[kept]
+
+    def _judged(self, parts: Parts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bound the integral of the residual over each part, in limits of its window.
+
+        Returns
+        -------
+        upper, lower : numpy.ndarray
+            A bound and, where that matters, a sum over places, without round-off; shape (parts,).
+        times : numpy.ndarray
+            At which the residual is largest, shape (parts,).
+        """
+        places, limits = self._trial(parts), self._limits[parts.window]
+        weight = self._lengths[parts.window] * parts.width
+        bounds = _bounds(self._field, places, self._edges, parts, self._parameters)
+        upper = _ratios(bounds * weight[:, None], limits)
+        lower, times = np.zeros(len(parts)), places.t[:, PLACES // 2].copy()
+        large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
+        if len(large):
+            some, at = parts[large], Places(*(array[large] for array in places))
+            rounded, own = self._noise(at, some), weight[large, None]
+            found = _residuals(self._rates, at, some)
+            upper[large] = _ratios(np.maximum(bounds[large] - rounded, 0.0) * own, limits[large])
+            mean = np.maximum(found.mean(axis=1) - rounded, 0.0)
+            lower[large] = _ratios(mean * own, limits[large])
+            peaks = _ratios(found, limits[large, None]).argmax(axis=1)
+            times[large] = at.t[np.arange(len(large)), peaks]
+        return upper, lower, times
 
 
 def _bounds(

@@ -25,6 +25,7 @@ import mpmath
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.collocation import chebyshev_points
 from hamsym.random_features import window_loop
 
@@ -212,8 +213,11 @@ def _columns(series: np.ndarray, rates: np.ndarray, s: np.ndarray) -> tuple[np.n
     if s.dtype != series.dtype:  # more digits of the derivative of exactly this series
         series = series.astype(s.dtype)
         rates = rate_series(series)
-    angles = np.arccos(np.clip(2 * s - 1, -1, 1))
-    polynomials = np.cos(np.multiply.outer(angles, np.arange(len(series), dtype=s.dtype)))
+    if s.dtype == np.float64:
+        polynomials = chebyshev_values(2 * s - 1, len(series))
+    else:
+        angles = np.arccos(np.clip(2 * s - 1, -1, 1))
+        polynomials = np.cos(np.multiply.outer(angles, np.arange(len(series), dtype=s.dtype)))
     f = -np.expm1(-s)[:, None]
     network = polynomials @ series
     slopes = polynomials @ rates

@@ -91,7 +91,7 @@ class WindowChecks:
         count, dim = len(lengths), windows.states.shape[1]
         at_places = self._whole(windows)
         largest = np.abs(at_places.rates).max(axis=1)
-        limits = SLACK * (self.tolerance * sizes + ROUND_OFF * lengths * largest)
+        limits = self.tolerance * sizes + ROUND_OFF * lengths * largest
         limits = np.broadcast_to(limits, (count, dim))
         given = self.flow.parameters if parameters is None else parameters
 
