@@ -59,7 +59,8 @@ UNDERFLOW = np.array(1 << 14, dtype=np.uint64).view(np.float64).item()
 _UP = 1 + 64 * UNIT
 _BITS = 240  # of constants
 
-compiled = njit(cache=True, error_model="numpy", nogil=True)
+#: Of functions that :mod:`hamsym.proof.compiled` keeps in its cache, and of those inside them.
+compiled = njit(error_model="numpy", nogil=True)
 inlined = njit(error_model="numpy", nogil=True)
 
 
