@@ -38,6 +38,7 @@ from numba.extending import intrinsic
 from hamsym.proof.balls import above, exact, float_above, working
 
 __all__ = [
+    "HALF_PI",
     "MIDDLE",
     "TINY",
     "UNDERFLOW",
@@ -58,7 +59,8 @@ UNDERFLOW = np.array(1 << 14, dtype=np.uint64).view(np.float64).item()
 _UP = 1 + 64 * UNIT
 _BITS = 240  # of constants
 
-compiled = njit(cache=True, error_model="numpy", nogil=True)
+#: Of functions that :mod:`hamsym.proof.compiled` keeps in its cache, and of those inside them.
+compiled = njit(error_model="numpy", nogil=True)
 inlined = njit(error_model="numpy", nogil=True)
 
 
@@ -85,7 +87,7 @@ def _table(values: list[Any]) -> np.ndarray:
 
 with working(_BITS):
     _LOG_2 = number_of(arb.const_log2())
-    _HALF_PI = number_of(arb.pi() / 2)
+    HALF_PI = number_of(arb.pi() / 2)
     _TWO_BY_ROOT_PI = number_of(2 / arb.pi().sqrt())
 _INVERSE_FACTORIALS = _table([Fraction(1, math.factorial(k)) for k in range(32)])
 
@@ -230,18 +232,18 @@ def exponential(x):
     total = widened(total, size**13 * 1e-9)  # 1/13! < 2e-10, and the tail is below twice its first
     for _ in range(8):  # (1 + p)^2 - 1
         total = add(scaled(total, 2.0), multiply(total, total))
-    total = scaled(add(ball_of(1.0), total), 2.0**k)
+    total = scaled(add(ball_of(1.0), total), math.ldexp(1.0, k))
     # |exp(m + d) - exp(m)| <= exp(m) (exp(r) - 1) <= exp(m) 2 r, because r <= 1.
     return widened(total, absolute(total) * 2 * x[2])
 
 
 @compiled
 def sine_cosine(x):
-    k = math.floor(x[0] / _HALF_PI[0] + 0.5)
+    k = math.floor(x[0] / HALF_PI[0] + 0.5)
     if not abs(k) <= 2.0**40:
         return invalid(), invalid()
     middle = (x[0], x[1], 0.0)
-    y = add(middle, negative(multiply(ball_of(k), _HALF_PI)))
+    y = add(middle, negative(multiply(ball_of(k), HALF_PI)))
     size = absolute(y)
     if not size <= 0.8:
         return invalid(), invalid()
@@ -332,7 +334,7 @@ def arcsine(x):
 
 @compiled
 def arccosine(x):
-    return add(_HALF_PI, negative(arcsine(x)))
+    return add(HALF_PI, negative(arcsine(x)))
 
 
 @compiled

@@ -33,6 +33,8 @@ proven afterwards, by a residual:
 - sin(P), cos(P): the same for the pair, whose equation is a rotation, so that E = 1.
 - functions with f' = g(P) P', such as log, atan or asin: integral(g P') + f(P(-1)), and r |g|.
 
+*Angles* that depend on time alone are taken modulo 2 pi, once for a window (REDUCED_ANGLE).
+
 Values at -1 are those of :mod:`hamsym.proof.ball_arithmetic`. (Brisebarre & Joldes 2010 introduced
 such models; Brehard, Brisebarre & Joldes 2018 validate solutions of linear equations like exp.)
 """
@@ -44,6 +46,7 @@ import math
 import numpy as np
 
 from hamsym.proof.ball_arithmetic import (
+    HALF_PI,
     MIDDLE,
     TINY,
     UNIT,
@@ -62,7 +65,9 @@ from hamsym.proof.ball_arithmetic import (
     inverse_hyperbolic_sine,
     inverse_hyperbolic_tangent,
     logarithm,
+    multiply,
     negative,
+    scaled,
     sine_cosine,
     two_sum,
 )
@@ -73,6 +78,7 @@ HALVING = 1e-321  # error of halving the numbers of a series, which may be subno
 
 ADD, SUBTRACT, NEGATE, MULTIPLY, RECIPROCAL, RECIPROCAL_ROOT, EXPONENTIAL, SINE_COSINE = range(8)
 LOGARITHM, ARCTANGENT, ARCSINE, ARCCOSINE, ARSINH, ARCOSH, ARTANH, ERROR_FUNCTION = range(8, 16)
+REDUCED_ANGLE = 16
 
 
 @inlined
@@ -277,6 +283,23 @@ def negate_model(high, low, radius, length, k, i):
     for c in range(n):
         high[k, c], low[k, c] = -high[i, c], -low[i, c]
     length[k], radius[k] = n, radius[i]
+
+
+@compiled
+def reduce_angle_model(high, low, radius, length, k, i):
+    """Row k becomes row i minus the multiple of 2 pi that brings its middle near zero."""
+    negate_model(high, low, radius, length, k, i)
+    negate_model(high, low, radius, length, k, k)
+    turn = scaled(HALF_PI, 4.0)
+    turns = high[k, 0] / turn[0]
+    if not abs(turns) <= 2.0**50:
+        radius[k] = math.inf
+        return
+    count = float(math.floor(turns + 0.5))
+    if count != 0:
+        middle = (high[k, 0], low[k, 0], radius[k])
+        middle = add(middle, negative(multiply(ball_of(count), turn)))
+        high[k, 0], low[k, 0], radius[k] = middle
 
 
 @compiled
@@ -648,6 +671,8 @@ def run_models(program, values, series, high, low, radius, length, double):
             negate_model(high, low, radius, length, k, i)
         elif operation == MULTIPLY:
             multiply_models(high, low, radius, length, k, i, j, double)
+        elif operation == REDUCED_ANGLE:
+            reduce_angle_model(high, low, radius, length, k, i)
         elif operation == RECIPROCAL:
             invert_model(values, series, high, low, radius, length, k, i, double)
         elif operation == RECIPROCAL_ROOT:

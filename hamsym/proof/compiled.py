@@ -1,7 +1,7 @@
-"""Compiled functions of enclosures, as one module in hamsym's cache of compiled code.
+"""Compiled functions of proofs, as one module in hamsym's cache of compiled code.
 
 numba's own cache would not notice that a function called from another file has changed. So the
-texts of the three modules become one text, whose file in the cache is named by its digest.
+texts of the modules become one text, whose digest the compiled code in the cache must have.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 from hamsym.codegen.numba_cache import load_module
 from hamsym.proof.float64_arithmetic import require_float64
 
-__all__ = ["loops", "require_compiled_float64"]
+__all__ = ["loops", "module_of", "require_compiled_float64"]
 
-_PARTS = ("ball_arithmetic", "chebyshev_models", "window_steps")
+_PARTS = ("ball_arithmetic", "chebyshev_models", "window_steps", "taylor_products")
 
 
 def _text() -> str:
@@ -42,7 +42,24 @@ def _text() -> str:
 def loops() -> Any:
     """The module with all functions, compiled on first use or loaded from the cache."""
     require_float64()  # also for the constants of the text
-    return load_module(_text(), "enclosures")
+    return module_of(_text(), "enclosures")
+
+
+def module_of(text: str, name: str) -> Any:
+    """The module of a text, with its functions that are marked as compiled in the checked cache."""
+    from hamsym.codegen.checked_cache import cache_functions  # imports numba
+
+    module = load_module(text, name)
+    marked = [
+        node.name
+        for node in ast.parse(text).body
+        if isinstance(node, ast.FunctionDef)
+        and any(
+            isinstance(mark, ast.Name) and mark.id == "compiled" for mark in node.decorator_list
+        )
+    ]
+    cache_functions(module, marked, text)
+    return module
 
 
 def require_compiled_float64() -> None:

@@ -35,6 +35,7 @@ from hamsym.proof.chebyshev_models import (
     NEGATE,
     RECIPROCAL,
     RECIPROCAL_ROOT,
+    REDUCED_ANGLE,
     SINE_COSINE,
     SUBTRACT,
 )
@@ -51,8 +52,11 @@ class Program:
 
     Attributes
     ----------
-    steps : numpy.ndarray
-        Rows (operation, target, first, second).
+    steps, still : numpy.ndarray
+        Rows (operation, target, first, second); ``still`` are those that do not depend on the
+        state, to be run first.
+    still_places : numpy.ndarray
+        Registers that they set.
     constants : numpy.ndarray
         Registers of numbers, shape (c,), and ``numbers`` their balls (high, low, radius), (c, 3).
     results : numpy.ndarray
@@ -63,7 +67,11 @@ class Program:
     def __init__(self, recorder: Recorder, results: Sequence[Any]) -> None:
         places = [recorder.place(result) for result in results]
         self.results = np.array(places, dtype=np.int64)
-        self.steps = np.array(recorder.steps, dtype=np.int64).reshape(-1, 4)
+        steps = np.array(recorder.steps, dtype=np.int64).reshape(-1, 4)
+        still = np.isin(steps[:, 1], list(recorder.still))
+        self.steps, self.still = steps[~still], steps[still]
+        pairs = self.still[self.still[:, 0] == SINE_COSINE]
+        self.still_places = np.concatenate([self.still[:, 1], pairs[:, 3]])
         known = recorder.constants
         self.constants = np.array([place for place, _ in known], dtype=np.int64)
         self.numbers = np.array([number_of(value) for _, value in known]).reshape(-1, 3)
@@ -71,13 +79,24 @@ class Program:
 
 
 class Recorder:
-    """Records the operations of formulas in ``variables``, which stand for its first registers."""
+    """Records the operations of formulas in variables, which stand for its first registers.
 
-    def __init__(self, variables: int) -> None:
+    Parameters
+    ----------
+    variables : int
+    state : int, optional
+        Number of the first ones, which are the state; by default all. Of the sum of an angle of
+        the state and of one that time turns, the latter is taken modulo 2 pi before they are added.
+    """
+
+    def __init__(self, variables: int, state: int | None = None) -> None:
         self.count = variables
         self.variables = [_Value(self, k) for k in range(variables)]
         self.steps: list[tuple[int, int, int, int]] = []
         self.constants: list[tuple[int, arb]] = []
+        #: Registers that depend on variables, but not on the state.
+        self.still = set(range(variables if state is None else state, variables))
+        self._made: dict[int, tuple[int, _Value, _Value]] = {}
         self._pairs: dict[int, tuple[_Value, _Value]] = {}
         self._numbers: dict[str, int] = {}
 
@@ -107,7 +126,15 @@ class Recorder:
         b = 0 if second is None else self.place(second)
         target = self._new()
         self.steps.append((operation, target, a, b))
+        operands = {a} if second is None else {a, b}
+        if operands & self.still and operands <= self.still | self._known:
+            self.still.add(target)
+        self._made[target] = operation, _Value(self, a), _Value(self, b)
         return _Value(self, target)
+
+    @property
+    def _known(self) -> set[int]:
+        return set(self._numbers.values())
 
     def apply(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """A function of values or numbers."""
@@ -128,10 +155,49 @@ class Recorder:
 
     def sine_cosine(self, x: _Value) -> tuple[_Value, _Value]:
         if x.place not in self._pairs:
+            angle = self._reduced(x)
             sine, cosine = self._new(), self._new()
-            self.steps.append((SINE_COSINE, sine, x.place, cosine))
+            self.steps.append((SINE_COSINE, sine, angle.place, cosine))
+            if angle.place in self.still:
+                self.still |= {sine, cosine}
             self._pairs[x.place] = _Value(self, sine), _Value(self, cosine)
         return self._pairs[x.place]
+
+    def _reduced(self, angle: _Value) -> _Value:
+        """The angle, whose part that depends on time alone is taken modulo 2 pi."""
+        moving, still = self._parts(angle)
+        if still is None:
+            return angle
+        reduced = self.add_step(REDUCED_ANGLE, still)
+        return reduced if moving is None else self.add_step(ADD, moving, reduced)
+
+    def _parts(self, value: _Value) -> tuple[_Value | None, _Value | None]:
+        """A value as the sum of two, of which the second depends on time and not on the state."""
+        if value.place in self.still:
+            return None, value
+        operation, a, b = self._made.get(value.place, (None, value, value))
+        if operation in (ADD, SUBTRACT):
+            first, second = self._parts(a), self._parts(b)
+            if first[1] is not None or second[1] is not None:
+                moving, still = (
+                    self._joined(operation, *pair) for pair in zip(first, second, strict=True)
+                )
+                return moving, still
+        elif operation == NEGATE:
+            moving, still = self._parts(a)
+            if still is not None:
+                return None if moving is None else -moving, -still
+        elif operation == MULTIPLY and {a.place, b.place} & self._known:
+            number, other = (a, b) if a.place in self._known else (b, a)
+            moving, still = self._parts(other)
+            if still is not None:
+                return None if moving is None else number * moving, number * still
+        return value, None
+
+    def _joined(self, operation: int, a: _Value | None, b: _Value | None) -> _Value | None:
+        if a is None or b is None:
+            return a if b is None else b if operation == ADD else -b
+        return self.add_step(operation, a, b)
 
     def root(self, x: _Value) -> _Value:
         return self.add_step(MULTIPLY, x, self.add_step(RECIPROCAL_ROOT, x))
@@ -337,13 +403,28 @@ class ModelRows:
         self.radius[part], self.length[part] = models.radius, models.length
 
     def run(self, using: Tables, double: bool) -> None:
-        """Run the program, in twice float64 or in float64."""
-        self._set_constants()
+        """Run the program, in twice float64 or, but for what is still, in float64."""
+        self.run_still(using)
         if not double:
             self.radius += np.abs(self.low).sum(axis=1) * (1 + 1e-9)
             self.low[:] = 0.0
+        self._run(self.program.steps, using, double)
+
+    def run_still(self, using: Tables) -> None:
+        """Run what does not depend on the state, in twice float64."""
+        self._set_constants()
+        if len(self.program.still):
+            self._run(self.program.still, using, True)
+
+    def still_values(self, using: Tables) -> np.ndarray:
+        """Values of these registers at the points, rounded, shape (still, points)."""
+        places = self.program.still_places
+        used = np.arange(self.high.shape[1]) < self.length[places, None]
+        return np.asarray(np.where(used, self.high[places] + self.low[places], 0.0) @ using.values)
+
+    def _run(self, steps: np.ndarray, using: Tables, double: bool) -> None:
         loops().run_models(
-            self.program.steps,
+            steps,
             using.values,
             using.series,
             self.high,

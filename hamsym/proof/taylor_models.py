@@ -25,7 +25,6 @@ References: Makino & Berz 2003 (Taylor models); Revol, Makino & Berz 2005 (their
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -35,6 +34,7 @@ import numpy as np
 from flint import arb, arb_series
 
 from hamsym.proof.balls import above, working
+from hamsym.proof.compiled import loops
 from hamsym.proof.functions import Arithmetic, SingularityError, general_power
 
 __all__ = ["BITS", "MODELS", "Model", "Space", "deflated", "float_with_radius", "inflated"]
@@ -69,29 +69,6 @@ def float_with_radius(number: arb) -> tuple[float, float]:
 
 def _known(number: arb | int) -> tuple[float, float]:
     return float_with_radius(number if isinstance(number, arb) else arb(number))
-
-
-@functools.cache
-def _multiplier() -> Callable[..., None]:
-    import numba  # slow to import
-
-    return numba.njit(cache=True, nogil=True)(_multiply)  # type: ignore[no-any-return]
-
-
-def _multiply(
-    found: np.ndarray,
-    first: np.ndarray,
-    second: np.ndarray,
-    rows: np.ndarray,
-    others: np.ndarray,
-    targets: np.ndarray,
-) -> None:
-    """Add the products of coefficients to their places."""
-    cells = found.shape[1]
-    for place in range(len(rows)):
-        i, j, k = rows[place], others[place], targets[place]
-        for cell in range(cells):
-            found[k, cell] += first[i, cell] * second[j, cell]
 
 
 class Space:
@@ -191,7 +168,7 @@ class Space:
     def product(self, first: Model, second: Model) -> Model:
         a, b = first.coefficients, second.coefficients
         found = np.zeros_like(a)
-        _multiplier()(found, a, b, *self._pairs)
+        loops().add_products(found, a, b, *self._pairs)
         size, other = np.abs(a), np.abs(b)
         tail = (size * (self._left_out @ other)).sum(axis=0)
         rounding = 2 * (self.most + 4) * _UNIT * first.amount() * second.amount()

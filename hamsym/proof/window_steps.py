@@ -605,7 +605,7 @@ def boxed_set(G, R, units):
         row = 0.0
         for c in range(columns):
             row += abs(unit[i, c] - (1.0 if i == c else 0.0)) + error[i, c]
-        f = max(f, up(row))
+        f = max(f, up(row) if row < math.inf else math.inf)  # max() would drop NaN
     if not f < 0.5:
         return P, np.full((columns, kinds), np.inf)
     product, error = matrix_product(inverse, own)

@@ -118,7 +118,7 @@ class Equation:
 
     def _recorded(self, name: str) -> tuple[Program, list[tuple[int, ...]]]:
         """A generated function as a program, and the indices of its results."""
-        recorder = Recorder(self.columns + 1)
+        recorder = Recorder(self.columns + 1, self.dim)
         functions = GeneratedFunctions(self._H, recorder.arithmetic, self._unknown)
         *state, time = recorder.variables
         varied = dict(zip(functions.keywords, state[self.dim :], strict=True))
@@ -411,7 +411,11 @@ class WindowStepper:
         return self._enclosed(place, models, D, units, factor)
 
     def _guess(self, place: _Place) -> tuple[np.ndarray, np.ndarray | None]:
-        """Sizes of the components and coefficients of y in float64; and DG along y in rows."""
+        """Sizes of the components and coefficients of y in float64; and DG along y in rows.
+
+        What does not depend on the state is put into the models, and rounded into the rows: a time
+        of many periods has too few digits in float64.
+        """
         equation, tabs = self.equation, self._tables
         dim, columns = equation.dim, equation.columns
         rows, more = self._rows
@@ -419,6 +423,12 @@ class WindowStepper:
         rows[:dim] = self._centre[:, None]
         rows[dim:columns] = self._constants[:, None]
         rows[columns] = place.middle[0] + signed * tabs.points
+        for values, models in ((rows, self._rates), (more, self._jacobian)):
+            models.high[dim:columns, 0] = self._constants
+            models.radius[dim : columns + 1] = 0.0
+            models.set_line(columns, place.middle, place.slope)
+            models.run_still(tabs)
+            values[models.program.still_places] = models.still_values(tabs)
         count = loops().collocate(
             equation.rates.steps,
             equation.rates.results,
@@ -438,12 +448,10 @@ class WindowStepper:
     ) -> tuple[ModelRows, np.ndarray]:
         """y in twice float64, by linear corrections of its defect, and bounds on the defect."""
         equation, tabs, models = self.equation, self._tables, self._rates
-        dim, columns = equation.dim, equation.columns
+        dim = equation.dim
         models.high[:dim], models.low[:dim] = y, 0.0
         models.length[:dim] = self._terms
-        models.radius[: columns + 1] = 0.0
-        models.high[dim:columns, 0] = self._constants
-        models.set_line(columns, place.middle, place.slope)
+        models.radius[:dim] = 0.0
         self._start(models)
         arguments = (
             equation.rates.steps,
@@ -719,13 +727,18 @@ class WindowStepper:
             J,
             J_error,
             tube,
-            2.0 ** np.round(np.log2(np.concatenate([units, self._constant_units(half, units)]))),
+            _powers_of_two(np.concatenate([units, self._constant_units(half, units)])),
         )
         self._set = self._set.moved(J, J_error, extra[:, None], window.units)
         if not np.isfinite(self._set.R).all():
             raise CertificationError("the enclosure became infinite; use an earlier end time")
         self.elapsed = window.end
         return window
+
+
+def _powers_of_two(units: np.ndarray) -> np.ndarray:
+    """Powers of two near numbers > 0, exact in any library: division by them is."""
+    return np.ldexp(1.0, np.round(np.log2(units)).clip(-1022, 1023).astype(int))
 
 
 def _two_sum(a: Any, b: Any) -> tuple[Any, Any]:

@@ -21,7 +21,6 @@ import pytest
 import hamsym.proof.enclose
 import hamsym.proof.programs
 import hamsym.proof.windows
-from hamsym.codegen.numba_cache import load_module
 from hamsym.proof import compiled
 from hamsym.proof.balls import working
 from tests.proof.misses import (
@@ -66,7 +65,7 @@ def changed(changes: Changes) -> Any:
     for old, new in changes:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
-    return load_module(text, "weakened")
+    return compiled.module_of(text, "weakened")
 
 
 @dataclass(frozen=True)

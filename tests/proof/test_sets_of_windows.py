@@ -9,6 +9,7 @@ from flint import arb
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.balls import working
+from hamsym.proof.compiled import loops
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import ModelRows
 from hamsym.proof.windows import Equation, ErrorSet, WindowStepper, set_sizes
@@ -106,6 +107,13 @@ def test_bounds_that_are_not_finite_give_no_finite_set(part, value):
     with np.errstate(all="ignore"):
         found = ErrorSet.of_radii(np.ones((2, 1))).moved(J, J_error, extra, np.ones(2))
         assert not (found.sizes() <= 1e300).all()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_boxed_set_without_an_orthogonal_matrix_is_infinite(value):
+    G, R = np.array([[1.0, 0.3, 0.1], [0.2, 1.0, 0.4]]), np.ones((3, 1))
+    _, radii = loops().boxed_set(G, R, np.array([value, 1.0]))
+    assert not (radii < np.inf).any()
 
 
 def test_sizes_over_a_window_bound_the_exact_values():
