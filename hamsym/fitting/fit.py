@@ -114,7 +114,8 @@ def fit(
     -----
     Standard errors are those of the linear model at the minimum, valid for small independent
     normal errors: C = (J^T J)^-1, multiplied by chi-square per degree of freedom if sigma is not
-    given. Intervals are those of the profile likelihood where the model is not linear in them. See Bates and Watts, *Nonlinear Regression Analysis and Its Applications* (1988).
+    given. Intervals are those of the profile likelihood where the model is not linear in them.
+    See Bates and Watts, *Nonlinear Regression Analysis and Its Applications* (1988).
 
     Examples
     --------
