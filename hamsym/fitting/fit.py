@@ -4,7 +4,8 @@ Stage 1  Observables, data and free quantities are checked, and compiled with th
 Stage 2  All starts are ranked by the least chi-square of their linear models; the best ones are
          refined by the Levenberg-Marquardt method with exact derivatives
          (:mod:`hamsym.fitting.search`).
-Stage 3  The best minimum of every set of data is judged (:mod:`hamsym.fitting.verdicts`).
+Stage 3  Covariances and intervals (:mod:`hamsym.fitting.uncertainty`).
+Stage 4  The best minimum of every set of data is judged (:mod:`hamsym.fitting.verdicts`).
 """
 
 from __future__ import annotations
@@ -113,7 +114,8 @@ def fit(
     -----
     Standard errors are those of the linear model at the minimum, valid for small independent
     normal errors: C = (J^T J)^-1, multiplied by chi-square per degree of freedom if sigma is not
-    given. See Bates and Watts, *Nonlinear Regression Analysis and Its Applications* (1988).
+    given. Intervals are those of the profile likelihood where the model is not linear in them.
+    See Bates and Watts, *Nonlinear Regression Analysis and Its Applications* (1988).
 
     Examples
     --------

@@ -70,7 +70,9 @@ class Fit(Shown):
     confidence : float
     confidence_intervals : dict of str to (low, high)
         Each of shape (...): estimates -+ a multiple of their standard errors, from the normal
-        distribution, or Student's t distribution if sigma was estimated.
+        distribution, or Student's t distribution if sigma was estimated; where chi-square at these
+        ends shows that the model is curved, ends of the profile likelihood, and the message says
+        so. Infinite where the data give no end.
     z0 : numpy.ndarray
         Starts with the estimates, shape (..., dim).
     span : (float, float)
@@ -87,8 +89,8 @@ class Fit(Shown):
         Probability of a larger chi-square if the model and sigma are right; nan without sigma.
     success : bool or numpy.ndarray
         Whether the estimates are a minimum inside the bounds that the data determine, without
-        another one that fits as well, the motion is accurate to a tenth of sigma, and the model
-        fits (p >= 1e-6).
+        another one known that fits as well, by symmetry, aliasing or from another start, the
+        motion is accurate to a tenth of sigma, and the model fits (p >= 1e-6).
     message : str or numpy.ndarray
     minima : tuple of Minimum
         The minima that several starts reached, the best one first; empty for several sets.

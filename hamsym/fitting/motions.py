@@ -29,6 +29,7 @@ __all__ = ["FlowLike", "LiftedMotions", "MappedMotions", "Motions", "SolvedMotio
 _ROWS = 256  # that are solved together, to bound the memory
 _FAST = 2e4  # radians in the span, from which a motion takes a second
 _FASTER = 10  # times the first guess: also too fast
+_LARGEST = 1e100  # change of a parameter that a response can need
 _SMALL = 1e-3  # size of the response to a parameter, relative to that to the start
 
 
@@ -301,7 +302,7 @@ class LiftedMotions:
                 response = np.abs(responses[:, place]).max(axis=1)
                 sizes = response / np.abs(reference[:, 0]).max(axis=1)
                 ratio = np.where(np.isfinite(sizes), sizes, 0.0).max()
-                if 1e-30 < ratio < _SMALL:
+                if 1e-30 < ratio < _SMALL and self._sizes[name] < _LARGEST:
                     self._sizes[name] /= ratio
                     changed = True
         return changed

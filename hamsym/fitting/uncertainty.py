@@ -91,7 +91,7 @@ def uncertainty_of(
         else:
             names = [name for j, name in enumerate(unknowns.names) if lost[k, j]]
             texts[k] = f"the data depend on {', '.join(names)} to second order only"
-            curved[k] = True
+        curved[k] = not idle[k].any()
     better = {}
     if curved.any():
         count = low.shape[1]

@@ -181,6 +181,7 @@ def test_explicit_time_in_the_hamiltonian() -> None:
         t,
         {"x": x + noise(0.02, 80)},
         free={"A": 0.4, "w": 0.72},
+        bounds={"w": (0, None)},
         z0={"x": 1, "p": 0},
         sigma=0.02,
         span=(3, 20),

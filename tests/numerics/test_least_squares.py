@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.optimize
 
-from hamsym.numerics.least_squares import minimize_squares
+from hamsym.numerics.least_squares import are_minima, minimize_squares
 
 T = np.linspace(0, 4, 41)
 FREE = np.full(3, np.inf)
@@ -104,3 +104,33 @@ def test_the_limit_of_iterations_is_no_convergence() -> None:
         lambda x, rows: decay(x, data), np.array([[9.0, 9.0, 9.0]]), -FREE, FREE, unit, iterations=1
     )
     assert not found.converged.any()
+
+
+def test_minima_at_which_a_column_vanishes_converge() -> None:
+    t = np.linspace(0.0, 1.0, 20)
+
+    def square(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residuals = x[:, :1] + x[:, 1:] ** 2 * t + t
+        slopes = np.stack((np.ones((len(x), 20)), 2 * x[:, 1:] * t), axis=-1)
+        return residuals, slopes
+
+    free = np.full(2, np.inf)
+    starts = np.array([[0.0, 0.5], [1.0, -2.0], [-1.0, 1e-3]])
+    found = minimize_squares(square, starts, -free, free, lambda s, rows: 0.01 + 0 * s)
+    assert found.converged.all()
+    np.testing.assert_allclose(found.unknowns[:, 0], -0.5, atol=1e-3)
+    np.testing.assert_allclose(found.unknowns[:, 1], 0.0, atol=1e-2)
+
+
+def test_saddles_are_no_minima() -> None:
+    t = np.linspace(0.0, 1.0, 20)
+
+    def square(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        slopes = np.stack((np.ones((len(x), 20)), 2 * x[:, 1:] * t), axis=-1)
+        return x[:, :1] + x[:, 1:] ** 2 * t - t, slopes
+
+    free = np.full(2, np.inf)
+    x = np.array([[0.5, 1e-9]])
+    parts = square(x, np.zeros(1, dtype=int))
+    one = np.ones(1)
+    assert not are_minima(square, x, *parts, -free, free, 0.01 * one, np.ones((1, 2))).any()
