@@ -67,8 +67,10 @@ class CondensedWindows:
             q, triangle = np.linalg.qr(np.concatenate([last, maps[k]]), mode="complete")
             columns = q.T @ columns
             parts = np.split(columns, [dim, 2 * dim, columns.shape[1] - 1], axis=1)
-            above = [part[:dim] for part in parts]
-            self._eliminated.append(_Eliminated(triangle[:dim], *above[:3], above[3][:, 0]))
+            by_first, by_next, by_numbers, constant = (part[:dim] for part in parts)
+            self._eliminated.append(
+                _Eliminated(triangle[:dim], by_first, by_next, by_numbers, constant[:, 0])
+            )
             first, last, free = (part[dim:] for part in parts[:3])
             rest = parts[3][dim:, 0]
         self.matrix, self.right = np.hstack([first, last, free]), rest

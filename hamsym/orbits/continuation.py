@@ -32,6 +32,7 @@ _MOST_CHANGE = 0.5  # of m + 1/m of the multipliers m between neighbours
 _TURN = 0.9  # cosine of the largest angle between neighbouring tangents
 _CONSTANT = 1e-10  # relative change of a period that is round-off, per distance along the family
 _SHRUNK = 1e-7  # extent of an orbit, relative to the first one, that counts as an equilibrium
+_LOOSE = 1e-6  # tolerance of orbits that only enclose a bifurcation
 _LOCATED = 1e-9  # distance along the family up to which a bifurcation is located
 
 # A kind of bifurcation, which is no bifurcation of the orbits with given energies.
@@ -172,7 +173,9 @@ class Continuation:
         point.tests = _tests(point, problem)
         return point
 
-    def _neighbour(self, here: _Point, distance: float) -> PeriodicOrbit | None:
+    def _neighbour(
+        self, here: _Point, distance: float, tol: float | None = None
+    ) -> PeriodicOrbit | None:
         """The orbit at a distance along the tangent, or None."""
         orbit, system = here.orbit, here.system
         change = distance * _unweighted(here.tangent, orbit.arc) * system.units
@@ -190,7 +193,7 @@ class Continuation:
             return None
         problem, arc = found
         final = _pinned(problem, arc)
-        made = solved_orbit(final, arc, self._tol)
+        made = solved_orbit(final, arc, self._tol if tol is None else tol)
         if not made.success:
             return None
         return replace(made, problem=replace(made.problem, parameter=None))
@@ -226,11 +229,14 @@ class Continuation:
             nonlocal closest
             if distance not in known:
                 orbit = self._neighbour(here, distance)
+                exact = orbit is not None
+                if orbit is None:  # Next to a fold round-off is large, but the sign is known.
+                    orbit = self._neighbour(here, distance, max(self._tol, _LOOSE))
                 if orbit is None:
                     raise _LostError
                 point = self._point(orbit, here)
                 known[distance] = function(point)
-                if abs(known[distance]) <= abs(function(closest)):
+                if exact and abs(known[distance]) <= abs(function(closest)):
                     closest = point
             return known[distance]
 
