@@ -22,10 +22,14 @@ demo: $(VENV)/installed ## Train the paper's oscillator, compare, draw (two minu
 test: $(VENV)/installed ## Run the test suite (six to ten minutes)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not browser"
 
-# The folders whose tests compute; not compilers and packages that these settings do not reach.
+# The folders whose tests compute, without files that mostly compile, that these settings do not
+# reach, or whose arithmetic rounds alike on every processor: Arb and single steps of float64.
 PORTABLE := $(addprefix tests/,codegen dynamics families fitting flow_maps integrators networks numerics \
     orbits proof random_features solution systems workbench/test_animation.py docs/test_documentation.py) \
-    $(addprefix --ignore=tests/codegen/,test_jax.py test_other_languages.py)
+    $(addprefix --ignore=tests/codegen/test_,jax.py other_languages.py numba_cache.py generated_code.py) \
+    $(addprefix --ignore=tests/integrators/test_,coefficients.py integrate.py) \
+    $(addprefix --ignore-glob=tests/proof/test_,ball* box* chebyshev* *_attack.py forced* generated.py \
+    mutations.py root* sets* spectrum.py taylor* window_steps.py)
 
 test-portable: $(VENV)/installed ## Test the numerics with the code for an older processor
 	$(BIN)/python -m tests.older_processor -n 2 --dist worksteal -m "not slow and not browser" $(PORTABLE)
