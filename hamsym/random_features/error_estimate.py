@@ -31,6 +31,7 @@ from hamsym.random_features.error_loop import Actions, ErrorSettings, ErrorTable
 from hamsym.random_features.flow import Flow, flow_of
 from hamsym.random_features.window_loop import Windows
 from hamsym.random_features.windows import March
+from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import WindowError
 
 __all__ = [
@@ -159,7 +160,8 @@ def estimate_error(
         linear = np.full(dim, np.inf)
     elif len(bent):
         start = float(windows.origin + windows.edges[bent[0]])
-        limit = f"errors grow too large for an estimate by t = {start:.6g}"
+        shown = shown_time(start, *windows.ends)
+        limit = f"errors grow too large for an estimate by t = {shown}"
     if len(bent):
         series[bent[0] :] = floors[bent[0] :] = np.inf
     if limit:
@@ -309,14 +311,14 @@ def _jumps(windows: March, basis: FeatureBasis) -> np.ndarray:
 
 def _reason(windows: March, flow: Flow, window: int) -> str:
     """Return the reason for an estimate that ends at a window."""
-    t = float(windows.origin + windows.edges[window])
+    t = shown_time(float(windows.origin + windows.edges[window]), *windows.ends)
     with np.errstate(all="ignore"):
         jacobian = flow.jacobian(
             windows.states[window : window + 2], windows.edges[window : window + 2]
         )
     if not np.isfinite(jacobian).all():
-        return f"the Hessian of H is not finite near t = {t:.6g}"
-    return f"round-off errors grow to the size of the motion by t = {t:.6g}"
+        return f"the Hessian of H is not finite near t = {t}"
+    return f"round-off errors grow to the size of the motion by t = {t}"
 
 
 def _scales(windows: March, flow: Flow) -> np.ndarray:

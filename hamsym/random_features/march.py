@@ -27,6 +27,7 @@ from hamsym.random_features.flow import Flow
 from hamsym.random_features.window_checks import Failure, WindowChecks
 from hamsym.random_features.window_loop import Progress, Settings, Windows
 from hamsym.random_features.windows import March
+from hamsym.solution.times import shown_time
 
 __all__ = ["MAX_WINDOWS", "march", "newton", "node_signs", "origin_of", "shortest_window"]
 
@@ -222,6 +223,10 @@ class _Marching:
 
     # -- between two calls of the loop -----------------------------------------------------------
 
+    def _shown(self, t: float) -> str:
+        start, end = self._origin + self._start, self._origin + self._end
+        return shown_time(self._origin + t, start, end)
+
     def _too_short(self) -> str:
         """The reason for ending at a window that is too short."""
         reason = (
@@ -291,7 +296,7 @@ class _Marching:
         if self._returns > _RETURNS or abs(end - start) < 100 * shortest:
             # For example at a jump: the march goes on, without success.
             self._failures.append(
-                f"near t = {self._origin + failure.times[0]:.6g}, between the points of "
+                f"near t = {self._shown(failure.times[0])}, between the points of "
                 f"collocation, {failure.cause} changes by {failure.excess:.0e} times the tolerance "
                 "in windows of any length"
             )

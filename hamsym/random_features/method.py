@@ -41,6 +41,7 @@ from hamsym.solution.accuracy import (
 )
 from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.solution import Solution
+from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import allowed_errors, largest_ratio
 
 __all__ = [
@@ -227,8 +228,9 @@ def solve_by_march(
                 break
             local = max(local * min(max(MARGIN / tried.too_large, STEP), MOST), SMALLEST)
     if best is None:
-        raise InputError(f"no solution beyond t = {windows.reached:.6g}: {windows.reason}")
-    success, message = _verdict(best, tol)
+        reached = shown_time(windows.reached, *problem.span)
+        raise InputError(f"no solution beyond t = {reached}: {windows.reason}")
+    success, message = _verdict(best, tol, problem.span)
     if best.jump is not None:
         success, message = False, f"{best.jump} ({message})"
     return best.solution.judged(success, message)
@@ -310,18 +312,18 @@ class _Attempt:
         return bool(abs(self.held - start) > abs(other.held - start))
 
 
-def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
+def _verdict(attempt: _Attempt, tol: float, span: tuple[float, float]) -> tuple[bool, str]:
     windows, excess = attempt.windows, attempt.excess
     error, limit = attempt.estimate.error, attempt.estimate.limit
     state = _state(len(windows.readouts), excess)
-    held = attempt.held
+    held = shown_time(attempt.held, *span)
     if windows.reason:
-        until, missing = f"t = {held:.6g}", abs(windows.reached - held)
-        if until == f"t = {windows.reached:.6g}":
+        until, missing = f"t = {held}", abs(windows.reached - attempt.held)
+        reached = shown_time(windows.reached, *span)
+        if held == reached:
             until = f"{missing:.1e} before that" if missing else "there"
         return False, (
-            f"stopped at t = {windows.reached:.6g}: {windows.reason}; tol {tol:.1e} held until "
-            f"{until}"
+            f"stopped at t = {reached}: {windows.reason}; tol {tol:.1e} held until {until}"
         )
     if windows.doubt:
         cause = "a close encounter, a narrow pulse, a step or a jump"
@@ -329,11 +331,11 @@ def _verdict(attempt: _Attempt, tol: float) -> tuple[bool, str]:
     if excess <= 1:
         return True, success_message(tol, len(windows.readouts), excess)
     if limit:
-        return False, f"tol {tol:.1e} met only until t = {held:.6g}: {limit}"
+        return False, f"tol {tol:.1e} met only until t = {held}: {limit}"
     floors = error.floors.max(axis=0)
     cause = (
-        "limited by float64 round-off"
+        "limited by float64 round-off, beyond which hamsym.enclose goes on"
         if not (floors <= 0.3 * attempt.allowed).all()
         else "the march could not be made accurate enough"
     )
-    return False, f"tol {tol:.1e} met only until t = {held:.6g}: {cause}; {state}"
+    return False, f"tol {tol:.1e} met only until t = {held}: {cause}; {state}"

@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numba import njit
 
-from hamsym.random_features import vector_products
+from hamsym.random_features import vector_products, window_loop
 from hamsym.random_features.error_loop import PERTURBATIONS
-from hamsym.random_features.window_loop import INSIDE, TINY
+from hamsym.random_features.window_loop import TINY
 
 __all__ = ["ERROR_FUNCTIONS", "MARCH_FUNCTIONS"]
 
@@ -28,6 +28,9 @@ ERROR_FUNCTIONS = (
     *("apply", "component_sizes", "curvature", "deviations", "displace", "eliminate"),
     *("error_size", "force_error", "join_error", "typical_noise"),
 )
+
+
+margin_inside = njit(error_model="numpy")(window_loop.margin_inside)
 
 
 @njit(error_model="numpy")
@@ -122,7 +125,7 @@ def add(rows, others):
 def stretch(places, h, start, out):
     """Write the times at places of a window, inside it by some units in the last place."""
     end = start + h
-    margin = INSIDE * max(abs(start), abs(end))
+    margin = margin_inside(start, end)
     low, high = min(start, end) + margin, max(start, end) - margin
     for column in range(len(places)):
         out[column] = min(max(h * places[column] + start, low), high)

@@ -37,7 +37,9 @@ FINISHED, NEWTON, TOO_SHORT, FULL = range(4)
 
 ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
 EPS = 2.0**-52
-INSIDE = 4 * EPS  # of a time: distance of places from the ends of their window at least
+# Distance of places from the ends of their window: units in the last place of the time at least,
+# and at most where that is a small share of the window.
+LEAST_INSIDE, INSIDE, SMALL_INSIDE = 1.0, 4.0, 1e-6
 NOISE = 8.0  # times the typical change of the rates for one unit in the last place of the states
 SLOW = 20  # iterations, after which the next window is shorter
 ROUND_OFF_TESTS = 3  # estimates of the round-off of the rates in one window
@@ -162,6 +164,12 @@ class Scratch(NamedTuple):
     noise: Array
 
 
+def margin_inside(start: float, end: float) -> float:
+    """Return the least distance of a place from the ends of its window."""
+    unit = EPS * max(abs(start), abs(end))
+    return max(LEAST_INSIDE * unit, min(INSIDE * unit, SMALL_INSIDE * abs(end - start)))
+
+
 # -- products of rows and tables; replaced in compiled code ----------------------------------------
 
 
@@ -226,7 +234,7 @@ def stretch(places: Array, h: float, start: float, out: Array) -> None:
     np.multiply(places, h, out=out)
     out += start
     end = start + h
-    margin = INSIDE * max(abs(start), abs(end))
+    margin = margin_inside(start, end)
     np.clip(out, min(start, end) + margin, max(start, end) - margin, out=out)
 
 
@@ -532,12 +540,14 @@ def march_windows(
         # Equal windows may miss the stop by round-off: no sliver is left before it.
         if left - length < SLIVER * length:
             length = left
-        clock[1] = length
+        # The difference of two times that float64 has: others round each window's length.
+        end = stop if length == left else clock[0] + direction * length
+        h, z = end - clock[0], states[count]
+        clock[1] = length = abs(h)
         if length < settings.shortest:
             return TOO_SHORT
         if count == len(readouts):
             return FULL
-        h, z = direction * length, states[count]
         slow = False
         if not given:
             longer = length / last_length if count else 0.0
@@ -565,11 +575,9 @@ def march_windows(
         weighted(readout, tables.end, tables.end_low, states[count + 1])
         states[count + 1] += z
         store(readout, readouts[count])
-        if length == left:
-            clock[0] = stop
+        clock[0] = end
+        if end == stop:
             counts[2] += 1
-        else:
-            clock[0] += h
         edges[count + 1] = clock[0]
         counts[0] += 1
         failures = 0

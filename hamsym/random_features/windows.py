@@ -90,6 +90,11 @@ class March:
         require_counts(self)
 
     @property
+    def ends(self) -> tuple[float, float]:
+        """Start and end of the windows."""
+        return self.origin + float(self.edges[0]), self.origin + float(self.edges[-1])
+
+    @property
     def points(self) -> int:
         """Collocation points of all windows."""
         return self.points_per_window * len(self.readouts)

@@ -20,6 +20,7 @@ import sympy
 from hamsym.codegen.functions import compile_expressions
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.path import Path
+from hamsym.solution.times import shown_time
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
 
@@ -61,7 +62,8 @@ def first_jump(
     remedy = "solve up to this time, and again from it"
     if solution.H.time is not None:
         remedy += ", or give the times at which t switches H as breakpoints"
-    return f"{kind} at t = {time:.6g}, beyond which the error cannot be estimated; {remedy}"
+    shown = shown_time(time, times[0], times[-1])
+    return f"{kind} at t = {shown}, beyond which the error cannot be estimated; {remedy}"
 
 
 def parameter_jump(solution: Path, names: Sequence[str]) -> str | None:
@@ -93,8 +95,9 @@ def parameter_jump(solution: Path, names: Sequence[str]) -> str | None:
         return None
     direction = math.copysign(1.0, times[-1] - times[0])
     time, kind = min(found, key=lambda entry: direction * entry[0])
+    shown = shown_time(time, *solution.span)
     return (
-        f"{kind} at t = {time:.6g}, beyond which derivatives in parameters are not computed; solve "
+        f"{kind} at t = {shown}, beyond which derivatives in parameters are not computed; solve "
         "up to this time"
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -13,10 +14,23 @@ from hamsym.errors import InputError
 if TYPE_CHECKING:  # torch is imported only by callers that have tensors
     from torch import Tensor
 
-__all__ = ["evaluate_in_parts", "is_tensor", "tensor_of", "times_in_span"]
+__all__ = ["evaluate_in_parts", "is_tensor", "shown_time", "tensor_of", "times_in_span"]
 
 _CHUNK = 4_096  # times evaluated at once, to bound the memory
 _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
+
+
+def shown_time(t: float, start: float, end: float) -> str:
+    """Write a time with enough digits to tell it from the ends of its span.
+
+    Examples
+    --------
+    >>> shown_time(1 / 3, 0, 1), shown_time(1e8 + 1 / 3, 1e8, 1e8 + 10)
+    ('0.333333', '100000000.33333')
+    """
+    largest, whole = max(abs(start), abs(end)), abs(end - start)
+    more = max(0, math.ceil(math.log10(largest / whole) - 1e-9)) if 0 < whole < largest else 0
+    return f"{t:.{min(6 + more, 17)}g}"
 
 
 def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = False) -> np.ndarray:

@@ -409,6 +409,20 @@ def test_rounded_equilibrium_is_not_exact() -> None:
     assert not hamsym.solve(H, [math.sqrt(2), 0.0], (0, 10), tol=1e-11).success
 
 
+def test_driven_motion_at_large_times() -> None:
+    H, start, tau = Hamiltonian("p**2/2 + x**2/2 - x*cos(t)"), 1e8, np.linspace(0, 10, 41)
+    solution = hamsym.solve(H, [1.0, 0.0], (start, start + 10), tol=1e-8)
+    assert solution.success, solution.message
+    # x = cos(s) + (s sin(t) - sin(s) sin(t0))/2, with s = t - t0.
+    sine = math.sin(start)
+    x = np.cos(tau) + (tau * np.sin(start + tau) - np.sin(tau) * sine) / 2
+    assert np.abs(solution(start + tau)[:, 0] - x).max() <= 1e-8 * solution.scale[0] + 1e-8
+    refused = hamsym.solve(H, [1.0, 0.0], (start, start + 10), tol=1e-11)
+    assert not refused.success
+    assert "t = 1000000" in refused.message
+    assert "hamsym.enclose" in refused.message
+
+
 @pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-9])
 @pytest.mark.parametrize("compiled", [False, True])
 def test_steep_force_is_resolved_at_any_tolerance(tol: float, compiled: bool) -> None:
