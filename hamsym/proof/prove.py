@@ -20,10 +20,10 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, cast, overload
 
 import numpy as np
 
@@ -289,26 +289,31 @@ def verify(
         require_positive("time_limit", time_limit)
     if isinstance(certificate, str):
         certificate = certificate_from(certificate)
-    if isinstance(certificate, hamsym.OrbitCertificate):
-        certificate.verify(result, time_limit=_deadline(time_limit, certificate.seconds).left)
-        return
-    if not isinstance(certificate, (Certificate, BoxCertificate)):
+    known = (Certificate, BoxCertificate, hamsym.OrbitCertificate)
+    if not isinstance(certificate, known):
         raise InputError(
             f"certificate must be a certificate or its text, not {type(certificate).__name__}"
         )
-    of_box = isinstance(certificate, BoxCertificate)
+    deadline = _deadline(time_limit, certificate.seconds)
+    if isinstance(certificate, Certificate):
+        solution = _of_kind(Solution, result, load_solution)
+        _verify_solution(certificate, solution, time_limit, progress)
+        check_solution(solution)
+    elif isinstance(certificate, BoxCertificate):
+        verify_box(certificate, _of_kind(FlowMap, result, read_flow_map), deadline)
+    else:
+        certificate.verify(cast(Any, result), time_limit=deadline.left)
+
+
+def _of_kind(kind: type, result: Any, read: Callable[[Path], Any]) -> Any:
+    """What a certificate is about, read from its file if it is a path."""
     if isinstance(result, (str, os.PathLike)):
-        result = read_flow_map(result) if of_box else load_solution(Path(result))
-    kind = FlowMap if of_box else Solution
+        result = read(Path(result))
     if not isinstance(result, kind):
         raise InputError(
             f"this certificate needs a {kind.__name__} or its path, not {type(result).__name__}"
         )
-    if of_box:
-        verify_box(certificate, result, _deadline(time_limit, certificate.seconds))
-        return
-    _verify_solution(certificate, result, time_limit, progress)
-    check_solution(result)
+    return result
 
 
 def _verify_solution(
