@@ -10,6 +10,7 @@ import numpy as np
 
 import hamsym
 from hamsym.errors import FileError
+from hamsym.orbits.verification import verify_orbit
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import decimal_above
 from hamsym.proof.certificate_text import opened, sealed
@@ -103,8 +104,6 @@ class OrbitCertificate(Shown):
 
     def verify(self, orbit: PeriodicOrbit, *, time_limit: float | None = None) -> None:
         """Prove the claims again; see :func:`hamsym.verify`."""
-        from hamsym.orbits.verification import verify_orbit  # which imports this module
-
         verify_orbit(self, orbit, time_limit)
 
     # -- as text ---------------------------------------------------------------------------

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+import hamsym
 from hamsym.errors import CertificationError, FileError, InputError
-from hamsym.orbits.certificate import OrbitCertificate
 from hamsym.orbits.claims import orbit_digest, statement_of
-from hamsym.orbits.orbit import PeriodicOrbit
-from hamsym.orbits.proof import prove_orbit
 from hamsym.proof.ball import Ball
+
+if TYPE_CHECKING:
+    from hamsym.orbits.certificate import OrbitCertificate
+    from hamsym.orbits.orbit import PeriodicOrbit
 
 __all__ = ["verify_orbit"]
 
 
 def verify_orbit(claims: OrbitCertificate, orbit: PeriodicOrbit, time_limit: float | None) -> None:
     """Prove a certificate of an orbit again; see :func:`hamsym.verify`."""
-    if not isinstance(orbit, PeriodicOrbit):
+    if not isinstance(orbit, hamsym.PeriodicOrbit):
         raise InputError(
             f"a certificate of an orbit needs its PeriodicOrbit, not {type(orbit).__name__}"
         )
     try:
-        OrbitCertificate.from_json(claims.to_json())
+        type(claims).from_json(claims.to_json())
     except (FileError, ValueError, TypeError) as error:
         raise CertificationError(f"not a valid certificate: {error}") from None
     if orbit_digest(orbit) != claims.digest:
@@ -38,7 +41,7 @@ def verify_orbit(claims: OrbitCertificate, orbit: PeriodicOrbit, time_limit: flo
     )
     if claims.statement != stated:
         raise CertificationError("the statement of the certificate does not match its numbers")
-    found = prove_orbit(orbit, time_limit=time_limit)
+    found = hamsym.prove_orbit(orbit, time_limit=time_limit)
     proven = {
         "z0": _is_within(found.z0, claims.z0),
         "period": _is_within(found.period, claims.period),
