@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,14 +11,12 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.orbits.claims import orbit_digest, statement_of
 from hamsym.proof.ball import Ball
 
-if TYPE_CHECKING:
-    from hamsym.orbits.certificate import OrbitCertificate
-    from hamsym.orbits.orbit import PeriodicOrbit
-
 __all__ = ["verify_orbit"]
 
 
-def verify_orbit(claims: OrbitCertificate, orbit: PeriodicOrbit, time_limit: float | None) -> None:
+def verify_orbit(
+    claims: hamsym.OrbitCertificate, orbit: hamsym.PeriodicOrbit, time_limit: float | None
+) -> None:
     """Prove a certificate of an orbit again; see :func:`hamsym.verify`."""
     if not isinstance(orbit, hamsym.PeriodicOrbit):
         raise InputError(
