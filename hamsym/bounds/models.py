@@ -73,7 +73,9 @@ class Models:
     high: np.ndarray
 
     @classmethod
-    def of_polynomials(cls, values: np.ndarray, low: Any = -math.inf, high: Any = math.inf) -> Models:
+    def of_polynomials(
+        cls, values: np.ndarray, low: Any = -math.inf, high: Any = math.inf
+    ) -> Models:
         """Make models of polynomials from their values, with a range if it is known."""
         return _tightened(values, np.zeros(len(values)), low, high)
 

@@ -39,9 +39,7 @@ class ModelField:
     is_short_polynomial: bool
     _run: Callable[..., list[Any]]
 
-    def __call__(
-        self, z: list[Models], t: Models, parameters: np.ndarray
-    ) -> list[Models]:
+    def __call__(self, z: list[Models], t: Models, parameters: np.ndarray) -> list[Models]:
         """Bound the rates on intervals.
 
         Parameters

@@ -15,6 +15,7 @@ from hamsym.cli.texts import saved_solution
 from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:
+    from hamsym.proof.box_certificate import BoxCertificate
     from hamsym.proof.certificate import Certificate
 
 __all__ = ["certify", "verify"]
@@ -78,16 +79,33 @@ def _values_of(found: Certificate) -> dict[str, Any]:
 @click.option("--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate]")
 @_time_limit
 def verify(file: str, certificate: str | None, time_limit: float | None) -> Report:
-    """Repeat the proof of a certificate from the saved solution.
+    """Repeat the proof of a certificate from the saved solution or flow map.
 
     Exit 1 if a bound of the certificate is not proven.
     """
     from hamsym.proof.balls import decimal
+    from hamsym.proof.box_certificate import BoxCertificate
     from hamsym.proof.certificate_files import read_certificate
     from hamsym.proof.prove import verify as run
 
     claims = read_certificate(Path(certificate or f"{file}{CERTIFICATE}"))
     run(claims, file, time_limit)
+    last = "every bound of the certificate is proven"
+    if isinstance(claims, BoxCertificate):
+        return Report(f"verified: {claims.bounds}\n{last}", _values_of_box(claims))
     first = f"verified: the error is at most {decimal(claims.bound)} (2-norm)"
     named = dataclasses.replace(claims, components=saved_solution(file).H.names)
-    return Report(f"{first}\nevery bound of the certificate is proven", _values_of(named))
+    return Report(f"{first}\n{last}", _values_of(named))
+
+
+def _values_of_box(found: BoxCertificate) -> dict[str, Any]:
+    """Return a certificate of a flow map as values of JSON."""
+    return {
+        "statement": found.statement,
+        "component_bounds": dict(zip(found.components, found.bound, strict=True)),
+        "box": {name: list(ends) for name, ends in found.box.items()},
+        "span": list(found.span),
+        "parts": found.parts,
+        "digest": found.digest,
+        "seconds": found.seconds,
+    }

@@ -52,6 +52,7 @@ from hamsym.families.windows import (
 from hamsym.problem import checked_span
 from hamsym.random_features.basis import DEGREE
 from hamsym.random_features.options import FeatureOptions
+from hamsym.support.atomic import create_atomically
 from hamsym.support.checked_data import (
     checked_list,
     checked_mapping,
@@ -133,10 +134,15 @@ class WindowStore:
                         "which this one was begun"
                     )
             else:
-                self._group = zarr.open_group(self._path, mode="w-")
-                self._group.create_group(FOLDER)
                 begun = {"request": request, "token": uuid.uuid4().hex}
-                self._group.attrs[_BEGUN] = json.dumps(begun)
+
+                def fill(aside: Path) -> None:
+                    group = zarr.open_group(aside, mode="w-")
+                    group.create_group(FOLDER)
+                    group.attrs[_BEGUN] = json.dumps(begun)
+
+                create_atomically(self._path, fill)
+                self._group = zarr.open_group(self._path, mode="r+")
         except OSError as error:
             raise FileError(f"'{path}' cannot be written: {error.strerror or error}") from None
         self._token, self._changed = begun["token"], False

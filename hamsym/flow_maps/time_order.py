@@ -86,8 +86,10 @@ def ended(map: Any, end: float) -> Any:
     if high != length:
         pieces[-1] = _shortened(pieces[-1], 2 * (length - low) / (high - low))
     edges = np.append(map.edges[: number + 1], length)
-    own = ("scaling", "shift", "selection", "offset", "start_degrees", "start")
-    return Leg(map.begin, edges, *(getattr(map, name) for name in own), pieces)
+    return Leg(
+        *(map.begin, edges, map.scaling, map.shift, map.selection),
+        *(map.offset, map.start_degrees, map.start, pieces),
+    )
 
 
 def _shortened(piece: CompiledPiece, length: float) -> CompiledPiece:

@@ -27,10 +27,10 @@ import numpy as np
 from flint import arb, arb_mat
 
 from hamsym.errors import CertificationError
-from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.orbits.arc import Problem
 from hamsym.orbits.certificate import OrbitCertificate
+from hamsym.orbits.claims import orbit_digest, statement_of
 from hamsym.orbits.orbit_check import check_orbit
 from hamsym.orbits.proven_stability import proven_attraction, proven_stability
 from hamsym.orbits.rescaled import exact_period, in_units_of_the_arc
@@ -409,7 +409,7 @@ class _Proof:
         else:
             stability = proven_stability(arb_mat(rows), problem.autonomous)
         bound = float((radii / self._units).max())
-        statement = self._statement(period, bound, unique, stability)
+        statement = statement_of(problem, period, bound, unique, stability, self.pieces)
         return OrbitCertificate(
             z0,
             period,
@@ -420,26 +420,8 @@ class _Proof:
             self.pieces,
             time.monotonic() - self._began,
             statement,
+            orbit_digest(orbit),
         )
-
-    def _statement(self, period: Ball, bound: float, unique: float, stability: str) -> str:
-        problem = self._problem
-        energy = "" if problem.energy is None else f"of energy {float(problem.energy)!r} "
-        places = "At its start" + (
-            f" and at the ends of {self.pieces} equal parts of its arc" if self.pieces > 1 else ""
-        )
-        alike = "a period as near" if self._free else "the same period"
-        if problem.energy is not None:
-            alike += " and the same energy"
-        if self._closing.parts > 1:
-            alike += " and symmetry"
-        statement = (
-            f"{_equation(problem.H)} has a periodic orbit {energy}with a period in "
-            f"{period.mid!r} +- {_rounded_up(period.radius)}. {places} it is within "
-            f"{_rounded_up(bound)} of the computed states, relative to the size of each component, "
-            f"and no other one with {alike} is within {_rounded_down(unique)}."
-        )
-        return statement if stability == "undecided" else f"{statement} It is {stability}."
 
 
 def _require_symmetry(problem: Problem) -> None:
@@ -470,22 +452,6 @@ def _field(orbit: PeriodicOrbit) -> np.ndarray:
             "the start of the orbit is an equilibrium, or H is not finite there"
         )
     return np.asarray(weight / np.abs(weight).max())
-
-
-def _equation(H: Hamiltonian) -> str:
-    """H with its forces and the values of its parameters."""
-    forces = [f"the force {text} on {name}" for name, text in H.force_texts.items()]
-    values = [f"{name} = {value!r}" for name, value in H.parameters.items()]
-    parts = [*forces, *values]
-    return f"H = {H.formula}" + (f", with {', '.join(parts)}," if parts else "")
-
-
-def _rounded_up(value: float) -> str:
-    return f"{value * 1.06:.1e}" if value else "0"
-
-
-def _rounded_down(value: float) -> str:
-    return f"{value * 0.94:.1e}"
 
 
 def _vector(ball: Ball) -> list[arb]:

@@ -7,13 +7,14 @@ import json
 import math
 import re
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import hamsym
 from hamsym.description import described
 from hamsym.errors import FileError
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.proof.balls import decimal_above
+from hamsym.proof.certificate_text import opened, sealed
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.shown import Shown
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BoxCertificate", "map_digest"]
 
-_KIND, _VERSION = "hamsym flow map certificate", 1
+_VERSION = 2
 _LONGEST_TEXT = 2**20
 
 
@@ -66,6 +67,9 @@ class BoxCertificate(Shown):
     digest: str = field(repr=False)
     seconds: float = field(compare=False)
 
+    #: Of its texts.
+    KIND: ClassVar[str] = "hamsym flow map certificate"
+
     def plot(self, *, ax: Any = None) -> Figure:
         """Draw the proven bound of each component.
 
@@ -77,12 +81,14 @@ class BoxCertificate(Shown):
         return hamsym.plot(self, ax=ax)
 
     def __repr__(self) -> str:
-        bounds = ", ".join(
-            f"{name} {decimal_above(value)}"
-            for name, value in zip(self.components, self.bound, strict=True)
-        )
         box = ", ".join(f"{name} in [{a!r}, {b!r}]" for name, (a, b) in self.box.items())
-        return f"BoxCertificate({self.formula!r}, {box}: errors at most {bounds})"
+        return f"BoxCertificate({self.formula!r}, {box}: {self.bounds})"
+
+    @property
+    def bounds(self) -> str:
+        """The bound of each component, in words."""
+        pairs = zip(self.components, self.bound, strict=True)
+        return "errors at most " + ", ".join(f"{n} {decimal_above(value)}" for n, value in pairs)
 
     @property
     def statement(self) -> str:
@@ -105,15 +111,19 @@ class BoxCertificate(Shown):
             "the exact binary fractions that they are, numbers in the formula of H as the exact "
             "numbers written there. The proof encloses the defect of the map by Taylor models, "
             "every rounding outward, and its growth by the linear equation of the error with a "
-            f"bound on the second order, on {self.parts} parts of the box. SHA-256 of the map: "
-            f"{self.digest}."
+            f"bound on the second order, on {self.parts} parts of the box; verify() runs it again. "
+            f"SHA-256 of the map: {self.digest}."
         )
 
     def to_json(self) -> str:
         """Write the certificate as text; numbers have all digits."""
-        values: dict[str, Any] = {"kind": _KIND, "version": _VERSION, "statement": self.statement}
+        values: dict[str, Any] = {
+            "kind": self.KIND,
+            "version": _VERSION,
+            "statement": self.statement,
+        }
         values |= {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        return json.dumps(values, indent=1)
+        return sealed(values)
 
     @classmethod
     def from_json(cls, text: str) -> BoxCertificate:
@@ -133,11 +143,9 @@ class BoxCertificate(Shown):
 
 
 def _from_json(text: str) -> BoxCertificate:
-    if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
-        raise ValueError(f"expected a str of up to {_LONGEST_TEXT} characters")
-    values = json.loads(text)
-    if not isinstance(values, dict) or values.pop("kind", None) != _KIND:
-        raise ValueError(f"its kind is not '{_KIND}'")
+    values = opened(text, _LONGEST_TEXT)
+    if values.pop("kind") != BoxCertificate.KIND:
+        raise ValueError(f"its kind is not '{BoxCertificate.KIND}'")
     if values.pop("version", None) != _VERSION:
         raise ValueError(f"its version is not {_VERSION}")
     statement = values.pop("statement", None)
@@ -147,6 +155,8 @@ def _from_json(text: str) -> BoxCertificate:
     values["fixed"] = {name: _number(value) for name, value in values["fixed"].items()}
     for name in ("bound", "span"):
         values[name] = tuple(map(_number, values[name]))
+    if not isinstance(values["components"], list):
+        raise ValueError("its components are not a list of names")
     values["components"] = tuple(values["components"])
     found = BoxCertificate(**values)
     texts = (*found.expressions, *found.expressions.values(), *found.box, *found.fixed)

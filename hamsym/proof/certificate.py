@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import reprlib
@@ -18,6 +17,7 @@ import hamsym
 from hamsym.errors import FileError, InputError
 from hamsym.formula.parser import check_name
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
+from hamsym.proof.certificate_text import opened, sealed
 from hamsym.proof.error_bounds import MOST_LEAVES
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.shown import Shown
@@ -257,7 +257,7 @@ class Certificate(Shown):
             values["asked"] = None if self.asked is None else [repr(part) for part in self.asked]
         if self.components:
             values["components"] = list(self.components)
-        return json.dumps(values, indent=1)
+        return sealed(values)
 
     @classmethod
     def from_json(cls, text: str) -> Certificate:
@@ -285,10 +285,8 @@ assert {*UPPER, *LOWER, *LISTS, *WRITTEN_OUT} < NAMES
 
 
 def _from_json(text: str) -> Certificate:
-    if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
-        raise ValueError(f"expected a str of up to {_LONGEST_TEXT} characters")
-    values = json.loads(text, object_pairs_hook=_without_repetition, parse_constant=_no_number)
-    if not isinstance(values, dict) or values.get("kind") != _KIND:
+    values = opened(text, _LONGEST_TEXT)
+    if values["kind"] != _KIND:
         raise ValueError(f"its kind is not '{_KIND}'")
     version = values.get("version")
     if type(version) is not int or version not in _VERSIONS:
@@ -404,16 +402,6 @@ def _number(text: Any, written: Callable[[float], str]) -> float:
     if written(value) != text:
         raise ValueError(f"{reprlib.repr(text)} is not a number in the form of a certificate")
     return value
-
-
-def _no_number(text: str) -> float:
-    raise ValueError(f"'{text}' is not a number in the form of a certificate")
-
-
-def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    if len(dict(pairs)) != len(pairs):
-        raise ValueError("a name occurs twice")
-    return dict(pairs)
 
 
 def rounded_up(value: float) -> float:

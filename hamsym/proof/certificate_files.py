@@ -1,19 +1,35 @@
-"""Files of certificates."""
+"""Certificates of every kind in texts and files."""
 
 from __future__ import annotations
 
 import stat
 from pathlib import Path
+from typing import Any
 
+import hamsym
 from hamsym.errors import FileError
+from hamsym.proof.box_certificate import BoxCertificate
 from hamsym.proof.certificate import Certificate
+from hamsym.proof.certificate_text import kind_of
 
-__all__ = ["read_certificate"]
+__all__ = ["certificate_from", "read_certificate"]
 
 _LARGEST = 2**25  # bytes
 
 
-def read_certificate(path: Path) -> Certificate:
+def certificate_from(text: str) -> Any:
+    """Read the text of a certificate of a solution, a flow map or an orbit; nothing is proven.
+
+    Raises
+    ------
+    FileError
+        If the text is not a certificate.
+    """
+    kinds: dict[str, Any] = {kind.KIND: kind for kind in (BoxCertificate, hamsym.OrbitCertificate)}
+    return kinds.get(kind_of(text), Certificate).from_json(text)
+
+
+def read_certificate(path: Path) -> Any:
     """Read the file of a certificate; nothing is proven.
 
     Raises
@@ -30,4 +46,4 @@ def read_certificate(path: Path) -> Certificate:
         raise FileError(f"'{path}' cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise FileError(f"'{path}' is not a certificate") from None
-    return Certificate.from_json(text)
+    return certificate_from(text)

@@ -20,18 +20,21 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, cast, overload
 
 import numpy as np
 
+import hamsym
 from hamsym.archive import load_solution
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.flow_maps.storage import read_flow_map
 from hamsym.proof.box_certificate import BoxCertificate
 from hamsym.proof.box_proof import certify_box
+from hamsym.proof.box_verification import verify_box
 from hamsym.proof.certificate import (
     ARB,
     FEWEST_BITS,
@@ -44,6 +47,7 @@ from hamsym.proof.certificate import (
     rounded_down,
     rounded_up,
 )
+from hamsym.proof.certificate_files import certificate_from
 from hamsym.proof.compiled import require_compiled_float64
 from hamsym.proof.limits import Deadline, TimeLimitError
 from hamsym.proof.public_check import check_solution
@@ -252,12 +256,12 @@ def _by_taylor_steps(
 
 @checked_keywords
 def verify(
-    certificate: Certificate | str,
-    solution: Solution | str | os.PathLike[str],
+    certificate: Certificate | BoxCertificate | hamsym.OrbitCertificate | str,
+    result: Solution | FlowMap | hamsym.PeriodicOrbit | str | os.PathLike[str],
     time_limit: float | None = None,
     progress: bool | None = None,
 ) -> None:
-    """Repeat the proof from the solution and check every claim of a certificate.
+    """Repeat the proof from a result and check every claim of its certificate.
 
     The precision is chosen as in :meth:`hamsym.Solution.certify`, independently of the certificate.
     While a claim is neither proven nor refuted, the precision grows by half, up to that of the
@@ -265,10 +269,10 @@ def verify(
 
     Parameters
     ----------
-    certificate : Certificate or str
-        The text is that of :meth:`Certificate.to_json`.
-    solution : Solution or path
-        The path is that of a file written by :meth:`hamsym.Solution.save`.
+    certificate : Certificate, BoxCertificate, OrbitCertificate or str
+        The text is that of their ``to_json``.
+    result : Solution, FlowMap, PeriodicOrbit or path
+        What the certificate is about; the path is that of a file that :func:`hamsym.save` wrote.
     time_limit : float, optional
         Seconds. By default 60 s plus ten times the run time of certify, at most 600 s, because a
         forged certificate may claim any run time; give a limit for longer proofs.
@@ -286,17 +290,39 @@ def verify(
     if time_limit is not None:
         require_positive("time_limit", time_limit)
     if isinstance(certificate, str):
-        certificate = Certificate.from_json(certificate)
-    if not isinstance(certificate, Certificate):
+        certificate = certificate_from(certificate)
+    known = (Certificate, BoxCertificate, hamsym.OrbitCertificate)
+    if not isinstance(certificate, known):
         raise InputError(
-            f"certificate must be a Certificate or its text, not {type(certificate).__name__}"
+            f"certificate must be a certificate or its text, not {type(certificate).__name__}"
         )
-    if isinstance(solution, (str, os.PathLike)):
-        solution = load_solution(Path(solution))
-    if not isinstance(solution, Solution):
-        raise InputError(f"solution must be a Solution or a path, not {type(solution).__name__}")
+    deadline = _deadline(time_limit, certificate.seconds)
+    if isinstance(certificate, Certificate):
+        solution = _of_kind(Solution, result, load_solution)
+        _verify_solution(certificate, solution, time_limit, progress)
+        check_solution(solution)
+    elif isinstance(certificate, BoxCertificate):
+        verify_box(certificate, _of_kind(FlowMap, result, read_flow_map), deadline)
+    else:
+        certificate.verify(cast(Any, result), time_limit=deadline.left)
+
+
+def _of_kind(kind: type, result: Any, read: Callable[[Path], Any]) -> Any:
+    """What a certificate is about, read from its file if it is a path."""
+    if isinstance(result, (str, os.PathLike)):
+        result = read(Path(result))
+    if not isinstance(result, kind):
+        raise InputError(
+            f"this certificate needs a {kind.__name__} or its path, not {type(result).__name__}"
+        )
+    return result
+
+
+def _verify_solution(
+    claims: Certificate, solution: Solution, time_limit: float | None, progress: bool | None
+) -> None:
+    """Prove a certificate of a solution again."""
     require_compiled_float64()
-    claims = certificate
     try:
         check(claims)
     except ValueError as error:

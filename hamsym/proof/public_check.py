@@ -146,11 +146,11 @@ def _times(pieces: Sequence[Any], begin: Fraction, total: Fraction, direction: i
         low, high = max(pieces[k].start, Fraction(0)), min(pieces[k].end, total)
         shares = [0.0, 1.0, *random.random(each).tolist()]
         found += [begin + direction * (low + Fraction(share) * (high - low)) for share in shares]
-    ends = sorted((float(begin), float(begin + direction * total)))
-    return np.unique(np.clip([float(time) for time in found], *ends))
+    low, high = sorted((float(begin), float(begin + direction * total)))
+    return np.unique(np.clip(np.array([float(time) for time in found]), low, high))
 
 
-def _rounding_of_features(trial: FeatureTrial, number: int, t: float) -> np.ndarray:
+def _rounding_of_features(trial: Any, number: int, t: float) -> np.ndarray:
     """Roundings of z_a + f(s) sum_l T_l sum_m S_lm C_m, in units of u; t is accounted for."""
     readouts = np.abs(trial.readouts[number])
     degrees = np.arange(len(trial.series))
@@ -236,8 +236,8 @@ def check_map(flow: FlowMap, regions: Sequence[tuple[Any, ...]]) -> None:
     for number in chosen:
         legs, joints, kept, box = regions[number]
         starts = _starts(flow, box, random)
-        for t, values, bounds in _along(flow, legs, joints, kept, starts, random):
-            times.append(np.full(len(starts), t))
+        for time, values, bounds in _along(flow, legs, joints, kept, starts, random):
+            times.append(np.full(len(starts), time))
             inputs.append(starts)
             found.append(values)
             allowed.append(bounds)
@@ -328,8 +328,8 @@ class _LegAtPoints:
         high = end if k == last else high
         inner = low + random.uniform(0.01, 0.99) * (high - low)
         for t, other in ((low, max(k - 1, 0)), (inner, k), (high, min(k + 1, last))):
-            found = [self.at(number, float(t))[1:] for number in (k, other)]
-            yield float(t), *(np.array(part) for part in zip(*found, strict=True))
+            found = [self.at(number, float(t)) for number in (k, other)]
+            yield float(t), np.array([each[1] for each in found]), np.array([e[2] for e in found])
 
     def at(self, k: int, t: float) -> tuple[list[Model], np.ndarray, np.ndarray]:
         """Models of the states of a piece, the states, and the differences that are allowed."""

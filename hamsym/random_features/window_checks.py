@@ -53,6 +53,7 @@ class WindowChecks:
     flow: Flow
     basis: FeatureBasis
     tolerance: float
+
     def first_failure(
         self,
         windows: Windows,
@@ -99,8 +100,10 @@ class WindowChecks:
             return self.flow.vector_field(z, t, None if parameters is None else parameters[window])
 
         def trial(parts: Parts) -> Places:
-            return at_places if len(parts) == count and (parts.width == 1).all() else self._at(
-                windows, parts
+            return (
+                at_places
+                if len(parts) == count and (parts.width == 1).all()
+                else self._at(windows, parts)
             )
 
         def noise(at: Places, parts: Parts) -> np.ndarray:
@@ -112,9 +115,7 @@ class WindowChecks:
             return None
         return Failure(found.window, found.times, found.ratio, "the residual")
 
-    def _round_off(
-        self, at: Places, parts: Parts, rates: Callable[..., np.ndarray]
-    ) -> np.ndarray:
+    def _round_off(self, at: Places, parts: Parts, rates: Callable[..., np.ndarray]) -> np.ndarray:
         """Measure the change of the rates for one unit in the last place of states and times.
 
         It is the median over each part, since at a narrow feature the rates change by far more;

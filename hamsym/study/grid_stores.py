@@ -25,6 +25,7 @@ import numpy as np
 from hamsym.errors import FileError, InputError
 from hamsym.families.parts import zarr_of
 from hamsym.study.grid_tasks import Columns
+from hamsym.support.atomic import create_atomically
 
 __all__ = ["Box", "GridStore", "box_shape", "store_at"]
 
@@ -121,7 +122,9 @@ class GridStore:
         store = replace(self, token=uuid.uuid4().hex)
         head = {**self.attributes, "box": list(self.box), "token": store.token}
         try:
-            store._create(columns, head)
+            create_atomically(
+                self.path, lambda aside: replace(store, path=aside)._create(columns, head)
+            )
         except OSError as error:
             raise FileError(f"'{self.path}' cannot be written: {error.strerror or error}") from None
         return store

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Run", "planned_run"]
 
 # Increased by changes of the methods after which existing runs are not reused.
-_REVISION = 2
+_REVISION = 3
 # Options that do not affect the solution, or that are handled separately.
 _SEPARATE = frozenset({"checkpoint", "checkpoint_every", "regularizers", "initial"})
 

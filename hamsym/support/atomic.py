@@ -1,13 +1,16 @@
-"""Atomic writing of files."""
+"""Atomic writing of files and directories."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import stat
-import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["write_atomically"]
+from hamsym.support.leftovers import remove_leftovers, temporary_name
+
+__all__ = ["create_atomically", "write_atomically"]
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -25,7 +28,9 @@ def write_atomically(path: Path, content: bytes) -> None:
             file.write(content)
         return
     target = Path(os.path.realpath(path))
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=".hamsym-")
+    remove_leftovers(target.parent)
+    temporary = target.parent / temporary_name()
+    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
@@ -35,6 +40,27 @@ def write_atomically(path: Path, content: bytes) -> None:
         os.replace(temporary, target)
     except BaseException:
         os.unlink(temporary)
+        raise
+
+
+def create_atomically(path: Path, fill: Callable[[Path], None]) -> None:
+    """Create a directory so that it has either all of its first content or does not exist.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Must not exist.
+    fill : callable
+        Creates the directory at the path that it is given.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(path.parent)
+    aside = path.parent / temporary_name()
+    try:
+        fill(aside)
+        os.rename(aside, path)
+    except BaseException:
+        shutil.rmtree(aside, ignore_errors=True)
         raise
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
+import hamsym
 from hamsym import Certificate
 from hamsym.methods import METHODS, Method
-from hamsym.proof.certificate import rounded_up
+from hamsym.proof.certificate import rounded_down
 from hamsym.random_features.method import solve_by_features
 from hamsym.random_features.options import FeatureOptions
 from tests.cli.test_commands import Captured, run
@@ -126,7 +127,7 @@ def test_forged_certificate_exits_with_1(capsys: Captured, saved: str) -> None:
     assert run(capsys, "certify", saved)[0] == 0
     path = Path(f"{saved}.certificate")
     proven = Certificate.from_json(path.read_text())
-    low = tuple(rounded_up(0.9 * value) for value in proven.component_lowers)
+    low = tuple(rounded_down(0.9 * value) for value in proven.component_lowers)
     forged = dataclasses.replace(
         proven, component_bounds=low, component_lowers=(0.0, 0.0), asked=low
     )
@@ -139,6 +140,23 @@ def test_forged_certificate_exits_with_1(capsys: Captured, saved: str) -> None:
     status, _, err = run(capsys, "verify", saved)
     assert status == 2
     assert "not a certificate" in err
+
+
+def test_certificate_of_a_flow_map_is_verified(capsys: Captured, tmp_path: Path) -> None:
+    box = {"x": (1, 1.1), "p": (0, 0.1)}
+    flow = hamsym.flow_map("p**2/2 + x**2/2", box, (0, 1), tol=1e-6)
+    flow.save(tmp_path / "map.hamsym")
+    path, proven = tmp_path / "map.hamsym.certificate", flow.certify()
+    path.write_text(proven.to_json())
+    status, out, _ = run(capsys, "verify", str(tmp_path / "map.hamsym"))
+    assert status == 0
+    assert out.startswith("verified: errors at most x ")
+    path.write_text(dataclasses.replace(proven, bound=(1e-30, 1e-30)).to_json())
+    status, out, err = run(capsys, "verify", str(tmp_path / "map.hamsym"))
+    assert (status, out) == (1, "")
+    assert "is not proven" in err
+    path.write_text(proven.to_json().replace("e-", "e-1"))
+    assert run(capsys, "verify", str(tmp_path / "map.hamsym"))[0] == 2
 
 
 def test_time_limit_exits_with_1(capsys: Captured, saved: str) -> None:

@@ -22,6 +22,7 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof import prove, taylor_proof
 from hamsym.proof.balls import above, exact, working
 from hamsym.proof.certificate import Certificate
+from hamsym.proof.certificate_text import sealed
 from hamsym.proof.enclosures import Enclosures
 from hamsym.proof.error_bounds import quantities
 from hamsym.proof.limits import Deadline
@@ -45,6 +46,11 @@ _OPTIONS = {
     "apart": {"method": "adam", "epochs": 30, "hidden": (8,), "shared_weights": False},
     "float32": {"method": "adam", "epochs": 30, "hidden": (8,), "dtype": "float32"},
 }
+
+
+def resealed(values):
+    """A text whose checksum fits to edited values."""
+    return sealed({name: value for name, value in values.items() if name != "sha256"})
 
 
 @functools.cache
@@ -319,14 +325,14 @@ def test_edited_certificate_fails(case, field, factor):
     if field in ("bound", "lower"):
         values = json.loads(forged) | {"statement": case[1].statement}
         with pytest.raises(FileError, match="statement does not match"):
-            verify(json.dumps(values), solution)
+            verify(resealed(values), solution)
 
 
 def test_nan_claims_fail(case):
     solution, certificate = case
     values = json.loads(certificate.to_json()) | {"bound": "nan"}
     with pytest.raises((CertificationError, FileError)):
-        verify(json.dumps(values), solution)
+        verify(resealed(values), solution)
 
 
 @pytest.mark.parametrize(
@@ -520,7 +526,7 @@ def test_certificate_with_extra_digits_is_rejected(case, edit):
     values = json.loads(case[1].to_json())
     edit(values)
     with pytest.raises(FileError):
-        Certificate.from_json(json.dumps(values))
+        Certificate.from_json(resealed(values))
 
 
 def test_repeated_names_are_rejected(case):
@@ -752,7 +758,7 @@ def _raw(name, text):
 
 
 def _value(name, value):
-    return lambda values: json.dumps(values | {name: value})
+    return lambda values: resealed(values | {name: value})
 
 
 _BROKEN = {
@@ -777,16 +783,16 @@ _BROKEN = {
     "infinite lower": _value("lower", "inf"),
     "component a number": _value("component_bounds", "1"),
     "components missing": _value("component_bounds", []),
-    "piece nan": lambda values: json.dumps(values | {"piece_bounds": ["nan"] * 5}),
-    "edges reversed": lambda values: json.dumps(values | {"edges": values["edges"][::-1][:3]}),
-    "edges equal": lambda values: json.dumps(
+    "piece nan": lambda values: resealed(values | {"piece_bounds": ["nan"] * 5}),
+    "edges reversed": lambda values: resealed(values | {"edges": values["edges"][::-1][:3]}),
+    "edges equal": lambda values: resealed(
         values
         | {"edges": ["0.0"] + values["edges"], "piece_bounds": ["0", *values["piece_bounds"]]}
     ),
-    "edges nan": lambda values: json.dumps(values | {"edges": ["nan", *values["edges"][1:]]}),
-    "edges infinite": lambda values: json.dumps(values | {"edges": ["-inf", *values["edges"][1:]]}),
-    "edges as numbers": lambda values: json.dumps(values | {"edges": [0, 1]}),
-    "edges with more digits": lambda values: json.dumps(
+    "edges nan": lambda values: resealed(values | {"edges": ["nan", *values["edges"][1:]]}),
+    "edges infinite": lambda values: resealed(values | {"edges": ["-inf", *values["edges"][1:]]}),
+    "edges as numbers": lambda values: resealed(values | {"edges": [0, 1]}),
+    "edges with more digits": lambda values: resealed(
         values | {"edges": ["0.00", *values["edges"][1:]]}
     ),
     "edges a name": _value("edges", {"0": 1}),
@@ -800,7 +806,7 @@ _BROKEN = {
     "statement": _value("statement", None),
     "cut short": lambda values: json.dumps(values)[:-20],
     "long": lambda values: json.dumps(values | {"statement": " " * 20_000_000}),
-    "many edges": lambda values: json.dumps(
+    "many edges": lambda values: resealed(
         values | {"edges": ["0.5"] * 300_000, "piece_bounds": ["1"] * 299_999}
     ),
     "nothing": lambda values: None,

@@ -11,7 +11,8 @@ import pytest
 import hamsym
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof import prove
-from hamsym.proof.certificate import ARB, FLOAT64, Certificate, rounded_up
+from hamsym.proof.certificate import ARB, FLOAT64, Certificate, rounded_down
+from hamsym.proof.certificate_text import sealed
 from hamsym.proof.prove import verify
 from hamsym.proof.taylor_proof import TaylorProof
 from hamsym.proof.window_proof import WindowProof
@@ -141,11 +142,11 @@ def test_version_2_round_trip(request, solution, name):
 
 
 def test_names_of_components_are_optional_and_checked(solution, asked):
-    values = json.loads(asked.to_json())
+    values = without_checksum(json.loads(asked.to_json()))
     names = tuple(values.pop("components"))
     assert names == tuple(solution.H.names)
-    older = Certificate.from_json(json.dumps(values, indent=1))
-    assert (older, older.to_json()) == (asked, json.dumps(values, indent=1))
+    older = Certificate.from_json(sealed(values))
+    assert (older, older.to_json()) == (asked, sealed(values))
     assert older.labels[0] == "z_1"
     verify(older, solution)
     worst = dataclasses.replace(asked, component_bounds=(1.0, *asked.component_bounds[1:]))
@@ -154,7 +155,7 @@ def test_names_of_components_are_optional_and_checked(solution, asked):
         verify(dataclasses.replace(asked, components=names[::-1]), solution)
     for wrong in ([], ["x"], ["x\x1b", "p"], ["x", "x"], "xp", [1, 2]):
         with pytest.raises(FileError, match="not a certificate"):
-            Certificate.from_json(json.dumps(values | {"components": wrong}))
+            Certificate.from_json(sealed(values | {"components": wrong}))
 
 
 def test_statement_names_what_is_asked(asked):
@@ -187,10 +188,12 @@ _EDITS = {
 @pytest.mark.parametrize("name", _EDITS)
 def test_edited_text_is_no_certificate(solution, asked, name):
     values = json.loads(asked.to_json())
-    edited = json.dumps(values | _EDITS[name](asked), indent=1)
-    assert edited != asked.to_json()
-    with pytest.raises(FileError, match="not a certificate"):
-        verify(edited, solution)
+    edited = values | _EDITS[name](asked)
+    assert json.dumps(edited) != json.dumps(values)
+    with pytest.raises(FileError, match="not a certificate .* its checksum"):
+        verify(json.dumps(edited, indent=1), solution)
+    with pytest.raises(FileError, match="not a certificate (?!.*checksum)"):
+        verify(sealed(without_checksum(edited)), solution)
 
 
 @pytest.mark.parametrize("name", ["arithmetic", "asked"])
@@ -198,7 +201,11 @@ def test_text_without_an_entry_is_no_certificate(asked, name):
     values = json.loads(asked.to_json())
     del values[name]
     with pytest.raises(FileError, match="missing or extra"):
-        Certificate.from_json(json.dumps(values))
+        Certificate.from_json(sealed(without_checksum(values)))
+
+
+def without_checksum(values):
+    return {name: value for name, value in values.items() if name != "sha256"}
 
 
 def _times(value, factor):
@@ -226,7 +233,7 @@ def test_forged_bounds_of_windows_are_not_proven(solution, sharp, name):
 
 
 def test_smaller_bounds_than_asked_are_not_proven(solution, asked, sharp):
-    low = tuple(map(rounded_up, _times(sharp.component_lowers, 0.9)))
+    low = tuple(rounded_down(0.9 * value) for value in sharp.component_lowers)
     claims = {"asked": low, "component_bounds": low, "component_lowers": (0.0, 0.0)}
     forged = dataclasses.replace(asked, **claims)
     with pytest.raises(CertificationError, match="does not hold|not proven"):

@@ -12,6 +12,7 @@ import pytest
 import hamsym
 from hamsym.study import grid as grid_module
 from hamsym.study.grid_stores import box_shape
+from hamsym.support import atomic
 
 xarray = pytest.importorskip("xarray")
 pytest.importorskip("zarr")
@@ -148,6 +149,30 @@ def test_half_written_store_is_marked(tmp_path: Path, monkeypatch: pytest.Monkey
     assert data["done"].values.tolist() == [[True] * 3, [False] * 3]
     assert data.attrs["complete"] == 0
     assert np.isnan(data["state"][1]).all()
+
+
+@pytest.mark.parametrize("after", ["_array", "create"])
+def test_sweep_killed_while_its_store_begins_is_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: str
+) -> None:
+    """As a process that is killed, nothing is cleaned up."""
+    store = tmp_path / "a.zarr"
+    zarr_store = grid_module.GridStore
+
+    def killed(*_: Any, **__: Any) -> None:
+        raise SystemExit
+
+    with monkeypatch.context() as patch:
+        patch.setattr(atomic.shutil, "rmtree", lambda *_, **__: None)
+        if after == "_array":
+            patch.setattr(zarr_store, "_array", staticmethod(killed))
+        else:
+            patch.setattr(atomic.os, "rename", killed)
+        with pytest.raises(SystemExit):
+            swept(store)
+    assert len(list(tmp_path.rglob("zarr.json"))) > 0
+    assert not store.exists()
+    assert swept(store).complete
 
 
 def test_other_requests_are_refused(tmp_path: Path) -> None:

@@ -18,7 +18,14 @@ import hamsym
 from hamsym.cli.commands import main
 from hamsym.errors import InputError, ParseError
 from hamsym.workbench.explore import charts, session, tasks
-from hamsym.workbench.explore.session import FIRST, Latest, Session, excerpt
+from hamsym.workbench.explore.session import (
+    FIRST,
+    MOST_TABS,
+    Latest,
+    Session,
+    Sessions,
+    excerpt,
+)
 from hamsym.workbench.explore.setting import Setting, SliderRange, usual_state
 from hamsym.workbench.explore.worker import TaskError
 from hamsym.workbench.mathml import mathml
@@ -448,3 +455,14 @@ def test_closed_tab_is_told_nothing(monkeypatch):
     session.close()
     _notify(session, TaskError("cancelled"))
     assert said == ["no file"]
+
+
+def test_number_of_tabs_is_limited(monkeypatch):
+    monkeypatch.setattr(Session, "start", lambda self: None)
+    sessions = Sessions()
+    tabs = [sessions.open() for _ in range(MOST_TABS)]
+    with pytest.raises(InputError, match=f"{MOST_TABS} tabs of this page are open"):
+        sessions.open()
+    sessions.close(tabs[0])
+    sessions.open()
+    sessions.close_all()

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from nicegui import events, ui
 
-from hamsym.errors import HamsymError
+from hamsym.errors import HamsymError, InputError
 from hamsym.systems.catalogue import CATALOGUE
 from hamsym.workbench.explore import charts
 from hamsym.workbench.explore.results import Picture
@@ -39,8 +39,12 @@ _MOST_CURVES = 6
 
 
 def build(sessions: Sessions) -> None:
-    """Build the page of a new tab."""
-    session = sessions.open()
+    """Build the page of a new tab, or say that too many are open."""
+    try:
+        session = sessions.open()
+    except InputError as error:
+        ui.label(str(error)).props("role=alert")
+        return
     ui.context.client.on_delete(lambda: sessions.close(session))
     Page(session).build()
 

@@ -15,7 +15,7 @@ from hamsym.workbench.explore.results import Derivation, JobResult, Picture, Sec
 from hamsym.workbench.explore.setting import Setting
 from hamsym.workbench.explore.worker import TaskError, Worker
 
-__all__ = ["FIRST", "Latest", "Session", "Sessions", "excerpt", "missing_feature"]
+__all__ = ["FIRST", "MOST_TABS", "Latest", "Session", "Sessions", "excerpt", "missing_feature"]
 
 FIRST = Setting("p**2/2 + x**2/2 + x**4/4", z0={"x": 1.3, "p": 1.0}, span=(0.0, 20.0))
 _TASKS = "hamsym.workbench.explore.tasks"
@@ -56,6 +56,10 @@ class Latest:
                 await self._action()
         finally:
             self._running = False
+
+
+#: Tabs at once.
+MOST_TABS = 8
 
 
 class Session:
@@ -267,7 +271,18 @@ class Sessions:
         self._ready.start()  # imports while the server starts
 
     def open(self) -> Session:
-        """Return a new session; the first one has started its process already."""
+        """Return a new session; the first one has started its process already.
+
+        Raises
+        ------
+        InputError
+            If too many tabs are open: each has three processes.
+        """
+        if len(self._open) >= MOST_TABS:
+            raise InputError(
+                f"{MOST_TABS} tabs of this page are open, each with processes of its own; close "
+                "one, and load this page again"
+            )
         session, self._ready = self._ready or Session(self._setting), None
         self._open.add(session)
         return session
