@@ -647,7 +647,7 @@ def _crossings(
     ends = np.stack([values[trajectory, step], values[trajectory, step + 1]])
     touches, unresolved = np.empty(0), 0
     if where.enclosed is None:
-        share, index = zeros(steps.value, *ends, dips, direction)
+        share, index = zeros(steps.value, ends[0], ends[1], dips, direction)
     else:
         path, rates = path[..., where.components], rates[..., where.components]
         with np.errstate(all="ignore"):

@@ -173,7 +173,8 @@ def isolated_zeros(
         Above zero, only zeros at which the function rises in the order of the samples; below zero,
         falls.
     """
-    found, touched, undecided, most = [], [], 0, _MOST + len(cells)
+    touched: list[tuple[float, int]] = []
+    found, undecided, most = [], 0, _MOST + len(cells)
     with np.errstate(all="ignore"):
         for depth in range(_HALVINGS + 1):
             ranges = enclosed(cells)
@@ -202,7 +203,7 @@ def isolated_zeros(
 
 
 def _brackets(cells: Cells, direction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    crossed = changes(*cells.values, direction)
+    crossed = changes(cells.values[0], cells.values[1], direction)
     return cells.low[crossed], cells.high[crossed], cells.index[crossed]
 
 

@@ -107,7 +107,9 @@ def test_pendulum_hangs_from_the_origin_by_rods_of_its_lengths():
         parameters={"l1": 2.0, "l2": 0.5},
     )
     found = hamsym.integrate(H, [0.5, -1.0, 0, 0], (0, 3), "gauss6", dt=0.01)
-    pivot, first, second = places(found.animate(frames=3), 0)
+    with pytest.raises(InputError, match="theta1, theta2 have no usual picture"):
+        found.animate()  # neither carries the other
+    pivot, first, second = places(found.animate(kind="pendulum", frames=3), 0)
     np.testing.assert_allclose(pivot, 0)
     np.testing.assert_allclose(first, [2 * np.sin(0.5), -2 * np.cos(0.5)])
     np.testing.assert_allclose(second - first, [0.5 * np.sin(-1.0), -0.5 * np.cos(1.0)])
@@ -314,12 +316,52 @@ def test_unusable_option_is_refused(pendulum, names, options, reason):
         pendulum.animate(*names, **options)
 
 
-@pytest.mark.slow
-def test_coordinates_without_a_usual_picture_are_asked_for():
+@pytest.mark.parametrize(
+    ("H", "direction"),
+    [
+        ("p_r**2/2 + p_theta**2/(2*r**2) + 9*(r - 1)**2 - r*cos(theta)", (np.sin, -1.0)),
+        ("p_r**2/2 + p_phi**2/(2*r**2) + 9*(r - 1)**2 + r*cos(phi)", (np.sin, 1.0)),
+    ],
+)
+def test_polar_coordinates_hang_along_the_weight(H, direction):
+    found = hamsym.integrate(H, [1.2, 0.7, 0, 0], (0, 2), "gauss6", dt=0.01)
+    animation = found.animate(frames=4)
+    r, angle = animation.states[2, 0, :2]
+    pivot, body = places(animation, 2)
+    np.testing.assert_allclose(pivot, 0)
+    sine, sign = direction
+    np.testing.assert_allclose(body, [-sign * r * sine(angle), sign * r * np.cos(angle)])
+
+
+def test_polar_coordinates_of_a_central_force_are_those_of_the_plane():
+    H = "p_rho**2/2 + p_phi**2/(2*rho**2) - 1/rho"
+    found = hamsym.integrate(
+        H, {"rho": 1, "phi": 0, "p_rho": 0, "p_phi": 1}, (0, 6), "gauss6", dt=0.01
+    )
+    animation = found.animate(frames=4)
+    state = dict(zip(found.H.names, animation.states[3, 0], strict=True))
+    expected = state["rho"] * np.array([np.cos(state["phi"]), np.sin(state["phi"])])
+    np.testing.assert_allclose(places(animation, 3)[1], expected)
+    assert animation.frame(0).axes[0].get_aspect() == 1
+
+
+@pytest.mark.parametrize("names", [(), ("r", "theta"), ("r",)])
+def test_distance_is_not_drawn_as_an_angle(names):
     problem = systems.swinging_atwood()
     found = hamsym.integrate(problem.H, problem.z0, (0, 1), "gauss6", dt=0.1)
-    with pytest.raises(InputError, match=r"r, theta have no usual picture.*kind= one of"):
+    with pytest.raises(InputError, match="'r' is no angle of a pendulum"):
+        found.animate(*names, kind="pendulum")
+    pivot, body = places(found.animate(frames=2), 0)
+    assert np.hypot(*(body - pivot)) == pytest.approx(problem.z0[0])
+
+
+def test_coordinates_without_a_usual_picture_are_asked_for():
+    H = "p_r**2/2 + p_theta**2/2 + r**2 + theta**2"  # no polar coordinates in spite of their names
+    found = hamsym.integrate(H, [1, 0, 0, 1], (0, 1), "gauss6", dt=0.1)
+    with pytest.raises(InputError, match=r"r, theta have no usual picture.*points=") as caught:
         found.animate()
+    assert "pendulum" not in str(caught.value)
+    assert "polar" not in str(caught.value)
     assert found.animate("r", "theta", frames=2).frame(0).axes[0].get_aspect() == "auto"
 
 

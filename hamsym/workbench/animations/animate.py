@@ -236,7 +236,8 @@ def animate(
 
     Frames are at equal times from the start to the end. Without ``names`` and ``kind`` the names of
     the coordinates suggest a picture: bodies of x, y or x1, y1, x2, y2, ... move in their plane,
-    angles theta or theta1, theta2 (phi, psi) are those of a pendulum, three and more numbered
+    those of r, theta (rho, phi) in theirs if H has the term p_theta**2/r**2, angles theta or
+    theta1, theta2 (phi, psi) with coupled momenta are those of a pendulum, three and more numbered
     coordinates those of a chain, and one coordinate moves in its phase plane.
 
     Parameters
@@ -246,10 +247,12 @@ def animate(
     *names : str
         Two components: a point in their plane; with four and more, a point for each two. Of a
         coordinate and its momentum with one degree of freedom, level sets of H are drawn too.
-        With ``kind`` "pendulum" the angles, with "chain" the displacements.
-    kind : {"plane", "phase", "pendulum", "chain"}, optional
-        A pendulum has a rod for each angle, measured from the vertical. A chain has its
-        coordinates as heights above their numbers.
+        With ``kind`` "polar" distances and angles, with "pendulum" the angles, with "chain" the
+        displacements.
+    kind : {"plane", "phase", "polar", "pendulum", "chain"}, optional
+        Polar coordinates are a distance and an angle for each body; where H has a weight along
+        the angle zero, that direction is vertical. A pendulum has a rod for each angle, measured
+        from the vertical. A chain has its coordinates as heights above their numbers.
     points : callable, optional
         A function of the state, shape (dim,), or of the state and the time: places of points,
         shape (points, 2). It replaces names and kind.

@@ -19,14 +19,22 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.names import known_name, math_name, math_unit, quantity
 from hamsym.support.validation import is_positive
 from hamsym.workbench.animations.motion import Motion
+from hamsym.workbench.animations.polar import (
+    ANGLE,
+    DOWN,
+    RADIUS,
+    RIGHT,
+    coupled,
+    direction_of_zero,
+    is_angle,
+    polar_pairs,
+)
 
 __all__ = ["KINDS", "Scene", "scene_of"]
 
 #: Kinds of pictures that are made from names of components.
-KINDS = ("plane", "phase", "pendulum", "chain")
+KINDS = ("plane", "phase", "polar", "pendulum", "chain")
 
-_ANGLE = re.compile(r"(theta|phi|psi|varphi|vartheta|alpha)(_?\d+)?")
-_RADIUS = re.compile(r"(r|rho|R)(_?\d+)?")
 _MOST_RODS = 3  # of a pendulum that is recognised by the names of its angles alone
 
 
@@ -96,6 +104,8 @@ def scene_of(
         raise InputError(f"kind={kind!r} is unknown; give one of {', '.join(KINDS)}")
     if lengths is not None and kind != "pendulum":
         raise InputError(f"lengths are those of a pendulum, not of kind='{kind}'; leave them out")
+    if kind == "polar":
+        return _polar(H, chosen)
     if kind == "pendulum":
         return _pendulum(motion, chosen or list(range(H.dof)), lengths)
     if kind == "chain":
@@ -121,8 +131,12 @@ def _suggested(H: Hamiltonian, chosen: list[int]) -> tuple[str, list[int]]:
     parts = [re.fullmatch(r"(.*?)_?(\d*)", name) for name in names]
     stems = [part[1] if part else name for part, name in zip(parts, names, strict=True)]
     numbers = [part[2] if part else "" for part in parts]
-    if all(map(_ANGLE.fullmatch, names)) and len(set(stems)) == 1 and d <= _MOST_RODS:
+    angles = all(map(ANGLE.fullmatch, names)) and len(set(stems)) == 1
+    hanging = angles and coupled(H, list(range(d)))
+    if hanging and d <= _MOST_RODS:
         return "pendulum", list(range(d))
+    if polar_pairs(H):
+        return "polar", []
     if d == 1:
         return "phase", [0, 1]
     at = dict(zip(zip(stems, numbers, strict=True), range(d), strict=True))
@@ -131,11 +145,14 @@ def _suggested(H: Hamiltonian, chosen: list[int]) -> tuple[str, list[int]]:
         pairs = [at.get((stem, number)) for number in bodies for stem in ("x", "y")]
         if None not in pairs:
             return "plane", [place for place in pairs if place is not None]
-    if d > 2 and len(set(stems)) == 1 and all(numbers) and not _ANGLE.fullmatch(names[0]):
+    if d > 2 and len(set(stems)) == 1 and all(numbers) and not ANGLE.fullmatch(names[0]):
         return "chain", list(range(d))
+    fitting = "kind='pendulum', " if hanging else ""
+    fitting += "kind='chain', " if len(set(stems)) == 1 and not angles else ""
     raise InputError(
         f"the coordinates {_listed(names)} have no usual picture; name two components, such as "
-        f"'{H.names[0]}', '{H.names[d]}', or give kind= one of {', '.join(KINDS)}, or points="
+        f"'{H.names[0]}', '{H.names[d]}', or give {fitting}points=, places of points by a function "
+        "of the state"
     )
 
 
@@ -186,7 +203,7 @@ def _alike(H: Hamiltonian, chosen: list[int]) -> bool:
     if len({i < H.dof for i in chosen}) > 1 or len({H.units.get(name) for name in names}) > 1:
         return False
     own = [H.names[i % H.dof] for i in chosen]
-    return not any(_ANGLE.fullmatch(name) or _RADIUS.fullmatch(name) for name in own)
+    return not any(ANGLE.fullmatch(name) or RADIUS.fullmatch(name) for name in own)
 
 
 def _phase(motion: Motion, chosen: list[int]) -> Scene:
@@ -208,10 +225,61 @@ def _phase(motion: Motion, chosen: list[int]) -> Scene:
     )
 
 
+def _polar(H: Hamiltonian, chosen: list[int]) -> Scene:
+    """Bodies at distances and angles from the origin."""
+    pairs = list(zip(chosen[::2], chosen[1::2], strict=False)) if chosen else polar_pairs(H)
+    if not pairs or len(chosen) % 2 or any(k >= H.dof for k in chosen):
+        raise InputError(
+            "polar coordinates are a distance and an angle for each body; name such pairs, for "
+            "example 'r', 'theta'"
+        )
+    radii, angles = [i for i, _ in pairs], [j for _, j in pairs]
+    if any(RADIUS.fullmatch(H.names[j]) for j in angles) or any(
+        ANGLE.fullmatch(H.names[i]) for i in radii
+    ):
+        i, j = pairs[0]
+        raise InputError(
+            f"'{H.names[i]}', '{H.names[j]}' are not a distance and an angle; name these, the "
+            "distance first"
+        )
+    units = {H.units.get(H.names[i], "1") for i in radii}
+    if len(units) > 1:
+        raise InputError(f"{_listed([H.names[i] for i in radii])} have different units")
+    zeros = {direction_of_zero(H, pair) for pair in pairs}
+    zero = zeros.pop() if len(zeros) == 1 else RIGHT
+
+    def places(z: np.ndarray, t: np.ndarray) -> np.ndarray:
+        distance, angle = z[..., radii], z[..., angles] + zero
+        ends = distance[..., None] * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+        return np.concatenate((np.zeros_like(ends[..., :1, :]), ends), axis=-2)
+
+    count, unit = len(pairs), math_unit(units.pop())
+    named = ", ".join(H.names[j] for j in angles)
+    if zero == RIGHT:
+        rods, source = (), f"{named} from the horizontal axis"
+    else:
+        rods = tuple((0, k) for k in range(1, count + 1))
+        source = f"{named} from the vertical, {'down' if zero == DOWN else 'up'}"
+    return Scene(
+        places,
+        (("horizontal", unit), ("vertical", unit)),
+        rods=rods,
+        traced=tuple(range(1, count + 1)),
+        pivots=(0,),
+        note=f"Polar coordinates, {source}",
+    )
+
+
 def _pendulum(motion: Motion, chosen: list[int], lengths: Any) -> Scene:
     H = motion.H
     if any(i >= H.dof for i in chosen):
         raise InputError("a pendulum is drawn by its angles, which are coordinates; name those")
+    for i in chosen:
+        if not is_angle(H, i):
+            polar = ", or give kind='polar'" if polar_pairs(H) else ""
+            raise InputError(
+                f"'{H.names[i]}' is no angle of a pendulum; name those that are{polar}"
+            )
     values, source = _lengths(motion, chosen, lengths)
 
     def places(z: np.ndarray, t: np.ndarray) -> np.ndarray:
