@@ -32,7 +32,9 @@ PLACES = 2 * DEGREE + 2  # enough for products
 #: Places in [-1, 1], ascending.
 NODES = -np.cos((2 * np.arange(PLACES) + 1) * math.pi / (2 * PLACES))
 
-_VALUES = chebyshev.chebvander(NODES, PLACES - 1)  # coefficients -> values
+_ANGLES = np.outer(2 * np.arange(PLACES) + 1, np.arange(PLACES)) % (4 * PLACES)
+# Coefficients -> values; the table of the recurrence would be off by tens of roundings.
+_VALUES = np.cos(_ANGLES * (math.pi / (2 * PLACES))) * (-1.0) ** np.arange(PLACES)
 _WEIGHTS = np.full(PLACES, 2.0 / PLACES)
 _WEIGHTS[0] = 1.0 / PLACES
 _COEFFICIENTS = np.ascontiguousarray(_VALUES * _WEIGHTS)  # values -> coefficients, from the right
@@ -74,11 +76,13 @@ class Models:
     high: np.ndarray
 
     @classmethod
-    def of_polynomials(
-        cls, values: np.ndarray, low: Any = -math.inf, high: Any = math.inf
-    ) -> Models:
-        """Make models of polynomials from their values, with a range if it is known."""
-        return _tightened(values, np.zeros(len(values)), 0.0, low, high)
+    def of_values(cls, values: np.ndarray, low: Any = -math.inf, high: Any = math.inf) -> Models:
+        """Make models of polynomials from their values, with a range if it is known.
+
+        What smooth functions have beyond the degree is part of the distance.
+        """
+        kept, lost = _truncated(values, np.zeros(len(values)))
+        return _tightened(kept, lost, 0.0, low, high)
 
     def __neg__(self) -> Models:
         return Models(-self.values, self.error, self.rounding, -self.high, -self.low)
@@ -174,13 +178,14 @@ def _total(values: np.ndarray, rounding: np.ndarray) -> np.ndarray:
 
 def _truncated(values: np.ndarray, rounding: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Truncate polynomials to DEGREE; return their values and the bound on what is lost."""
-    high = values @ _COEFFICIENTS[:, DEGREE + 1 :]
+    # Without the constant, which has no high coefficients but those of its roundings.
+    high = (values - values[:, _MIDDLE, None]) @ _COEFFICIENTS[:, DEGREE + 1 :]
     return values - high @ _HIGH, _sum(high, rounding + _UNIT * _size(values))
 
 
 def _slopes(g: Models) -> np.ndarray:
     """Differentiate the polynomials, without coefficients that are roundings."""
-    coefficients = g.values @ _COEFFICIENTS[:, : DEGREE + 1]
+    coefficients = (g.values - g.values[:, _MIDDLE, None]) @ _COEFFICIENTS[:, : DEGREE + 1]
     kept = np.abs(coefficients) > (g.rounding + _UNIT * _size(g.values))[:, None]
     return np.asarray(np.where(kept, coefficients, 0.0) @ _SLOPES)
 
@@ -191,8 +196,7 @@ def _defect(values: np.ndarray, slopes: np.ndarray, rounding: np.ndarray) -> np.
     Both are compared with their values in the middle of the interval.
     """
     integral = slopes @ _INTEGRALS
-    integral[:, :PLACES] -= values @ _COEFFICIENTS
-    integral[:, 0] += values[:, _MIDDLE]
+    integral[:, :PLACES] -= (values - values[:, _MIDDLE, None]) @ _COEFFICIENTS
     return _sum(integral, rounding + _UNIT * (_size(values) + _size(slopes)))
 
 
