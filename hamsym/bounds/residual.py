@@ -28,7 +28,7 @@ __all__ = ["Excess", "Parts", "Places", "excesses"]
 
 _SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
 _MOST_SHARES = 2.0  # of the limit, that all parts of a window may use
-_MOST_PARTS = 4_096  # of one generation of halves
+_MOST_PARTS = 256  # of one generation of halves
 _AT_ONCE = 256  # parts in one evaluation of models
 _GENERATIONS = 60
 _ULPS = 16.0  # of the time, below which a part is not divided
@@ -126,15 +126,17 @@ def excesses(
         In the order of the windows.
     """
     search = _Search(field, rates, trial, noise, edges, limits, parameters, first_only)
-    parts = Parts.whole(limits.shape[0])
-    for _ in range(_GENERATIONS):
-        parts = search.undecided(parts)
-        if not len(parts):
-            return search.found
-        if len(parts) > _MOST_PARTS:
-            break
-        parts = parts.halves()
-    return search.with_unknown(parts)
+    parts = Parts.whole(len(limits))
+    most = max(_MOST_PARTS, len(parts))
+    with np.errstate(all="ignore"):  # what overflows or has no value exceeds its limit
+        for _ in range(_GENERATIONS):
+            if not len(parts):
+                return search.found
+            parts = search.undecided(parts)
+            if len(parts) > most:
+                break
+            parts = parts.halves()
+        return search.with_unknown(parts)
 
 
 class _Search:
