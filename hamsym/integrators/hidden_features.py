@@ -2,11 +2,11 @@
 
 Runs with different steps agree if all of them step over the same pulse. Between the states after
 successive steps, a trajectory is a curve z^(t): in a window of some steps a polynomial through the
-states, with the slopes F there. The force along the curve is F(z^(t), t), and G^(t) is the polynomial
-through its values at fixed places. A feature that is as wide as a few steps is part of G^ and of
-the motion. What is narrower is part of F - G^, which arithmetic of models bounds on the whole
-window, wherever and however narrow the feature is (:mod:`hamsym.bounds`). The integral of |F - G^|
-is what the steps may have missed.
+states, with the slopes F there. The force along the curve is F(z^(t), t), and G^(t) is the
+polynomial through its values at fixed places. A feature that is as wide as a few steps is part of
+G^ and of the motion. What is narrower is part of F - G^, which arithmetic of models bounds on the
+whole window, wherever and however narrow the feature is (:mod:`hamsym.bounds`). The integral of
+|F - G^| is what the steps may have missed.
 
 Most windows need no bound, since no function in F varies over their steps
 (:mod:`hamsym.integrators.step_scales`). Of the others, long ones are bounded first, and divided
@@ -30,9 +30,14 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.step_scales import StepScales
 from hamsym.numerics.scales import resolved_sizes
 
-__all__ = ["HiddenFeatures", "hidden_features"]
+__all__ = ["HiddenFeatures", "hidden_features", "passed_over"]
 
-_LENGTHS = (256, 64, 16, 4)  # of windows, in steps; a feature of the last length is no longer hidden
+_LENGTHS = (
+    256,
+    64,
+    16,
+    4,
+)  # of windows, in steps; a feature of the last length is no longer hidden
 _DEVIATION = 1e-4  # of the sizes, between states and the polynomial of a window longer than that
 _HELD = 2**20  # components of states that are tested at once
 _AT_ONCE = 256  # windows in one evaluation of models
@@ -130,6 +135,14 @@ class HiddenFeatures:
 def hidden_features(H: Hamiltonian) -> HiddenFeatures | None:
     """Make the search for a Hamiltonian; None if its force can hide nothing."""
     return None if model_field(H).is_short_polynomial else HiddenFeatures(H)
+
+
+def passed_over(time: float) -> str:
+    """Describe a feature that steps passed over."""
+    return (
+        f"near t = {time:.6g} the force has a feature, for example a pulse, that the steps pass "
+        "over; take smaller steps, or integrate with tol"
+    )
 
 
 def _blocks(steps: int) -> tuple[np.ndarray, list[int]]:

@@ -38,7 +38,7 @@ from hamsym.integrators.energy_drift import (
     work_of,
 )
 from hamsym.integrators.fixed_step import NOT_ONLY_SEPARABLE, Stepper
-from hamsym.integrators.hidden_features import hidden_features
+from hamsym.integrators.hidden_features import hidden_features, passed_over
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.table import ALIASES, INTEGRATORS
@@ -640,7 +640,7 @@ def integrate(
         )
     if not (problem or warning or isinstance(scheme, Adaptive)):
         share = COARSE if choice is None else max(AIM, min(choice.found, COARSE))
-        problem = _passed_over(members, name, z, times, count, share, omega)
+        problem = _between_steps(members, name, z, times, count, share, omega)
     if warning and not problem:
         message = f"{message}: {warning}"
         warnings.warn(message, StepSizeWarning, stacklevel=3)
@@ -796,7 +796,7 @@ def _pole(members: Ensemble, z: np.ndarray, times: np.ndarray) -> float | None:
     return features.pole(z, times, _varied(members))
 
 
-def _passed_over(
+def _between_steps(
     members: Ensemble,
     name: str,
     z: np.ndarray,
@@ -830,10 +830,7 @@ def _passed_over(
         if not np.isnan(found).all():
             index = int(np.nanargmin(np.abs(found - times[0])))
             which = f"trajectory {index}: " if members.shape else ""
-            return (
-                f"{which}near t = {found[index]:.6g} the force has a feature that the steps pass "
-                "over; take smaller steps or give tol"
-            )
+            return which + passed_over(found[index])
     return ""
 
 
