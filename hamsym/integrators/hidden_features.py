@@ -40,6 +40,7 @@ _LENGTHS = (
 )  # of windows, in steps; a feature of the last length is no longer hidden
 _DEVIATION = 1e-4  # of the sizes, between states and the polynomial of a window longer than that
 _HELD = 2**20  # components of states that are tested at once
+_DISAGREEMENT = 0.1  # of the sizes, between the change in a window and the integral of the force
 _AT_ONCE = 256  # windows in one evaluation of models
 _SAMPLED = 256  # states from which sizes are computed
 _ROUND_OFF = 256 * 2.0**-52  # of the integral of |F - G^|, relative to the force
@@ -47,6 +48,7 @@ _NOISE = 80.0  # times the change of F for one unit in the last place of states 
 _EPS = 2.0**-52
 
 _BASIS = chebyshev.chebvander(NODES, DEGREE)
+_MEAN = np.array([0.0 if k % 2 else 1 / (1 - k**2) for k in range(DEGREE + 1)])
 _FIT = np.ascontiguousarray((_BASIS * np.array([1.0, *[2.0] * DEGREE]) / PLACES).T)
 
 
@@ -286,7 +288,17 @@ class _Search:
         found = first_excess(
             self._features.field, rates, windows.at, self._noise, windows.edges, limits, self._given
         )
-        return math.nan if found is None else found.times[0]
+        if found is not None:
+            return found.times[0]
+        missed = self._disagreeing(windows, starts)
+        return float(windows.edges[:, np.argmax(missed)].mean()) if missed.any() else math.nan
+
+    def _disagreeing(self, windows: _Windows, starts: np.ndarray) -> np.ndarray:
+        """Whether the steps through windows do not follow the force, since one has met a pulse."""
+        moved = self._z[starts + self._shortest] - self._z[starts]
+        impulse = np.diff(windows.edges, axis=0)[0][:, None] * (_MEAN @ windows.force)
+        largest = np.abs(self._z).max(axis=0)
+        return np.asarray(~(np.abs(moved - impulse) <= _DISAGREEMENT * largest).all(axis=1))
 
     def _noise(self, at: Places, parts: Parts) -> np.ndarray:
         """Round-off of F: the median over each part of its change by one unit in the last place."""

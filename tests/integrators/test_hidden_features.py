@@ -34,7 +34,7 @@ def test_pulse_between_chosen_steps_is_found(pulse: str) -> None:
     [
         {"steps": 1_000},
         {"steps": 1_000, "save_every": 100},
-        {"dt": 0.02, "method": "stormer_verlet"},
+        {"dt": 0.05},
     ],
 )
 def test_pulse_between_given_steps_is_found(options: dict[str, object]) -> None:
@@ -45,6 +45,15 @@ def test_pulse_between_given_steps_is_found(options: dict[str, object]) -> None:
     assert "the force has a feature" in found.message
     before = hamsym.integrate(H, [1.0, 0.0], (0, 3), **options)
     assert before.success is True
+
+
+def test_pulse_that_one_step_meets_is_found() -> None:
+    """At its centre, so that the step goes too far by a factor of 1,000."""
+    H = OSCILLATOR + PULSES["narrow"]
+    for first in (0.0, 0.01):
+        found = hamsym.integrate(H, [1.0, 0.0], (first, 10 + first), "stormer_verlet", dt=0.02)
+        assert found.success is False
+        assert "the force has a feature" in found.message
 
 
 def test_pulse_along_the_orbit_is_found() -> None:
@@ -111,14 +120,16 @@ def test_switch_that_steps_see_is_no_doubt() -> None:
 
 
 def test_what_may_change_is_that_of_all_features_together() -> None:
-    """Each of 40 pulses changes p by 0.02, which alone would be allowed."""
-    H = Hamiltonian("p**2/2 + x**2/2 - x*a*exp((cos(20*t) - 1)/w**2)", parameters={"a": 1, "w": 1})
-    H = H.with_parameters(a=0.02 * 20 / np.sqrt(2 * np.pi) / 1e-5, w=1e-5)
-    features = HiddenFeatures(H)
+    """Each of 38 pulses changes p by 0.02, which alone would be allowed."""
+    H = Hamiltonian(
+        "p**2/2 + x**2/2 - x*a*exp((cos(20*t) - 1)/w**2)", parameters={"a": 1.0, "w": 1e-3}
+    )
+    height = 0.02 * 20 / (np.sqrt(2 * np.pi) * 1e-3)
     t = np.linspace(0, 12, 1_001)[:-1] + 0.0061
     z = np.stack((np.cos(t), -np.sin(t)), axis=-1)
-    for allowed, seen in ((0.1, True), (10.0, False)):
-        found = features.times(z[None], t, None, lambda _, size=allowed: np.full(2, size))
+    for factor, seen in ((1.0, True), (1e-3, False)):
+        features = HiddenFeatures(H.with_parameters(a=factor * height))
+        found = features.times(z[None], t, None, lambda _: np.full(2, 0.1))
         assert bool(np.isfinite(found[0])) is seen
 
 
