@@ -469,8 +469,8 @@ def integrate(
     With ``tol`` the steps of each trajectory are chosen so that its estimated error is at most
     ``tol``, from the differences of runs with n, 2n and 4n steps, which are extrapolated
     (:mod:`hamsym.integrators.tolerance`). A trajectory succeeds if the estimate, with round-off,
-    is within the tolerance, H changes by no more than that allows, and the formula of H has no
-    pulse, pole or jump on the way that the steps do not resolve.
+    is within the tolerance, H changes by no more than that allows, and the force has no pulse, pole
+    or jump on the way that the steps do not resolve.
 
     Without ``method``, ``steps`` and ``dt`` the number of steps is the smallest power of two times
     1,000 for which every trajectory conserves H to 1e-9 of the energy that it exchanges between
@@ -480,6 +480,11 @@ def integrate(
     the target is not met, which happens near collisions or where chaos amplifies round-off.
     Relative errors of the states are often a hundred times the drift; they grow with time, and much
     more in close encounters.
+
+    Between the steps of a method with fixed steps the force is bounded
+    (:mod:`hamsym.integrators.hidden_features`). There is no success if it may have a feature that
+    the steps pass over, for example a short pulse, and that changes the motion by more than 1 %,
+    or, where steps were chosen, by more than the drift that was reached.
 
     Parameters
     ----------

@@ -120,7 +120,8 @@ def _arguments(
     rates: Sequence[sympy.Expr], variables: Sequence[sympy.Symbol]
 ) -> list[tuple[sympy.Expr, Scale]] | None:
     """Arguments of all functions in the rates; None if a scale is unknown."""
-    known, found = set(variables), {}
+    known = set(variables)
+    found: dict[tuple[sympy.Expr, Scale], None] = {}
     for rate in rates:
         for part in sympy.preorder_traversal(rate):
             if not part.free_symbols & known or not part.args or part.is_Add or part.is_Mul:
