@@ -637,18 +637,20 @@ def integrate(
         warning = (
             f"the invariant {changed} changes by more than errors of 1 % explain; take more steps"
         )
+    unseen = ""
+    if not (problem or warning or isinstance(scheme, Adaptive)):
+        share = COARSE if choice is None else max(AIM, min(choice.found, COARSE))
+        unseen = _between_steps(members, name, z, times, count, share, omega)
     tested = not (chosen or every > 1 or problem or warning)
     if tested and (pole := _pole(members, z, times)) is not None:
         warning = (
             f"the step near t = {pole:.6g} passes a pole of H, or the end of its domain, too fast; "
             "take more steps"
         )
-    if not (problem or warning or isinstance(scheme, Adaptive)):
-        share = COARSE if choice is None else max(AIM, min(choice.found, COARSE))
-        problem = _between_steps(members, name, z, times, count, share, omega)
     if warning and not problem:
         message = f"{message}: {warning}"
         warnings.warn(message, StepSizeWarning, stacklevel=3)
+    problem = problem or unseen
     return Trajectory(
         t=times,
         z=z.reshape(*members.shape, *z.shape[1:]),

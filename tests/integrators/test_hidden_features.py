@@ -7,6 +7,7 @@ import pytest
 
 import hamsym
 from hamsym import Hamiltonian
+from hamsym.errors import StepSizeWarning
 from hamsym.integrators.hidden_features import HiddenFeatures, _hermite_fit, hidden_features
 
 OSCILLATOR = "p**2/2 + x**2/2 - x*"
@@ -45,6 +46,14 @@ def test_pulse_between_given_steps_is_found(options: dict[str, object]) -> None:
     assert "the force has a feature" in found.message
     before = hamsym.integrate(H, [1.0, 0.0], (0, 3), **options)
     assert before.success is True
+
+
+def test_pulse_that_looks_like_a_pole_is_no_success() -> None:
+    H = OSCILLATOR + PULSES["away from the zeros of its formula"]
+    with pytest.warns(StepSizeWarning, match="passes a pole of H"):
+        found = hamsym.integrate(H, [1.0, 0.0], (0, 10), steps=20_000)
+    assert found.success is False
+    assert "near t = 3.37" in found.message
 
 
 def test_pulse_that_one_step_meets_is_found() -> None:
