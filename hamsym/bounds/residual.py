@@ -24,7 +24,7 @@ import numpy as np
 from hamsym.bounds.models import PLACES, Models
 from hamsym.bounds.vector_field import ModelField
 
-__all__ = ["Excess", "Parts", "Places", "excesses"]
+__all__ = ["Excess", "Parts", "Places", "excesses", "residual_bounds"]
 
 _SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
 _MOST_SHARES = 2.0  # of the limit, that all parts of a window may use
@@ -213,7 +213,7 @@ class _Search:
         """
         places, limits = self._trial(parts), self._limits[parts.window]
         weight = self._lengths[parts.window] * parts.width
-        bounds = _bounds(self._field, places, self._edges, parts, self._parameters)
+        bounds = residual_bounds(self._field, places, self._edges, parts, self._parameters)
         upper = _ratios(bounds * weight[:, None], limits)
         lower, times = np.zeros(len(parts)), places.t[:, PLACES // 2].copy()
         large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
@@ -229,7 +229,7 @@ class _Search:
         return upper, lower, times
 
 
-def _bounds(
+def residual_bounds(
     field: ModelField,
     places: Places,
     edges: np.ndarray,
