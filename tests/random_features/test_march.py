@@ -210,6 +210,23 @@ def test_a_stiff_system() -> None:
     np.testing.assert_allclose(solution(t)[:, 0], np.cos(np.sqrt(squares[0]) * t), atol=1e-6)
 
 
+@pytest.mark.parametrize(("damping", "end"), [(1e4, 20.0), (1e6, 1.0)])
+def test_strong_damping_needs_few_windows(damping: float, end: float) -> None:
+    """Fixed-point iteration contracts only in windows of some 10 / damping."""
+    H = Hamiltonian("p**2/2 + x**2/2", forces={"p": f"-{damping!r}*p"})
+    solution = hamsym.solve(H, [1, 0], (0, end), tol=1e-6)
+    assert solution.success, solution.message
+    assert len(solution.history.readouts) < 400
+    fast = -damping / 2 - math.sqrt(damping**2 / 4 - 1)
+    rates = np.array([1 / fast, fast])
+    shares = np.array([fast, -1 / fast]) / (fast - 1 / fast)
+    t = np.concatenate((np.geomspace(1e-3 / damping, end, 501), solution.history.edges))
+    parts = shares * np.exp(np.outer(t, rates))
+    error = np.abs(solution(t) - np.stack((parts.sum(axis=1), parts @ rates), axis=1)).max(axis=0)
+    assert (error <= 1e-6 * solution.scale).all()
+    assert (error <= 1.1 * solution.error.largest + 1e-15 * solution.scale).all()
+
+
 @pytest.mark.parametrize("compiled", [False, True])
 def test_equal_windows_reach_the_end_of_any_span(compiled: bool) -> None:
     """An eighth of the span, eight times added to the start, may fall short of its end."""
