@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +15,11 @@ import torch
 import hamsym
 from hamsym import Hamiltonian, InputError, systems
 from hamsym.integrators.integrate import reference
-from hamsym.random_features import row_products, window_loop
+from hamsym.random_features import method, row_products, window_loop
 from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import march, newton
+from hamsym.random_features.windows import March
 from hamsym.systems import CATALOGUE, Problem
 
 # Systems whose exact solution has 13 digits.
@@ -208,6 +211,25 @@ def test_a_stiff_system() -> None:
     assert solution.success, solution.message
     t = np.linspace(0, 2, 301)
     np.testing.assert_allclose(solution(t)[:, 0], np.cos(np.sqrt(squares[0]) * t), atol=1e-6)
+
+
+@pytest.mark.parametrize("resolved", [1e-6, 0.0])
+def test_a_march_in_doubt_is_tried_once_more(
+    monkeypatch: pytest.MonkeyPatch, resolved: float
+) -> None:
+    """Shorter windows resolve what those of a loose tolerance do not, or the doubt stays."""
+    tolerances = []
+
+    def doubtful(*arguments: Any, **keywords: Any) -> March:
+        tolerances.append(arguments[3])
+        windows = march(*arguments, **keywords)
+        return windows if arguments[3] <= resolved else replace(windows, doubt="in doubt")
+
+    monkeypatch.setattr(method, "march", doubtful)
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-3)
+    assert solution.success == (resolved > 0)
+    assert len(tolerances) == 2
+    assert tolerances[1] < tolerances[0]
 
 
 @pytest.mark.parametrize(("damping", "end"), [(1e4, 20.0), (1e6, 1.0)])
