@@ -32,15 +32,14 @@ PLACES = 2 * DEGREE + 2  # enough for products
 #: Places in [-1, 1], ascending.
 NODES = -np.cos((2 * np.arange(PLACES) + 1) * math.pi / (2 * PLACES))
 
-_VALUES = chebyshev.chebvander(NODES, PLACES - 1)  # coefficients -> values
+_ANGLES = np.outer(2 * np.arange(PLACES) + 1, np.arange(PLACES)) % (4 * PLACES)
+# Coefficients -> values; the table of the recurrence would be off by tens of roundings.
+_VALUES = np.cos(_ANGLES * (math.pi / (2 * PLACES))) * (-1.0) ** np.arange(PLACES)
 _WEIGHTS = np.full(PLACES, 2.0 / PLACES)
 _WEIGHTS[0] = 1.0 / PLACES
 _COEFFICIENTS = np.ascontiguousarray(_VALUES * _WEIGHTS)  # values -> coefficients, from the right
 _HIGH = np.ascontiguousarray(_VALUES[:, DEGREE + 1 :].T)  # high coefficients -> values
-_LOW = slice(DEGREE + 1)
-_SLOPES = (
-    _COEFFICIENTS[:, _LOW] @ chebyshev.chebder(np.eye(DEGREE + 1)).T @ _VALUES[:, :DEGREE].T
-)  # values of a polynomial of degree DEGREE -> values of its derivative
+_SLOPES = chebyshev.chebder(np.eye(DEGREE + 1)).T @ _VALUES[:, :DEGREE].T  # low coefficients ->
 _INTEGRALS = (
     _COEFFICIENTS @ chebyshev.chebint(np.eye(PLACES), lbnd=NODES[PLACES // 2]).T
 )  # values -> coefficients of the integral from the place in the middle
@@ -48,7 +47,8 @@ _INTEGRALS = (
 # (Ehlich & Zeller 1964).
 _BETWEEN = 1 / math.cos(math.pi * DEGREE / (2 * PLACES))
 _MIDDLE = PLACES // 2
-_ROUNDED = 8 * 2.0**-52  # of a coefficient, relative to the values
+_UNIT = 4 * 2.0**-52  # rounding of values by one operation, relative to their size
+_TINY = 5e-324  # what underflows to zero
 
 Number: TypeAlias = "float | np.ndarray"
 
@@ -63,37 +63,40 @@ class Models:
         Of the polynomials at the places, shape (n, PLACES).
     error : numpy.ndarray
         Bound on the distance of function and polynomial, shape (n,).
+    rounding : numpy.ndarray
+        Rounding errors of the values, which the distance leaves out, shape (n,).
     low, high : numpy.ndarray
         Bounds on the function, shape (n,).
     """
 
     values: np.ndarray
     error: np.ndarray
+    rounding: np.ndarray
     low: np.ndarray
     high: np.ndarray
 
     @classmethod
-    def of_polynomials(
-        cls, values: np.ndarray, low: Any = -math.inf, high: Any = math.inf
-    ) -> Models:
-        """Make models of polynomials from their values, with a range if it is known."""
-        return _tightened(values, np.zeros(len(values)), low, high)
+    def of_values(cls, values: np.ndarray, low: Any = -math.inf, high: Any = math.inf) -> Models:
+        """Make models of polynomials from their values, with a range if it is known.
+
+        What smooth functions have beyond the degree is part of the distance.
+        """
+        kept, lost = _truncated(values, np.zeros(len(values)))
+        return _tightened(kept, lost, 0.0, low, high)
 
     def __neg__(self) -> Models:
-        return Models(-self.values, self.error, -self.high, -self.low)
+        return Models(-self.values, self.error, self.rounding, -self.high, -self.low)
 
     def __add__(self, other: Models | Number) -> Models:
         if not isinstance(other, Models):
             number = _column(other)
-            return Models(
-                self.values + number,
-                self.error,
-                self.low + number[..., 0],
-                self.high + number[..., 0],
-            )
+            values, shift = self.values + number, number[..., 0]
+            rounding = self.rounding + _UNIT * _size(values)
+            return Models(values, self.error, rounding, self.low + shift, self.high + shift)
         return _tightened(
             self.values + other.values,
             self.error + other.error,
+            self.rounding + other.rounding,
             self.low + other.low,
             self.high + other.high,
         )
@@ -113,10 +116,13 @@ class Models:
             return Models(
                 self.values * number,
                 self.error * np.abs(number[..., 0]),
+                self.rounding * np.abs(number[..., 0]),
                 np.minimum(*ends),
                 np.maximum(*ends),
             )
-        values, lost = _truncated(self.values * other.values)
+        rounding = _no_nan(self.rounding * _size(other.values))
+        rounding = rounding + _no_nan(other.rounding * _size(self.values))
+        values, lost = _truncated(self.values * other.values, rounding)
         error = (
             lost
             + _no_nan(self.error * _largest(other.values))
@@ -125,11 +131,12 @@ class Models:
         if other is self:
             largest = np.maximum(self.high, -self.low)
             smallest = np.maximum(np.maximum(self.low, -self.high), 0.0)
-            return _tightened(values, error, smallest**2, largest**2)
+            return _tightened(values, error, rounding, smallest**2, largest**2)
         products = [
             _no_nan(one * two) for one in (self.low, self.high) for two in (other.low, other.high)
         ]
-        return _tightened(values, error, np.minimum.reduce(products), np.maximum.reduce(products))
+        low, high = np.minimum.reduce(products), np.maximum.reduce(products)
+        return _tightened(values, error, rounding, low, high)
 
     __rmul__ = __mul__
 
@@ -154,35 +161,46 @@ def _largest(values: np.ndarray) -> np.ndarray:
     return np.asarray(_BETWEEN * np.abs(values).max(axis=1))
 
 
-def _sum(coefficients: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Add magnitudes of coefficients that are not the roundings of terms of a size."""
-    return np.asarray(np.maximum(np.abs(coefficients) - _ROUNDED * size[:, None], 0.0).sum(axis=1))
+def _size(values: np.ndarray) -> np.ndarray:
+    """Return the largest magnitude of values, shape (n,)."""
+    return np.asarray(np.abs(values).max(axis=1))
 
 
-def _total(values: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Bound polynomials, made of terms of a size, by the sum of their coefficients."""
-    return _sum(values @ _COEFFICIENTS, size)
+def _sum(coefficients: np.ndarray, rounding: np.ndarray) -> np.ndarray:
+    """Add magnitudes of coefficients that are not roundings."""
+    return np.asarray(np.maximum(np.abs(coefficients) - rounding[:, None], 0.0).sum(axis=1))
 
 
-def _truncated(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _total(values: np.ndarray, rounding: np.ndarray) -> np.ndarray:
+    """Bound polynomials by the sum of their coefficients."""
+    return _sum(values @ _COEFFICIENTS, rounding)
+
+
+def _truncated(values: np.ndarray, rounding: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Truncate polynomials to DEGREE; return their values and the bound on what is lost."""
-    high = values @ _COEFFICIENTS[:, DEGREE + 1 :]
-    return values - high @ _HIGH, _sum(high, np.abs(values).max(axis=1))
+    # Without the constant, which has no high coefficients but those of its roundings.
+    high = (values - values[:, _MIDDLE, None]) @ _COEFFICIENTS[:, DEGREE + 1 :]
+    return values - high @ _HIGH, _sum(high, rounding + _UNIT * _size(values))
 
 
-def _defect(values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+def _slopes(g: Models) -> np.ndarray:
+    """Differentiate the polynomials, without coefficients that are roundings."""
+    coefficients = (g.values - g.values[:, _MIDDLE, None]) @ _COEFFICIENTS[:, : DEGREE + 1]
+    kept = np.abs(coefficients) > (g.rounding + _UNIT * _size(g.values))[:, None]
+    return np.asarray(np.where(kept, coefficients, 0.0) @ _SLOPES)
+
+
+def _defect(values: np.ndarray, slopes: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     """Bound the difference of a polynomial and the integral of its supposed slopes.
 
     Both are compared with their values in the middle of the interval.
     """
     integral = slopes @ _INTEGRALS
-    integral[:, :PLACES] -= values @ _COEFFICIENTS
-    integral[:, 0] += values[:, _MIDDLE]
-    size = np.maximum(np.abs(values).max(axis=1), np.abs(slopes).max(axis=1))
-    return _sum(integral, size)
+    integral[:, :PLACES] -= (values - values[:, _MIDDLE, None]) @ _COEFFICIENTS
+    return _sum(integral, rounding + _UNIT * (_size(values) + _size(slopes)))
 
 
-def _tightened(values: np.ndarray, error: np.ndarray, low: Any, high: Any) -> Models:
+def _tightened(values: np.ndarray, error: np.ndarray, rounding: Any, low: Any, high: Any) -> Models:
     """Make models whose range is that of the polynomial, or the given one where it is smaller.
 
     A polynomial that is further from the function than the middle of the range is replaced by it.
@@ -199,7 +217,9 @@ def _tightened(values: np.ndarray, error: np.ndarray, low: Any, high: Any) -> Mo
         half = np.where(np.isfinite(half), np.maximum(half, 0.0), math.inf)
         values = np.where(worse[:, None], middle[:, None], values)
         error = np.where(worse, half, error)
-    return Models(values, error, low, high)
+        rounding = np.where(worse, 0.0, rounding)
+    rounding = rounding + _UNIT * np.maximum(np.abs(top), np.abs(bottom))
+    return Models(values, error, np.where(np.isnan(rounding), 0.0, rounding), low, high)
 
 
 def _selected(condition: np.ndarray, one: Models, other: Models) -> Models:
@@ -207,6 +227,7 @@ def _selected(condition: np.ndarray, one: Models, other: Models) -> Models:
     return Models(
         np.where(condition[:, None], one.values, other.values),
         np.where(condition, one.error, other.error),
+        np.where(condition, one.rounding, other.rounding),
         np.where(condition, one.low, other.low),
         np.where(condition, one.high, other.high),
     )
@@ -215,7 +236,7 @@ def _selected(condition: np.ndarray, one: Models, other: Models) -> Models:
 def _ranged(low: np.ndarray, high: np.ndarray) -> Models:
     """Make models of functions of which only the range is known."""
     values = np.full((len(low), PLACES), math.nan)
-    return _tightened(values, np.full(len(low), math.inf), low, high)
+    return _tightened(values, np.full(len(low), math.inf), 0.0, low, high)
 
 
 def _integrated(
@@ -226,33 +247,41 @@ def _integrated(
     With p the polynomial of g, f(p) differs from its value in the middle by the integral of
     f'(p) p'.
     """
-    values, _ = _truncated(guess)
-    rate = g.values @ _SLOPES
-    defect = _defect(values, slope.values * rate) + 2 * _no_nan(slope.error * _largest(rate))
+    rounding = _no_nan(g.rounding * _size(slope.values))
+    values, _ = _truncated(guess, rounding)
+    rate = _slopes(g)
+    defect = _defect(values, slope.values * rate, rounding)
+    defect = defect + 2 * _no_nan(slope.error * _largest(rate))
     error = np.abs(at_middle - values[:, _MIDDLE]) + defect
-    return _tightened(values, error + _no_nan(g.error * slope.magnitude), low, high)
+    return _tightened(values, error + _no_nan(g.error * slope.magnitude), rounding, low, high)
 
 
 def reciprocal(g: Models) -> Models:
     """1/g; unbounded where the range of g has a zero inside."""
     positive, negative = g.low >= 0, g.high <= 0
-    guess, _ = _truncated(1 / g.values)
+    exact = 1 / g.values
+    share = _no_nan(g.rounding * _size(exact))  # relative
+    guess, _ = _truncated(exact, share * _size(exact))
     smallest = np.where(positive, g.low, -g.high)
     size = 1 + (np.abs(g.values) * np.abs(guess)).max(axis=1)
-    defect = _total(1 - g.values * guess, size) + _no_nan(g.error * _largest(guess))
+    defect = _total(1 - g.values * guess, share + _UNIT * size)
+    defect = defect + _no_nan(g.error * _largest(guess))
     error = np.where(smallest > 0, defect / smallest, math.inf)
     low = np.where(positive | negative, np.where(g.high == 0, -math.inf, 1 / g.high), -math.inf)
     high = np.where(positive | negative, np.where(g.low == 0, math.inf, 1 / g.low), math.inf)
-    return _tightened(guess, error, low, high)
+    return _tightened(guess, error, share * _size(exact), low, high)
 
 
 def root(g: Models) -> Models:
     """sqrt(g), where g is not negative."""
     low, high = np.sqrt(np.maximum(g.low, 0.0)), np.sqrt(np.maximum(g.high, 0.0))
-    guess, _ = _truncated(np.sqrt(g.values))
-    defect = _total(g.values - guess * guess, np.abs(g.values).max(axis=1)) + g.error
-    smallest = low + np.maximum(guess.min(axis=1), 0.0) / _BETWEEN
-    return _tightened(guess, np.where(low > 0, defect / smallest, math.inf), low, high)
+    exact = np.sqrt(g.values)
+    least = exact.min(axis=1)
+    rounding = np.where(least > 0, g.rounding / (2 * least), 0.0)
+    guess, _ = _truncated(exact, rounding)
+    defect = _total(g.values - guess * guess, g.rounding + _UNIT * _size(g.values)) + g.error
+    error = np.where(low > 0, defect / low, math.inf)
+    return _tightened(guess, error, rounding, low, high)
 
 
 def reciprocal_root(g: Models) -> Models:
@@ -262,31 +291,35 @@ def reciprocal_root(g: Models) -> Models:
 
 def exponential(g: Models) -> Models:
     """exp(g), from the equation f' = g' f."""
-    guess, _ = _truncated(np.exp(g.values))
+    exact = np.exp(g.values)
+    rounding = _no_nan(g.rounding * _size(exact))
+    guess, _ = _truncated(exact, rounding)
     low, high = np.exp(g.low), np.exp(g.high)
     # With w = f(p) - q the defect is that of w = w_0 + integral of p' w (Gronwall).
-    rate = g.values @ _SLOPES
-    defect = _defect(guess, rate * guess)
-    start = np.abs(np.exp(g.values[:, _MIDDLE]) - guess[:, _MIDDLE])
-    growth = np.exp(np.minimum(g.high - g.low + 2 * g.error, 700.0))
+    rate = _slopes(g)
+    defect = _defect(guess, rate * guess, rounding)
+    start = np.abs(exact[:, _MIDDLE] - guess[:, _MIDDLE]) + _TINY
+    growth = np.exp(g.high - g.low + 2 * g.error)
     error = growth * start + defect * (1 + 2 * _largest(rate) * growth)
-    error = error + _no_nan(high * np.expm1(np.minimum(g.error, 700.0)))
-    return _tightened(guess, error, low, high)
+    error = error + _no_nan(high * np.expm1(g.error))
+    return _tightened(guess, error, rounding, low, high)
 
 
 def _circular(g: Models) -> tuple[Models, Models]:
     """sin(g) and cos(g), from the rotation (sin, cos)' = g' (cos, -sin)."""
-    rate = g.values @ _SLOPES
-    sine, _ = _truncated(np.sin(g.values))
-    cosine, _ = _truncated(np.cos(g.values))
-    defect = np.hypot(_defect(sine, rate * cosine), _defect(cosine, -rate * sine))
+    rate = _slopes(g)
+    sine, _ = _truncated(np.sin(g.values), g.rounding)
+    cosine, _ = _truncated(np.cos(g.values), g.rounding)
+    defect = np.hypot(
+        _defect(sine, rate * cosine, g.rounding), _defect(cosine, -rate * sine, g.rounding)
+    )
     middle = g.values[:, _MIDDLE]
     start = np.hypot(np.sin(middle) - sine[:, _MIDDLE], np.cos(middle) - cosine[:, _MIDDLE])
     error = start + defect * (1 + 2 * _largest(rate)) + g.error
     quarter = math.pi / 2
     return (
-        _tightened(sine, error, *_cosine_range(g.low - quarter, g.high - quarter)),
-        _tightened(cosine, error, *_cosine_range(g.low, g.high)),
+        _tightened(sine, error, g.rounding, *_cosine_range(g.low - quarter, g.high - quarter)),
+        _tightened(cosine, error, g.rounding, *_cosine_range(g.low, g.high)),
     )
 
 
@@ -356,13 +389,13 @@ def arccosine(g: Models) -> Models:
 def hyperbolic_tangent(g: Models) -> Models:
     """tanh(g) = 1 - 2/(1 + exp(2 g))."""
     found = 1.0 - 2.0 * reciprocal(exponential(2.0 * g) + 1.0)
-    return _tightened(found.values, found.error, np.tanh(g.low), np.tanh(g.high))
+    return _tightened(found.values, found.error, found.rounding, np.tanh(g.low), np.tanh(g.high))
 
 
 def hyperbolic_sine(g: Models) -> Models:
     """sinh(g)."""
     found = 0.5 * (exponential(g) - exponential(-g))
-    return _tightened(found.values, found.error, np.sinh(g.low), np.sinh(g.high))
+    return _tightened(found.values, found.error, found.rounding, np.sinh(g.low), np.sinh(g.high))
 
 
 def hyperbolic_cosine(g: Models) -> Models:
@@ -385,17 +418,20 @@ def arctangent2(y: Models, x: Models) -> Models:
         x = y * 0.0 + x
     guess = np.arctan2(y.values, x.values)
     cut = ~((x.low > 0) | (y.low > 0) | (y.high < 0))
-    values, _ = _truncated(guess)
-    inverse = reciprocal(x * x + y * y)
-    moment = x.values * (y.values @ _SLOPES) - y.values * (x.values @ _SLOPES)
-    short, lost = _truncated(moment)
-    defect = _defect(values, inverse.values * short)
+    square = x * x + y * y
+    distance = reciprocal(root(square))
+    rounding = _no_nan((x.rounding + y.rounding) * _size(distance.values))
+    values, _ = _truncated(guess, rounding)
+    inverse = reciprocal(square)
+    one, other = x.values * _slopes(y), y.values * _slopes(x)
+    short, lost = _truncated(one - other, _UNIT * (_size(one) + _size(other)))
+    defect = _defect(values, inverse.values * short, rounding)
     missed = _no_nan(inverse.error * _largest(short)) + _no_nan(inverse.magnitude * lost)
     error = np.abs(guess[:, _MIDDLE] - values[:, _MIDDLE]) + defect + 2 * missed
-    distance = reciprocal(root(x * x + y * y)).magnitude
-    error = error + _no_nan((x.error + y.error) * distance)
+    error = error + _no_nan((x.error + y.error) * distance.magnitude)
     error = np.where(cut, math.inf, error)
-    return _tightened(values, error, np.full(len(error), -math.pi), np.full(len(error), math.pi))
+    half_turn = np.full(len(error), math.pi)
+    return _tightened(values, error, rounding, -half_turn, half_turn)
 
 
 def absolute(g: Models) -> Models:

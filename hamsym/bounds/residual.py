@@ -14,16 +14,17 @@ divide any more fails.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from hamsym.bounds.models import NODES, PLACES, Models
+from hamsym.bounds.models import PLACES, Models
 from hamsym.bounds.vector_field import ModelField
 
-__all__ = ["Excess", "Parts", "Places", "first_excess"]
+__all__ = ["Excess", "Parts", "Places", "excesses"]
 
 _SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
 _MOST_SHARES = 2.0  # of the limit, that all parts of a window may use
@@ -63,10 +64,9 @@ class Parts:
         """Each window as a whole."""
         return cls(np.arange(count), np.zeros(count), np.ones(count))
 
-    @property
-    def s(self) -> np.ndarray:
-        """Places in the windows, shape (parts, PLACES)."""
-        return np.asarray(self.start[:, None] + self.width[:, None] * (NODES + 1) / 2)
+    def places(self, x: np.ndarray) -> np.ndarray:
+        """Map places in [-1, 1] into the windows, shape (parts, len(x))."""
+        return np.asarray(self.start[:, None] + self.width[:, None] * (x + 1) / 2)
 
     def halves(self) -> Parts:
         """Both halves of each part, in order."""
@@ -82,14 +82,14 @@ class Parts:
 
 
 class Excess(NamedTuple):
-    """The first window whose residual exceeds its limit: its number, times, and the ratio."""
+    """A window whose residual may exceed its limit: its number, a time, and the ratio."""
 
     window: int
-    times: list[float]
+    time: float
     ratio: float
 
 
-def first_excess(
+def excesses(
     field: ModelField,
     rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
     trial: Callable[[Parts], Places],
@@ -97,8 +97,10 @@ def first_excess(
     edges: np.ndarray,
     limits: np.ndarray,
     parameters: np.ndarray,
-) -> Excess | None:
-    """Find the first window whose residual may exceed its limit.
+    *,
+    first_only: bool = False,
+) -> list[Excess]:
+    """Find the windows whose residual may exceed its limit.
 
     Parameters
     ----------
@@ -115,23 +117,24 @@ def first_excess(
         Allowed integrals of the residual over each window, shape (windows, dim).
     parameters : numpy.ndarray
         Of H, or for each window, shape (k,) or (windows, k).
+    first_only : bool
+        Whether to search for the first of them only.
 
     Returns
     -------
-    Excess or None
-        None if every window passes.
+    list of Excess
+        In the order of the windows.
     """
-    search = _Search(field, rates, trial, noise, edges, limits, parameters)
+    search = _Search(field, rates, trial, noise, edges, limits, parameters, first_only)
     parts = Parts.whole(limits.shape[0])
     for _ in range(_GENERATIONS):
         parts = search.undecided(parts)
         if not len(parts):
-            return search.excess
+            return search.found
         if len(parts) > _MOST_PARTS:
             break
         parts = parts.halves()
-    first = parts[np.argsort(parts.window, kind="stable")[:1]]
-    return Excess(int(first.window[0]), [float(trial(first).t[0, PLACES // 2])], np.inf)
+    return search.with_unknown(parts)
 
 
 class _Search:
@@ -146,13 +149,15 @@ class _Search:
         edges: np.ndarray,
         limits: np.ndarray,
         parameters: np.ndarray,
+        first_only: bool,
     ) -> None:
         self._field, self._rates, self._trial, self._noise = field, rates, trial, noise
         self._edges, self._limits, self._parameters = edges, limits, parameters
         self._lengths = np.abs(edges[1] - edges[0])
         self._resolution = _ULPS * _EPS * np.abs(edges).max(axis=0)
         self._spent = np.zeros(len(limits))  # by parts that passed, in limits
-        self.excess: Excess | None = None  # of the first window that failed
+        self._first_only = first_only
+        self.found: list[Excess] = []
 
     def undecided(self, parts: Parts) -> Parts:
         """Judge parts of one generation; return those that neither pass nor fail."""
@@ -169,15 +174,30 @@ class _Search:
         # What cannot be divided any more fails too.
         smallest = ~passed & ~(self._lengths[window] * parts.width > self._resolution[window])
         failed[window[smallest & ~settled[window]]] = True
+        failed &= np.bincount(window, minlength=count) > 0
         kept = ~(passed | settled[window])
-        if failed.any():
-            first = int(np.argmax(failed))
-            # The largest residual that was met, or the largest bound where none was.
-            found = lower if lower[window == first].any() else upper
-            index = int(np.argmax(np.where(window == first, found, -1.0)))
-            self.excess = Excess(first, [float(times[index])], float(above[first]))
-            kept &= window < first
+        # The largest residual that was met, or the largest bound where none was.
+        order = np.lexsort((upper, lower, window))
+        last = dict(zip(window[order].tolist(), times[order].tolist(), strict=True))
+        some = np.flatnonzero(failed)
+        self._add([Excess(w, last[w], float(above[w])) for w in some.tolist()])
+        kept &= ~failed[window]
+        if self._first_only and self.found:
+            kept &= window < self.found[0].window
         return parts[kept]
+
+    def with_unknown(self, parts: Parts) -> list[Excess]:
+        """Return what was found, with the windows of parts that stayed undecided."""
+        some = np.unique(parts.window, return_index=True)[1]
+        middle = self._trial(parts[some]).t[:, PLACES // 2]
+        rows = zip(parts.window[some].tolist(), middle.tolist(), strict=True)
+        self._add([Excess(window, time, math.inf) for window, time in rows])
+        return self.found
+
+    def _add(self, some: list[Excess]) -> None:
+        self.found = sorted((*self.found, *some))
+        if self._first_only:
+            del self.found[1:]
 
     def _judged(self, parts: Parts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bound the integral of the residual over each part, in limits of its window.
@@ -215,16 +235,16 @@ def _bounds(
     parameters: np.ndarray,
 ) -> np.ndarray:
     """Bound the residual of each component on each part, shape (parts, dim)."""
-    components = [Models.of_polynomials(values) for values in np.moveaxis(places.z, 2, 0)]
+    components = [Models.of_values(values) for values in np.moveaxis(places.z, 2, 0)]
     start, end = edges[:, parts.window]
     ends = start + (end - start) * parts.start, start + (end - start) * (parts.start + parts.width)
-    t = Models.of_polynomials(places.t, np.minimum(*ends), np.maximum(*ends))
+    t = Models.of_values(places.t, np.minimum(*ends), np.maximum(*ends))
     given = parameters if parameters.ndim == 1 else parameters[parts.window]
     found = field(components, t, given)
     slopes = np.moveaxis(places.rates, 2, 0)
     return np.stack(
         [
-            (Models.of_polynomials(slope) - rate).magnitude
+            (Models.of_values(slope) - rate).magnitude
             for slope, rate in zip(slopes, found, strict=True)
         ],
         axis=1,

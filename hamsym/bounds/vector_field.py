@@ -58,7 +58,7 @@ class ModelField:
 def _constant(value: Any, like: Models) -> Models:
     count = len(like.error)
     values = np.broadcast_to(np.asarray(value, dtype=float).reshape(-1, 1), (count, PLACES))
-    return Models.of_polynomials(values)
+    return Models.of_values(values)
 
 
 @functools.lru_cache(maxsize=64)

@@ -206,11 +206,6 @@ class Bodies:
         return self._matrix([], self._form.stored_curvature) if self._form.forces else self.hessian
 
     @cached_property
-    def arguments(self) -> Body:
-        """Arguments of the functions in H and the forces that may act briefly."""
-        return self._body([argument for argument, _ in self._form.narrow_arguments])
-
-    @cached_property
     def is_looped(self) -> bool:
         """Whether repeated costly terms are computed by loops instead of being written out."""
         return any(

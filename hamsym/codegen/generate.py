@@ -59,7 +59,7 @@ class _Part:
 
 _LOOPS = "integrator_loops.py"
 #: Functions of the march, of states as rows, which the compiler vectorizes over points.
-ROWS = ("velocity", "force", "hessian", "energy", "argument")
+ROWS = ("velocity", "force", "hessian", "energy")
 #: Parts in the order of the module. Those without a macro are sections of the loops.
 _FUNCTION_PARTS = {
     "head": _Part(()),
@@ -127,8 +127,6 @@ class Source:
             unused = _NOT_SEPARABLE if self.form.is_separable else _ONLY_SEPARABLE
             if self.form.forces:
                 unused = unused | _NOT_FORCED
-            if not self.form.narrow_arguments:
-                unused = unused | {"argument_rows"}
             parts |= _STEP_PARTS.keys() - unused
         return self._joined(parts)
 

@@ -67,7 +67,8 @@ def equilibria(
     box : mapping of name to (low, high), or sequence of (low, high), optional
         An interval for each component of z, in its units.
     max_boxes : int
-        Number of boxes after which the rest of the box remains undecided.
+        Number of boxes after which the rest of the box remains undecided, as it also does after
+        1,000 zeros, of which there may be infinitely many.
     time_limit : float, optional
         Seconds after which the rest of the box remains undecided.
 

@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from hamsym.bounds.residual import Parts, Places
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks.chain import Chain
 from hamsym.networks.trial import TrialSolution
 from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.flow import flow_of
-from hamsym.random_features.window_checks import WindowChecks
+from hamsym.random_features.window_checks import Pieces, WindowChecks, times_of
+from hamsym.random_features.window_loop import Windows
 
 __all__ = ["ChainChecks"]
-
-
-@dataclass(frozen=True)
-class _Windows:
-    """Windows of a chain, with the states at their ends, shape (n + 1, dim)."""
-
-    chain: Chain
-    edges: np.ndarray
-    states: np.ndarray
 
 
 class ChainChecks(WindowChecks):
@@ -39,6 +30,7 @@ class ChainChecks(WindowChecks):
 
     def __init__(self, H: Hamiltonian, seed: int) -> None:
         super().__init__(flow_of(H), feature_basis(seed), math.nan)
+        self._chain: Chain
 
     def failure(
         self,
@@ -61,7 +53,8 @@ class ChainChecks(WindowChecks):
         """
         self.tolerance = tolerance
         chain = Chain((piece,), end)
-        windows: Any = _Windows(chain, chain.edges, chain.states_at(chain.edges))
+        windows = Windows(chain.edges, chain.states_at(chain.edges), np.empty((1, 0, len(sizes))))
+        self._chain = chain
         with np.errstate(all="ignore"):
             found = self.first_failure(windows, sizes)
         if found is None:
@@ -71,14 +64,7 @@ class ChainChecks(WindowChecks):
             f"changes by {found.excess:.0e} times the tolerance"
         )
 
-    def _sampled(self, windows: Any, window: np.ndarray, s: np.ndarray) -> np.ndarray:
-        places = np.tile(s, len(window))
-        z, _, _ = self._at(windows, np.repeat(window, len(s)), places)
-        return np.asarray(z.reshape(len(window), len(s), -1))
-
-    def _at(
-        self, windows: Any, window: np.ndarray, s: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        t = windows.edges[window] + np.diff(windows.edges)[window] * s
-        z, dz = windows.chain.states_and_rates(t)
-        return z, dz, t
+    def _at(self, pieces: Pieces, parts: Parts, x: np.ndarray) -> Places:
+        t = times_of(pieces, parts, x)
+        z, rates = self._chain.states_and_rates(t.ravel())
+        return Places(z.reshape(*t.shape, -1), rates.reshape(*t.shape, -1), t)

@@ -44,10 +44,12 @@ __all__ = ["DEGENERATE", "SINGULAR", "Search", "Undecided", "search_box", "singu
 SINGULAR = "H is not smooth there"
 DEGENERATE = "the Hessian is singular or nearly singular there"
 UNFINISHED = "the limit was reached"
+MANY = "too many zeros were found, of which there may be infinitely many"
 
 _BITS = 64
 _SPLIT = 0.4871  # not one half: zeros at the centre are frequent, and then on four edges
 _INFLATION = 0.1  # of the width, by which a box grows for the test of existence
+_MOST_ROOTS = 1_000  # after which the rest is undecided: each box is compared with all of them
 _MOST_ROUGH = 1_000  # boxes where g is not smooth, after which they are not divided as finely
 _ROUGHEST = 2.0**-6  # share of the box that is fine enough then
 _EVERY = 3  # boxes: one of them is divided where its relative width is largest
@@ -256,8 +258,10 @@ def search_box(
     queue: deque[_Box] = deque([(list(map(float, low)), list(map(float, high)))])
     with working(_BITS):
         while queue:
-            if search.boxes >= most or deadline.exceeded:
-                search.undecided += [Undecided(tuple(a), tuple(b), UNFINISHED) for a, b in queue]
+            many = len(search.roots) >= _MOST_ROOTS
+            if many or search.boxes >= most or deadline.exceeded:
+                reason = MANY if many else UNFINISHED
+                search.undecided += [Undecided(tuple(a), tuple(b), reason) for a, b in queue]
                 break
             search.boxes += 1
             rest = _examined(system, queue.popleft(), search, scale, finest)

@@ -110,7 +110,7 @@ def compiled_loops() -> Loops:
     span = tuple_of(
         member_loop.Span,
         *(number, number, number, number, vector, number, number),
-        *(types.boolean, types.boolean, types.boolean, counts),
+        *(types.boolean, types.boolean, types.boolean),
     )
     results = tuple_of(
         member_loop.Members,
@@ -131,11 +131,11 @@ def compiled_loops() -> Loops:
     for name in ("evaluate", "fill", "first_length", "products"):
         setattr(members, name, getattr(march, name))
     members.march_windows, members.carry_errors = compiled_march, compiled_errors
-    for name in ("joint_errors", "mark_narrow", "keeps_energy", "scaled"):
+    for name in ("joint_errors", "keeps_energy", "scaled"):
         setattr(members, name, numba.njit(**_INNER)(getattr(members, name)))
     compiled_members = _compiled(
         whole(
-            *(rows, rows, rows, rows, rows, tables, error_tables, actions, actions),
+            *(rows, rows, rows, rows, tables, error_tables, actions, actions),
             *(matrix, cube, cube, span, matrix, matrix, results),
         ),
         members.solve_members,

@@ -1,7 +1,7 @@
 """The loop over members of an ensemble: march, estimate and verdict, one after the other.
 
 It accepts what every check passes and leaves all other members to the caller, who solves them with
-Newton's method, checks of narrow features and repeated marches. A member is computed by itself, so
+Newton's method and repeated marches. A member is computed by itself, so
 that its numbers do not depend on the others. This module is always compiled
 (:mod:`hamsym.random_features.compiled_loop`).
 """
@@ -38,26 +38,19 @@ from hamsym.random_features.window_loop import (
     Tables,
     Windows,
     evaluate,
-    fill,
     first_length,
     march_windows,
-    products,
 )
 
-__all__ = ["ACCEPTED", "LEFT", "NARROW", "Members", "Span", "solve_members"]
+__all__ = ["ACCEPTED", "LEFT", "Members", "Span", "solve_members"]
 
-# Verdicts: all checks passed; all but for windows in which H may act briefly, which have the mark
-# SUSPECT; left to the caller.
-ACCEPTED, NARROW, LEFT = range(3)
-SUSPECT = 8
+# Verdicts: the checks of the loop passed; left to the caller.
+ACCEPTED, LEFT = range(2)
 
 ATTEMPTS = 3  # marches of a member, each to a tighter local tolerance
 # Of the local tolerance from one march to the next: share of the allowed error at which it aims,
 # and limits of the step; below the smallest one residuals are round-off.
 MARGIN, STEP, MOST, SMALLEST = 0.3, 1e-4, 0.3, 1e-13
-BRIEF = 0.1  # of a window, within which an argument acts briefly: the march resolves wider features
-UNSETTLED = 1e-2  # last coefficients of an argument's series, relative to the largest
-FUNCTION = 0  # kind of the arguments that act on the scale of a change by 1
 SPLITTER = 134217729.0  # 2**27 + 1
 
 
@@ -76,8 +69,6 @@ class Span(NamedTuple):
         Lengths of windows.
     separable, conserved, rounded : bool
         Whether H is separable and conserved, and the formulas have rounded numbers.
-    kinds : array
-        Kinds of the arguments that may act briefly.
     """
 
     start: float
@@ -90,7 +81,6 @@ class Span(NamedTuple):
     separable: bool
     conserved: bool
     rounded: bool
-    kinds: Array
 
 
 class Members(NamedTuple):
@@ -155,60 +145,6 @@ def joint_errors(windows: Windows, tables: Tables, out: Array) -> None:
             out[w, i] = (total - states[w + 1, i]) + rest
 
 
-def mark_narrow(
-    argument: Rates,
-    tables: ErrorTables,
-    kinds: Array,
-    windows: Windows,
-    parameters: Array,
-    marks: Array,
-) -> None:
-    """Mark windows in which an argument may be zero or turn steeply, or is not resolved."""
-    edges, states, readouts = windows
-    dim, inside = states.shape[1], tables.lift.shape[1]
-    readout = np.zeros((dim, readouts.shape[1]))
-    inner, start = np.empty((dim, tables.places.shape[1])), np.empty((dim, tables.places.shape[1]))
-    z, times, s = np.empty((dim, inside + 2)), np.empty(inside + 2), np.empty(inside + 2)
-    g = np.empty((len(kinds), inside + 2))
-    values, coefficients = np.empty((len(kinds), inside)), np.empty((len(kinds), inside))
-    s[0], s[1:-1], s[-1] = 0.0, tables.places[0, :inside], 1.0
-    for w in range(len(marks)):
-        readout[:, :] = readouts[w].T
-        products(tables.values[0], readout, inner)
-        fill(start, states[w])
-        inner += start
-        z[:, 1:-1] = inner[:, :inside]
-        z[:, 0], z[:, -1] = states[w], states[w + 1]
-        times[:] = edges[w] + (edges[w + 1] - edges[w]) * s
-        argument(z, times, parameters, g)
-        values[:] = g[:, 1:-1]
-        products(tables.to_series, values, coefficients)
-        suspect = False
-        for k in range(len(kinds)):
-            largest, tail = 0.0, 0.0
-            for degree in range(inside):
-                size = abs(coefficients[k, degree])
-                largest = max(largest, size)
-                if degree >= inside - 4:
-                    tail = max(tail, size)
-                if not size < math.inf:
-                    suspect = True
-            suspect = suspect or not tail <= UNSETTLED * largest
-            for i in range(inside + 1):
-                change, width = g[k, i + 1] - g[k, i], s[i + 1] - s[i]
-                acts = kinds[k] != FUNCTION or abs(change) * BRIEF > width
-                suspect = suspect or (acts and not g[k, i] * g[k, i + 1] > 0.0)
-                if i == 0:
-                    continue
-                before = g[k, i] - g[k, i - 1]
-                share = min(BRIEF / (s[i + 1] - s[i - 1]), 1.0)
-                drop = max(abs(change), abs(before)) * 2 * share * share
-                unit = 1.0 if kinds[k] == FUNCTION else abs(g[k, i])
-                suspect = suspect or (change * before <= 0.0 and not drop <= unit)
-        if suspect:
-            marks[w] |= SUSPECT
-
-
 def keeps_energy(
     velocity: Rates,
     force: Rates,
@@ -256,7 +192,6 @@ def solve_members(
     force: Rates,
     hessian: Rates,
     energy: Rates,
-    argument: Rates,
     tables: Tables,
     error_tables: ErrorTables,
     forces: Actions,
@@ -388,11 +323,6 @@ def solve_members(
                 good = keeps_energy(velocity, force, energy, solved, values, local, sizes)
             if good:
                 verdict = ACCEPTED
-                if len(span.kinds):
-                    mark_narrow(argument, error_tables, span.kinds, solved, values, marks)
-                    for w in range(count):
-                        if marks[w] != 0:
-                            verdict = NARROW
             break
         if verdict == LEFT:
             count = 0

@@ -35,8 +35,7 @@ from hamsym.random_features.flow import (
 )
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
 from hamsym.random_features.member_loop import Members, Span
-from hamsym.random_features.window_checks import WindowChecks
-from hamsym.random_features.window_loop import Windows
+from hamsym.random_features.window_checks import Pieces, WindowChecks
 from hamsym.random_features.windows import March
 from hamsym.solution.discontinuities import has_switches, has_time_switches
 from hamsym.solution.window_error import relative_tolerance
@@ -112,14 +111,11 @@ class MemberSolver:
         self.H, self.span, self.basis = H, span, basis
         self.origin = origin_of(H.time is None, span)
         start, end = (time - self.origin for time in span)
-        equations, kernels = H.kernels.equations, H.kernels
-        kinds = [int(kind) for _, kind in equations.narrow_arguments]
-        names = ["velocity", "force", "hessian", "velocity", "velocity"]
+        kernels = H.kernels
+        names = ["velocity", "force", "hessian", "velocity"]
         conserved = has_conserved_values(H)
         if conserved:
             names[3] = "energy"
-        if kinds:
-            names[4] = "argument"
         functions = [compiled_rows(kernels, name) for name in names]
         self._tables = error_tables(basis, resolution_for(local))
         self._constants = (
@@ -141,7 +137,6 @@ class MemberSolver:
                 H.is_separable,
                 conserved,
                 any(map(has_rounded_numbers, H.real_equations.formulas)),
-                np.array(kinds, dtype=np.int64),
             ),
         )
         self._local, self._loop = local, compiled_loops().members
@@ -200,21 +195,9 @@ class MemberSolver:
     def _checked(
         self, members: Members, done: int, states: np.ndarray, parameters: np.ndarray
     ) -> Batch:
-        """Return the first ``done`` members, after the checks of windows with narrow features."""
+        """Return the first ``done`` members, after the check between the points of the march."""
         counts, verdicts = members.counts[:done], members.verdicts[:done]
-        firsts = np.cumsum(counts) - counts
-        # The loop leaves one edge for every member, also for one without windows.
-        edges = firsts + np.arange(done)
-        for index in np.flatnonzero(verdicts == member_loop.NARROW):
-            first, count, edge = int(firsts[index]), int(counts[index]), int(edges[index])
-            suspects = np.flatnonzero(members.marks[first : first + count])
-            windows = Windows(
-                members.edges[edge : edge + count + 1],
-                members.states[edge : edge + count + 1],
-                members.readouts[first : first + count],
-            )
-            if not self._passes(windows, suspects, members.sizes[index], parameters[index]):
-                verdicts[index] = member_loop.LEFT
+        verdicts[self._unresolved(members, counts, parameters)] = member_loop.LEFT
         accepted = verdicts != member_loop.LEFT
         kept = np.repeat(accepted, counts)
         rows = np.repeat(accepted & (counts > 0), counts + 1)
@@ -233,25 +216,36 @@ class MemberSolver:
             floors=_selected(members.floors[:total], kept[: len(members.floors)]),
         )
 
-    def _passes(
-        self, windows: Windows, suspects: np.ndarray, sizes: np.ndarray, parameters: np.ndarray
-    ) -> bool:
-        """Check windows in which H may act briefly."""
-        H = self.H
-        if len(parameters):
-            values = dict(zip(H.parameter_names, parameters.tolist(), strict=True))
-            H = H if values == dict(H.parameters) else H.with_parameters(**values)
-        checks = WindowChecks(flow_of(H), self.basis, self._local)
-        for window in suspects:
-            one = Windows(
-                windows.edges[window : window + 2],
-                windows.states[window : window + 2],
-                windows.readouts[window : window + 1],
-            )
+    def _unresolved(
+        self, members: Members, counts: np.ndarray, parameters: np.ndarray
+    ) -> np.ndarray:
+        """Return the members that the bound of their residual does not accept."""
+        owner = np.repeat(np.arange(len(counts)), counts)
+        # The loop leaves one edge more for every member, also for one without windows.
+        left = np.arange(len(owner)) + owner
+        pieces = Pieces(
+            members.edges[left],
+            members.edges[left + 1],
+            members.states[left],
+            members.readouts[: len(left)],
+        )
+        failed: list[np.ndarray] = []
+        fixed = np.delete(parameters[: len(counts)], flow_of(self.H).models.varied, axis=1)
+        # Values in exponents are part of the formula.
+        for row in np.unique(fixed, axis=0):
+            some = np.flatnonzero((fixed == row).all(axis=1)[owner])
+            H = self.H
+            if len(row):
+                values = parameters[owner[some[0]]] if len(some) else ()
+                H = H.with_parameters(**dict(zip(H.parameter_names, values, strict=False)))
+            checks = WindowChecks(flow_of(H), self.basis, self._local)
+            chosen = Pieces(*(array[some] for array in pieces))
             with np.errstate(all="ignore"):
-                if checks.first_failure(one, sizes) is not None:
-                    return False
-        return True
+                found = checks.unresolved(
+                    chosen, members.sizes[owner[some]], parameters[owner[some]]
+                )
+            failed.append(owner[some[[excess.window for excess in found]]])
+        return np.unique(np.concatenate([*failed, np.empty(0, dtype=int)]))
 
     def march_of(self, batch: Batch, seconds: float, cpu_seconds: float) -> March:
         """Return the windows of a batch of one accepted member, and their cost."""

@@ -16,16 +16,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hamsym.bounds.models import NODES, PLACES
-from hamsym.bounds.residual import Parts, Places, first_excess
+from hamsym.bounds.models import NODES
+from hamsym.bounds.residual import Excess, Parts, Places, excesses
 from hamsym.numerics.collocation import collocation
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.error_loop import SLACK
 from hamsym.random_features.flow import Flow
-from hamsym.random_features.window_loop import EPS, NOISE, ROUND_OFF, TINY, Windows
+from hamsym.random_features.window_loop import (
+    EPS,
+    NOISE,
+    ROUND_OFF,
+    TINY,
+    Windows,
+    margin_inside,
+)
 
-__all__ = ["Failure", "WindowChecks"]
+__all__ = ["Failure", "Pieces", "WindowChecks", "pieces_of", "times_of"]
 
+_FEW = np.linspace(-1, 1, 9)  # places at which the size of the rates is taken
 _NODES, _BISECTIONS = 32, 40  # of the search for the place at which H changes
 
 
@@ -36,6 +44,25 @@ class Failure(NamedTuple):
     times: list[float]
     excess: float
     cause: str
+
+
+class Pieces(NamedTuple):
+    """Windows that need not follow each other.
+
+    Attributes
+    ----------
+    start, end : numpy.ndarray
+        Shape (windows,).
+    states : numpy.ndarray
+        At the starts, shape (windows, dim).
+    readouts : numpy.ndarray
+        Shape (windows, columns, dim).
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    states: np.ndarray
+    readouts: np.ndarray
 
 
 @dataclass
@@ -54,66 +81,63 @@ class WindowChecks:
     basis: FeatureBasis
     tolerance: float
 
-    def first_failure(
-        self,
-        windows: Windows,
-        sizes: np.ndarray,
-        parameters: np.ndarray | None = None,
-    ) -> Failure | None:
-        """Check windows; return None if all pass.
-
-        Parameters
-        ----------
-        windows : Windows
-        sizes : numpy.ndarray
-            Of the components, shape (dim,) or (windows, dim).
-        parameters : numpy.ndarray, optional
-            Values of the parameters for each window, shape (windows, k), by default those of H.
-        """
-        failure = self._unresolved(windows, sizes, parameters)
-        if self.flow.energy is not None and parameters is None:
+    def first_failure(self, windows: Windows, sizes: np.ndarray) -> Failure | None:
+        """Check windows with components of these sizes; return None if all pass."""
+        found = self.unresolved(pieces_of(windows), sizes, first_only=True)
+        failure = None
+        if found:
+            first = found[0]
+            failure = Failure(first.window, [first.time], first.ratio, "the residual")
+        if self.flow.energy is not None:
             changes = self._energy_changes(windows, sizes)
-            last = len(changes) if failure is None else failure.window
-            jumps = np.flatnonzero(~(changes[:last] <= 1))
+            jumps = np.flatnonzero(~(changes[: failure.window if failure else None] <= 1))
             if len(jumps):
                 first = int(jumps[0])
                 times = [self._energy_jump(windows, first)]
                 return Failure(first, times, float(changes[first]), "H")
         return failure
 
-    def _unresolved(
-        self, windows: Windows, sizes: np.ndarray, parameters: np.ndarray | None
-    ) -> Failure | None:
-        """Find the first window whose residual may be larger between the points of the march."""
+    def unresolved(
+        self,
+        pieces: Pieces,
+        sizes: np.ndarray,
+        parameters: np.ndarray | None = None,
+        *,
+        first_only: bool = False,
+    ) -> list[Excess]:
+        """Find windows whose residual may be larger between the points of the march.
+
+        Parameters
+        ----------
+        pieces : Pieces
+        sizes : numpy.ndarray
+            Of the components, shape (dim,) or (windows, dim).
+        parameters : numpy.ndarray, optional
+            Values for each window, shape (windows, k), by default those of H.
+        first_only : bool
+            Whether to search for the first of them only.
+        """
         field = self.flow.models
         if field.is_short_polynomial:
-            return None
-        lengths = np.abs(np.diff(windows.edges))[:, None]
-        count, dim = len(lengths), windows.states.shape[1]
-        at_places = self._whole(windows)
-        largest = np.abs(at_places.rates).max(axis=1)
+            return []
+        lengths = np.abs(pieces.end - pieces.start)[:, None]
+        largest = np.abs(self._at(pieces, Parts.whole(len(lengths)), _FEW).rates).max(axis=1)
         limits = self.tolerance * sizes + ROUND_OFF * lengths * largest
-        limits = np.broadcast_to(limits, (count, dim))
-        given = self.flow.parameters if parameters is None else parameters
 
         def rates(z: np.ndarray, t: np.ndarray, window: np.ndarray) -> np.ndarray:
             return self.flow.vector_field(z, t, None if parameters is None else parameters[window])
 
         def trial(parts: Parts) -> Places:
-            return (
-                at_places
-                if len(parts) == count and (parts.width == 1).all()
-                else self._at(windows, parts)
-            )
+            return self._at(pieces, parts, NODES)
 
         def noise(at: Places, parts: Parts) -> np.ndarray:
             return SLACK * NOISE * self._round_off(at, parts, rates)
 
-        ends = np.stack((windows.edges[:-1], windows.edges[1:]))
-        found = first_excess(field, rates, trial, noise, ends, limits, given)
-        if found is None:
-            return None
-        return Failure(found.window, found.times, found.ratio, "the residual")
+        return excesses(
+            *(field, rates, trial, noise, np.stack((pieces.start, pieces.end)), limits),
+            self.flow.parameters if parameters is None else parameters,
+            first_only=first_only,
+        )
 
     def _round_off(self, at: Places, parts: Parts, rates: Callable[..., np.ndarray]) -> np.ndarray:
         """Measure the change of the rates for one unit in the last place of states and times.
@@ -167,38 +191,51 @@ class WindowChecks:
         start, end = windows.edges[index : index + 2]
         return float(start + (end - start) * (low + high) / 2)
 
-    def _whole(self, windows: Windows) -> Places:
-        """Evaluate the trial solution at the places of whole windows."""
-        values, slopes = _columns(self.basis)
-        lengths = np.diff(windows.edges)[:, None]
-        return Places(
-            windows.states[:-1, None] + values @ windows.readouts,
-            slopes @ windows.readouts / lengths[:, None],
-            windows.edges[:-1, None] + lengths * (NODES + 1) / 2,
-        )
-
-    def _at(self, windows: Windows, parts: Parts) -> Places:
-        """Evaluate the trial solution at the places of parts of windows."""
-        window = np.repeat(parts.window, PLACES)
-        z, rates, t = self._sampled(windows, window, parts.s.ravel())
-        shape = len(parts), PLACES, -1
-        return Places(z.reshape(shape), rates.reshape(shape), t.reshape(shape[:2]))
+    def _at(self, pieces: Pieces, parts: Parts, x: np.ndarray) -> Places:
+        """Evaluate the trial solution at places in [-1, 1] of parts of windows."""
+        start, end, states, readouts = (array[parts.window] for array in pieces)
+        lengths = (end - start)[:, None]
+        if (parts.width == 1).all():
+            values, slopes = _columns(self.basis, x.tobytes())
+            z, rates = values @ readouts, slopes @ readouts
+        else:
+            s = parts.places(x)
+            columns = self.basis.columns(s.ravel())
+            z, rates = (c.reshape(*s.shape, -1) @ readouts for c in columns)
+        t = times_of(pieces, parts, x)
+        return Places(states[:, None] + z, rates / lengths[..., None], t)
 
     def _sampled(
         self, windows: Windows, window: np.ndarray, s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Evaluate z^, dz^/dt and t at places s of windows, shapes (n, dim), (n, dim) and (n,)."""
-        values, rates = self.basis.columns(s)
-        readouts, lengths = windows.readouts[window], np.diff(windows.edges)[window]
-        z = windows.states[window] + np.einsum("nm,nmd->nd", values, readouts)
-        dz = np.einsum("nm,nmd->nd", rates, readouts) / lengths[:, None]
-        return z, dz, windows.edges[window] + lengths * s
+        parts = Parts(window, s, np.zeros(len(s)))
+        z, rates, t = self._at(pieces_of(windows), parts, np.array([-1.0]))
+        return z[:, 0], rates[:, 0], t[:, 0]
+
+
+def pieces_of(windows: Windows) -> Pieces:
+    """Return windows that follow each other as pieces."""
+    edges, states, readouts = windows
+    return Pieces(edges[:-1], edges[1:], states[:-1], readouts)
+
+
+def times_of(pieces: Pieces, parts: Parts, x: np.ndarray) -> np.ndarray:
+    """Return the times at places in [-1, 1] of parts of windows, shape (parts, places).
+
+    They are inside the windows, as those of the march: at their ends a switch has neither value.
+    """
+    start, end = pieces.start[parts.window], pieces.end[parts.window]
+    margin = np.array([margin_inside(*ends) for ends in zip(start, end, strict=True)])
+    low, high = np.minimum(start, end) + margin, np.maximum(start, end) - margin
+    t = start[:, None] + (end - start)[:, None] * parts.places(x)
+    return np.asarray(np.clip(t, low[:, None], high[:, None]))
 
 
 @functools.lru_cache(maxsize=16)
-def _columns(basis: FeatureBasis) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns and their derivatives at the places of a whole window."""
-    return basis.columns((NODES + 1) / 2)
+def _columns(basis: FeatureBasis, places: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns and their derivatives at places in [-1, 1] of a whole window."""
+    return basis.columns((np.frombuffer(places) + 1) / 2)
 
 
 def _excess(values: np.ndarray, allowed: np.ndarray) -> np.ndarray:

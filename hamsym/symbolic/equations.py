@@ -191,13 +191,6 @@ class Equations(Shown):
             for entry in mixed
         ]
 
-    @cached_property
-    def narrow_arguments(self) -> list[tuple[sympy.Expr, derivatives.Narrow]]:
-        """Arguments of functions that may act briefly, with the values of the parameters."""
-        return self.narrow_arguments_with(
-            {symbol: value for symbol, value in self.parameters.values() if value is not None}
-        )
-
     def narrow_arguments_with(
         self, given: Mapping[sympy.Symbol, float]
     ) -> list[tuple[sympy.Expr, derivatives.Narrow]]:

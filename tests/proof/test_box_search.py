@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import sympy
 
+import hamsym
 from hamsym import Hamiltonian
+from hamsym.proof import box_search
 from hamsym.proof.box_search import DEGENERATE, SINGULAR, Search, search_box, singular_term
 from hamsym.proof.derivative_balls import DerivativeBalls
 from hamsym.proof.limits import Deadline
@@ -136,3 +138,15 @@ def test_terms_that_are_not_smooth_are_named() -> None:
     H = Hamiltonian("p**2/2 + sqrt(x - 1)")
     assert singular_term(H, [0.5, 0.0], [2.0, 1.0]) == "1/sqrt(x - 1)"
     assert singular_term(H, [2.0, 0.0], [3.0, 1.0]) == ""
+
+
+def test_search_ends_where_zeros_accumulate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """x**4 sin(1/x) has infinitely many extrema next to 0."""
+    monkeypatch.setattr(box_search, "_MOST_ROOTS", 60)
+    found = hamsym.equilibria("p**2/2 + x**4*sin(1/x)", box={"x": (-1, 1), "p": (-1, 1)})
+    assert not found.complete
+    assert len(found) >= 50
+    assert any(
+        region.low[0] <= 0 <= region.high[0] and "infinitely many" in region.reason
+        for region in found.undecided
+    )
