@@ -25,7 +25,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy import special
 
-__all__ = ["ARITHMETIC", "DEGREE", "PLACES", "Arithmetic", "Models"]
+__all__ = ["ARITHMETIC", "DEGREE", "NODES", "PLACES", "Arithmetic", "Models"]
 
 DEGREE = 31  # of the polynomials: the columns of the march have 1e-14 beyond it
 PLACES = 2 * DEGREE + 2  # enough for products
@@ -256,6 +256,13 @@ def _integrated(
     return _tightened(values, error + _no_nan(g.error * slope.magnitude), rounding, low, high)
 
 
+def _leaves(g: Models, lowest: float, highest: float) -> np.ndarray:
+    """Whether functions leave a domain; ranges may do so although the functions do not."""
+    slack = (g.error + g.rounding)[:, None]
+    beyond = (g.values < lowest - slack) | (g.values > highest + slack)
+    return np.asarray(beyond.any(axis=1) | (g.high < lowest) | (g.low > highest))
+
+
 def reciprocal(g: Models) -> Models:
     """1/g; unbounded where the range of g has a zero inside."""
     positive, negative = g.low >= 0, g.high <= 0
@@ -275,7 +282,8 @@ def reciprocal(g: Models) -> Models:
 def root(g: Models) -> Models:
     """sqrt(g), where g is not negative."""
     low, high = np.sqrt(np.maximum(g.low, 0.0)), np.sqrt(np.maximum(g.high, 0.0))
-    exact = np.sqrt(g.values)
+    high = np.where(_leaves(g, 0.0, math.inf), math.inf, high)
+    exact = np.sqrt(np.maximum(g.values, 0.0))
     least = exact.min(axis=1)
     rounding = np.where(least > 0, g.rounding / (2 * least), 0.0)
     guess, _ = _truncated(exact, rounding)
@@ -355,29 +363,33 @@ def tangent(g: Models) -> Models:
 
 
 def _monotonic(
-    function: Callable[[np.ndarray], np.ndarray], slope: Callable[[Models], Models]
+    function: Callable[[np.ndarray], np.ndarray],
+    slope: Callable[[Models], Models],
+    lowest: float = -math.inf,
+    highest: float = math.inf,
 ) -> Callable[[Models], Models]:
-    """Make f(g) for a function that grows, and its derivative."""
+    """Make f(g) for a function that grows between two numbers, and its derivative."""
 
     def composed(g: Models) -> Models:
         guess = function(g.values)
-        return _integrated(guess, guess[:, _MIDDLE], slope(g), g, function(g.low), function(g.high))
+        inside = ~_leaves(g, lowest, highest)
+        low = np.where(inside, function(np.maximum(g.low, lowest)), -math.inf)
+        high = np.where(inside, function(np.minimum(g.high, highest)), math.inf)
+        return _integrated(guess, guess[:, _MIDDLE], slope(g), g, low, high)
 
     return composed
 
 
-logarithm = _monotonic(lambda y: np.log(np.maximum(y, 0.0)), reciprocal)
+logarithm = _monotonic(np.log, reciprocal, lowest=0.0)
 arctangent = _monotonic(np.arctan, lambda g: reciprocal(g * g + 1.0))
 inverse_sine_hyperbolic = _monotonic(np.arcsinh, lambda g: reciprocal_root(g * g + 1.0))
 inverse_cosine_hyperbolic = _monotonic(
-    lambda y: np.arccosh(np.maximum(y, 1.0)), lambda g: reciprocal_root(g * g - 1.0)
+    np.arccosh, lambda g: reciprocal_root(g * g - 1.0), lowest=1.0
 )
 inverse_tangent_hyperbolic = _monotonic(
-    lambda y: np.arctanh(np.clip(y, -1.0, 1.0)), lambda g: reciprocal(1.0 - g * g)
+    np.arctanh, lambda g: reciprocal(1.0 - g * g), lowest=-1.0, highest=1.0
 )
-arcsine = _monotonic(
-    lambda y: np.arcsin(np.clip(y, -1.0, 1.0)), lambda g: reciprocal_root(1.0 - g * g)
-)
+arcsine = _monotonic(np.arcsin, lambda g: reciprocal_root(1.0 - g * g), lowest=-1.0, highest=1.0)
 error_function = _monotonic(special.erf, lambda g: exponential(-(g * g)) * (2 / math.sqrt(math.pi)))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 import hamsym
 from hamsym.errors import FileError
+from hamsym.orbits.proven_stability import WEAKER
 from hamsym.orbits.verification import verify_orbit
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import decimal_above
@@ -32,10 +33,6 @@ __all__ = ["OrbitCertificate"]
 
 _VERSION = 1
 _LONGEST_TEXT = 2**22
-_STABILITIES = {
-    *("elliptic", "hyperbolic", "inverse hyperbolic", "unstable", "undecided"),
-    *("attracting", "repelling"),
-}
 
 
 @suggest_attributes
@@ -153,7 +150,7 @@ def _from_json(text: str) -> OrbitCertificate:
         checked_type(name, values[name], "str")
     if not checked_type("pieces", values["pieces"], "int") > 0:
         raise ValueError("'pieces' is not positive")
-    if values["stability"] not in _STABILITIES:
+    if values["stability"] not in WEAKER:
         raise ValueError("its stability is none that a proof gives")
     found = OrbitCertificate(**values)
     dim = np.size(found.z0.mid)

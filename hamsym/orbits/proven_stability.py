@@ -8,7 +8,20 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-__all__ = ["proven_attraction", "proven_stability"]
+__all__ = ["WEAKER", "proven_attraction", "proven_stability"]
+
+#: Words that a proof gives, each with the weaker ones that follow from it.
+WEAKER: dict[str, tuple[str, ...]] = {
+    "elliptic": ("undecided",),
+    "hyperbolic": ("unstable", "undecided"),
+    "complex unstable": ("unstable", "undecided"),
+    "parabolic": ("undecided",),
+    "mixed": ("unstable", "undecided"),
+    "attracting": ("undecided",),
+    "repelling": ("unstable", "undecided"),
+    "unstable": ("undecided",),
+    "undecided": (),
+}
 
 
 def proven_stability(matrix: Any, autonomous: bool) -> str:

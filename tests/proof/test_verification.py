@@ -10,6 +10,7 @@ import pytest
 import hamsym
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.orbits.claims import statement_of
+from hamsym.orbits.proven_stability import WEAKER
 from hamsym.proof.certificate_files import certificate_from
 from hamsym.proof.certificate_text import opened, sealed
 
@@ -126,18 +127,40 @@ ORBITS = {
     "bound": lambda c: {"bound": 0.5 * c.bound},
     "unique_within": lambda c: {"unique_within": 2 * c.unique_within},
     "stability": lambda c: {"stability": "hyperbolic"},
+    "instability": lambda c: {"stability": "unstable"},
     "pieces": lambda c: {"pieces": 2 * c.pieces},
 }
 
 
+def changed_orbit(orbit, certificate, **changes):
+    """A certificate with other claims, and the statement that fits them."""
+    changed = dataclasses.replace(certificate, **changes)
+    claimed = (getattr(changed, f) for f in ("period", "bound", "unique_within", "stability"))
+    stated = statement_of(orbit.problem, *claimed, changed.pieces)
+    return dataclasses.replace(changed, statement=stated)
+
+
 @pytest.mark.parametrize("name", ORBITS)
 def test_forged_claims_of_orbits_are_not_proven(orbit, of_orbit, name):
-    forged = dataclasses.replace(of_orbit, **ORBITS[name](of_orbit))
-    claimed = (getattr(forged, f) for f in ("period", "bound", "unique_within", "stability"))
-    stated = statement_of(orbit.problem, *claimed, forged.pieces)
-    forged = dataclasses.replace(forged, statement=stated)
+    forged = changed_orbit(orbit, of_orbit, **ORBITS[name](of_orbit))
     with pytest.raises(CertificationError, match=r"the \w+ of the certificate is not proven"):
         hamsym.verify(forged.to_json(), orbit)
+
+
+def test_weaker_stability_of_an_orbit_is_verified(orbit, of_orbit):
+    assert of_orbit.stability == "parabolic"
+    hamsym.verify(changed_orbit(orbit, of_orbit, stability="undecided").to_json(), orbit)
+    unstable = hamsym.periodic_orbit("p**2/2 - x**2/2 + 0.1*x*cos(t)", [0.05, 0.0], period="2*pi")
+    proven = unstable.certify()
+    assert proven.stability == "hyperbolic"
+    for weaker in WEAKER["hyperbolic"]:
+        hamsym.verify(changed_orbit(unstable, proven, stability=weaker).to_json(), unstable)
+
+
+@pytest.mark.parametrize("word", WEAKER)
+def test_each_word_of_a_proven_stability_is_read_back(of_orbit, word):
+    text = dataclasses.replace(of_orbit, stability=word).to_json()
+    assert certificate_from(text).stability == word
 
 
 def test_statement_of_an_orbit_fits_its_numbers(orbit, of_orbit):
