@@ -65,6 +65,7 @@ class Equations:
     focus : sequence of (str, float)
         Expressions and widths. In each step such an expression changes at most by the width or by
         half its value.
+    forces : mapping of momentum to str
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class Equations:
         parameters: Mapping[str, float] | None = None,
         switches: Sequence[str] = (),
         focus: Sequence[tuple[str, float]] = (),
+        forces: Mapping[str, str] | None = None,
     ) -> None:
         self.names = (*q, *p)
         self.dim, self.signs = len(self.names), [f"s{k + 1}" for k in range(len(switches))]
@@ -88,6 +90,8 @@ class Equations:
         z = [sympy.Symbol(name, real=True) for name in self.names]
         half = len(q)
         rates = [H.diff(z[half + k]) for k in range(half)] + [-H.diff(z[k]) for k in range(half)]
+        for name, force in (forces or {}).items():
+            rates[self.names.index(name)] += formula(force, names)
         looked = [formula(one, names) for one in (*switches, *(one for one, _ in focus))]
         # Values are inserted after differentiation, which is slow with long rationals.
         self._rates = self._compiled([rate.subs(exact) for rate in rates])
