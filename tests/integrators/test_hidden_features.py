@@ -8,6 +8,7 @@ import pytest
 import hamsym
 from hamsym import Hamiltonian
 from hamsym.errors import StepSizeWarning
+from hamsym.integrators import tolerance
 from hamsym.integrators.hidden_features import HiddenFeatures, _hermite_fit, hidden_features
 
 OSCILLATOR = "p**2/2 + x**2/2 - x*"
@@ -90,6 +91,14 @@ def test_pulse_is_refused_with_a_tolerance(name: str) -> None:
     found = hamsym.integrate(OSCILLATOR + PULSES[name], [1.0, 0.0], (0, 10), tol=1e-4)
     assert found.success is False
     assert "feature narrower than a step" in found.message
+
+
+def test_tolerance_needs_no_place_from_the_formula(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tolerance, "narrow_features", lambda _: None)
+    H = OSCILLATOR + PULSES["one of few floats"]
+    found = hamsym.integrate(H, [1.0, 0.0], (0, 10), tol=1e-4)
+    assert found.success is False
+    assert "feature narrower than a step near t = 3.37" in found.message
 
 
 def test_section_does_not_pass_over_a_pulse() -> None:
