@@ -255,8 +255,9 @@ def _polar(H: Hamiltonian, chosen: list[int]) -> Scene:
 
     count, unit = len(pairs), math_unit(units.pop())
     named = ", ".join(H.names[j] for j in angles)
+    rods: tuple[tuple[int, int], ...] = ()
     if zero == RIGHT:
-        rods, source = (), f"{named} from the horizontal axis"
+        source = f"{named} from the horizontal axis"
     else:
         rods = tuple((0, k) for k in range(1, count + 1))
         source = f"{named} from the vertical, {'down' if zero == DOWN else 'up'}"
