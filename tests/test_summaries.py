@@ -74,7 +74,7 @@ def test_bound_of_the_paper_is_given_where_it_says_something() -> None:
     solution = hamsym.solve(OSCILLATOR, [1.3, 1], (0, 9))
     assert solution.largest_error.max() <= solution.error_bound < 1
     assert f"ell_max/sigma_min: {solution.error_bound:.2e} (heuristic)" in solution.summary()
-    violated = hamsym.solve(KEPLER, [1, 0, 0, 1], (0, 20))
+    violated = hamsym.solve(KEPLER, [1, 0, 0, 1], (0, 60))  # errors grow, the bound does not
     assert violated.error_bound < violated.largest_error.max()
     assert "paper" not in violated.summary()
     assert "ell_max/sigma_min" in violated.summary(analysis=True)

@@ -80,10 +80,11 @@ def uncertainty_of(
     low[unknown], high[unknown] = -np.inf, np.inf
     fitted = np.isfinite(found.chi_square) & (level > 0) & ~unknown.any(axis=1)
     reach = np.maximum(np.abs(found.unknowns), unknowns.sizes)
-    traces = np.where(lost.any(axis=1)[:, None, None], np.eye(lost.shape[1]), traces)
+    losing = np.flatnonzero(lost.any(axis=1))
+    traces[losing] = np.eye(lost.shape[1])
     curved, rises = _curvature(model, found, np.flatnonzero(fitted), traces, widths, level)
     idle = lost & ~(rises > _NO_EFFECT * variance[:, None])
-    for k in np.flatnonzero(lost.any(axis=1)):
+    for k in losing:
         if idle[k].any():
             names = [name for j, name in enumerate(unknowns.names) if idle[k, j]]
             texts[k] = f"the data do not depend on {', '.join(names)}"

@@ -296,14 +296,15 @@ def verify(
         raise InputError(
             f"certificate must be a certificate or its text, not {type(certificate).__name__}"
         )
-    deadline = _deadline(time_limit, certificate.seconds)
     if isinstance(certificate, Certificate):
         solution = _of_kind(Solution, result, load_solution)
         _verify_solution(certificate, solution, time_limit, progress)
         check_solution(solution)
     elif isinstance(certificate, BoxCertificate):
-        verify_box(certificate, _of_kind(FlowMap, result, read_flow_map), deadline)
+        flow = _of_kind(FlowMap, result, read_flow_map)
+        verify_box(certificate, flow, _deadline(time_limit, certificate.seconds))
     else:
+        deadline = _deadline(time_limit, certificate.seconds)
         certificate.verify(cast(Any, result), time_limit=deadline.left)
 
 

@@ -745,7 +745,7 @@ def test_time_limit_of_verify(cheap):
 def test_arguments_of_other_types_are_rejected(cheap):
     with pytest.raises(InputError, match="certificate must be .* not NoneType"):
         verify(None, cheap[0])
-    with pytest.raises(InputError, match="solution must be .* not NoneType"):
+    with pytest.raises(InputError, match="needs a Solution or its path, not NoneType"):
         verify(cheap[1], None)
 
 
