@@ -24,11 +24,11 @@ import numpy as np
 from hamsym.bounds.models import PLACES, Models
 from hamsym.bounds.vector_field import ModelField
 
-__all__ = ["Excess", "Parts", "Places", "excesses"]
+__all__ = ["Excess", "Parts", "Places", "excesses", "residual_bounds"]
 
 _SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
 _MOST_SHARES = 2.0  # of the limit, that all parts of a window may use
-_MOST_PARTS = 4_096  # of one generation of halves
+_MOST_PARTS = 256  # of one generation of halves
 _AT_ONCE = 256  # parts in one evaluation of models
 _GENERATIONS = 60
 _ULPS = 16.0  # of the time, below which a part is not divided
@@ -126,15 +126,17 @@ def excesses(
         In the order of the windows.
     """
     search = _Search(field, rates, trial, noise, edges, limits, parameters, first_only)
-    parts = Parts.whole(limits.shape[0])
-    for _ in range(_GENERATIONS):
-        parts = search.undecided(parts)
-        if not len(parts):
-            return search.found
-        if len(parts) > _MOST_PARTS:
-            break
-        parts = parts.halves()
-    return search.with_unknown(parts)
+    parts = Parts.whole(len(limits))
+    most = max(_MOST_PARTS, len(parts))
+    with np.errstate(all="ignore"):  # what overflows or has no value exceeds its limit
+        for _ in range(_GENERATIONS):
+            if not len(parts):
+                return search.found
+            parts = search.undecided(parts)
+            if len(parts) > most:
+                break
+            parts = parts.halves()
+        return search.with_unknown(parts)
 
 
 class _Search:
@@ -211,7 +213,7 @@ class _Search:
         """
         places, limits = self._trial(parts), self._limits[parts.window]
         weight = self._lengths[parts.window] * parts.width
-        bounds = _bounds(self._field, places, self._edges, parts, self._parameters)
+        bounds = residual_bounds(self._field, places, self._edges, parts, self._parameters)
         upper = _ratios(bounds * weight[:, None], limits)
         lower, times = np.zeros(len(parts)), places.t[:, PLACES // 2].copy()
         large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
@@ -227,7 +229,7 @@ class _Search:
         return upper, lower, times
 
 
-def _bounds(
+def residual_bounds(
     field: ModelField,
     places: Places,
     edges: np.ndarray,

@@ -30,6 +30,7 @@ from hamsym.errors import InputError, StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.energy_drift import AIM, COARSE, EnergyDrift
+from hamsym.integrators.hidden_features import hidden_features, passed_over
 from hamsym.integrators.integrate import choose_steps, fixed_step, usable_method, usual_method
 from hamsym.numerics.intervals import Intervals, Ranges
 from hamsym.numerics.isolation import Cells, component_ranges, isolated_zeros, rate_bends
@@ -296,7 +297,8 @@ def section(
     -------
     Section
         With ``success=False`` and a message if a trajectory ends early, has too few crossings,
-        leaves the domain of the surface, or H drifts by more than 1 % of its scale.
+        leaves the domain of the surface, H drifts by more than 1 % of its scale, or the force has a
+        feature, for example a pulse, that the steps pass over.
 
     Warns
     -----
@@ -333,7 +335,8 @@ def section(
         if not choice.met and not choice.attempt.interrupted:
             advice = f"steps were chosen for {AIM:.0e}, {choice.found:.1e} was reached"
     size = (end - start) / steps
-    setting = _Setting(method, surface, direction, start, size, steps, crossings)
+    share = max(AIM, min(choice.found, COARSE)) if chosen else COARSE
+    setting = _Setting(method, surface, direction, start, size, steps, crossings, share)
     if client is None:
         found = setting.found(members, progress)
     else:
@@ -348,6 +351,8 @@ def section(
         kept = drift <= COARSE
         if not kept:
             advice = "take smaller steps"
+    if kept and not problem and not math.isnan(found.doubts.hidden):
+        problem = passed_over(found.doubts.hidden)
     if advice and not problem:
         message = f"{message}: {advice}"
         warnings.warn(message, StepSizeWarning, stacklevel=3)
@@ -384,12 +389,14 @@ class _Doubts(NamedTuple):
     undefined: float = math.nan
     touches: int = 0
     unresolved: int = 0
+    hidden: float = math.nan
 
     def together(self, other: _Doubts) -> _Doubts:
         """Doubts of both, these first in time."""
         undefined = other.undefined if math.isnan(self.undefined) else self.undefined
         both = self.touches + other.touches, self.unresolved + other.unresolved
-        return _Doubts(undefined, *both)
+        hidden = other.hidden if math.isnan(self.hidden) else self.hidden
+        return _Doubts(undefined, *both, hidden)
 
 
 class _Found(NamedTuple):
@@ -412,7 +419,10 @@ class _Found(NamedTuple):
 
 @dataclass(frozen=True)
 class _Setting:
-    """What :func:`section` looks for, and the steps that it takes."""
+    """What :func:`section` looks for, and the steps that it takes.
+
+    ``share`` is that of the sizes of the components which features between steps may change.
+    """
 
     method: str
     surface: str
@@ -421,6 +431,7 @@ class _Setting:
     size: float
     steps: int
     limit: int | None
+    share: float
 
     def found(self, members: Ensemble, progress: bool | None) -> _Found:
         """Return the crossings of some members."""
@@ -432,6 +443,7 @@ class _Setting:
             self.start,
             self.size,
             self.limit,
+            self.share / self.steps,
         )
         block = max(1, _HELD // members.states.size)
         interrupted = advance_in_blocks(self.steps, block, progress, run.advance)
@@ -538,6 +550,7 @@ class _Crossings:
         start: float,
         size: float,
         limit: int | None,
+        share: float,
     ) -> None:
         count = len(members)
         self._stepper = fixed_step(
@@ -555,6 +568,7 @@ class _Crossings:
         self._members, self._method = members, method
         self._where, self._direction = where, direction
         self._start, self._size, self._limit = start, size, limit
+        self._share = share  # of the sizes, that features in a step may change
         self._found = [(np.empty(0), np.empty((0, members.H.dim)), np.empty(0, dtype=int))]
         self._numbers = np.zeros(count, dtype=int)  # of crossings of each trajectory
         self._doubts = _Doubts()
@@ -581,11 +595,27 @@ class _Crossings:
         )
         self._found.append(found)
         self.drift.add(path)
+        doubts = doubts._replace(hidden=self._passed_over(path, times))
         self._doubts = self._doubts.together(doubts)
         self._numbers += np.bincount(found[2], minlength=len(self._numbers))
         self.done, self._last = done + count, path[:, -1]
         enough = self._limit is not None and self._numbers.min() >= self._limit
         return bool(np.isfinite(self._last).any()) and not enough
+
+    def _passed_over(self, path: np.ndarray, times: np.ndarray) -> float:
+        """Return the first time at which the steps pass over a feature of the force, or nan."""
+        features, values = hidden_features(self._members.H), _varied(self._members)
+        if features is None or not math.isnan(self._doubts.hidden):
+            return math.nan
+
+        def allowed(index: int) -> np.ndarray:
+            own = None if values is None else values[index]
+            return self._share * (len(times) - 1) * features.sizes(path[index], times, own)
+
+        found = features.times(path, times, values, allowed)
+        return (
+            math.nan if np.isnan(found).all() else float(found[np.nanargmin(abs(found - times[0]))])
+        )
 
     def ordered(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return times, states and trajectories, at most up to the limit for each."""

@@ -13,7 +13,7 @@ import math
 import os
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -38,6 +38,7 @@ from hamsym.integrators.energy_drift import (
     work_of,
 )
 from hamsym.integrators.fixed_step import NOT_ONLY_SEPARABLE, Stepper
+from hamsym.integrators.hidden_features import hidden_features, passed_over
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.table import ALIASES, INTEGRATORS
@@ -468,8 +469,8 @@ def integrate(
     With ``tol`` the steps of each trajectory are chosen so that its estimated error is at most
     ``tol``, from the differences of runs with n, 2n and 4n steps, which are extrapolated
     (:mod:`hamsym.integrators.tolerance`). A trajectory succeeds if the estimate, with round-off,
-    is within the tolerance, H changes by no more than that allows, and the formula of H has no
-    pulse, pole or jump on the way that the steps do not resolve.
+    is within the tolerance, H changes by no more than that allows, and the force has no pulse, pole
+    or jump on the way that the steps do not resolve.
 
     Without ``method``, ``steps`` and ``dt`` the number of steps is the smallest power of two times
     1,000 for which every trajectory conserves H to 1e-9 of the energy that it exchanges between
@@ -479,6 +480,11 @@ def integrate(
     the target is not met, which happens near collisions or where chaos amplifies round-off.
     Relative errors of the states are often a hundred times the drift; they grow with time, and much
     more in close encounters.
+
+    Between the steps of a method with fixed steps the force is bounded
+    (:mod:`hamsym.integrators.hidden_features`). There is no success if it may have a feature that
+    the steps pass over, for example a short pulse, and that changes the motion by more than 1 %,
+    or, where steps were chosen, by more than the drift that was reached.
 
     Parameters
     ----------
@@ -631,6 +637,10 @@ def integrate(
         warning = (
             f"the invariant {changed} changes by more than errors of 1 % explain; take more steps"
         )
+    unseen = ""
+    if not (problem or warning or isinstance(scheme, Adaptive)):
+        share = COARSE if choice is None else max(AIM, min(choice.found, COARSE))
+        unseen = _between_steps(members, name, z, times, count, share, omega)
     tested = not (chosen or every > 1 or problem or warning)
     if tested and (pole := _pole(members, z, times)) is not None:
         warning = (
@@ -640,6 +650,7 @@ def integrate(
     if warning and not problem:
         message = f"{message}: {warning}"
         warnings.warn(message, StepSizeWarning, stacklevel=3)
+    problem = problem or unseen
     return Trajectory(
         t=times,
         z=z.reshape(*members.shape, *z.shape[1:]),
@@ -790,6 +801,79 @@ def _pole(members: Ensemble, z: np.ndarray, times: np.ndarray) -> float | None:
     if features is None or z.size > _MAX_SAVED_COMPONENTS or z.shape[1] < 3:
         return None
     return features.pole(z, times, _varied(members))
+
+
+def _between_steps(
+    members: Ensemble,
+    name: str,
+    z: np.ndarray,
+    times: np.ndarray,
+    steps: int,
+    share: float,
+    omega: float | None,
+) -> str:
+    """Describe the first feature of the force between the steps that matters, or return "".
+
+    Parameters
+    ----------
+    z, times : numpy.ndarray
+        Saved states and their times.
+    steps : int
+        Of the whole trajectories, the same number between two saved states.
+    share : float
+        Of the sizes of the components, that such features may change.
+    """
+    features = hidden_features(members.H)
+    if features is None:
+        return ""
+    values = _varied(members)
+
+    def allowed(index: int) -> np.ndarray:
+        return share * features.sizes(z[index], times, None if values is None else values[index])
+
+    for path, t in _every_step(members, name, z, times, steps, omega):
+        part = (len(t) - 1) / steps
+        found = features.times(path, t, values, allowed, part)
+        if not np.isnan(found).all():
+            index = int(np.nanargmin(np.abs(found - times[0])))
+            which = f"trajectory {index}: " if members.shape else ""
+            return which + passed_over(found[index])
+    return ""
+
+
+def _every_step(
+    members: Ensemble,
+    name: str,
+    z: np.ndarray,
+    times: np.ndarray,
+    steps: int,
+    omega: float | None,
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the states after every step and their times, in parts of the span.
+
+    Steps between saved states are repeated from each of them.
+    """
+    saves = len(times) - 1
+    every, size = steps // saves, (times[-1] - times[0]) / steps
+    together = max(1, _MAX_SAVED_COMPONENTS // (every * members.states.size))
+    for first in range(0, saves, together):
+        last = min(first + together, saves)
+        t = times[0] + size * np.arange(first * every, last * every + 1)
+        if every == 1:
+            yield z[:, first : last + 1], t
+            continue
+        count, between = len(members), last - first
+        stepper = fixed_step(
+            members.H,
+            name,
+            z[:, first:last].reshape(count * between, -1),
+            np.tile(times[first:last], count),
+            np.full(count * between, size),
+            omega=omega,
+            parameters=np.repeat(members.parameters, between, axis=0),
+        )
+        path = stepper.advance(every, show=False).path[:, :-1].reshape(count, between * every, -1)
+        yield np.concatenate((path, z[:, last : last + 1]), axis=1), t
 
 
 def _drift(members: Ensemble, z: np.ndarray, steps: int) -> float:

@@ -10,9 +10,11 @@ start. Where the estimated error exceeds the tolerance, the next n follows from 
 order. Trajectories with equal n are integrated together.
 
 Three runs can agree on what all of them miss. A trajectory therefore succeeds only if, in addition,
-H is conserved as far as the tolerance requires, and no feature of the formula is narrower than the
-steps (:mod:`hamsym.integrators.narrow_features`). Everything that is decided about a trajectory
-depends on that trajectory alone, so that a member that fails changes no bit of the others.
+H is conserved as far as the tolerance requires, no feature at the places that the formula names is
+narrower than the steps (:mod:`hamsym.integrators.narrow_features`), and the force has no other
+feature between them (:mod:`hamsym.integrators.hidden_features`). Everything that is decided about a
+trajectory depends on that trajectory alone, so that a member that fails changes no bit of the
+others.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ import numpy as np
 from hamsym.ensemble import Ensemble
 from hamsym.integrators.coefficients import Scheme, Splitting
 from hamsym.integrators.fixed_step import Stepper
+from hamsym.integrators.hidden_features import hidden_features
 from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
 from hamsym.integrators.table import INTEGRATORS
@@ -56,6 +59,7 @@ _MAX_LOST = 5  # rounds in which a run is not finite
 _MAX_UPDATES = 1e9  # component updates of one trajectory in one run
 _BLOCK = 2**16  # components of the states of a run that are processed together
 _MAX_NARROW = 2**23  # components of the states after every step, for the search of features
+_HIDDEN = 16.0  # factor by which steps over a feature that was found between them are too long
 _EPS = float(np.finfo(float).eps)
 
 
@@ -158,7 +162,7 @@ class _Search:
         self._next_order = self._order + (2 if scheme.is_symmetric else 1)
         self._saves = saves
         self._sampled = saves * math.ceil(_SAMPLES / saves)
-        self._narrow = narrow_features(members.H)
+        self._narrow, self._hidden = narrow_features(members.H), hidden_features(members.H)
         self._system = members.H.compile("numpy")
         count, dim = members.states.shape
         #: Largest number of steps of the finest run of a member.
@@ -292,10 +296,14 @@ class _Search:
         It gives the sizes of the components. In the first round few states save time; they may all
         be at the same phase of a motion.
         """
-        if self._narrow is not None:
+        if self._narrow is not None or self._is_searched(coarse):
             return 2 * coarse
         more = 1 if self._is_first else math.gcd(2 * coarse // self._sampled, _MIDDLE_SAVES)
         return self._sampled * more
+
+    def _is_searched(self, coarse: int) -> bool:
+        """Whether features between the steps are looked for, which takes all states."""
+        return self._hidden is not None and 2 * coarse * self._members.H.dim <= _MAX_NARROW
 
     def _rounds(self, blocks: list[tuple[np.ndarray, int]]) -> Iterator[_Round]:
         cores = min(available_cores(), len(blocks))
@@ -340,9 +348,21 @@ class _Search:
             narrow_times = times[place]
         states = found.states[:, :: self._sampled // self._saves]
         changes = self._energy_changes(rows, states, found.sizes, 4 * coarse)
+        good = (found.errors[:, -1] <= self._tol) & (changes <= 1) & (narrow <= 1) & finite
+        if good.any() and self._is_searched(coarse):
+            hidden = self._passed_over(rows[good], dense[good], found.sizes[good])
+            narrow[good] = np.where(np.isnan(hidden), narrow[good], _HIDDEN)
+            narrow_times[good] = np.where(np.isnan(hidden), narrow_times[good], hidden)
         return _Round(
             rows, coarse, states, found, finite, changes, narrow, narrow_times, evaluations
         )
+
+    def _passed_over(self, rows: np.ndarray, path: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """Times of features of the force between all states of members, or nan."""
+        assert self._hidden is not None
+        times = np.linspace(*self._span, path.shape[1])
+        allowed = self._tol * sizes
+        return self._hidden.times(path, times, self._parameters(rows), lambda i: allowed[i])
 
     def _rounding(self, rows: np.ndarray) -> float:
         if not isinstance(self._scheme, Splitting):

@@ -3,8 +3,9 @@
 Stage 1  On a window, collocation at Chebyshev nodes is the fixed point Z = z_a + h S F(Z) with a
          precomputed integration matrix S; the residual between the nodes decides whether the window
          is accepted, and the next length (:mod:`hamsym.random_features.window_loop`).
-Stage 2  Where that does not contract, Newton's method with the generated Hessian solves the same
-         equation.
+Stage 2  Where that does not contract, or where that keeps the windows short although the residual
+         allows longer ones (stiff equations), Newton's method with the generated Hessian solves the
+         same equation.
 Stage 3  Some tens of windows at a time are checked at times that were not used
          (:mod:`hamsym.random_features.window_checks`). Where a check fails the march goes back,
          with windows that end at the times that failed: at the end of a window the residual is
@@ -133,8 +134,8 @@ class _Marching:
         inside = self._start + self._direction * self._settings.shortest
         self._rate = flow.vector_field(z0[None], np.array([inside]))[0]
         self._progress = Progress(
-            clock=np.array([self._start, 0.0]),
-            counts=np.array([0, 1, 0]),
+            clock=np.array([self._start, 0.0, 0.0]),
+            counts=np.array([0, 1, 0, 0]),
             sizes=np.abs(z0),
             tail=np.zeros((dim, basis.tables.extrapolation.shape[1])),
             found=np.empty((dim, len(basis.nodes))),
@@ -204,7 +205,7 @@ class _Marching:
 
     def _newton(self) -> bool:
         """Solve the present window by Newton's method; shorten it where that fails."""
-        t, length = self._progress.clock
+        t, length = self._progress.clock[:2]
         rates, spent = newton(
             self._flow,
             self._basis,

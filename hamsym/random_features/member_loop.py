@@ -29,6 +29,7 @@ from hamsym.random_features.error_loop import (
 from hamsym.random_features.window_loop import (
     FINISHED,
     FULL,
+    PAUSE,
     ROUND_OFF,
     TINY,
     Array,
@@ -224,7 +225,7 @@ def solve_members(
     tail = np.empty((dim, tables.extrapolation.shape[1]))
     rates, place, time = np.empty((dim, 1)), np.empty((dim, 1)), np.empty(1)
     time[0] = span.start
-    clock, counts = np.empty(2), np.empty(3, np.int64)
+    clock, counts = np.empty(3), np.empty(4, np.int64)
     sizes, floors, scale = np.empty(dim), np.zeros(dim), np.empty(dim)
     joint, largest = np.empty(dim * (PERTURBATIONS + 2)), np.empty(dim)
     history = np.empty(2)
@@ -243,8 +244,8 @@ def solve_members(
             tail[:, :] = 0.0
             tail[:, 0] = rates[:, 0]
             sizes[:] = np.abs(z)
-            clock[0], clock[1] = span.start, length
-            counts[0], counts[1], counts[2] = 0, evaluations, 0
+            clock[0], clock[1], clock[2] = span.start, length, 0.0
+            counts[0], counts[1], counts[2], counts[3] = 0, evaluations, 0, -PAUSE
             settings = Settings(
                 stops, local, floors, signs, span.shortest, span.longest, values, span.separable
             )

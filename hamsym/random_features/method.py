@@ -3,8 +3,8 @@
 Stage 1  March with a local tolerance (:mod:`hamsym.random_features.march`).
 Stage 2  Estimate the global error and the round-off along the march
          (:mod:`hamsym.random_features.error_estimate`).
-Stage 3  If both together exceed the tolerance, or the force is too steep for the windows of a loose
-         one, march again with a tighter local tolerance.
+Stage 3  If both together exceed the tolerance, or the windows of a loose one do not resolve the
+         force or leave the march in doubt, march again with a tighter local tolerance.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ def solve_by_march(
     stops = window_ends(H, accuracy.stops, problem.span)
     flow = flow_of(H, options.compiled)
     best: _Attempt | None = None
-    loosened = False
+    loosened = tightened = False
     with np.errstate(all="ignore"):
         for _ in range(_ATTEMPTS):
             windows = march(
@@ -214,9 +214,12 @@ def solve_by_march(
             if windows.doubt and spare and not loosened:
                 local, loosened = local * _LOOSER, True
                 continue
-            # Shorter windows show whether a force that is steep for these jumps.
-            if tried.is_too_steep and local > SMALLEST:
+            # Shorter windows show whether a force that is steep for these jumps, and may resolve
+            # what leaves a march in doubt.
+            unresolved = bool(windows.doubt) and not (windows.reason or loosened or tightened)
+            if (tried.is_too_steep or unresolved) and local > SMALLEST:
                 local = max(local * STEP, SMALLEST)
+                tightened |= unresolved
                 continue
             # A tighter march does not reduce an error that is mostly round-off.
             floors = error.floors.max(axis=0)

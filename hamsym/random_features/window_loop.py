@@ -42,6 +42,9 @@ EPS = 2.0**-52
 LEAST_INSIDE, INSIDE, SMALL_INSIDE = 1.0, 4.0, 1e-6
 NOISE = 8.0  # times the typical change of the rates for one unit in the last place of the states
 SLOW = 20  # iterations, after which the next window is shorter
+# Slow windows after which longer ones are solved by Newton's method; those until it is tried again
+# where that did not pay; and the ratio of the lengths from which it pays, larger in large systems.
+PATIENCE, PAUSE, PAYS = 4, 200, 3.0
 ROUND_OFF_TESTS = 3  # estimates of the round-off of the rates in one window
 SHRINK, GROW = 0.6, 2.5
 AIM, GOOD = 0.1, 0.3  # of the allowed residual: of the next window; it need not be shorter
@@ -51,6 +54,7 @@ NEAR = 1e-6  # of a short time, over which the change of the rates is measured
 SLIVER = 1e-6  # share of a window by which it is lengthened to reach a stop
 ITERATIONS = 60
 SMALL, RETRIES = 600, 3  # unknowns above which shorter windows are tried, and how often
+SMALL_MATRIX = 100  # unknowns above which the equations of Newton's method take most of its time
 TINY = 2.2250738585072014e-308
 
 Array: TypeAlias = np.ndarray
@@ -117,10 +121,11 @@ class Progress(NamedTuple):
 
     Attributes
     ----------
-    clock : array (2,)
-        Time, and length of the next window.
-    counts : array (3,)
-        Windows so far, evaluations of the vector field, stops passed.
+    clock : array (3,)
+        Time, length of the next window, and that of the last slow one.
+    counts : array (4,)
+        Windows so far, evaluations of the vector field, stops passed, slow windows; a negative
+        number of them is a pause of Newton's method.
     sizes : array (dim,)
         Largest magnitude of each component so far.
     tail : array (dim, terms)
@@ -395,10 +400,12 @@ def iterate(
             change = max(change, kick * (change / last))
         if change <= enough or (change < 1e-12 and change >= last):
             return iteration, iteration + tests
-        if change >= last and tests < ROUND_OFF_TESTS:
-            # A component may stay away from its limit by the round-off of its rate.
-            tests += 1
+        if change >= last and tests < 2 * ROUND_OFF_TESTS:
+            # A component may stay away from its limit by the round-off of its rate, which is that
+            # at the same states: where the iteration diverges, those of the last one are far away.
+            tests += 2
             factor = NOISE * abs(h)
+            evaluate(velocity, force, nearby, times, parameters, found)
             round_off(velocity, force, settings, nearby, times, found, factor, noise)
             for i in range(len(noise)):
                 noise[i] += enough * scale[i]
@@ -533,6 +540,7 @@ def march_windows(
     # windows failed too, or right after a window that needed it.
     stiff, failures = given, 0
     retries = 0 if progress.found.size <= SMALL else RETRIES
+    pays = PAYS * (1 + (progress.found.size / SMALL_MATRIX) ** 2)
     while counts[2] < len(stops):
         stop, count = stops[counts[2]], counts[0]
         left = abs(stop - clock[0])
@@ -555,14 +563,17 @@ def march_windows(
                 velocity, force, tables, settings, progress, scratch, z, h, longer
             )
             counts[1] += spent
+            slow = iterations > SLOW + 1
+            if slow and counts[3] >= PATIENCE:
+                return NEWTON
             if iterations == 0:
-                if stiff or failures >= retries:
+                if stiff or failures >= retries or counts[3] >= PATIENCE:
                     return NEWTON
                 failures += 1
                 clock[1] = length * SHRINK
                 continue
-            slow, stiff = iterations > SLOW + 1, False
-        given = False
+            stiff = False
+        by_newton, given = given, False
         products(tables.fit, progress.found, readout)
         multiply(readout, h)
         error, spent = judge(velocity, force, tables, settings, progress, scratch, z, h)
@@ -588,4 +599,15 @@ def march_windows(
             growth = max(growth, 1.0)
         last_length = length
         clock[1] = length * (SHRINK if slow else growth)
+        if slow:
+            counts[3] += 1
+            clock[2] = length
+        elif growth <= 1 and counts[3] >= PATIENCE:
+            # The residual limits the windows: they are worth Newton's method, or are not.
+            if not by_newton:
+                counts[3] = 0
+            elif length < pays * clock[2]:
+                counts[3] = -PAUSE
+            else:
+                clock[2] = 0.0
     return FINISHED

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +15,11 @@ import torch
 import hamsym
 from hamsym import Hamiltonian, InputError, systems
 from hamsym.integrators.integrate import reference
-from hamsym.random_features import row_products, window_loop
+from hamsym.random_features import method, row_products, window_loop
 from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import march, newton
+from hamsym.random_features.windows import March
 from hamsym.systems import CATALOGUE, Problem
 
 # Systems whose exact solution has 13 digits.
@@ -208,6 +211,42 @@ def test_a_stiff_system() -> None:
     assert solution.success, solution.message
     t = np.linspace(0, 2, 301)
     np.testing.assert_allclose(solution(t)[:, 0], np.cos(np.sqrt(squares[0]) * t), atol=1e-6)
+
+
+@pytest.mark.parametrize("resolved", [1e-6, 0.0])
+def test_a_march_in_doubt_is_tried_once_more(
+    monkeypatch: pytest.MonkeyPatch, resolved: float
+) -> None:
+    """Shorter windows resolve what those of a loose tolerance do not, or the doubt stays."""
+    tolerances = []
+
+    def doubtful(*arguments: Any, **keywords: Any) -> March:
+        tolerances.append(arguments[3])
+        windows = march(*arguments, **keywords)
+        return windows if arguments[3] <= resolved else replace(windows, doubt="in doubt")
+
+    monkeypatch.setattr(method, "march", doubtful)
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-3)
+    assert solution.success == (resolved > 0)
+    assert len(tolerances) == 2
+    assert tolerances[1] < tolerances[0]
+
+
+@pytest.mark.parametrize(("damping", "end"), [(1e4, 20.0), (1e6, 1.0)])
+def test_strong_damping_needs_few_windows(damping: float, end: float) -> None:
+    """Fixed-point iteration contracts only in windows of some 10 / damping."""
+    H = Hamiltonian("p**2/2 + x**2/2", forces={"p": f"-{damping!r}*p"})
+    solution = hamsym.solve(H, [1, 0], (0, end), tol=1e-6)
+    assert solution.success, solution.message
+    assert len(solution.history.readouts) < 400
+    fast = -damping / 2 - math.sqrt(damping**2 / 4 - 1)
+    rates = np.array([1 / fast, fast])
+    shares = np.array([fast, -1 / fast]) / (fast - 1 / fast)
+    t = np.concatenate((np.geomspace(1e-3 / damping, end, 501), solution.history.edges))
+    parts = shares * np.exp(np.outer(t, rates))
+    error = np.abs(solution(t) - np.stack((parts.sum(axis=1), parts @ rates), axis=1)).max(axis=0)
+    assert (error <= 1e-6 * solution.scale).all()
+    assert (error <= 1.1 * solution.error.largest + 1e-15 * solution.scale).all()
 
 
 @pytest.mark.parametrize("compiled", [False, True])

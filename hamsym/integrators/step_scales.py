@@ -1,0 +1,139 @@
+"""Scales of the functions in the force, against the steps of a trajectory.
+
+Where the argument of every function in F changes little over some steps, F has no feature that is
+narrower than these steps: a polynomial of low degree, composed with such functions, is resolved by
+the states alone.
+"""
+
+from __future__ import annotations
+
+import enum
+import inspect
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import sympy
+
+from hamsym.codegen.functions import compile_expressions
+from hamsym.codegen.names import Names
+from hamsym.hamiltonian import Hamiltonian
+
+__all__ = ["StepScales"]
+
+_HIGHEST = 6  # power that a few steps resolve
+_STEEPEST = 24  # negative or fractional power of a base that changes by the largest ratio
+_LARGEST_RATIO = 2.0  # of an argument over a few steps, of functions of RATIO
+
+
+class Scale(enum.Enum):
+    """How far an argument may change over steps that resolve its function.
+
+    ENTIRE functions have no poles, STRIP functions have poles at a distance of 1 or more from the
+    real axis, and functions of RATIO vary on the scale of their argument.
+    """
+
+    ENTIRE = 4.0
+    STRIP = 1.0
+    RATIO = _LARGEST_RATIO
+
+
+_SCALES = {
+    **dict.fromkeys((sympy.exp, sympy.sin, sympy.cos, sympy.sinh, sympy.cosh), Scale.ENTIRE),
+    **dict.fromkeys((sympy.tanh, sympy.sech, sympy.atan, sympy.asinh, sympy.erf), Scale.STRIP),
+    **dict.fromkeys((sympy.log, sympy.Abs, sympy.sign, sympy.Heaviside), Scale.RATIO),
+}
+
+
+class StepScales:
+    """Tests of blocks of steps.
+
+    Parameters
+    ----------
+    H : Hamiltonian
+    """
+
+    def __init__(self, H: Hamiltonian) -> None:
+        equations = H.real_equations
+        self._identifiers = [name for name, _ in Names(equations).parameters]
+        variables = [*equations.z, *([] if equations.time is None else [equations.time])]
+        found = _arguments(equations.vector_field, variables)
+        self._scales = None if found is None else [scale for _, scale in found]
+        self._arguments = compile_expressions([g for g, _ in found or []], equations)
+        switches = [switch for switch, _ in equations.switches(variables)]
+        self._switches = compile_expressions(switches, equations) if switches else None
+
+    def resolved(
+        self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None, blocks: np.ndarray
+    ) -> np.ndarray:
+        """Whether every argument changes little over blocks of states, shape (n, blocks).
+
+        Parameters
+        ----------
+        z, t, parameters : numpy.ndarray
+            States, shape (n, times, dim), times, and values of each trajectory, shape (n, k).
+        blocks : numpy.ndarray
+            Indices of the states of each block, shape (blocks, m).
+        """
+        if self._scales is None:
+            return np.zeros((len(z), len(blocks)), dtype=bool)
+        g = self._evaluated(self._arguments, z, t, parameters)
+        found = np.ones((len(z), len(blocks)), dtype=bool)
+        for k, scale in enumerate(self._scales):
+            values = g[:, blocks, k]
+            high, low = values.max(axis=2), values.min(axis=2)
+            if scale is Scale.RATIO:
+                sizes = np.abs(high), np.abs(low)
+                found &= np.maximum(*sizes) <= scale.value * np.minimum(*sizes)
+                found &= high * low > 0
+            else:
+                found &= high - low <= scale.value
+        return found
+
+    def switched(
+        self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None, blocks: np.ndarray
+    ) -> np.ndarray:
+        """Whether an argument of abs, sign or similar has both signs among the states of a block.
+
+        The parameters are those of :meth:`resolved`. Steps see such a change.
+        """
+        if self._switches is None:
+            return np.zeros((len(z), len(blocks)), dtype=bool)
+        signs = np.sign(self._evaluated(self._switches, z, t, parameters))[:, blocks]
+        return np.asarray((signs.max(axis=2) != signs.min(axis=2)).any(axis=2))
+
+    def _evaluated(
+        self,
+        function: Callable[..., np.ndarray],
+        z: np.ndarray,
+        t: np.ndarray,
+        parameters: np.ndarray | None,
+    ) -> np.ndarray:
+        given = {}
+        if parameters is not None:
+            used = inspect.signature(function).parameters
+            pairs = zip(self._identifiers, parameters.T[..., None], strict=True)
+            given = {name: values for name, values in pairs if name in used}
+        return function(z, t, **given)
+
+
+def _arguments(
+    rates: Sequence[sympy.Expr], variables: Sequence[sympy.Symbol]
+) -> list[tuple[sympy.Expr, Scale]] | None:
+    """Arguments of all functions in the rates; None if a scale is unknown."""
+    known = set(variables)
+    found: dict[tuple[sympy.Expr, Scale], None] = {}
+    for rate in rates:
+        for part in sympy.preorder_traversal(rate):
+            if not part.free_symbols & known or not part.args or part.is_Add or part.is_Mul:
+                continue
+            scale = _SCALES.get(part.func)
+            if part.is_Pow and not part.exp.free_symbols & known:
+                if part.exp.is_Integer and 0 < part.exp <= _HIGHEST:
+                    continue
+                steep = not part.exp.is_number or abs(part.exp) > _STEEPEST
+                steep |= bool(part.exp.is_Integer and part.exp > 0)
+                scale = None if steep else Scale.RATIO
+            if scale is None:
+                return None
+            found[part.args[0], scale] = None
+    return sorted(found, key=str)
