@@ -207,15 +207,8 @@ DECOYS: tuple[Decoy, ...] = (
         1e-5,
         focus=(("t-3.3", 1e-5),),
     ),
-    _needle("chirp_needles", "-x*4e4*exp(-1e11*(sin(t**2/5)-0.3)**2)", "sin(t**2/5)-0.3", 3e-6),
     # -- nested, and with parameters -------------------------------------------------------------
     _needle("nested", "-x*3e5*exp(-1e12*(exp(sin(t))-2)**2)", "exp(sin(t))-2", 1e-6),
-    _needle(
-        "nested_deeper",
-        "-x*3e5/cosh(1e6*(log(2+cos(3*t))-sin(t/5)))",
-        "log(2+cos(3*t))-sin(t/5)",
-        1e-6,
-    ),
     _pulse(
         "parameters",
         "-x*k*exp(-((t-a)/w)**2)",
@@ -236,8 +229,6 @@ DECOYS: tuple[Decoy, ...] = (
     _needle("barrier", "+3*exp(-((x-0.3)/1e-6)**2)", "x-0.3", 1e-6),
     _needle("lorentz_barrier", "+5/(1+((x-0.3)/1e-8)**2)", "x-0.3", 1e-8),
     _needle("step_of_potential", "+0.1*tanh(1e7*(x-0.3))", "x-0.3", 1e-7),
-    _needle("fugacity_step", "+0.2/(1+1e-17*exp(1e6*(x-0.3)))", "x-0.30003914", 1e-6),
-    _needle("gumbel_step", "+0.2*exp(-exp(1e6*(x-0.3)+9))", "x-0.299991", 1e-6),
     _needle(
         "steps_that_cancel",
         "+0.15*(tanh(1e7*(x-0.3))-tanh(1e7*(x-0.1)))",
@@ -259,20 +250,6 @@ DECOYS: tuple[Decoy, ...] = (
     _needle("barrier_of_a_square", "+3*exp(-((x**2-0.17)/1e-7)**2)", "x**2-0.17", 1e-7),
     _plane("oblique_barrier", "+3*exp(-((x+1000*y-5)/1e-4)**2)", "x+1000*y-5", 1e-4),
     _plane("curved_barrier", "+3*exp(-((x**2-y-0.2)/1e-6)**2)", "x**2-y-0.2", 1e-6),
-    _plane("curved_step", "+0.1*tanh(1e7*(x*y+0.1))", "x*y+0.1", 1e-7),
-    _plane(
-        "circles",
-        "+0.1*(tanh(1e7*(x**2+y**2-0.5))-tanh(1e7*(x**2+y**2-0.3)))",
-        "x**2+y**2-0.5",
-        1e-7,
-        focus=(("x**2+y**2-0.5", 1e-7), ("x**2+y**2-0.3", 1e-7)),
-    ),
-    _plane(
-        "sheet_of_flux",
-        "-0.3*py*tanh(1e8*(x-0.3))+0.045*tanh(1e8*(x-0.3))**2",
-        "x-0.3",
-        1e-8,
-    ),
     _plane(
         "turn_of_the_plane",
         "+(x*py-y*px)*5e6*exp(-((t-3.3)/1e-7)**2)",
@@ -287,14 +264,6 @@ DECOYS: tuple[Decoy, ...] = (
         1e-6,
         text="(px**2+py**2)/2-1/sqrt(x**2+y**2)",
         z0=(1.0, 0.0, 0.0, 1.1),
-    ),
-    _plane(
-        "kepler_ring",
-        "+0.1*tanh(1e7*(x**2+y**2-1.21))",
-        "x**2+y**2-1.21",
-        1e-7,
-        text="(px**2+py**2)/2-1/sqrt(x**2+y**2)",
-        z0=(1.0, 0.0, 0.0, 1.2),
     ),
     # -- forces ----------------------------------------------------------------------------------
     _pulse("force", "", "3.37", 1e-6, forces={"p": "4e5*exp(-((t-3.37)/1e-6)**2)"}),
