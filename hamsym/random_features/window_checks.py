@@ -92,9 +92,9 @@ class WindowChecks:
             changes = self._energy_changes(windows, sizes)
             jumps = np.flatnonzero(~(changes[: failure.window if failure else None] <= 1))
             if len(jumps):
-                first = int(jumps[0])
-                times = [self._energy_jump(windows, first)]
-                return Failure(first, times, float(changes[first]), "H")
+                window = int(jumps[0])
+                times = [self._energy_jump(windows, window)]
+                return Failure(window, times, float(changes[window]), "H")
         return failure
 
     def unresolved(
