@@ -324,25 +324,32 @@ def _circular(g: Models) -> tuple[Models, Models]:
     middle = g.values[:, _MIDDLE]
     start = np.hypot(np.sin(middle) - sine[:, _MIDDLE], np.cos(middle) - cosine[:, _MIDDLE])
     error = start + defect * (1 + 2 * _largest(rate)) + g.error
-    quarter = math.pi / 2
+    ranges = (
+        _periodic_range(np.sin, math.pi / 2, g.low, g.high),
+        _periodic_range(np.cos, 0.0, g.low, g.high),
+    )
     return (
-        _tightened(sine, error, g.rounding, *_cosine_range(g.low - quarter, g.high - quarter)),
-        _tightened(cosine, error, g.rounding, *_cosine_range(g.low, g.high)),
+        _tightened(sine, error, g.rounding, *ranges[0]),
+        _tightened(cosine, error, g.rounding, *ranges[1]),
     )
 
 
-def _cosine_range(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Range of the cosine on intervals."""
-    ends = np.cos(low), np.cos(high)
-    turn = 2 * math.pi
+def _periodic_range(
+    function: Callable[[np.ndarray], np.ndarray], peak: float, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Range on intervals of the sine or the cosine, which is 1 at ``peak``."""
+    ends, turn = (function(low), function(high)), 2 * math.pi
     # A hair wider, since the turning points are rounded.
     hair = 1e-9
-    top = np.floor((high + hair) / turn) >= np.ceil((low - hair) / turn)
-    bottom = np.floor((high + hair - math.pi) / turn) >= np.ceil((low - hair - math.pi) / turn)
+
+    def holds(place: float) -> np.ndarray:
+        first = np.ceil((low - hair - place) / turn)
+        return np.asarray(np.floor((high + hair - place) / turn) >= first)
+
     unknown = ~(np.isfinite(low) & np.isfinite(high))
     return (
-        np.where(bottom | unknown, -1.0, np.fmin(*ends)),
-        np.where(top | unknown, 1.0, np.fmax(*ends)),
+        np.where(holds(peak + math.pi) | unknown, -1.0, np.fmin(*ends)),
+        np.where(holds(peak) | unknown, 1.0, np.fmax(*ends)),
     )
 
 

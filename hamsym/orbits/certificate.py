@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from hamsym.orbits.proven_stability import WEAKER
 from hamsym.orbits.verification import verify_orbit
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import decimal_above
-from hamsym.proof.certificate_text import opened, sealed
+from hamsym.proof.certificate_text import ORBIT_KIND, opened, sealed
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.checked_data import (
     checked_list,
@@ -81,9 +81,6 @@ class OrbitCertificate(Shown):
     statement: str = field(repr=False)
     digest: str = field(repr=False)
 
-    #: Of its texts.
-    KIND: ClassVar[str] = "hamsym orbit certificate"
-
     def plot(self, *, ax: Any = None) -> Figure:
         """Draw the multipliers of the orbit about the unit circle.
 
@@ -108,7 +105,7 @@ class OrbitCertificate(Shown):
 
     def to_json(self) -> str:
         """Write the certificate as text; numbers have all digits."""
-        values: dict[str, Any] = {"kind": self.KIND, "version": _VERSION}
+        values: dict[str, Any] = {"kind": ORBIT_KIND, "version": _VERSION}
         for entry in fields(self):
             value = getattr(self, entry.name)
             if isinstance(value, Ball):
@@ -135,8 +132,8 @@ class OrbitCertificate(Shown):
 
 def _from_json(text: str) -> OrbitCertificate:
     values = opened(text, _LONGEST_TEXT)
-    if values.pop("kind") != OrbitCertificate.KIND:
-        raise ValueError(f"its kind is not '{OrbitCertificate.KIND}'")
+    if values.pop("kind") != ORBIT_KIND:
+        raise ValueError(f"its kind is not '{ORBIT_KIND}'")
     if values.pop("version", None) != _VERSION:
         raise ValueError(f"its version is not {_VERSION}")
     require_names("entries", values, {entry.name for entry in fields(OrbitCertificate)})

@@ -7,14 +7,14 @@ import json
 import math
 import re
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import hamsym
 from hamsym.description import described
 from hamsym.errors import FileError
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.proof.balls import decimal_above
-from hamsym.proof.certificate_text import opened, sealed
+from hamsym.proof.certificate_text import BOX_KIND, opened, sealed
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.shown import Shown
 
@@ -67,9 +67,6 @@ class BoxCertificate(Shown):
     digest: str = field(repr=False)
     seconds: float = field(compare=False)
 
-    #: Of its texts.
-    KIND: ClassVar[str] = "hamsym flow map certificate"
-
     def plot(self, *, ax: Any = None) -> Figure:
         """Draw the proven bound of each component.
 
@@ -118,7 +115,7 @@ class BoxCertificate(Shown):
     def to_json(self) -> str:
         """Write the certificate as text; numbers have all digits."""
         values: dict[str, Any] = {
-            "kind": self.KIND,
+            "kind": BOX_KIND,
             "version": _VERSION,
             "statement": self.statement,
         }
@@ -144,8 +141,8 @@ class BoxCertificate(Shown):
 
 def _from_json(text: str) -> BoxCertificate:
     values = opened(text, _LONGEST_TEXT)
-    if values.pop("kind") != BoxCertificate.KIND:
-        raise ValueError(f"its kind is not '{BoxCertificate.KIND}'")
+    if values.pop("kind") != BOX_KIND:
+        raise ValueError(f"its kind is not '{BOX_KIND}'")
     if values.pop("version", None) != _VERSION:
         raise ValueError(f"its version is not {_VERSION}")
     statement = values.pop("statement", None)

@@ -10,7 +10,7 @@ import hamsym
 from hamsym.errors import FileError
 from hamsym.proof.box_certificate import BoxCertificate
 from hamsym.proof.certificate import Certificate
-from hamsym.proof.certificate_text import kind_of
+from hamsym.proof.certificate_text import BOX_KIND, ORBIT_KIND, kind_of
 
 __all__ = ["certificate_from", "read_certificate"]
 
@@ -25,7 +25,7 @@ def certificate_from(text: str) -> Any:
     FileError
         If the text is not a certificate.
     """
-    kinds: dict[str, Any] = {kind.KIND: kind for kind in (BoxCertificate, hamsym.OrbitCertificate)}
+    kinds: dict[str, Any] = {BOX_KIND: BoxCertificate, ORBIT_KIND: hamsym.OrbitCertificate}
     return kinds.get(kind_of(text), Certificate).from_json(text)
 
 
