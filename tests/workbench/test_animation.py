@@ -324,19 +324,12 @@ def test_unusable_option_is_refused(pendulum, names, options, reason):
     ],
 )
 def test_polar_coordinates_hang_along_the_weight(H, direction):
-<<<<<<< HEAD
     known = hamsym.Hamiltonian(H)
     distance, angle = sorted(known.names[:2], key=lambda name: name != "r")
     start = {distance: 1.2, angle: 0.7, f"p_{distance}": 0, f"p_{angle}": 0}
     animation = hamsym.integrate(known, start, (0, 2), "gauss6", dt=0.01).animate(frames=4)
     state = dict(zip(known.names, animation.states[2, 0], strict=True))
     r, angle = state[distance], state[angle]
-=======
-    found = hamsym.integrate(H, [1.2, 0.7, 0, 0], (0, 2), "gauss6", dt=0.01)
-    animation = found.animate(frames=4)
-    distance = hamsym.Hamiltonian(H).names.index("r")
-    r, angle = animation.states[2, 0, [distance, 1 - distance]]
->>>>>>> mend
     pivot, body = places(animation, 2)
     np.testing.assert_allclose(pivot, 0)
     sine, sign = direction
