@@ -75,14 +75,23 @@ class Models:
     low: np.ndarray
     high: np.ndarray
 
+    __array_ufunc__ = None  # so that an array of numbers times models is a model
+
     @classmethod
-    def of_values(cls, values: np.ndarray, low: Any = -math.inf, high: Any = math.inf) -> Models:
+    def of_values(
+        cls,
+        values: np.ndarray,
+        low: Any = -math.inf,
+        high: Any = math.inf,
+        rounding: Any = 0.0,
+    ) -> Models:
         """Make models of polynomials from their values, with a range if it is known.
 
         What smooth functions have beyond the degree is part of the distance.
         """
-        kept, lost = _truncated(values, np.zeros(len(values)))
-        return _tightened(kept, lost, 0.0, low, high)
+        rounding = np.broadcast_to(rounding, len(values))
+        kept, lost = _truncated(values, rounding)
+        return _tightened(kept, lost, rounding, low, high)
 
     def __neg__(self) -> Models:
         return Models(-self.values, self.error, self.rounding, -self.high, -self.low)

@@ -220,6 +220,7 @@ class _Search:
         if len(large):
             some, at = parts[large], Places(*(array[large] for array in places))
             rounded, own = self._noise(at, some), weight[large, None]
+            rounded = np.where(rounded < math.inf, rounded, 0.0)  # infinite or NaN excuses nothing
             found = _residuals(self._rates, at, some)
             upper[large] = _ratios(np.maximum(bounds[large] - rounded, 0.0) * own, limits[large])
             mean = np.maximum(found.mean(axis=1) - rounded, 0.0)
@@ -237,7 +238,13 @@ def residual_bounds(
     parameters: np.ndarray,
 ) -> np.ndarray:
     """Bound the residual of each component on each part, shape (parts, dim)."""
-    components = [Models.of_values(values) for values in np.moveaxis(places.z, 2, 0)]
+    # A trial solution may be evaluated at times that are rounded.
+    late = 8 * _EPS * np.abs(places.t).max(axis=1) / np.ptp(places.t, axis=1)
+
+    def modelled(values: np.ndarray) -> Models:
+        return Models.of_values(values, rounding=late * np.ptp(values, axis=1))
+
+    components = [modelled(values) for values in np.moveaxis(places.z, 2, 0)]
     start, end = edges[:, parts.window]
     ends = start + (end - start) * parts.start, start + (end - start) * (parts.start + parts.width)
     t = Models.of_values(places.t, np.minimum(*ends), np.maximum(*ends))
@@ -245,10 +252,7 @@ def residual_bounds(
     found = field(components, t, given)
     slopes = np.moveaxis(places.rates, 2, 0)
     return np.stack(
-        [
-            (Models.of_values(slope) - rate).magnitude
-            for slope, rate in zip(slopes, found, strict=True)
-        ],
+        [(modelled(slope) - rate).magnitude for slope, rate in zip(slopes, found, strict=True)],
         axis=1,
     )
 

@@ -67,7 +67,8 @@ def model_field(H: Hamiltonian) -> ModelField:
     form = H.real_equations
     inserted = inserted_parameters(form)
     values = {form.parameters[name][0]: rational(value) for name, value in inserted.items()}
-    rates = [form.exact.with_fractions(rate, values) for rate in form.exact.vector_field]
+    exact = (form.exact.with_fractions(rate, values) for rate in form.exact.vector_field)
+    rates = [rate.xreplace(values) for rate in exact]
     varied = [k for k, name in enumerate(form.parameters) if name not in inserted]
     own = [symbol for symbol, _ in form.parameters.values()]
     time = form.time or sympy.Symbol(TIME, real=True)
