@@ -435,7 +435,30 @@ def general_power(base: Models, exponent: Models | Number) -> Models:
     """Base to the power of an exponent, of which one may be a number; exp(exponent log(base))."""
     if not isinstance(base, Models):
         return exponential(exponent * np.log(base))
+    if not isinstance(exponent, Models) and np.ndim(exponent) == 0:
+        return _number_power(base, float(exponent))
     return exponential(logarithm(base) * exponent)
+
+
+def _number_power(g: Models, exponent: float) -> Models:
+    """g**exponent, from the equation f' = exponent g'/g f: the logarithm would lose digits."""
+    size = abs(exponent)
+    exact = np.maximum(g.values, 0.0) ** exponent
+    rounding = _no_nan(size * g.rounding / g.values.min(axis=1) * _size(exact))
+    guess, _ = _truncated(exact, rounding)
+    inverse, slopes = reciprocal(g), _slopes(g)
+    rate, lost = _truncated(exponent * slopes * inverse.values, np.zeros(len(guess)))
+    lost = lost + _no_nan(size * inverse.error * _largest(slopes))
+    defect = _defect(guess, rate * guess, rounding) + 2 * _no_nan(lost * _largest(guess))
+    start = np.abs(exact[:, _MIDDLE] - guess[:, _MIDDLE]) + _TINY
+    ends = [np.maximum(end, 0.0) ** exponent for end in (g.low, g.high)]
+    low, high = np.minimum(*ends), np.maximum(*ends)
+    growth = (g.high / g.low) ** size
+    error = growth * start + defect * (1 + 2 * _largest(rate) * growth)
+    error = error + _no_nan(high * np.expm1(size * g.error / g.low))
+    error = np.where(g.low > 0, error, math.inf)
+    high = np.where(_leaves(g, 0.0, math.inf), math.inf, high)
+    return _tightened(guess, error, rounding, low, high)
 
 
 def arctangent2(y: Models, x: Models) -> Models:

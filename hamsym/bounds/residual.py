@@ -27,10 +27,11 @@ from hamsym.bounds.vector_field import ModelField
 __all__ = ["Excess", "Parts", "Places", "excesses", "residual_bounds"]
 
 _SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
-_MOST_SHARES = 2.0  # of the limit, that all parts of a window may use
+_MOST_SHARES = 4.0  # of the limit, that all parts of a window may use
 _MOST_PARTS = 256  # of one generation of halves
 _AT_ONCE = 56  # parts in one evaluation of models: products so small are not spread over threads
 _GENERATIONS = 60
+_ROUNDED = 4.0  # times the rounding of models that is left out of a residual
 _ULPS = 16.0  # of the time, below which a part is not divided
 _EPS = 2.0**-52
 
@@ -251,10 +252,10 @@ def residual_bounds(
     given = parameters if parameters.ndim == 1 else parameters[parts.window]
     found = field(components, t, given)
     slopes = np.moveaxis(places.rates, 2, 0)
-    return np.stack(
-        [(modelled(slope) - rate).magnitude for slope, rate in zip(slopes, found, strict=True)],
-        axis=1,
-    )
+    rests = [modelled(slope) - rate for slope, rate in zip(slopes, found, strict=True)]
+    # What is round-off of the formula itself is no residual.
+    bounds = [np.maximum(rest.magnitude - _ROUNDED * rest.rounding, 0.0) for rest in rests]
+    return np.stack(bounds, axis=1)
 
 
 def _residuals(
