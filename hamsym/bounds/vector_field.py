@@ -20,7 +20,7 @@ from hamsym.symbolic.variables import TIME
 
 __all__ = ["ModelField", "model_field"]
 
-_SHORT_POLYNOMIAL = 6  # degree of a vector field that hides nothing between the places of a march
+_SHORT_POLYNOMIAL = 8  # degree of a vector field that hides nothing between the places of a march
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def model_field(H: Hamiltonian) -> ModelField:
     inserted = inserted_parameters(form)
     values = {form.parameters[name][0]: rational(value) for name, value in inserted.items()}
     exact = (form.exact.with_fractions(rate, values) for rate in form.exact.vector_field)
-    rates = [rate.xreplace(values) for rate in exact]
+    rates = [_with_numbers(rate.xreplace(values)) for rate in exact]
     varied = [k for k, name in enumerate(form.parameters) if name not in inserted]
     own = [symbol for symbol, _ in form.parameters.values()]
     time = form.time or sympy.Symbol(TIME, real=True)
@@ -76,6 +76,12 @@ def model_field(H: Hamiltonian) -> ModelField:
     return ModelField(
         varied, _is_short_polynomial(form, rates), compile_straight_line(rates, symbols)
     )
+
+
+def _with_numbers(rate: sympy.Expr) -> sympy.Expr:
+    """Insert the values of constants that straight-line code has no name for."""
+    constants = rate.atoms(sympy.NumberSymbol) - {sympy.pi, sympy.E}
+    return rate.xreplace({constant: rational(float(constant)) for constant in constants})
 
 
 def _is_short_polynomial(form: Equations, rates: list[sympy.Expr]) -> bool:
