@@ -96,5 +96,6 @@ def test_proofs_use_no_cache_of_numba():
     modules = [getattr(hamsym.proof, name, None) for name in names]
     functions = [value for module in modules for value in getattr(module, "__dict__", {}).values()]
     functions += vars(loops()).values()
-    caches = {type(value._cache).__name__ for value in functions if hasattr(value, "_cache")}
+    compiled = [value for value in functions if hasattr(value, "py_func")]
+    caches = {type(value._cache).__name__ for value in compiled}
     assert caches == {"NullCache", "_CheckedCache"}
