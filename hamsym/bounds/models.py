@@ -248,9 +248,7 @@ def _ranged(low: np.ndarray, high: np.ndarray) -> Models:
     return _tightened(values, np.full(len(low), math.inf), 0.0, low, high)
 
 
-def _integrated(
-    guess: np.ndarray, at_middle: np.ndarray, slope: Models, g: Models, low: Any, high: Any
-) -> Models:
+def _integrated(guess: np.ndarray, slope: Models, g: Models, low: Any, high: Any) -> Models:
     """Make models of f(g) from values at the places and a model of f'(g).
 
     With p the polynomial of g, f(p) differs from its value in the middle by the integral of
@@ -261,7 +259,7 @@ def _integrated(
     rate = _slopes(g)
     defect = _defect(values, slope.values * rate, rounding)
     defect = defect + 2 * _no_nan(slope.error * _largest(rate))
-    error = np.abs(at_middle - values[:, _MIDDLE]) + defect
+    error = np.abs(guess[:, _MIDDLE] - values[:, _MIDDLE]) + defect
     return _tightened(values, error + _no_nan(g.error * slope.magnitude), rounding, low, high)
 
 
@@ -391,7 +389,7 @@ def _monotonic(
         inside = ~_leaves(g, lowest, highest)
         low = np.where(inside, function(np.maximum(g.low, lowest)), -math.inf)
         high = np.where(inside, function(np.minimum(g.high, highest)), math.inf)
-        return _integrated(guess, guess[:, _MIDDLE], slope(g), g, low, high)
+        return _integrated(guess, slope(g), g, low, high)
 
     return composed
 

@@ -94,11 +94,11 @@ def excesses(
     field: ModelField,
     rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
     trial: Callable[[Parts], Places],
-    noise: Callable[[Places, Parts], np.ndarray],
     edges: np.ndarray,
     limits: np.ndarray,
     parameters: np.ndarray,
     *,
+    noise: float,
     first_only: bool = False,
 ) -> list[Excess]:
     """Find the windows whose residual may exceed its limit.
@@ -110,14 +110,14 @@ def excesses(
         (z, t, window) -> F at points, shapes (n, dim), (n,), (n,) -> (n, dim).
     trial : callable
         The trial solution, of polynomials of a degree up to that of models in each part.
-    noise : callable
-        The round-off of F that is allowed on each part, shape (parts, dim).
     edges : numpy.ndarray
         Start and end of each window, shape (2, windows).
     limits : numpy.ndarray
         Allowed integrals of the residual over each window, shape (windows, dim).
     parameters : numpy.ndarray
         Of H, or for each window, shape (k,) or (windows, k).
+    noise : float
+        Residual that is allowed as round-off, in changes of F by one unit in the last place.
     first_only : bool
         Whether to search for the first of them only.
 
@@ -126,7 +126,7 @@ def excesses(
     list of Excess
         In the order of the windows.
     """
-    search = _Search(field, rates, trial, noise, edges, limits, parameters, first_only)
+    search = _Search(field, rates, trial, edges, limits, parameters, noise, first_only)
     parts = Parts.whole(len(limits))
     most = max(_MOST_PARTS, len(parts))
     with np.errstate(all="ignore"):  # what overflows or has no value exceeds its limit
@@ -148,18 +148,18 @@ class _Search:
         field: ModelField,
         rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
         trial: Callable[[Parts], Places],
-        noise: Callable[[Places, Parts], np.ndarray],
         edges: np.ndarray,
         limits: np.ndarray,
         parameters: np.ndarray,
+        noise: float,
         first_only: bool,
     ) -> None:
-        self._field, self._rates, self._trial, self._noise = field, rates, trial, noise
+        self._field, self._rates, self._trial = field, rates, trial
         self._edges, self._limits, self._parameters = edges, limits, parameters
         self._lengths = np.abs(edges[1] - edges[0])
         self._resolution = _ULPS * _EPS * np.abs(edges).max(axis=0)
         self._spent = np.zeros(len(limits))  # by parts that passed, in limits
-        self._first_only = first_only
+        self._noise, self._first_only = noise, first_only
         self.found: list[Excess] = []
 
     def undecided(self, parts: Parts) -> Parts:
@@ -220,7 +220,7 @@ class _Search:
         large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
         if len(large):
             some, at = parts[large], Places(*(array[large] for array in places))
-            rounded, own = self._noise(at, some), weight[large, None]
+            rounded, own = self._noise * _round_off(self._rates, at, some), weight[large, None]
             rounded = np.where(rounded < math.inf, rounded, 0.0)  # infinite or NaN excuses nothing
             found = _residuals(self._rates, at, some)
             upper[large] = _ratios(np.maximum(bounds[large] - rounded, 0.0) * own, limits[large])
@@ -266,6 +266,24 @@ def _residuals(
     window = np.repeat(parts.window, PLACES)
     found = rates(places.z.reshape(-1, dim), places.t.ravel(), window)
     return np.asarray(np.abs(places.rates - found.reshape(count, PLACES, dim)))
+
+
+def _round_off(
+    rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray], places: Places, parts: Parts
+) -> np.ndarray:
+    """Measure the change of the rates for one unit in the last place of states and times.
+
+    It is the median over each part, since at a narrow feature the rates change by far more; shape
+    (parts, dim).
+    """
+    count, _, dim = places.z.shape
+    window = np.repeat(parts.window, PLACES)
+    generator = np.random.default_rng(0)
+    z, t = places.z.reshape(-1, dim), places.t.ravel()
+    disturbed = z * (1 + _EPS * generator.choice((-1.0, 1.0), size=z.shape))
+    late = t * (1 + _EPS * generator.choice((-1.0, 1.0), size=t.shape))
+    change = np.abs(rates(disturbed, late, window) - rates(z, t, window))
+    return np.asarray(np.median(change.reshape(count, PLACES, dim), axis=1))
 
 
 def _ratios(values: np.ndarray, limits: np.ndarray) -> np.ndarray:

@@ -45,7 +45,6 @@ _AT_ONCE = 256  # windows in one evaluation of models
 _SAMPLED = 256  # states from which sizes are computed
 _ROUND_OFF = 256 * 2.0**-52  # of the integral of |F - G^|, relative to the force
 _NOISE = 80.0  # times the change of F for one unit in the last place of states and times
-_EPS = 2.0**-52
 
 _BASIS = chebyshev.chebvander(NODES, DEGREE)
 _MEAN = np.array([0.0 if k % 2 else 1 / (1 - k**2) for k in range(DEGREE + 1)])
@@ -287,8 +286,9 @@ class _Search:
             return self._features.rates(z, t, self._own)
 
         found = excesses(
-            *(self._features.field, rates, windows.at, self._noise, windows.edges, limits),
+            *(self._features.field, rates, windows.at, windows.edges, limits),
             self._given,
+            noise=_NOISE,
             first_only=True,
         )
         if found:
@@ -302,12 +302,3 @@ class _Search:
         impulse = np.diff(windows.edges, axis=0)[0][:, None] * (_MEAN @ windows.force)
         largest = np.abs(self._z).max(axis=0)
         return np.asarray(~(np.abs(moved - impulse) <= _DISAGREEMENT * largest).all(axis=1))
-
-    def _noise(self, at: Places, parts: Parts) -> np.ndarray:
-        """Round-off of F: the median over each part of its change by one unit in the last place."""
-        count, places, dim = at.z.shape
-        z, t = at.z.reshape(-1, dim), at.t.ravel()
-        signs = np.where(np.arange(z.size).reshape(z.shape) % 3 == 0, -1.0, 1.0)
-        changed = self._features.rates(z * (1 + _EPS * signs), t * (1 + _EPS), self._own)
-        noise = np.abs(changed - self._features.rates(z, t, self._own))
-        return np.asarray(_NOISE * np.median(noise.reshape(count, places, dim), axis=1))

@@ -11,7 +11,6 @@ place. Where a function like abs or sign switches, the force or H may jump.
 from __future__ import annotations
 
 import functools
-import inspect
 from collections.abc import Callable
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy as np
 from hamsym.codegen.functions import compile_expressions
 from hamsym.codegen.names import Names
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.integrators.step_scales import on_trajectories
 from hamsym.symbolic.derivatives import Narrow
 
 __all__ = ["NarrowFeatures", "narrow_features"]
@@ -77,7 +77,7 @@ class NarrowFeatures:
             index of the step, shape (n,) each.
         """
         with np.errstate(all="ignore"):
-            g = self._evaluated(self._arguments, z, t, parameters)
+            g = on_trajectories(self._arguments, self._identifiers, z, t, parameters)
             excess = np.zeros((len(z), len(t) - 1))
             for k, kind in enumerate(self._kinds):
                 if kind == Narrow.FUNCTION:
@@ -103,27 +103,10 @@ class NarrowFeatures:
         if not len(bases):
             return None
         with np.errstate(all="ignore"):
-            g = self._evaluated(self._arguments, z, t, parameters)
+            g = on_trajectories(self._arguments, self._identifiers, z, t, parameters)
             steps = [~(_base_excess(g[..., k]) <= _POLE_EXCESS).all(axis=0) for k in bases]
         crossed = np.flatnonzero(np.any(steps, axis=0))
         return float(t[crossed[0]]) if len(crossed) else None
-
-    def _evaluated(
-        self,
-        function: Callable[..., np.ndarray],
-        z: np.ndarray,
-        t: np.ndarray,
-        parameters: np.ndarray | None,
-    ) -> np.ndarray:
-        given = {}
-        if parameters is not None:
-            used = inspect.signature(function).parameters
-            given = {
-                name: parameters[:, i, None]
-                for i, name in enumerate(self._identifiers)
-                if name in used
-            }
-        return function(z, t, **given)
 
     def _switched_twice(self, g: np.ndarray) -> np.ndarray:
         """Infinite in a step in which two switches change: what is between them is not seen."""
@@ -150,7 +133,7 @@ class NarrowFeatures:
         runs with different steps may agree by chance.
         """
         found = np.zeros((len(z), len(t) - 1))
-        values = self._evaluated(argument, z, t, parameters)[..., 0]
+        values = on_trajectories(argument, self._identifiers, z, t, parameters)[..., 0]
         rows, steps = np.nonzero(~(values[:, 1:] * values[:, :-1] > 0) & (values[:, 1:] != 0))
         if not len(rows):
             return found
@@ -159,7 +142,9 @@ class NarrowFeatures:
         at = z[rows, steps] + share[:, None] * (z[rows, steps + 1] - z[rows, steps])
         times = t[steps] + share * (t[steps + 1] - t[steps])
         some = None if parameters is None else parameters[rows]
-        sizes = np.abs(self._evaluated(jumps, at[:, None], times[:, None], some)[:, 0])
+        sizes = np.abs(
+            on_trajectories(jumps, self._identifiers, at[:, None], times[:, None], some)[:, 0]
+        )
         given = self._system.keywords(some)
         arguments = self._system.arguments(at, times)
         force = np.abs(self._system.vector_field(*arguments, **given)).max(axis=1)

@@ -18,7 +18,7 @@ from hamsym.codegen.functions import compile_expressions
 from hamsym.codegen.names import Names
 from hamsym.hamiltonian import Hamiltonian
 
-__all__ = ["StepScales"]
+__all__ = ["StepScales", "on_trajectories"]
 
 _HIGHEST = 6  # power that a few steps resolve
 _STEEPEST = 24  # negative or fractional power of a base that changes by the largest ratio
@@ -76,7 +76,7 @@ class StepScales:
         """
         if self._scales is None:
             return np.zeros((len(z), len(blocks)), dtype=bool)
-        g = self._evaluated(self._arguments, z, t, parameters)
+        g = on_trajectories(self._arguments, self._identifiers, z, t, parameters)
         found = np.ones((len(z), len(blocks)), dtype=bool)
         for k, scale in enumerate(self._scales):
             values = g[:, blocks, k]
@@ -98,22 +98,33 @@ class StepScales:
         """
         if self._switches is None:
             return np.zeros((len(z), len(blocks)), dtype=bool)
-        signs = np.sign(self._evaluated(self._switches, z, t, parameters))[:, blocks]
+        values = on_trajectories(self._switches, self._identifiers, z, t, parameters)
+        signs = np.sign(values[:, blocks])
         return np.asarray((signs.max(axis=2) != signs.min(axis=2)).any(axis=2))
 
-    def _evaluated(
-        self,
-        function: Callable[..., np.ndarray],
-        z: np.ndarray,
-        t: np.ndarray,
-        parameters: np.ndarray | None,
-    ) -> np.ndarray:
-        given = {}
-        if parameters is not None:
-            used = inspect.signature(function).parameters
-            pairs = zip(self._identifiers, parameters.T[..., None], strict=True)
-            given = {name: values for name, values in pairs if name in used}
-        return function(z, t, **given)
+
+def on_trajectories(
+    function: Callable[..., np.ndarray],
+    names: Sequence[str],
+    z: np.ndarray,
+    t: np.ndarray,
+    parameters: np.ndarray | None,
+) -> np.ndarray:
+    """Evaluate compiled expressions along trajectories with parameters of their own.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Identifiers of all parameters, k of them, of which the function takes some.
+    z, t, parameters : numpy.ndarray
+        Shapes (n, times, dim), (times,) and (n, k); no parameters for those of H.
+    """
+    given = {}
+    if parameters is not None:
+        used = inspect.signature(function).parameters
+        pairs = zip(names, parameters.T[..., None], strict=True)
+        given = {name: values for name, values in pairs if name in used}
+    return function(z, t, **given)
 
 
 def _arguments(

@@ -25,7 +25,7 @@ class ChainChecks(WindowChecks):
     ----------
     H : Hamiltonian
     seed : int
-        Of the random places.
+        Of the basis, whose tables are not used.
     """
 
     def __init__(self, H: Hamiltonian, seed: int) -> None:

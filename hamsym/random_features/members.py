@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hamsym.bounds.vector_field import model_field
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.random_features import member_loop
 from hamsym.random_features.basis import FeatureBasis
@@ -220,6 +221,9 @@ class MemberSolver:
         self, members: Members, counts: np.ndarray, parameters: np.ndarray
     ) -> np.ndarray:
         """Return the members that the bound of their residual does not accept."""
+        field = model_field(self.H)
+        if field.is_short_polynomial:
+            return np.empty(0, dtype=int)
         owner = np.repeat(np.arange(len(counts)), counts)
         # The loop leaves one edge more for every member, also for one without windows.
         left = np.arange(len(owner)) + owner
@@ -230,14 +234,14 @@ class MemberSolver:
             members.readouts[: len(left)],
         )
         failed: list[np.ndarray] = []
-        fixed = np.delete(parameters[: len(counts)], flow_of(self.H).models.varied, axis=1)
+        fixed = np.delete(parameters[: len(counts)], field.varied, axis=1)
         # Values in exponents are part of the formula.
         for row in np.unique(fixed, axis=0):
             some = np.flatnonzero((fixed == row).all(axis=1)[owner])
             H = self.H
-            if len(row):
-                values = parameters[owner[some[0]]] if len(some) else ()
-                H = H.with_parameters(**dict(zip(H.parameter_names, values, strict=False)))
+            if len(row) and len(some):
+                values = parameters[owner[some[0]]].tolist()
+                H = H.with_parameters(**dict(zip(H.parameter_names, values, strict=True)))
             checks = WindowChecks(flow_of(H), self.basis, self._local)
             chosen = Pieces(*(array[some] for array in pieces))
             with np.errstate(all="ignore"):

@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,7 +22,6 @@ from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.error_loop import SLACK
 from hamsym.random_features.flow import Flow
 from hamsym.random_features.window_loop import (
-    EPS,
     NOISE,
     ROUND_OFF,
     TINY,
@@ -130,29 +128,12 @@ class WindowChecks:
         def trial(parts: Parts) -> Places:
             return self._at(pieces, parts, NODES)
 
-        def noise(at: Places, parts: Parts) -> np.ndarray:
-            return SLACK * NOISE * self._round_off(at, parts, rates)
-
         return excesses(
-            *(field, rates, trial, noise, np.stack((pieces.start, pieces.end)), limits),
+            *(field, rates, trial, np.stack((pieces.start, pieces.end)), limits),
             self.flow.parameters if parameters is None else parameters,
+            noise=SLACK * NOISE,
             first_only=first_only,
         )
-
-    def _round_off(self, at: Places, parts: Parts, rates: Callable[..., np.ndarray]) -> np.ndarray:
-        """Measure the change of the rates for one unit in the last place of states and times.
-
-        It is the median over each part, since at a narrow feature the rates change by far more;
-        shape (parts, dim).
-        """
-        count, places, dim = at.z.shape
-        window = np.repeat(parts.window, places)
-        generator = np.random.default_rng(self.basis.seed)
-        z, t = at.z.reshape(-1, dim), at.t.ravel()
-        disturbed = z * (1 + EPS * generator.choice((-1.0, 1.0), size=z.shape))
-        late = t * (1 + EPS * generator.choice((-1.0, 1.0), size=t.shape))
-        noise = np.abs(rates(disturbed, late, window) - rates(z, t, window))
-        return np.asarray(np.median(noise.reshape(count, places, dim), axis=1))
 
     def _energy_changes(self, windows: Windows, sizes: np.ndarray) -> np.ndarray:
         """Return the change of H over each window, in units of the limit."""

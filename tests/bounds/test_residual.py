@@ -30,10 +30,10 @@ def found(force: str, limit: float, first_only: bool = False) -> list[Excess]:
             model_field(H),
             lambda z, t, window: system.vector_field(*system.arguments(z, t)),
             trial,
-            lambda places, parts: np.zeros((len(parts), 2)),
             np.stack((EDGES[:-1], EDGES[1:])),
             np.full((10, 2), limit),
             np.empty(0),
+            noise=0.0,
             first_only=first_only,
         )
 

@@ -10,6 +10,7 @@ import pytest
 
 import hamsym
 from hamsym import Hamiltonian
+from hamsym.bounds import residual
 from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import march
@@ -240,7 +241,5 @@ def test_infinite_round_off_hides_no_residual(monkeypatch: pytest.MonkeyPatch) -
     checks = WindowChecks(flow, basis, 1e-9)
     # Readouts that do not fit the equations.
     wrong = Windows(windows.edges, windows.states, 1.01 * windows.readouts)
-    monkeypatch.setattr(
-        WindowChecks, "_round_off", lambda *given: np.full((len(given[2]), 2), np.inf)
-    )
+    monkeypatch.setattr(residual, "_round_off", lambda *given: np.full((len(given[2]), 2), np.inf))
     assert checks.first_failure(wrong, windows.scale) is not None
