@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterator
 
 import pytest
+from numba.core import event as numba_events
 
 # Workers of xdist and all other processes that tests start inherit both. A folder that is given
 # from outside may be kept from one run to the next.
@@ -22,8 +23,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 from hamsym.codegen.backends import BACKENDS, runnable
 from hamsym.systems import CATALOGUE, Problem
 
-#: Seconds of processor time beyond which a case is to be marked slow.
-LIMIT = 2.5
+#: Seconds of processor time beyond which a case that is not marked slow fails.
+LIMIT = 3.0
+
+_BEGAN, _SECONDS = pytest.StashKey[float](), pytest.StashKey[float]()
 
 # One system of each form; tests/systems has the others.
 _FEW = [
@@ -51,7 +54,7 @@ def backend(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-# -- slow cases ------------------------------------------------------------------------------------
+# -- slow cases, and the time that each folder takes ----------------------------------------------
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -62,30 +65,72 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def _used() -> float:
-    """Seconds of processor time of this process and of those that have ended in it."""
+    """Return the seconds of processor time of this process and of those that have ended in it."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
 
 
+class _Compiling(numba_events.Listener):
+    """A clock that runs while numba compiles: whichever case comes first pays for all."""
+
+    def __init__(self) -> None:
+        self.seconds, self._depth, self._began = 0.0, 0, 0.0
+
+    def on_start(self, event: numba_events.Event) -> None:
+        if self._depth == 0:
+            self._began = _used()
+        self._depth += 1
+
+    def on_end(self, event: numba_events.Event) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self.seconds += _used() - self._began
+
+
+_COMPILING = _Compiling()
+numba_events.register("numba:compiler_lock", _COMPILING)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[object]:
+    item.stash[_BEGAN] = _used()
+    return (yield)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    began = _used()
+    began, compiled = _used(), _COMPILING.seconds
     try:
         return (yield)
     finally:
-        item.user_properties.append(("cpu", _used() - began))
+        item.stash[_SECONDS] = _used() - began - (_COMPILING.seconds - compiled)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Iterator[pytest.TestReport]:
+    report = yield
+    if call.when == "call" and report.passed and "slow" not in report.keywords:
+        seconds = item.stash[_SECONDS]
+        if not seconds <= LIMIT:
+            report.outcome = "failed"
+            report.longrepr = (
+                f"{item.nodeid} took {seconds:.1f} s of processor time; "
+                f"make it faster than {LIMIT:g} s, or mark it slow"
+            )
+    if call.when == "teardown":
+        report.user_properties.append(("cpu", _used() - item.stash[_BEGAN]))
+    return report
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    found = {
-        report.nodeid: seconds
-        for outcome in ("passed", "failed")
-        for report in terminalreporter.getreports(outcome)
-        if report.when == "call" and "slow" not in report.keywords
-        for name, seconds in report.user_properties
-        if name == "cpu" and not seconds <= LIMIT
-    }
-    if found:
-        terminalreporter.section(f"more than {LIMIT:g} CPU s, not marked slow", yellow=True)
-        for nodeid, seconds in sorted(found.items(), key=lambda pair: -pair[1]):
-            terminalreporter.line(f"{seconds:6.1f} s  {nodeid}")
+    """Print the processor time of each folder, with fixtures and compilation."""
+    rooms: dict[str, float] = {}
+    for report in (r for found in terminalreporter.stats.values() for r in found):
+        if getattr(report, "when", None) == "teardown":
+            room = report.nodeid.split("::")[0].removeprefix("tests/").split("/")[0]
+            rooms[room] = rooms.get(room, 0.0) + dict(report.user_properties).get("cpu", 0.0)
+    terminalreporter.section(f"{sum(rooms.values()):.0f} CPU s, by folder")
+    ordered = sorted(rooms.items(), key=lambda pair: -pair[1])
+    terminalreporter.line(", ".join(f"{room} {seconds:.0f}" for room, seconds in ordered))
