@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import atexit
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from numba.core import event as numba_events
 
-# Workers of xdist and all other processes that tests start inherit both. A folder that is given
-# from outside may be kept from one run to the next.
-if "HAMSYM_CACHE_DIR" not in os.environ:
-    os.environ["HAMSYM_CACHE_DIR"] = tempfile.mkdtemp(prefix="hamsym-tests-")
-    atexit.register(shutil.rmtree, os.environ["HAMSYM_CACHE_DIR"], ignore_errors=True)
+# Compiled code is kept from one run to the next, beside what pytest keeps. Workers of xdist and all
+# other processes that tests start inherit the folder.
+os.environ.setdefault(
+    "HAMSYM_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "hamsym")
+)
 # Workers side by side, each with as many threads as there are cores, would wait for each other.
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -58,10 +56,19 @@ def backend(request: pytest.FixtureRequest) -> str:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    sampled: dict[tuple[str, str], list[pytest.Item]] = {}
     for item in items:
         mark = item.get_closest_marker("slow_cases")
         if mark is not None and item.callspec.id in mark.args:  # type: ignore[attr-defined]
             item.add_marker(pytest.mark.slow)
+        if item.get_closest_marker("sampled") and not item.get_closest_marker("slow"):
+            test = item.originalname  # type: ignore[attr-defined]
+            sampled.setdefault((str(item.path), test), []).append(item)
+    for cases in sampled.values():
+        (count,) = cases[0].get_closest_marker("sampled").args  # type: ignore[union-attr]
+        kept = {i * len(cases) // count for i in range(count)}
+        for i in {*range(len(cases))} - kept:
+            cases[i].add_marker(pytest.mark.slow)
 
 
 def _used() -> float:

@@ -249,7 +249,7 @@ def every_function() -> tuple[Hamiltonian, np.ndarray]:
     return H, z
 
 
-@pytest.mark.slow_cases("numba")
+@pytest.mark.slow_cases("torch", "numba")
 def test_every_function_in_every_backend(
     every_function: tuple[Hamiltonian, np.ndarray], backend: str
 ) -> None:
@@ -517,6 +517,7 @@ AWKWARD = [
 ]
 
 
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize(("formula", "parameters"), AWKWARD)
 def test_reserved_names_are_usable_in_formulas(
     formula: str,
@@ -544,6 +545,7 @@ def test_reserved_names_are_usable_in_formulas(
             np.testing.assert_allclose((first - z[0]) / 1e-3, z[0] - residual[0], atol=0.1)
 
 
+@pytest.mark.slow_cases("numba")
 def test_large_systems_extract_common_subexpressions(backend: str) -> None:
     """Results with temporaries equal sympy's."""
     terms = " + ".join(f"exp(-(q{i} - q{i + 1})**2)*cos(q{i} - q{i + 1})" for i in range(1, 8))
@@ -609,7 +611,7 @@ def test_lines_end_before_products_but_not_inside_powers(length: int) -> None:
 
 
 def test_sources_do_not_depend_on_the_process() -> None:
-    formula = "*".join(f"sin(q{i} + p{i})" for i in range(9))
+    formula = "*".join(f"sin(q{i} + p{i})" for i in range(5))
     script = f"import hamsym; print(hamsym.Hamiltonian('{formula}').source('numpy'))"
     texts = [
         subprocess.run(
@@ -716,7 +718,7 @@ print(float(generated.hessian(z).sum()))
 """
 
 
-@pytest.mark.slow_cases("torch", "jax")
+@pytest.mark.slow_cases("numba", "torch", "jax")
 def test_source_file_runs_without_hamsym(backend: str, tmp_path: Path) -> None:
     H = Hamiltonian("p**2/2 + x**4/4 + erf(x) + x*p")
     (tmp_path / "generated.py").write_text(H.source(backend), encoding="utf-8")

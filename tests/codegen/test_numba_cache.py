@@ -24,6 +24,7 @@ from hamsym.symbolic import derivatives
 from hamsym.systems import CATALOGUE
 
 
+@pytest.mark.slow_cases("double_pendulum", "kepler")
 @pytest.mark.parametrize("name", ["driven_oscillator", "kepler", "double_pendulum"])
 def test_compiled_and_plain_march_agree(name: str) -> None:
     problem = CATALOGUE[name]()

@@ -229,10 +229,12 @@ def check(H: Hamiltonian, call: Caller, z: np.ndarray, **close: float) -> None:
             np.testing.assert_allclose(found, value, **close, err_msg=name)
 
 
+@pytest.mark.sampled(12)
 def test_all_functions_match_sympy(problem: Problem, caller: Callable[..., Caller]) -> None:
     check(problem.H, caller(problem.H), states(problem.H, np.array(problem.z0), count=2))
 
 
+@pytest.mark.slow_cases("c")
 def test_every_function_of_formulas(caller: Callable[..., Caller]) -> None:
     H = sum_of_formulas()
     call, n = caller(H), len(FORMULAS)
@@ -271,6 +273,7 @@ NAMES = [
 ]
 
 
+@pytest.mark.sampled(25)
 @pytest.mark.parametrize(("formula", "parameters"), NAMES)
 def test_reserved_names_are_usable(
     formula: str | sympy.Expr, parameters: dict[str, float], caller: Callable[..., Caller]

@@ -134,6 +134,7 @@ def _share_of_allowed(solution: Any, times: np.ndarray, exact: np.ndarray, tol: 
     return float((np.abs(solution(times) - exact) / np.abs(exact).max(axis=0)).max() / tol)
 
 
+@pytest.mark.slow
 def test_error_is_followed_through_many_close_passages() -> None:
     """It grows by orders of magnitude and shrinks again in each of them."""
     times, exact = _ellipse(0.9965, 3.9, 3.9 + 28 * np.pi, 4.75)

@@ -385,6 +385,7 @@ def test_kink_of_the_force_succeeds() -> None:
     assert true_error(solution, truth).max() <= 1e-6
 
 
+@pytest.mark.slow_cases("atan2(y, x)-True", "x*atan2(y, x)-False")
 @pytest.mark.parametrize(
     ("potential", "smooth"),
     [
@@ -594,6 +595,7 @@ def _check_random_starts(name: str, count: int) -> None:
     assert successes > 0.8 * count
 
 
+@pytest.mark.slow_cases("double_pendulum", "kepler")
 @pytest.mark.parametrize("name", ["henon_heiles", "kepler", "double_pendulum", "quartic"])
 def test_success_is_never_false(name: str) -> None:
     _check_random_starts(name, 6)

@@ -162,6 +162,7 @@ def test_small_step_of_a_large_potential_is_a_jump() -> None:
     assert "H jumps at t = 0.69" in solution.message
 
 
+@pytest.mark.slow_cases("1e-20/sin(x)**2-z06", "1e-20*tan(x)**2-z01")
 @pytest.mark.parametrize(
     ("wall", "z0"),
     [
@@ -180,6 +181,7 @@ def test_poles_are_not_tunnelled_through(wall: str, z0: list[float]) -> None:
     assert not solution.success or solution(3.0)[1] == pytest.approx(-z0[1], abs=1e-5)
 
 
+@pytest.mark.slow_cases("(cos(t - 3.37)**2)**m-0.0001772453850905516")
 @pytest.mark.parametrize(
     ("pulse", "impulse"),
     [

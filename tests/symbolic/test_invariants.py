@@ -351,6 +351,8 @@ def bracket(f: np.ndarray, h: np.ndarray) -> mpmath.mpf:
         return abs(mpmath.fsum(terms)) / (1 + max(abs(term) for term in terms))
 
 
+@pytest.mark.slow_cases("Calogero-Moser", "open Toda of four")
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("name", KNOWN)
 def test_published_invariants_are_found(name: str) -> None:
     formula, degree, published = KNOWN[name]
@@ -377,6 +379,7 @@ def test_published_invariants_are_found(name: str) -> None:
         assert rank == sum(invariant.independent for invariant in found) + (H.time is None)
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("name", NONE)
 def test_nothing_is_found_where_nothing_is_known(name: str) -> None:
     formula, degree = NONE[name]

@@ -49,7 +49,8 @@ def random_lagrangian(seed: int) -> tuple[sympy.Expr, list[sympy.Expr]]:
     return expr, q
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, pytest.param(4, marks=pytest.mark.slow), 6, 7, 8])
+@pytest.mark.slow_cases("2", "3", "4", "7")
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 6, 7, 8])
 def test_equations_equal_those_of_euler_and_lagrange(seed: int) -> None:
     expr, q = random_lagrangian(seed)
     v = [coordinate.diff(TIME) for coordinate in q]
@@ -135,15 +136,17 @@ def test_transform_of_quadratic_lagrangians(text: str, expected: str) -> None:
     ("text", "expected"),
     [
         ("-m*c**2*sqrt(1 - xdot**2/c**2) - k*x", "m*c**2*sqrt(1 + p_x**2/(m*c)**2) + k*x"),
-        (
+        pytest.param(
             "-m*c**2*sqrt(1 - (xdot**2 + ydot**2)/c**2) + e*(x*ydot - y*xdot)",
             "m*c**2*sqrt(1 + ((p_x + e*y)**2 + (p_y - e*x)**2)/(m*c)**2)",
+            marks=pytest.mark.slow,
         ),
         ("exp(xdot) - x", "p_x*(log(p_x) - 1) + x"),
         ("sqrt(1 + xdot**2)", "-sqrt(1 - p_x**2)"),
-        (
+        pytest.param(
             "-sqrt(1 - xdot**2) - m*sqrt(1 - ydot**2) + zdot**2/2 + zdot*x",
             "sqrt(1 + p_x**2) + m*sqrt(1 + p_y**2/m**2) + (p_z - x)**2/2",
+            marks=pytest.mark.slow,
         ),
     ],
 )
@@ -482,6 +485,7 @@ def test_values_of_parameters_that_make_the_mass_matrix_singular_are_refused() -
         _ = Hamiltonian("p_x**2/2 + k*p_y**2/2 + x*y", parameters={"k": 0}).lagrangian
 
 
+@pytest.mark.slow
 def test_relativistic_electron_in_units_of_the_si_has_a_lagrangian() -> None:
     m, c = 9.1e-31, 299792458.0
     H = Hamiltonian("c*sqrt(m**2*c**2 + p_x**2 + p_y**2) + x*y", parameters={"m": m, "c": c})

@@ -138,6 +138,8 @@ def test_exact_solution_solves_the_equations(name: str) -> None:
     np.testing.assert_allclose(slope, flow, atol=1e-8)
 
 
+@pytest.mark.slow_cases("point_vortices 7-forwards")
+@pytest.mark.sampled(40)
 @pytest.mark.parametrize("end", [1, -1], ids=["forwards", "backwards"])
 @pytest.mark.parametrize("name", EXACT)
 def test_exact_solution_agrees_with_integration(name: str, end: int) -> None:
