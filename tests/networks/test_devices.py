@@ -36,7 +36,7 @@ def no_default_device() -> Iterator[None]:
     torch.set_default_device(None)
 
 
-@pytest.mark.slow_cases("levenberg-marquardt-True")
+@pytest.mark.slow_cases("adam-False", "lbfgs-False", "levenberg-marquardt-True")
 @pytest.mark.parametrize(
     ("method", "own"), [*((method, False) for method in BRIEF), ("levenberg-marquardt", True)]
 )

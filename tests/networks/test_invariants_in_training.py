@@ -73,6 +73,7 @@ def test_slopes_of_rows_are_their_derivatives() -> None:
             assert torch.allclose(found[k], exact, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.slow_cases("ssbroyden", "lbfgs")
 @pytest.mark.parametrize("method", QUICK)
 def test_every_method_takes_the_penalty(method: str) -> None:
     options = {"hidden": (6,), "points": 10, **QUICK[method]}
@@ -108,15 +109,16 @@ def test_cyclic_momenta_are_constant_in_every_layout(options: dict[str, Any]) ->
     assert (solution(np.linspace(0, 2, 21))[:, 2] == 1.1).all()
 
 
-def test_cyclic_momenta_of_an_own_network_are_constant() -> None:
+@pytest.mark.slow_cases("adam")
+@pytest.mark.parametrize("method", ["adam", "levenberg-marquardt"])
+def test_cyclic_momenta_of_an_own_network_are_constant(method: str) -> None:
     module = torch.nn.Sequential(torch.nn.Linear(1, 6), torch.nn.Tanh(), torch.nn.Linear(6, 4))
-    for method in ("adam", "levenberg-marquardt"):
-        solution = hamsym.solve(
-            POLAR, Z0, (0, 2), method=method, trial=module, points=5, **QUICK[method]
-        )
-        again = pickle.loads(pickle.dumps(solution))
-        for own in (solution, again):
-            assert (own(np.linspace(0, 2, 21))[:, 2] == 1.1).all()
+    solution = hamsym.solve(
+        POLAR, Z0, (0, 2), method=method, trial=module, points=5, **QUICK[method]
+    )
+    again = pickle.loads(pickle.dumps(solution))
+    for own in (solution, again):
+        assert (own(np.linspace(0, 2, 21))[:, 2] == 1.1).all()
 
 
 def test_cyclic_momenta_of_a_march_are_constant() -> None:

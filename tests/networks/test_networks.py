@@ -34,6 +34,7 @@ def accurate(name: str) -> tuple[Problem, np.ndarray, np.ndarray]:
     return problem, t, hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-11, seed=5)(t)
 
 
+@pytest.mark.slow
 def test_least_squares_on_the_papers_oscillator() -> None:
     problem, t, truth = accurate("nonlinear_oscillator")
     solution = hamsym.solve(
@@ -114,7 +115,12 @@ def test_time_dependent_and_penalised_by_least_squares() -> None:
 # -- rules for stopping ----------------------------------------------------------------------------
 
 
-@pytest.mark.slow_cases("levenberg-marquardt-target_error-0.01", "adam-target_loss-0.001")
+@pytest.mark.slow_cases(
+    "lbfgs-target_loss-0.001",
+    "ssbroyden-target_loss-0.001",
+    "levenberg-marquardt-target_error-0.01",
+    "adam-target_loss-0.001",
+)
 @pytest.mark.parametrize(
     ("method", "option", "value"),
     [
@@ -331,6 +337,7 @@ def test_initial_weights_of_another_network_are_rejected(change, message):
             hamsym.solve(H, [1.0, 0.0], (0, 2), initial=other, **options)
 
 
+@pytest.mark.slow_cases("options1")
 @pytest.mark.parametrize("options", [{}, {"target_error": 0.005}])
 def test_network_across_potential_step_fails(options: dict) -> None:
     solution = hamsym.solve(

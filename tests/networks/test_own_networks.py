@@ -355,7 +355,7 @@ def test_wrong_rates_are_never_a_success() -> None:
             return self.inner(x) + self.gain * hidden
 
     solution = hamsym.solve(
-        H, [1, 0], (0, 1), method="levenberg-marquardt", trial=Later(), points=20, iterations=40
+        H, [1, 0], (0, 1), method="levenberg-marquardt", trial=Later(), points=12, iterations=20
     )
     defect = rate_defect(solution.trial, solution.span)
     assert defect.max() > 1e-6

@@ -174,6 +174,7 @@ def test_points_are_uniform_without_a_usable_residual(value: float) -> None:
     np.testing.assert_allclose(points, (np.arange(400) + 0.5) / 400, atol=2e-3)
 
 
+@pytest.mark.slow_cases("adam", "lbfgs")
 @pytest.mark.parametrize("method", BRIEF)
 def test_training_draws_points_by_the_residual(method: str) -> None:
     options = {"method": method, "hidden": (8,), "points": 20, **BRIEF[method]}
@@ -197,6 +198,7 @@ def killed(state: TrainingState) -> None:
         raise KilledError
 
 
+@pytest.mark.slow_cases("adam", "lbfgs")
 @pytest.mark.parametrize("method", BRIEF)
 def test_sampling_resumes_to_the_same_bits(method: str, tmp_path: Path) -> None:
     options = {"method": method, "hidden": (5,), "points": 10, "sampling": "residual"}

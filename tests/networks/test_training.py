@@ -300,6 +300,7 @@ def test_patience_ends_training() -> None:
     assert 120 <= training.iterations < 300
 
 
+@pytest.mark.slow_cases("ssbroyden", "lbfgs")
 def test_sequential_training_grows_the_span(optimizer) -> None:
     seen: list[float] = []
 
@@ -434,6 +435,7 @@ def _below(level: float) -> Criterion:
     return Criterion("error", level, is_met)
 
 
+@pytest.mark.slow_cases("lbfgs-iterations", "ssbroyden-iterations")
 @pytest.mark.parametrize(
     "stopping",
     [

@@ -52,6 +52,7 @@ def test_converges_to_the_exact_solution(solution: Solution) -> None:
     assert solution(0.0).tolist() == [1.0, 0.0]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "name",
     [*SMALL, *(pytest.param(name, marks=pytest.mark.slow) for name in sorted(LARGE))],
@@ -109,6 +110,7 @@ def test_ell_max_is_over_continuous_time(solution: Solution) -> None:
     assert solution.ell_max_regularized == solution.ell_max
 
 
+@pytest.mark.slow_cases("1000")
 @pytest.mark.parametrize("epochs", [100, 1000])
 def test_error_estimate_is_the_error(epochs: int) -> None:
     """For poor networks as for good ones, against the exact solution."""
@@ -126,6 +128,7 @@ def test_error_estimate_is_the_error(epochs: int) -> None:
     assert solution.success == (solution.relative_error_estimate <= 0.01)
 
 
+@pytest.mark.slow
 def test_error_estimate_is_infinite_beyond_an_escape() -> None:
     H = Hamiltonian("p**2/2 - x**4/4")
     solution = hamsym.solve(H, [1.0, 1.0], (0, 3), **{**QUICK, "epochs": 50})
@@ -198,6 +201,7 @@ def test_time_dependent_hamiltonian() -> None:
         hamsym.solve(H, [0.0, 0.0], (0, 2), **QUICK, energy_weight=1.0)
 
 
+@pytest.mark.slow_cases("options1", "options2")
 @pytest.mark.parametrize(
     "options",
     [
@@ -213,6 +217,7 @@ def test_network_options_lead_to_a_solution(options: dict[str, object]) -> None:
     assert np.abs(solution(t) - problem.exact(t)).max() < 0.05
 
 
+@pytest.mark.slow
 def test_same_seed_same_solution() -> None:
     problem = harmonic_oscillator()
     settings = {"method": "adam", "epochs": 60, "points": 10}
