@@ -332,6 +332,7 @@ def test_hessian_must_exist_at_the_start() -> None:
 # -- figures -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_indicators_are_drawn() -> None:
     problem = henon_heiles()
     found = hamsym.chaos_indicators(problem.H, problem.z0, (0, 500))

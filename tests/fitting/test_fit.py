@@ -268,6 +268,7 @@ def test_models_that_do_not_fit_are_refused(swing: np.ndarray) -> None:
     assert "the model does not fit the data with this sigma" in found.message
 
 
+@pytest.mark.slow
 def test_sigma_near_the_errors_of_the_motion_is_refused(swing: np.ndarray) -> None:
     found = fit_pendulum({"theta": swing[:, 0]}, sigma=1e-6, tol=1e-3)
     assert not found.success
@@ -411,6 +412,7 @@ def test_starts_find_the_frequency_of_many_periods() -> None:
     assert again.parameters == found.parameters
 
 
+@pytest.mark.slow
 def test_minima_that_fit_as_well_are_refused() -> None:
     t, data = tracks(1, 0.05)
     found = hamsym.fit(

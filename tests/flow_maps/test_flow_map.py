@@ -193,6 +193,7 @@ def test_box_is_split_where_degrees_are_large(monkeypatch: pytest.MonkeyPatch) -
     assert worst_ratio(flow) <= flow.excess
 
 
+@pytest.mark.slow
 def test_long_span_is_a_chain_of_legs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(legs, "_LARGEST", 120)
     flow = flow_map(
@@ -238,6 +239,7 @@ def test_more_solutions_than_allowed_are_refused() -> None:
         flow_map(OSCILLATOR, BOX, (0, 4), max_solutions=50)
 
 
+@pytest.mark.slow
 def test_attempts_end_with_the_estimate_of_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the comparison with random points the first attempt is too coarse."""
     monkeypatch.setattr(legs, "_SURPLUS", 300.0)

@@ -74,6 +74,7 @@ def test_family_in_a_parameter_has_the_exact_periods():
     assert family.periods[-1] == pytest.approx(expected, rel=1e-11)
 
 
+@pytest.mark.slow
 def test_fold_of_a_driven_oscillator_is_passed():
     # harmonic balance for the branch out of phase: F = (w^2 - 1) A - 3 A^3/4
     H = hamsym.Hamiltonian("p**2/2 + x**2/2 + x**4/4 - F*x*cos(1.6*t)", parameters={"F": 0.5})

@@ -258,6 +258,7 @@ def test_orbit_across_a_jump_of_H_is_no_success():
     assert smooth.success
 
 
+@pytest.mark.slow
 def test_many_bounces_do_not_stop_the_search():
     # period of a fall from 1: 2 sqrt(2), with a hard floor
     orbit = hamsym.periodic_orbit("p**2/2 + x + 1e-6/x**2", [1.0, 0.0])

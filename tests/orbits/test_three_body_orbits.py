@@ -114,6 +114,7 @@ def stable():
     return hamsym.periodic_orbit(three_bodies("xyz"), STABLE, tol=1e-8)
 
 
+@pytest.mark.slow
 def test_stable_orbit_in_space_is_elliptic(stable):
     assert stable.success
     assert stable.period == pytest.approx(STABLE[1], rel=1e-9)

@@ -258,6 +258,7 @@ def test_errors_below_that_of_the_reference_have_only_bounds() -> None:
     assert "have only bounds" in comparison.summary().replace("\n", " ")
 
 
+@pytest.mark.slow
 def test_errors_below_that_of_dop853_are_against_an_enclosure() -> None:
     problem = kepler(eccentricity=0.6)
     solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-10)

@@ -76,7 +76,7 @@ def test_interrupted_run_resumes_to_the_same_bits(tmp_path, monkeypatch):
         if reports == 2:
             raise KeyboardInterrupt
 
-    settings = {"Adam": ADAM | {"epochs": 150, "checkpoint_every": 1e-9}}
+    settings = {"Adam": ADAM | {"epochs": 50, "checkpoint_every": 1e-9}}
     with monkeypatch.context() as patch:
         patch.setattr(processes, "_REPORT_EVERY", 0.0)
         patch.setattr(Display, "put", interrupt)
@@ -101,6 +101,7 @@ def test_workers_ignore_interrupts():
     assert process.returncode == 0
 
 
+@pytest.mark.slow
 def test_settings_may_depend_on_the_seed(tmp_path):
     first = _sweep(tmp_path, seeds=[1, 2])
     begun = dict(zip(first.seeds, first.solutions["Adam"], strict=True))
