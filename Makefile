@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-portable test-slow test-browser test-wheel coverage lint bench bench-quick tables pictures docs clean
+.PHONY: help demo test test-docs test-portable test-slow test-browser test-wheel coverage lint bench bench-quick tables pictures docs clean
 
 help: ## List what can be done
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed 's/:.*## /: /' | awk -F': ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -19,8 +19,13 @@ $(VENV)/installed: pyproject.toml
 demo: $(VENV)/installed ## Train the paper's oscillator, compare, draw (two minutes)
 	$(BIN)/python examples/oscillator.py --out output
 
-test: $(VENV)/installed ## Run the test suite (six to ten minutes)
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not browser"
+test: $(VENV)/installed ## Run the test suite (three minutes; five when nothing is compiled yet)
+	$(BIN)/python -m tests.compile_first
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not browser" --ignore=tests/docs \
+	    --ignore=tests/cli/test_examples_of_commands.py
+
+test-docs: $(VENV)/installed ## Run the docstrings, pages and examples of the documentation
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not browser" tests/docs tests/cli/test_examples_of_commands.py
 
 # The folders whose tests compute, without files that mostly compile, that these settings do not
 # reach, or whose arithmetic rounds alike on every processor: Arb and single steps of float64.

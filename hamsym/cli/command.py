@@ -114,7 +114,9 @@ class Command(click.Command):
     """
 
     def __init__(self, *arguments: Any, examples: Sequence[str] = (), **settings: Any) -> None:
-        super().__init__(*arguments, **settings)
+        # click keeps the option of the first context, which need not be one of the group.
+        names = {"help_option_names": ["-h", "--help"]}
+        super().__init__(*arguments, **{"context_settings": names, **settings})
         self.examples = tuple(examples)
         self.params.append(
             click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON object.")

@@ -142,6 +142,7 @@ def test_forged_certificate_exits_with_1(capsys: Captured, saved: str) -> None:
     assert "not a certificate" in err
 
 
+@pytest.mark.slow
 def test_certificate_of_a_flow_map_is_verified(capsys: Captured, tmp_path: Path) -> None:
     box = {"x": (1, 1.1), "p": (0, 0.1)}
     flow = hamsym.flow_map("p**2/2 + x**2/2", box, (0, 1), tol=1e-6)

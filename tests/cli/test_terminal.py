@@ -67,7 +67,7 @@ def test_ctrl_c_prints_what_a_training_has(tmp_path: Path) -> None:
     assert "largest estimated error" in out
 
 
-@pytest.mark.slow_cases("arguments1")
+@pytest.mark.slow_cases("arguments0", "arguments1")
 @pytest.mark.parametrize("arguments", [["systems"], ["systems", "--json"], ["--help"]])
 def test_closed_pipes_are_quiet(arguments: list[str]) -> None:
     read, write = os.pipe()

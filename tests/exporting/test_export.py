@@ -182,6 +182,7 @@ def exported(solution: Solution, tmp_path: Path) -> ModuleType:
     return module(tmp_path / "orbit.py")
 
 
+@pytest.mark.sampled(9)
 def test_modules_have_the_values_of_the_solution(solution: Solution, exported: ModuleType) -> None:
     t = times(solution)
     if solution.method == "features":
@@ -344,6 +345,7 @@ def in_javascript(tmp_path: Path) -> Callable[[Solution, np.ndarray], np.ndarray
     return states
 
 
+@pytest.mark.sampled(6)
 def test_javascript_has_the_values_of_the_solution(solution: Solution, in_javascript: Any) -> None:
     t = times(solution)
     close(in_javascript(solution, t), solution, t, 100)

@@ -69,7 +69,7 @@ def trap() -> hamsym.Solution:
 # -- layout ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow_cases("1", "6")
+@pytest.mark.slow_cases("2", "1", "6")
 @pytest.mark.parametrize("dof", [1, 2, 6])
 def test_texts_of_an_overview_do_not_overlap(dof: int) -> None:
     check_layout(moved(dof).plot())
@@ -101,6 +101,7 @@ def test_texts_of_a_failed_solution_do_not_overlap() -> None:
     assert figure.warning.startswith("Failed: stopped at t = 1.31103")
 
 
+@pytest.mark.slow_cases("names0", "names1", "names3")
 @pytest.mark.parametrize("names", [("x",), ("x", "z"), ("x", "p_x"), ("error",), ("energy",)])
 def test_texts_of_one_panel_do_not_overlap(trap: hamsym.Solution, names: tuple[str, ...]) -> None:
     figure = trap.plot(*names)
@@ -165,6 +166,7 @@ def test_only_particles_have_orbits() -> None:
     assert plane_title(polar, "r", "p_r") == "Phase plane of $r$"
 
 
+@pytest.mark.slow
 def test_every_body_has_its_orbit() -> None:
     problem = hamsym.systems.three_bodies()
     figure = hamsym.integrate(problem.H, problem.z0, problem.span, steps=500).plot()
@@ -210,6 +212,7 @@ def chords(axes: Any) -> np.ndarray:
     return np.linalg.norm((path[1:] + path[:-1]) / 2, axis=1)
 
 
+@pytest.mark.slow
 def test_lines_of_many_turns_look_like_curves() -> None:
     H = "p**2/2 + x**2/2"
     solution = hamsym.solve(H, [1, 0], (0, 1_000), tol=1e-6)
@@ -388,6 +391,7 @@ def test_flat_axes_are_refused_for_space() -> None:
         trajectory.plot("x", "y", "z", ax=matplotlib.figure.Figure().subplots())
 
 
+@pytest.mark.slow
 def test_a_trajectory_without_estimate_says_how_to_get_one() -> None:
     with pytest.raises(InputError, match="integrate with tol="):
         moved(1).plot("error")

@@ -79,7 +79,7 @@ def titles(figure: Any) -> list[str]:
 # -- exponents and indicators ----------------------------------------------------------------------
 
 
-@pytest.mark.slow_cases("6-12", "30-7")
+@pytest.mark.slow_cases("30-60", "2-4", "1-2", "6-12", "30-7")
 @pytest.mark.parametrize(("dof", "count"), [(1, 2), (2, 1), (2, 4), (6, 12), (30, 60), (30, 7)])
 def test_exponents_of_any_number_are_laid_out(dof: int, count: int) -> None:
     check_layout(exponents(dof, count, chain(dof)).plot())
@@ -132,6 +132,7 @@ def test_rates_have_the_unit_of_a_reciprocal_time() -> None:
     assert figure.axes[0].get_xlabel() == "time $t$ [s]"
 
 
+@pytest.mark.slow_cases("sali1")
 @pytest.mark.parametrize("sali", [np.geomspace(1, 1e-300, 100), np.zeros(100)])
 def test_indicators_are_laid_out(sali: np.ndarray) -> None:
     t = np.linspace(1, 100, 100)
@@ -159,6 +160,7 @@ def lyapunov_map(shape: tuple[int, ...]) -> LyapunovMap:
     )  # fmt: skip
 
 
+@pytest.mark.slow_cases("shape0")
 @pytest.mark.parametrize("shape", [(7,), (5, 6)])
 def test_starts_without_an_exponent_are_counted(shape: tuple[int, ...]) -> None:
     figure = lyapunov_map(shape).plot()
@@ -267,7 +269,7 @@ def test_level_sets_of_other_momenta_are_refused() -> None:
     assert energy_at_rest(H, np.array([[1.0, 2.0]])) is None
 
 
-@pytest.mark.slow_cases("6", "30")
+@pytest.mark.slow_cases("1", "6", "30")
 @pytest.mark.parametrize("dof", [1, 2, 6, 30])
 def test_equilibria_of_any_size_are_laid_out(dof: int) -> None:
     found = hamsym.equilibria(chain(dof), guess=np.zeros(2 * dof))
@@ -312,7 +314,7 @@ def test_bands_of_an_enclosure_contain_the_solution() -> None:
     check_layout(found.plot())
 
 
-@pytest.mark.slow_cases("2")
+@pytest.mark.slow_cases("6", "2")
 @pytest.mark.parametrize("dof", [2, 6])
 def test_components_that_are_left_out_are_said(dof: int) -> None:
     figure = hamsym.enclose(chain(dof), [0.1] * 2 * dof, (0, 0.1)).plot()
@@ -333,6 +335,7 @@ def certificate(dim: int, **changes: Any) -> Certificate:
     return Certificate(**(values | changes))
 
 
+@pytest.mark.slow_cases("2", "60")
 @pytest.mark.parametrize("dim", [2, 12, 60])
 def test_certificates_are_laid_out(dim: int) -> None:
     figure = certificate(dim, asked=(1e-8,) * dim).plot()
@@ -341,6 +344,7 @@ def test_certificates_are_laid_out(dim: int) -> None:
     np.testing.assert_array_equal(steps.get_data().values, [1e-9, 2e-9])
 
 
+@pytest.mark.slow_cases("changes0", "changes2")
 @pytest.mark.parametrize(
     "changes",
     [
@@ -362,6 +366,7 @@ def test_certificates_are_drawn_with_their_names(components: Any, shown: list[st
     assert [text.get_text() for text in axes.get_xticklabels()] == shown
 
 
+@pytest.mark.slow_cases("names1")
 @pytest.mark.parametrize("names", [("x", "p"), tuple(f"coordinate_{k}" for k in range(24))])
 def test_bounds_over_a_box_are_laid_out(names: tuple[str, ...]) -> None:
     found = BoxCertificate(
@@ -462,6 +467,7 @@ def test_one_panel_is_drawn_into_given_axes(make: Any, names: tuple[str, ...]) -
 # -- sections --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("start0-$x$ at start-entries0")
 @pytest.mark.parametrize(
     ("start", "title", "entries"),
     [
@@ -481,6 +487,7 @@ def test_legend_of_a_section_names_the_starts(start: Any, title: str, entries: l
     assert [text.get_text() for text in legend.get_texts()] == entries
 
 
+@pytest.mark.slow
 def test_directions_are_those_of_each_parameter() -> None:
     H = hamsym.Hamiltonian("k*p**2/2 + x**2/2 + (1 - k)*p", parameters={"k": 1.0})
     found = hamsym.section(H, [0.5, 0.3], (0, 9), "x = 0", dt=0.01, parameters={"k": [1.0, 3.0]})

@@ -55,6 +55,7 @@ def test_second_option_makes_series() -> None:
     assert labels == ["hidden = (8,)", "hidden = (8, 8)"]
 
 
+@pytest.mark.slow
 def test_more_options_are_drawn_by_name_and_said() -> None:
     settings = {f"set ${k}": {"tol": 10.0**-k, "atol": k, "points": k} for k in (3, 4)}
     figure = sweep_of(settings, failed=("set $4",)).plot()

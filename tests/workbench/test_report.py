@@ -82,11 +82,18 @@ def saved(solution: hamsym.Solution, tmp_path: Path) -> Path:
     return tmp_path / "orbit.hamsym"
 
 
+@pytest.fixture(scope="module")
+def page(solution: hamsym.Solution, tmp_path_factory: pytest.TempPathFactory) -> _Page:
+    """The report of the saved solution."""
+    folder = tmp_path_factory.mktemp("report")
+    solution.save(folder / "orbit.hamsym")
+    return page_of(folder / "orbit.hamsym", folder)
+
+
 # -- contents --------------------------------------------------------------------------------------
 
 
-def test_page_is_well_formed_and_fetches_nothing(solution: hamsym.Solution, tmp_path: Path) -> None:
-    page = page_of(solution, tmp_path)
+def test_page_is_well_formed_and_fetches_nothing(page: _Page) -> None:
     assert page.tags[0][0] == "html"
     assert not {"script", "iframe", "img", "object", "form"} & {tag for tag, _ in page.tags}
     policy = next(m for m in page.having("meta") if m.get("http-equiv"))
@@ -102,19 +109,15 @@ def test_page_is_well_formed_and_fetches_nothing(solution: hamsym.Solution, tmp_
         assert (attributes["href"] or "").removeprefix("#") in ids
 
 
-def test_headings_are_in_order(solution: hamsym.Solution, tmp_path: Path) -> None:
-    levels = [
-        int(tag[1]) for tag, _ in page_of(solution, tmp_path).tags if re.match("h[1-6]$", tag)
-    ]
+def test_headings_are_in_order(page: _Page) -> None:
+    levels = [int(tag[1]) for tag, _ in page.tags if re.match("h[1-6]$", tag)]
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(after <= before + 1 for before, after in pairwise(levels))
 
 
-def test_summary_says_error_against_what_was_asked(
-    solution: hamsym.Solution, tmp_path: Path
-) -> None:
-    text = page_of(solution, tmp_path).text
+def test_summary_says_error_against_what_was_asked(solution: hamsym.Solution, page: _Page) -> None:
+    text = page.text
     allowed = solution.settings.allowed(solution.error.scale)
     ratios = solution.largest_error / allowed
     worst = int(np.argmax(ratios))
@@ -124,8 +127,7 @@ def test_summary_says_error_against_what_was_asked(
     assert "Not proven: there is no certificate" in text
 
 
-def test_equations_code_and_lines_are_present(saved: Path, tmp_path: Path) -> None:
-    page = page_of(saved, tmp_path)
+def test_equations_code_and_lines_are_present(page: _Page) -> None:
     assert len(page.having("math")) >= 5
     assert len(page.having("svg")) == 1
     assert page.having("svg")[0]["role"] == "img"
@@ -415,6 +417,7 @@ def test_command_fails_where_nothing_is_proven(
     assert "Not proven" in Path(output).read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_names_that_are_no_text_are_written(solution: hamsym.Solution, tmp_path: Path) -> None:
     file = tmp_path / os.fsdecode(b"orbit-\xff.hamsym")
     solution.save(file)
