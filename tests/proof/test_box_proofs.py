@@ -62,6 +62,7 @@ def test_bound_contains_error_of_harmonic_map(harmonic):
     assert max(found.bound) < 1e-9
 
 
+@pytest.mark.slow
 def test_bound_contains_error_at_random_points(quartic, certificate):
     random = np.random.default_rng(2)
     starts = random.uniform((1.29, 0.99), (1.31, 1.01), (20, 2))

@@ -151,7 +151,7 @@ def assert_holds(certificate, solution, times=None, count=40):
     return float(max(norms))
 
 
-@pytest.mark.slow_cases("levenberg-marquardt")
+@pytest.mark.slow_cases("tanh", "levenberg-marquardt")
 @pytest.mark.parametrize("name", _OPTIONS)
 def test_bounds_hold_and_are_tight(name):
     solution, certificate = solved(name), certified(name)
@@ -212,6 +212,7 @@ def _one_state(trial):
     trial.states[2, 0] *= 1 + 1e-9
 
 
+@pytest.mark.slow_cases("levenberg-marquardt-_one_weight")
 @pytest.mark.parametrize(
     ("name", "change"),
     [
@@ -564,6 +565,7 @@ _HENON = "(px**2 + py**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3"
 _NEAR = math.pi - 1e-6
 
 
+@pytest.mark.slow_cases("p**2/2 - cos(x)-z02-span2-1e-06")
 @pytest.mark.parametrize(
     ("formula", "z0", "span", "tol"),
     [

@@ -86,6 +86,7 @@ def reference(case, times, z0=None, digits=36.0, parameters=None):
 # -- truth -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("powers", "logarithms")
 @pytest.mark.parametrize("name", CASES)
 def test_states_of_the_reference_are_inside(name):
     case = CASES[name]

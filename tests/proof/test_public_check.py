@@ -97,6 +97,7 @@ def test_unchanged_solutions_pass_at_any_times(span):
     check_solution(hamsym.solve("p**2/2 - cos(x)", [1.0, 0.3], span))
 
 
+@pytest.mark.slow_cases("nan", "inf")
 @pytest.mark.parametrize("amount", CHANGES)
 def test_changed_map_has_no_certificate(flow, monkeypatch, amount):
     monkeypatch.setattr(FlowMap, "__call__", shifted(FlowMap.__call__, amount))

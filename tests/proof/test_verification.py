@@ -44,6 +44,7 @@ def case(request):
     return request.getfixturevalue(name), request.getfixturevalue(f"of_{request.param}")
 
 
+@pytest.mark.slow_cases("box")
 def test_certificates_are_read_back_and_verified(case):
     result, certificate = case
     text = certificate.to_json()
@@ -93,6 +94,7 @@ BOXES = {
 }
 
 
+@pytest.mark.slow_cases("tiny")
 @pytest.mark.parametrize("name", BOXES)
 def test_forged_claims_of_boxes_are_not_proven(flow, of_box, name):
     change, reason = BOXES[name]
@@ -100,6 +102,7 @@ def test_forged_claims_of_boxes_are_not_proven(flow, of_box, name):
         hamsym.verify(dataclasses.replace(of_box, **change(of_box)), flow)
 
 
+@pytest.mark.slow
 def test_forged_bounds_with_a_right_checksum_are_not_proven(flow, of_box, tmp_path):
     flow.save(tmp_path / "map.hamsym")
     forged = dataclasses.replace(of_box, bound=(1e-30, 1e-30))

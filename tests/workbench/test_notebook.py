@@ -190,7 +190,18 @@ def tags_of(text: str) -> Tags:
     return found
 
 
-@pytest.mark.slow_cases("Solution in SI", "Comparison", "BoxCertificate", "PeriodicOrbit")
+@pytest.mark.slow_cases(
+    "Solutions that failed",
+    "Trajectory that failed",
+    "Solution by training",
+    "LyapunovExponents",
+    "OrbitFamily",
+    "Trajectory of many",
+    "Solution in SI",
+    "Comparison",
+    "BoxCertificate",
+    "PeriodicOrbit",
+)
 @pytest.mark.parametrize("name", MADE)
 def test_representations_say_what_is_asked_first(name: str) -> None:
     make, texts = MADE[name]
@@ -306,6 +317,7 @@ def test_many_components_are_counted_not_drawn_out() -> None:
     assert "... and 48 components" in representation(trajectory)
 
 
+@pytest.mark.slow
 def test_huge_formulas_are_not_derived(monkeypatch: pytest.MonkeyPatch) -> None:
     x, y, p_x, p_y = sympy.symbols("x y p_x p_y")
     terms = [sympy.sin(k * x) * sympy.cos(k * y) * sympy.exp(-(x**2) / k) for k in range(1, 300)]
