@@ -28,8 +28,7 @@ __all__ = ["legendre_transform"]
 MAX_EFFORT = 20_000_000  # function calls, most of them sympy's; ten seconds
 MAX_SECONDS = 15.0  # of processor time
 # Inverting a matrix ends, so that waiting for it pays; a search for roots may have no end.
-MAX_SEARCH_EFFORT = 3_000_000
-MAX_SEARCH_SECONDS = 4.0
+MAX_SEARCH_EFFORT = 5_000_000  # relativistic Lagrangians take two million
 _DENSE = 3  # size up to which a block is inverted as a whole, without elimination
 _LARGEST = 20_000  # operations of a matrix during its elimination
 _POINTS = 20  # at which a matrix is positive definite
@@ -86,7 +85,7 @@ def legendre_transform(
         with call_limit(MAX_EFFORT, MAX_SECONDS):
             transform = _Transform(expr, slots, duals, state, parameters or {}, name)
             found, others, rest = transform.quadratic()
-        with call_limit(MAX_SEARCH_EFFORT, MAX_SEARCH_SECONDS):
+        with call_limit(MAX_SEARCH_EFFORT, MAX_SECONDS):
             found += transform.others(others, rest)
             _check_finite(expr, found, parameters or {}, name)
             return found

@@ -19,15 +19,6 @@ from .registry import BENCHMARKS
 from .results import read, replace_section
 from .tables import PAGE, filled
 
-_SLOW = {
-    *("certificates", "clusters", "dimension", "enclosures", "first-call", "flow-map-estimates"),
-    *("flow-map-peers", "flow-map-queries", "flow-maps", "implicit", "networks", "periodic-orbits"),
-    *("trained-networks", "training-optimisers", "training-peers", "work-precision"),
-}
-_CASES = [
-    pytest.param(name, marks=pytest.mark.slow if name in _SLOW else ()) for name in BENCHMARKS
-]
-
 
 def _numbers(value: Any) -> list[float]:
     if isinstance(value, dict):
@@ -37,7 +28,8 @@ def _numbers(value: Any) -> list[float]:
     return [value] if isinstance(value, float) else []
 
 
-@pytest.mark.parametrize("name", _CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BENCHMARKS)
 def test_quick_run_fills_its_section(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
