@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import platform
 import sys
-from pathlib import Path
 
 _X86 = platform.machine().lower() in ("x86_64", "amd64")
 
@@ -37,8 +36,6 @@ def settings() -> dict[str, str]:
     }
     if _X86:  # sin, exp and others of glibc, which Python, scipy and numba call
         chosen["GLIBC_TUNABLES"] = "glibc.cpu.hwcaps=-AVX2,-AVX,-FMA,-FMA4"
-    if "HAMSYM_CACHE_DIR" in os.environ:  # else tests/conftest.py makes one for the run
-        chosen["HAMSYM_CACHE_DIR"] = str(Path(os.environ["HAMSYM_CACHE_DIR"]) / "older_processor")
     return chosen
 
 
