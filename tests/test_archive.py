@@ -55,7 +55,7 @@ def same_everywhere(one: hamsym.Solution, other: hamsym.Solution) -> None:
         np.testing.assert_array_equal(value, getattr(other.history, name), name)
 
 
-@pytest.mark.slow_cases("lbfgs")
+@pytest.mark.slow_cases("adam", "ssbroyden", "float32", "lbfgs")
 @pytest.mark.parametrize("method", METHODS)
 def test_exact_to_the_last_bit(method: str, tmp_path: Path) -> None:
     problem = hamsym.systems.nonlinear_oscillator()

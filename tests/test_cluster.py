@@ -34,6 +34,17 @@ def random_starts(count: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
+    """Two workers in this process, which start at once."""
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0"}
+    with (
+        distributed.LocalCluster(**options, processes=False, silence_logs=50) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield client
+
+
+@pytest.fixture(scope="module")
+def processes() -> Iterator[Any]:
     """Two processes, which are started again after they are killed."""
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0"}
     with (
@@ -102,32 +113,33 @@ def test_size_of_chunks_changes_no_bit(
 
 
 @pytest.mark.slow  # a worker is started again
-def test_killed_worker_loses_nothing(client: Any, tmp_path: Path) -> None:
+def test_killed_worker_loses_nothing(processes: Any, tmp_path: Path) -> None:
     pytest.importorskip("zarr")
     starts = random_starts(600)
 
     def kill() -> None:
-        os.kill(next(iter(client.run(os.getpid).values())), 9)
+        os.kill(next(iter(processes.run(os.getpid).values())), 9)
 
     with after_members(100, kill) as reports:
-        found = hamsym.solve_many(HENON, starts, SPAN, client=client, zarr=tmp_path / "a.zarr")
+        found = hamsym.solve_many(HENON, starts, SPAN, client=processes, zarr=tmp_path / "a.zarr")
     assert sum(reports) == 600
     here = hamsym.solve_many(HENON, starts, SPAN)
     same_solutions(found, here)
     same_solutions(hamsym.load(tmp_path / "a.zarr"), here)
 
 
-def test_interrupted_store_is_completed(client: Any, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_interrupted_store_is_completed(processes: Any, tmp_path: Path) -> None:
     pytest.importorskip("zarr")
     starts, path = random_starts(600), tmp_path / "a.zarr"
     with after_members(150, interrupt):
-        part = hamsym.solve_many(HENON, starts, SPAN, client=client, zarr=path)
+        part = hamsym.solve_many(HENON, starts, SPAN, client=processes, zarr=path)
     done = part.success
     assert 0 < done.sum() < 600
     assert set(part.message[~done]) == {"interrupted"}
     parts = {entry: entry.stat().st_mtime_ns for entry in (path / "parts").glob("0*")}
     with after_members(10_000, interrupt) as reports:
-        found = hamsym.solve_many(HENON, starts, SPAN, client=client, zarr=path)
+        found = hamsym.solve_many(HENON, starts, SPAN, client=processes, zarr=path)
     assert reports[0] >= done.sum()  # members that are not solved again
     assert sum(reports) == 600
     again = {entry: entry.stat().st_mtime_ns for entry in (path / "parts").glob("0*")}
@@ -136,7 +148,7 @@ def test_interrupted_store_is_completed(client: Any, tmp_path: Path) -> None:
     same_solutions(found, here)
     same_solutions(hamsym.load(path), here)
     with pytest.raises(FileError, match="or the arguments with which this one was begun"):
-        hamsym.solve_many(HENON, starts, SPAN, tol=1e-8, client=client, zarr=path)
+        hamsym.solve_many(HENON, starts, SPAN, tol=1e-8, client=processes, zarr=path)
 
 
 def test_store_that_workers_do_not_reach(
@@ -176,23 +188,24 @@ def test_crossings_equal_those_of_a_local_run(client: Any) -> None:
 
 
 @pytest.mark.slow  # workers import torch
-def test_sweep_of_settings_on_a_cluster(client: Any, tmp_path: Path) -> None:
+def test_sweep_of_settings_on_a_cluster(processes: Any, tmp_path: Path) -> None:
     adam = {"method": "adam", "epochs": 60, "points": 20, "hidden": (8, 8)}
     arguments = "p**2/2 + x**2/2", [1.0, 0.0], (0, 2), {"adam": adam, "march": {}}
     here = hamsym.sweep(*arguments, folder=tmp_path / "here", seeds=[3], workers=1)
-    there = hamsym.sweep(*arguments, folder=tmp_path / "there", seeds=[3], client=client)
+    there = hamsym.sweep(*arguments, folder=tmp_path / "there", seeds=[3], client=processes)
     for name in ("adam", "march"):
         one, other = here.solutions[name][0], there.solutions[name][0]
         assert (one([0.5, 2.0]) == other([0.5, 2.0])).all()
 
 
-def test_sweep_over_a_grid_on_a_cluster(client: Any, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_sweep_over_a_grid_on_a_cluster(processes: Any, tmp_path: Path) -> None:
     for package in ("zarr", "xarray"):
         pytest.importorskip(package)
     arguments = "p**2/2 + k*x**2/2", [1.0, 0.0], (0, 5)
     options: dict[str, Any] = {"over": {"k": [1.0, 2.0], "x": [0.5, 1.0, 1.5]}, "chunk": 2}
     here = hamsym.sweep(*arguments, store=tmp_path / "here.zarr", **options)
-    there = hamsym.sweep(*arguments, store=tmp_path / "there.zarr", client=client, **options)
+    there = hamsym.sweep(*arguments, store=tmp_path / "there.zarr", client=processes, **options)
     assert here.complete
     assert there.complete
     assert here.open().equals(there.open())
@@ -239,20 +252,25 @@ def test_errors_on_workers_are_repeated(client: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow  # workers are started again
-def test_members_that_kill_workers_are_named(client: Any) -> None:
+def test_members_that_kill_workers_are_named(processes: Any) -> None:
     """Members that were on the same worker are not blamed."""
-    client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
+    processes.run_on_scheduler(
+        lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0)
+    )
     with pytest.raises(HamsymError, match="members 30 to 39 ended the worker .* each time"):
-        list(cluster_results(client, _dies_at_three, None, _numbers(5)))
-    client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 3))
+        list(cluster_results(processes, _dies_at_three, None, _numbers(5)))
+    processes.run_on_scheduler(
+        lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 3)
+    )
 
 
-def test_closing_cancels_what_is_left(client: Any) -> None:
+@pytest.mark.slow
+def test_closing_cancels_what_is_left(processes: Any) -> None:
     members = ensemble_of(HENON, random_starts(20))
-    results = members_on_cluster(client, _slow, None, members)
+    results = members_on_cluster(processes, _slow, None, members)
     next(results)
     results.close()
-    assert not client.futures
+    assert not processes.futures
 
 
 def _slow(_: None, numbers: np.ndarray, members: Any) -> int:

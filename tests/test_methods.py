@@ -45,6 +45,7 @@ def method(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
     solver_options._solver_parameters.cache_clear()
 
 
+@pytest.mark.slow_cases("adam", "lbfgs", "ssbroyden")
 def test_command_line_solves_and_saves(
     method: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -65,6 +65,7 @@ def solved(name: str) -> hamsym.Solution:
     return hamsym.solve(H, z0, span, **options)
 
 
+@pytest.mark.slow_cases("network")
 @pytest.mark.parametrize("name", CASES)
 def test_lines_of_python_give_the_same_solution(name: str) -> None:
     solution = solved(name)

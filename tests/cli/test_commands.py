@@ -163,6 +163,7 @@ def test_source_to_a_file(capsys: Captured, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.slow
 def test_solve_reports_and_draws(capsys: Captured, tmp_path: Path) -> None:
     figure = tmp_path / "s.png"
     status, out, err = run(capsys, "solve", *SOLVE, *QUICK, "--plot", str(figure), "--analysis")
@@ -223,6 +224,7 @@ def test_solve_to_a_tolerance(capsys: Captured, tmp_path: Path) -> None:
     assert out.startswith("stopped at t = 1.31103: ")
 
 
+@pytest.mark.slow
 def test_compare_prints_the_table(capsys: Captured, tmp_path: Path) -> None:
     figure = tmp_path / "c.svg"
     status, out, _ = run(capsys, "compare", *SOLVE, *QUICK, "--plot", str(figure))
@@ -358,6 +360,7 @@ def test_lyapunov_prints_its_statement(capsys: Captured, tmp_path: Path) -> None
     assert figure.read_bytes()[1:4] == b"PNG"
 
 
+@pytest.mark.slow
 def test_lyapunov_prints_indicators(capsys: Captured, tmp_path: Path) -> None:
     path, figure = tmp_path / "history.csv", tmp_path / "history.png"
     arguments = [HENON_HEILES, "--z0", "0.3,-0.3,0.3,0.15", "--t-end", "1e3", "--indicators"]
@@ -395,6 +398,7 @@ def test_lyapunov_of_several_starts(capsys: Captured, tmp_path: Path) -> None:
     assert "the states overflowed" in " ".join(out.split())
 
 
+@pytest.mark.slow
 def test_section_of_an_ensemble(capsys: Captured, tmp_path: Path) -> None:
     path, figure = tmp_path / "section.npz", tmp_path / "section.png"
     arguments = [HENON_HEILES, "--z0", "x=0,y=-0.15,p_y=0", "--z0", "x=0,y=0.1,p_y=0"]
@@ -676,6 +680,7 @@ def test_closed_pipe_is_not_an_error() -> None:
     assert result.stderr == ""
 
 
+@pytest.mark.slow
 def test_initial_weights_from_a_file(tmp_path, capsys):
     first, second = str(tmp_path / "first"), str(tmp_path / "second")
     settings = ["--method", "adam", "--hidden", "6,6", "--points", "20", "--target-loss", "1e9"]

@@ -364,6 +364,7 @@ def test_functions_without_enclosure_are_found_but_not_proven() -> None:
         equilibria(H, box=line((0.5, 2)))
 
 
+@pytest.mark.slow
 def test_symbols_without_value_are_allowed_in_closed_forms() -> None:
     found = equilibria("p**2/2 - k*x**2/2 + g*x**4/4")
     assert len(found) == 3
@@ -375,6 +376,7 @@ def test_symbols_without_value_are_allowed_in_closed_forms() -> None:
         equilibria("p**2/2 + x**2 + cos(a*x)*x")
 
 
+@pytest.mark.slow
 def test_text_fits_the_terminal() -> None:
     for found in (
         equilibria("p**2/2 - cos(x)", box=line((-10, 10))),

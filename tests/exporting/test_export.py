@@ -182,6 +182,7 @@ def exported(solution: Solution, tmp_path: Path) -> ModuleType:
     return module(tmp_path / "orbit.py")
 
 
+@pytest.mark.slow_cases("thirty degrees of freedom")
 @pytest.mark.sampled(9)
 def test_modules_have_the_values_of_the_solution(solution: Solution, exported: ModuleType) -> None:
     t = times(solution)
@@ -199,6 +200,7 @@ def test_modules_have_the_values_of_the_solution(solution: Solution, exported: M
     assert exported.SUCCESS is bool(solution.success)
 
 
+@pytest.mark.slow_cases("networks, sigmoid, linear, float32")
 def test_modules_start_exactly(solution: Solution, exported: ModuleType) -> None:
     np.testing.assert_array_equal(exported.state(solution.span[0]), solution(solution.span[0]))
 

@@ -589,6 +589,7 @@ def test_values_fixed_by_the_user_are_inputs_of_a_flow_map() -> None:
 # -- results ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_figures_show_data_and_residuals(swing: np.ndarray) -> None:
     found = fit_pendulum({"theta": swing[:, 0] + noise(0.02), "p": swing[:, 1] + noise(0.02)})
     figure = found.plot()

@@ -84,6 +84,7 @@ def assert_covered(found: Fit, truth: dict[str, float], share: float, sets: np.n
 # -- curvature -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("None")
 @pytest.mark.parametrize("sigma", [0.8, None])
 def test_intervals_of_curved_models_cover(sigma: float | None) -> None:
     found = fit_swing(noisy(600), sigma)

@@ -134,6 +134,7 @@ def test_least_damping_is_that_of_the_precision() -> None:
     assert 1e-6 < least[torch.float32] < 1e-5
 
 
+@pytest.mark.slow
 def test_float32_resumes_to_the_same_bits(tmp_path: Path) -> None:
     options = {"method": "levenberg-marquardt", "dtype": "float32", **SMALL}
     whole = hamsym.solve(H, [1, 0], (0, 3), iterations=20, **options)

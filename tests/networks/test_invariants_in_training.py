@@ -73,7 +73,7 @@ def test_slopes_of_rows_are_their_derivatives() -> None:
             assert torch.allclose(found[k], exact, rtol=1e-12, atol=1e-13)
 
 
-@pytest.mark.slow_cases("ssbroyden", "lbfgs")
+@pytest.mark.slow_cases("adam", "ssbroyden", "lbfgs")
 @pytest.mark.parametrize("method", QUICK)
 def test_every_method_takes_the_penalty(method: str) -> None:
     options = {"hidden": (6,), "points": 10, **QUICK[method]}

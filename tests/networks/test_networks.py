@@ -63,6 +63,7 @@ def test_least_squares_from_every_seed(name: str) -> None:
     assert sorted(errors)[7] <= 1e-7  # eight of ten
 
 
+@pytest.mark.slow
 def test_least_squares_independent_of_time_unit() -> None:
     settings = {"method": "levenberg-marquardt", "iterations": 60, **SMALL}
     slow = Hamiltonian("(p**2/2 + x**2/2 + x**4/4)/1000")

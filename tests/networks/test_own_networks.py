@@ -73,7 +73,7 @@ def test_module_trains_as_the_network_that_it_copies(optimizer: type) -> None:
     assert losses[0][-1] < losses[0][0]
 
 
-@pytest.mark.slow_cases("lbfgs", "levenberg-marquardt")
+@pytest.mark.slow_cases("adam", "lbfgs", "levenberg-marquardt")
 @pytest.mark.parametrize("method", BRIEF)
 def test_solution_starts_exactly_and_leaves_the_module(method: str) -> None:
     module = layered()

@@ -27,6 +27,7 @@ def test_family_of_an_oscillator_has_the_exact_periods():
     assert not [found for found in family.bifurcations if "period" not in found.kind]
 
 
+@pytest.mark.slow
 def test_family_goes_down_too_and_to_a_period():
     orbit = hamsym.periodic_orbit(DUFFING, [1.0, 0.0])
     assert orbit.family(energy=0.2).energies[-1] == pytest.approx(0.2, abs=1e-15)

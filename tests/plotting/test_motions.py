@@ -117,7 +117,7 @@ def test_texts_of_a_path_in_space_do_not_overlap() -> None:
     assert figure.axes[0].name == "3d"
 
 
-@pytest.mark.slow_cases("3", "12")
+@pytest.mark.slow_cases("13", "3", "12")
 @pytest.mark.parametrize("count", [3, 12, 13])
 def test_texts_of_ensembles_do_not_overlap(count: int) -> None:
     starts = {"theta": np.linspace(0.1, 2, count), "p": 0.0}
@@ -131,6 +131,7 @@ def test_texts_of_ensembles_do_not_overlap(count: int) -> None:
 # -- overview --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_coordinates_and_momenta_have_panels_of_their_own(trap: hamsym.Solution) -> None:
     figure = trap.plot()
     labels = [axes.get_ylabel() for axes in figure.axes]
@@ -198,6 +199,7 @@ def test_few_saved_states_are_joined_by_their_interpolation() -> None:
     assert np.abs(line.get_ydata() - exact).max() < 1e-2
 
 
+@pytest.mark.slow
 def test_saved_states_too_far_apart_are_dots() -> None:
     trajectory = hamsym.integrate(PENDULUM, [2, 0], (0, 300), tol=1e-9)
     figure = trajectory.plot()
@@ -414,6 +416,7 @@ def test_members_of_an_ensemble_have_a_legend_entry_each() -> None:
     check_layout(many.plot())
 
 
+@pytest.mark.slow
 def test_a_choice_of_many_members_is_said() -> None:
     starts = {"x": np.linspace(0.1, 2, 300), "p": 0.0}
     many = hamsym.solve_many("p**2/2 - cos(x)", starts, (0, 3))

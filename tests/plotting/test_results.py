@@ -94,6 +94,7 @@ def test_negative_exponents_are_drawn_with_the_others() -> None:
     assert convergence.get_yscale() == "log"
 
 
+@pytest.mark.slow
 def test_sums_of_pairs_are_said_only_of_all_exponents_without_forces() -> None:
     assert "pairs" in exponents(2, 4, chain(2)).plot().caption
     assert "pairs" not in exponents(2, 3, chain(2)).plot().caption
@@ -101,6 +102,7 @@ def test_sums_of_pairs_are_said_only_of_all_exponents_without_forces() -> None:
     assert "pairs" not in exponents(1, 2, damped).plot().caption
 
 
+@pytest.mark.slow
 def test_exponents_that_vanish_are_said() -> None:
     found = exponents(1, 2, chain(1))
     found.exponents[:] = 0.0
@@ -109,6 +111,7 @@ def test_exponents_that_vanish_are_said() -> None:
     assert [text.get_text() for text in figure.axes[0].texts] == ["no positive exponent"]
 
 
+@pytest.mark.slow
 def test_exponents_without_their_hamiltonian_keep_its_text() -> None:
     figure = exponents(2, 4, None).plot()
     check_layout(figure)
@@ -236,6 +239,7 @@ def test_proven_orbit_says_its_proof() -> None:
 # -- equilibria ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_equilibria_stand_at_their_places_over_level_sets(well: hamsym.Equilibria) -> None:
     figure = well.plot()
     check_layout(figure)
@@ -391,6 +395,7 @@ def fit() -> hamsym.Fit:
     return hamsym.fit(H, t, data, free={"k": 2.0, "x": 0.9, "p": 0.0}, sigma=0.01, span=(0, 6))
 
 
+@pytest.mark.slow
 def test_fit_shows_estimates_and_residuals(fit: hamsym.Fit) -> None:
     figure = fit.plot()
     check_layout(figure)

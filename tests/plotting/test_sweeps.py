@@ -32,6 +32,7 @@ def red(axes: Any) -> np.ndarray:
     return np.concatenate(found) if found else np.empty(0)
 
 
+@pytest.mark.slow
 def test_one_swept_option_is_the_axis() -> None:
     sweep = sweep_of({f"1e-{k}": {"tol": 10.0**-k} for k in (8, 4, 6)}, failed=("1e-8",))
     figure = sweep.plot()

@@ -151,7 +151,7 @@ def assert_holds(certificate, solution, times=None, count=40):
     return float(max(norms))
 
 
-@pytest.mark.slow_cases("tanh", "levenberg-marquardt")
+@pytest.mark.slow_cases("sigmoid", "tanh", "levenberg-marquardt")
 @pytest.mark.parametrize("name", _OPTIONS)
 def test_bounds_hold_and_are_tight(name):
     solution, certificate = solved(name), certified(name)

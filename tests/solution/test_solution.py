@@ -52,7 +52,7 @@ def test_converges_to_the_exact_solution(solution: Solution) -> None:
     assert solution(0.0).tolist() == [1.0, 0.0]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "name",
     [*SMALL, *(pytest.param(name, marks=pytest.mark.slow) for name in sorted(LARGE))],

@@ -408,6 +408,7 @@ PENDULA = "M*xdot**2/2 + " + " + ".join(
 )
 
 
+@pytest.mark.slow
 def test_cart_with_nine_pendula_has_a_short_hamiltonian() -> None:
     """The pendula are eliminated first: T is a sum of nine squares and that of the cart."""
     H = Hamiltonian.from_lagrangian(PENDULA)

@@ -191,6 +191,7 @@ def tags_of(text: str) -> Tags:
 
 
 @pytest.mark.slow_cases(
+    "Solution that failed",
     "Solutions that failed",
     "Trajectory that failed",
     "Solution by training",
