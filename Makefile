@@ -69,27 +69,27 @@ bench: $(VENV)/installed ## Measure all benchmarks into tests/benchmarks/results
 bench-quick: $(VENV)/installed ## Run all benchmarks in seconds, to see that they run
 	$(BIN)/python -m tests.benchmarks --quick
 
-tables: $(VENV)/installed ## Make the tables and the figure of examples/benchmarks.md from the results
+tables: $(VENV)/installed ## Make the tables and the figure of examples/guide/benchmarks.md from the results
 	$(BIN)/python -m tests.benchmarks.tables
 
 pictures: tables ## Make tables and pictures of the pages again (five minutes)
-	$(BIN)/python examples/oscillator.py --out examples/pictures
-	$(BIN)/python examples/chaos.py --out examples/pictures
-	$(BIN)/python examples/chaos_map.py --out examples/pictures
-	$(BIN)/python examples/pendulum_period.py --out examples/pictures
-	$(BIN)/python examples/figures.py --out examples/pictures
-	$(BIN)/python examples/periodic_orbits.py --out examples/pictures
-	$(BIN)/python examples/lagrange_points.py --out examples/pictures
-	$(BIN)/python examples/double_pendulum.py --out examples/pictures
+	$(BIN)/python examples/oscillator.py --out examples/guide/pictures
+	$(BIN)/python examples/chaos.py --out examples/guide/pictures
+	$(BIN)/python examples/chaos_map.py --out examples/guide/pictures
+	$(BIN)/python examples/pendulum_period.py --out examples/guide/pictures
+	$(BIN)/python examples/figures.py --out examples/guide/pictures
+	$(BIN)/python examples/periodic_orbits.py --out examples/guide/pictures
+	$(BIN)/python examples/lagrange_points.py --out examples/guide/pictures
+	$(BIN)/python examples/double_pendulum.py --out examples/guide/pictures
 
 $(VENV)/documented: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TORCH) --editable '.[dev,docs]'
 	@touch $@
 
 docs: $(VENV)/documented ## Build the documentation into output/site, which needs no network (two minutes)
-	$(BIN)/python -m sphinx -W --keep-going -q -d output/doctrees examples output/site
-	$(BIN)/python examples/extensions/links.py output/site
+	$(BIN)/python -m sphinx -W --keep-going -q -d output/doctrees -c examples/site examples/guide output/site
+	$(BIN)/python examples/site/links.py output/site
 	@echo "open output/site/index.html"
 
 clean: ## Remove the environment and everything built
-	rm -rf $(VENV) build dist output examples/generated *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage .coverage.*
+	rm -rf $(VENV) build dist output examples/guide/generated *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage .coverage.*

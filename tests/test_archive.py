@@ -481,6 +481,7 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
     "another time reached": ("features", _set("march", "reached", to=1.0), "does not end at"),
     "fewer iterations": ("network", _set("training", "iterations", to=3), "has shape"),
     "giant seed": ("features", _set("march", "seed", to=10**300), "'seed' is out of range"),
+    "truth as seed": ("features", _set("march", "seed", to=True), "'seed' is not of type int"),
     "infinite parameter": (
         "networks",
         _set(

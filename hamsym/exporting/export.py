@@ -104,7 +104,7 @@ def export(
         ``method="features"`` on the same machine.
     ``.json``
         The same numbers for JavaScript and others, in the arrangement that
-        ``examples/exporting.md`` gives.
+        ``examples/guide/exporting.md`` gives.
     ``.h``
         A header in C99 with ``NAME_state(t, z)``, ``NAME_derivative(t, dz)`` and
         ``NAME_energy(t)``, where NAME is the name of the file.

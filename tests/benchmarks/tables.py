@@ -19,8 +19,8 @@ from .work_precision import draw
 __all__ = ["PAGE", "filled"]
 
 _ROOT = Path(__file__).parents[2]
-PAGE = _ROOT / "examples" / "benchmarks.md"
-FIGURE = _ROOT / "examples" / "pictures" / "work-precision.png"
+PAGE = _ROOT / "examples" / "guide" / "benchmarks.md"
+FIGURE = PAGE.parent / "pictures" / "work-precision.png"
 
 _MARKED = re.compile(r"(<!-- benchmark (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 

@@ -75,7 +75,7 @@ def test_results_are_one_object(
 
 def documented(command: str) -> set[str]:
     """Return the keys that the page lists for a command."""
-    page = Path(__file__).parents[2] / "examples" / "command_line.md"
+    page = Path(__file__).parents[2] / "examples" / "guide" / "command_line.md"
     row = re.search(rf"^\| `{command}` \| (.*) \|$", page.read_text(encoding="utf-8"), re.MULTILINE)
     assert row is not None
     return {*re.findall(r"`(\w+)`", row[1]), "success", "files"}

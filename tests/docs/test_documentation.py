@@ -1,4 +1,4 @@
-"""Docstrings, README, the pages under examples and the examples themselves run as shown."""
+"""Docstrings, README, the pages of the guide and the examples themselves run as shown."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ _LONG = {"figures", "henon_heiles", "jax_gradients", "oscillator", "periodic_orb
 _NEEDS = {"jax_gradients": "diffrax"}  # packages that the extra dev lacks
 # The other scripts in examples/paper have tests of their own.
 _EXAMPLES = [
-    *sorted(set((ROOT / "examples").glob("*.py")) - {ROOT / "examples" / "conf.py"}),
+    *sorted((ROOT / "examples").glob("*.py")),
     ROOT / "examples" / "paper" / "scheme.py",
 ]
 
@@ -120,9 +120,9 @@ def test_examples_run_in_miniature(
     assert any(path.suffix in (".png", ".gif") for path in (tmp_path / "out").iterdir())
 
 
-# -- README and the pages under examples -----------------------------------------------------------
+# -- README and the pages of the guide -------------------------------------------------------------
 
-_PAGES = [ROOT / "README.md", *sorted((ROOT / "examples").glob("*.md"))]
+_PAGES = [ROOT / "README.md", *sorted((ROOT / "examples" / "guide").glob("*.md"))]
 # A page with this comment takes more than two seconds.
 _SLOW = "<!-- tests: slow -->"
 

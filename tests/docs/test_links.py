@@ -10,9 +10,10 @@ from links import problems
 from navigation import contents, with_site_links
 
 ROOT = Path(__file__).parents[2]
+GUIDE = ROOT / "examples" / "guide"
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
-    *sorted((ROOT / "examples").glob("*.md")),
+    *sorted(GUIDE.glob("*.md")),
     ROOT / "examples" / "paper" / "results" / "page.md",
 ]
 
@@ -49,10 +50,8 @@ def test_relative_links_lead_somewhere(page: Path) -> None:
 
 
 def test_front_page_lists_every_page() -> None:
-    listed = re.findall(
-        r"^- \[[^\]]*\]\((\w+\.md)\)", _prose(ROOT / "examples" / "index.md"), re.MULTILINE
-    )
-    pages = {path.name for path in (ROOT / "examples").glob("*.md")} - {"index.md"}
+    listed = re.findall(r"^- \[[^\]]*\]\((\w+\.md)\)", _prose(GUIDE / "index.md"), re.MULTILINE)
+    pages = {path.name for path in GUIDE.glob("*.md")} - {"index.md"}
     assert sorted(listed) == sorted(pages)
 
 
@@ -62,11 +61,15 @@ def test_lists_of_links_become_tables_of_contents() -> None:
 
 
 def test_links_out_of_the_folder_lead_to_pages() -> None:
-    text = "[a](../CHANGELOG.md#b) [c](gallery/plot_kepler.py) [d](../Makefile) `[e](../Makefile)`"
-    assert with_site_links(text, "examples", "") == (
-        "[a](generated/changes.md#b) [c](generated/gallery/plot_kepler.rst) d `[e](../Makefile)`"
+    text = "[a](../../CHANGELOG.md#b) [c](../gallery/plot_kepler.py) [d](../../LICENSE) `[e](f.md)`"
+    assert with_site_links(text, "examples/guide", "") == (
+        "[a](generated/changes.md#b) [c](generated/gallery/plot_kepler.rst) d `[e](f.md)`"
     )
-    assert with_site_links("[f](examples/faq.md)", "", "generated") == "[f](../faq.md)"
+    assert with_site_links("[f](examples/guide/faq.md)", "", "generated") == "[f](../faq.md)"
+    page = "![](scheme.png) [g](../../chaos.py)"
+    assert with_site_links(page, "examples/paper/results", "generated") == (
+        "![](../../paper/results/scheme.png) [g](../../chaos.py)"
+    )
 
 
 def test_broken_links_of_a_site_are_found(tmp_path: Path) -> None:

@@ -28,7 +28,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff"):
         shutil.copy(ROOT / name, folder)
     options = ["-W", "--keep-going", "-q", "-D", "plot_gallery=0", "-d", str(folder / "doctrees")]
-    places = [str(folder / "examples"), str(folder / "built")]
+    examples = folder / "examples"
+    places = ["-c", str(examples / "site"), str(examples / "guide"), str(folder / "built")]
     run = subprocess.run(
         [sys.executable, "-m", "sphinx", *options, *places], capture_output=True, text=True
     )

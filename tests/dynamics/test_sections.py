@@ -349,6 +349,19 @@ def test_terminal_event_ends_all_searches(orbit: hamsym.Solution) -> None:
     assert len(orbit.events("x = 0").t_events[0]) > len(times[1])
 
 
+def test_terminal_event_ends_a_backward_span() -> None:
+    problem = harmonic_oscillator()
+
+    def first(t: float, z: np.ndarray) -> float:
+        return z[0]
+
+    first.terminal = 1  # type: ignore[attr-defined]
+    back = hamsym.solve(problem.H, problem.z0, (0, -6), tol=1e-9)
+    times = back.events([first, "p = 0"]).t_events
+    np.testing.assert_allclose(times[0], [-np.pi / 2], atol=1e-8)
+    assert not len(times[1])
+
+
 def test_events_on_a_trained_network_and_backward() -> None:
     problem = harmonic_oscillator()
     trained = hamsym.solve(

@@ -27,7 +27,7 @@ from hamsym.cli.commands import main
 from hamsym.exporting.c_header import prefix_of
 from hamsym.exporting.export import FORMATS
 
-PAGE = Path(__file__).parents[2] / "examples" / "exporting.md"
+PAGE = Path(__file__).parents[2] / "examples" / "guide" / "exporting.md"
 EPS = np.finfo(float).eps
 
 _QUICK: dict[str, Any] = {"method": "adam", "epochs": 4, "points": 12}

@@ -17,7 +17,7 @@ from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
 from hamsym.networks.optimizers import LBFGS, Adam
 from hamsym.networks.record import Training, TrainingState
-from hamsym.networks.rules import Criterion, Stages, Stopping
+from hamsym.networks.rules import Criterion, Progress, Stages, Stopping
 from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
 from hamsym.networks.training import train
 from hamsym.networks.trial import TrialSolution
@@ -298,6 +298,14 @@ def test_patience_ends_training() -> None:
     )
     assert training.stopped == "patience"
     assert 120 <= training.iterations < 300
+
+
+def test_patience_begins_with_a_stage() -> None:
+    rule = Stopping(1_000, patience=50)
+    progress = Progress(iteration=100, improved=10, in_stage=49)
+    assert rule.limit_reached(progress, last_stage=True) is None
+    progress.in_stage = 50
+    assert rule.limit_reached(progress, last_stage=True) == "patience"
 
 
 @pytest.mark.slow_cases("ssbroyden", "lbfgs")

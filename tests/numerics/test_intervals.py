@@ -67,3 +67,11 @@ def test_unknown_ranges_are_infinite() -> None:
     found = over(np.array([-1.0, 0.5, 2.0]), 1 / T)
     assert np.isinf(found.within.low[0])
     assert found.within.low[1] == 0.5
+
+
+def test_ranges_hold_the_peak_of_a_triangle() -> None:
+    """No function with these slopes goes further from its chord than this one."""
+    zero, two = np.zeros(1), np.full(1, 2.0)
+    found = Ranges.of_slopes(np.zeros((2, 1)), Intervals(zero - 1, zero + 1), two).within
+    assert found.low[0] <= -1
+    assert found.high[0] >= 1

@@ -134,3 +134,19 @@ def test_saddles_are_no_minima() -> None:
     parts = square(x, np.zeros(1, dtype=int))
     one = np.ones(1)
     assert not are_minima(square, x, *parts, -free, free, 0.01 * one, np.ones((1, 2))).any()
+
+
+def test_saddles_between_the_unknowns_are_no_minima() -> None:
+    """The squares rise along each unknown, and fall where both change with opposite signs."""
+    t = np.linspace(0.0, 1.0, 20)
+
+    def mixed(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        mean, y, z = x.T[..., None]
+        slopes = (np.ones((len(x), 20)), (2 * y + 4 * z) * t, (2 * z + 4 * y) * t)
+        return mean + (y**2 + z**2 + 4 * y * z + 1) * t, np.stack(slopes, axis=-1)
+
+    free = np.full(3, np.inf)
+    x = np.array([[-0.5, 1e-9, 1e-9]])
+    parts = mixed(x, np.zeros(1, dtype=int))
+    one = np.ones(1)
+    assert not are_minima(mixed, x, *parts, -free, free, 0.01 * one, np.ones((1, 3))).any()

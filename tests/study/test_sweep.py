@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,6 +123,9 @@ def test_rows_and_median_of_solutions(tmp_path):
     middle = found.median("Adam", OSCILLATOR.exact)
     errors = sorted(row.error for row in rows)
     assert errors[1] == measure(middle, OSCILLATOR.exact).error
+    pair = replace(found, solutions={"Adam": found.solutions["Adam"][:2]})
+    lower = measure(pair.median("Adam", OSCILLATOR.exact), OSCILLATOR.exact)
+    assert lower.error == min(row.error for row in rows[:2])
 
 
 def test_refused_proof_gives_its_reason(tmp_path):

@@ -1,6 +1,6 @@
 """Check of the built site: every link leads to a page and a place that exist, nothing is fetched.
 
-Run `python examples/extensions/links.py output/site`; the exit status is 1 if a link is broken.
+Run `python examples/site/links.py output/site`; the exit status is 1 if a link is broken.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Navigation and links: pages stay ordinary Markdown, which GitHub shows too.
 
 The lists of links in index.md become the tables of contents of the site. Links to files of the
-repository outside this folder become links to their pages of the site.
+repository outside the folder of the pages become links to their pages of the site.
 """
 
 from __future__ import annotations
@@ -17,8 +17,13 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 _ROOT = Path(__file__).parents[2]
-# Files outside this folder that are copied to pages of the site.
-_COPIES = {"CONTRIBUTING.md": "generated/contributing.md", "CHANGELOG.md": "generated/changes.md"}
+_GUIDE = "examples/guide"
+# Files outside the guide that are copied to pages of the site.
+_COPIES = {
+    "CONTRIBUTING.md": "generated/contributing.md",
+    "CHANGELOG.md": "generated/changes.md",
+    "examples/paper/results/page.md": "generated/experiments.md",
+}
 # Where other files of the repository are on the site.
 _PLACES = _COPIES | {
     "README.md": "index.md",
@@ -26,20 +31,19 @@ _PLACES = _COPIES | {
     "hamsym/cli/commands.py": "generated/reference/commands.rst",
     "examples/gallery": "generated/gallery/index.rst",
 }
-_LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)\s#:]+)(#[^)\s]*)?\)")
+_LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s#:]+)(#[^)\s]*)?\)")
 
 
 def _target(path: str, folder: str, anchor: str) -> str | None:
     """Return where a link to a path of the repository leads from a folder of the site."""
-    name = path.removeprefix("examples/")
     if path in _PLACES:
         found = _PLACES[path] + (anchor if path in _COPIES else "")
     elif re.fullmatch(r"examples/gallery/plot_\w+\.py", path):
-        found = f"generated/{name.removesuffix('.py')}.rst"
+        found = f"generated/gallery/{Path(path).stem}.rst"
     elif path.startswith("hamsym/proof/") and Path(path).stem in LEMMAS:
         found = f"generated/reference/proofs.md#{Path(path).stem}"
     elif path.startswith("examples/") and (_ROOT / path).is_file():
-        found = name + anchor
+        found = posixpath.relpath(path, _GUIDE) + anchor
     else:
         return None
     return posixpath.relpath(found, folder or ".")
@@ -53,9 +57,9 @@ def with_site_links(text: str, place: str, folder: str) -> str:
     """
 
     def changed(match: re.Match[str]) -> str:
-        label, path, anchor = match[1], match[2], match[3] or ""
+        picture, label, path, anchor = match[1], match[2], match[3], match[4] or ""
         target = _target(posixpath.normpath(posixpath.join(place, path)), folder, anchor)
-        return label if target is None else f"[{label}]({target})"
+        return label if target is None else f"{picture}[{label}]({target})"
 
     parts = re.split(r"(^```.*?^```$|`[^`\n]*`)", text, flags=re.DOTALL | re.MULTILINE)
     # A label may contain code, which is put back afterwards.
@@ -84,7 +88,7 @@ def _copy_pages(app: Sphinx) -> None:
         path = Path(app.srcdir) / target
         path.parent.mkdir(parents=True, exist_ok=True)
         text = (_ROOT / source).read_text(encoding="utf-8")
-        text = with_site_links(text, "", posixpath.dirname(target))
+        text = with_site_links(text, posixpath.dirname(source), posixpath.dirname(target))
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
 
@@ -93,7 +97,8 @@ def _read(app: Sphinx, docname: str, content: list[str]) -> None:
     if not str(app.env.doc2path(docname)).endswith(".md") or docname.startswith("generated/"):
         return
     folder = posixpath.dirname(docname)
-    content[0] = with_site_links(content[0], posixpath.join("examples", folder).rstrip("/"), folder)
+    place = posixpath.join(_GUIDE, folder).rstrip("/")
+    content[0] = with_site_links(content[0], place, folder)
     if docname == "index":
         content[0] = contents(content[0])
 

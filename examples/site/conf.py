@@ -1,11 +1,11 @@
-"""Settings of Sphinx: the site that `make docs` builds from these pages and from docstrings."""
+"""Settings of Sphinx: the site that `make docs` builds from pages and docstrings."""
 
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE / "extensions"))
+sys.path.insert(0, str(HERE))
 
 import gallery_settings  # noqa: E402
 
@@ -28,7 +28,6 @@ extensions = [
     "reference",
 ]
 root_doc = "index"
-exclude_patterns = ["gallery", "paper/results/*/table.md"]
 smartquotes = False
 nitpicky = True
 nitpick_ignore_regex = [("py:(class|obj|data|exc)", ".*")]  # names of types in docstrings
@@ -53,7 +52,7 @@ copybutton_only_copy_prompt_lines = True
 # -- gallery ---------------------------------------------------------------------------------------
 
 sphinx_gallery_conf = {
-    "examples_dirs": "gallery",
+    "examples_dirs": "../gallery",
     "gallery_dirs": "generated/gallery",
     "filename_pattern": r"plot_",
     "image_scrapers": (gallery_settings.scrape,),
@@ -78,6 +77,6 @@ html_copy_source = False
 html_show_copyright = False
 html_show_search_summary = False  # browsers fetch no pages from file://
 html_show_sphinx = False
-html_static_path = ["extensions/static"]
+html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_theme_options = {"navigation_with_keys": True}
