@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import sympy
 
 from hamsym.flow_maps.box import Box, compiled_in
 from hamsym.flow_maps.domain import random_places
@@ -58,7 +59,9 @@ class _Search:
         form = box.H.real_equations
         varied = {*box.parameters}
         fixed = {
-            symbol: value for name, (symbol, value) in form.parameters.items() if name not in varied
+            symbol: sympy.Float(value)
+            for name, (symbol, value) in form.parameters.items()
+            if name not in varied
         }
         given = [form.parameters.get(name, (None,))[0] for name in box.parameters]
         inputs = [symbol for symbol in given if symbol is not None]
