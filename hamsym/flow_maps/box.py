@@ -22,7 +22,7 @@ from hamsym.suggestions import did_you_mean, unknown
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["Box", "checked_box"]
+__all__ = ["Box", "checked_box", "compiled_in"]
 
 _SLACK = 1e-12  # of the width of an interval, by which round-off may leave it
 
@@ -122,14 +122,19 @@ class Box:
             if name in self.H.parameter_names
         }
 
+    @property
+    def symbols(self) -> list[sympy.Symbol]:
+        """Symbols of the inputs in ``formulas``."""
+        return [sympy.Symbol(name, real=True) for name in self.names]
+
     @cached_property
-    def _curves(self) -> Callable[[np.ndarray], np.ndarray]:
-        """The expressions as a function of the inputs."""
-        symbols = [sympy.Symbol(name, real=True) for name in self.names]
+    def formulas(self) -> dict[str, sympy.Expr]:
+        """The expressions, by component."""
         known = {
-            canonical_name(name): symbol for name, symbol in zip(self.names, symbols, strict=True)
+            canonical_name(name): symbol
+            for name, symbol in zip(self.names, self.symbols, strict=True)
         }
-        parsed = []
+        parsed = {}
         for component, text in self.expressions.items():
             expr = parse_expression(text)
             swap = {}
@@ -141,13 +146,13 @@ class Box:
                         f"that varies; give it an interval in parameters"
                     )
                 swap[symbol] = found
-            parsed.append(expr.xreplace(swap))
-        # The equations only name the arguments; an even number of them is a state.
-        if len(symbols) % 2:
-            symbols.append(sympy.Symbol("_unused", real=True))
-        dummy = Equations(sympy.Add(*(symbol**2 for symbol in symbols)), symbols, None, {})
-        function, extra = compile_expressions(parsed, dummy), len(symbols) - len(self.names)
-        return lambda inputs: function(np.pad(inputs, ((0, 0), (0, extra))))
+            parsed[component] = expr.xreplace(swap)
+        return parsed
+
+    @cached_property
+    def _curves(self) -> Callable[..., np.ndarray]:
+        """The expressions as a function of the inputs."""
+        return compiled_in([*self.formulas.values()], self.symbols)
 
     # -- conversion of queries ------------------------------------------------------------------
 
@@ -221,6 +226,20 @@ class Box:
         return ", ".join(
             f"{name} = {value:.6g}" for name, value in zip(self.names, inputs, strict=True)
         )
+
+
+def compiled_in(
+    expressions: Sequence[sympy.Expr],
+    symbols: Sequence[sympy.Symbol],
+    time: sympy.Symbol | None = None,
+) -> Callable[..., np.ndarray]:
+    """Compile expressions to a function of values of symbols, shape (n, k), and of times."""
+    # The equations only name the arguments; an even number of them is a state.
+    extra = len(symbols) % 2
+    named = [*symbols, *[sympy.Symbol("_unused", real=True)] * extra]
+    dummy = Equations(sympy.Add(*(symbol**2 for symbol in named)), named, time, {})
+    function = compile_expressions(expressions, dummy)
+    return lambda values, *t: function(np.pad(values, ((0, 0), (0, extra))), *t)
 
 
 def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | None) -> Box:

@@ -178,7 +178,8 @@ class _Construction:
             self._note(f"{self._solved:,} solutions in {seconds:.3g} s; estimating the error")
             judgement = self._judged(built, allowed, scale)
             excess = float((judgement.error / allowed).max())
-            if excess <= 1 or not math.isfinite(excess) or attempt == _ATTEMPTS - 1:
+            hopeless = judgement.failure or not math.isfinite(excess)
+            if excess <= 1 or hopeless or attempt == _ATTEMPTS - 1:
                 break
             share *= _AIM / excess
             self._note(f"the error is {excess:.2g} of the tolerance; again with a smaller share")

@@ -1,9 +1,11 @@
-"""Error of a flow map over its whole box, estimated in three ways.
+"""Error of a flow map over its whole box, estimated in four ways.
 
 1. Solutions at random points of the box, at its corners and on its faces, none of them used to
    build the map, are compared with it at random times.
-2. Around the worst points found, an adversarial search looks for worse ones.
-3. The linear equation of the error (the paper's eq. ell) is solved from the residual of the map, at
+2. So are solutions from places where H may have a narrow feature
+   (:mod:`hamsym.flow_maps.narrow_places`). A map that misses one is refused.
+3. Around the worst points found, an adversarial search looks for worse ones.
+4. The linear equation of the error (the paper's eq. ell) is solved from the residual of the map, at
    random points and at the worst ones found.
 
 The estimate is the largest difference or error found, times a factor for what lies between the
@@ -22,6 +24,7 @@ import numpy as np
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.domain import Domain, random_places
+from hamsym.flow_maps.narrow_places import narrow_places
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 
@@ -29,6 +32,7 @@ __all__ = ["Judgement", "judged", "linear_error"]
 
 _MARGIN = 1.5  # times the largest error found
 _CONFIDENCE = 0.95
+_NARROW = 10.0  # times the largest other error, of one that a narrow feature causes
 _CORNERS = 64
 _AT_END = 0.3  # probability that an input of a point of the second kind is an end of its interval
 _TIMES = 48  # of each comparison
@@ -59,7 +63,8 @@ class Judgement:
         Largest entry of M^T J M - J in units of the components, M = dz^/dz0; None unless all
         components vary.
     failure : str
-        A solution that could not be compared; empty if there is none.
+        A solution that could not be compared, or a narrow feature that the map misses; empty if
+        there is none.
     """
 
     error: np.ndarray
@@ -107,6 +112,7 @@ def judged(
     corners = random.choice((-1.0, 1.0), (min(_CORNERS, 2**d), d))
     search.compare(uniform)
     search.compare(np.concatenate((faces, corners)))
+    search.compare_narrow(narrow_places(map, box, span, random))
     for width in _WIDTHS:
         order = np.argsort(-search.ratios)[:_ELITE]
         near = search.y[order].repeat(_CHILDREN, axis=0)
@@ -172,6 +178,21 @@ class _Search:
         self.times = np.append(self.times, times[ratios.argmax(axis=1)])
         self.largest = np.maximum(self.largest, difference.max(axis=(0, 1)))
         self.of_solutions = np.maximum(self.of_solutions, solutions.error_estimate.max(axis=0))
+
+    def compare_narrow(self, y: np.ndarray) -> None:
+        """Compare at places of narrow features; a map that differs there only misses them."""
+        if not len(y):
+            return
+        others = self.ratios.max()
+        self.compare(y)
+        ratios = self.ratios[-len(y) :]
+        if not (self.failure or ratios.max() <= max(1.0, _NARROW * others)):
+            place = self._box.described(self._box.at(y[ratios.argmax()]))
+            self.failure = (
+                f"a narrow feature of H at {place} changes the solutions by {ratios.max():.2g} of "
+                "the tolerance, and the map does not contain it; give a box without this place, "
+                "or one as narrow as the feature"
+            )
 
 
 def linear_error(

@@ -5,13 +5,13 @@ Input:  states and rates of a path at both ends of cells, and a function with bo
 Output: parts of cells with one zero each, and those that were not decided.
 
 A part whose range excludes zero has no zero. Where the slope excludes zero there is at most one,
-and the signs at both ends tell. Other parts are halved, down to a tangency. The path between two
-samples is bounded by the second differences of its rates.
+also in neighbouring parts together, and the signs at both ends tell. Other parts are halved, down
+to a tangency. The path between two samples is bounded by the second differences of its rates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -24,6 +24,7 @@ __all__ = ["Cells", "Isolated", "component_ranges", "isolated_zeros", "rate_bend
 _SAFETY = 4  # of the second derivatives of the rates, which are differences
 _HALVINGS = 36  # of a cell, to the distance at which a tangency is round-off
 _MOST = 200_000  # parts at a time
+_PAIRS = ("values", "states", "rates")  # of cells: at both ends
 _TOUCHES = 1e-3  # size of a function at a tangency, relative to that at the ends of the cell
 
 
@@ -77,9 +78,16 @@ class Cells:
         return len(self.index)
 
     def __getitem__(self, chosen: np.ndarray) -> Cells:
-        pairs = ("values", "states", "rates")
         parts = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Cells(**{n: a[:, chosen] if n in pairs else a[chosen] for n, a in parts.items()})
+        return Cells(**{n: a[:, chosen] if n in _PAIRS else a[chosen] for n, a in parts.items()})
+
+    @classmethod
+    def of_parts(cls, parts: Sequence[Cells]) -> Cells:
+        """Several parts as one."""
+        columns = {
+            field.name: [getattr(part, field.name) for part in parts] for field in fields(cls)
+        }
+        return cls(**{n: np.concatenate(a, axis=int(n in _PAIRS)) for n, a in columns.items()})
 
     def halves(self, values: np.ndarray, states: np.ndarray, rates: np.ndarray) -> Cells:
         """Both halves of each part, by what the path and the function are in the middle."""
@@ -174,27 +182,29 @@ def isolated_zeros(
         falls.
     """
     touched: list[tuple[float, int]] = []
-    found, undecided, most = [], 0, _MOST + len(cells)
+    monotonic, slopes, undecided, most = [], [], 0, _MOST + len(cells)
     with np.errstate(all="ignore"):
         for depth in range(_HALVINGS + 1):
             ranges = enclosed(cells)
             # Next to a zero at an end the values, which neighbours share, decide over round-off.
             outside = (ranges.within.low > 0) | (ranges.within.high < 0)
             without = outside & ~changes(*cells.values)
-            monotonic = (ranges.slope.low > 0) | (ranges.slope.high < 0)
-            found.append(cells[np.flatnonzero(~without & monotonic)])
-            cells = cells[np.flatnonzero(~without & ~monotonic)]
+            slope = 1 * (ranges.slope.low > 0) - (ranges.slope.high < 0)
+            # A whole cell has no neighbours, so that only its own signs count.
+            of_interest = (slope != 0) & (changes(*cells.values) | (depth > 0))
+            monotonic.append(cells[np.flatnonzero(of_interest)])
+            slopes.append(slope[of_interest])
+            cells = cells[np.flatnonzero(~without & (slope == 0))]
             if not len(cells) or len(cells) > most or depth == _HALVINGS:
                 break
             middle = (cells.low + cells.high) / 2
             cells = cells.halves(*sample(middle, cells.index))
     if len(cells) > most:
-        found.append(cells)
         undecided = len(cells)
     elif len(cells):
         cells, touched = _joined(cells)
-        found.append(cells)
-    parts = [_brackets(each, direction) for each in found]
+    crossed = _crossed(Cells.of_parts(monotonic), np.concatenate(slopes))
+    parts = [_brackets(each, direction) for each in (crossed, cells)]
     low, high, index = (np.concatenate(column) for column in zip(*parts, strict=True))
     share = refine(lambda x, k: value(x, index[k]), low, high)
     order = np.lexsort((share, index))
@@ -207,6 +217,28 @@ def _brackets(cells: Cells, direction: float) -> tuple[np.ndarray, np.ndarray, n
     return cells.low[crossed], cells.high[crossed], cells.index[crossed]
 
 
+def _crossed(cells: Cells, slopes: np.ndarray) -> Cells:
+    """Parts with the zeros of monotonic ones: one at most where slopes of neighbours have one sign.
+
+    Next to a tangency the values are round-off and change their sign several times. The function
+    is monotonic over all neighbours, so that the signs at the ends of their row tell.
+    """
+    order = np.lexsort((cells.low, cells.index))
+    cells = cells[order]
+    first, last = _rows(cells, slopes[order])
+    row = np.repeat(np.arange(len(first)), last - first + 1)
+    across = changes(cells.values[0, first], cells.values[1, last])
+    crossed = np.flatnonzero(changes(*cells.values) & across[row])
+    return cells[crossed[np.unique(row[crossed], return_index=True)[1]]]
+
+
+def _rows(cells: Cells, kind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and last of each row of neighbouring parts of one kind, which are in order."""
+    apart = (np.diff(cells.index) != 0) | (cells.low[1:] != cells.high[:-1]) | (np.diff(kind) != 0)
+    first = np.flatnonzero(np.concatenate((np.ones(min(len(cells), 1), dtype=bool), apart)))
+    return first, np.append(first, len(cells))[1:] - 1
+
+
 def _joined(cells: Cells) -> tuple[Cells, list[tuple[float, int]]]:
     """Neighbouring parts as one, of which round-off decides: only signs at its ends count.
 
@@ -214,9 +246,7 @@ def _joined(cells: Cells) -> tuple[Cells, list[tuple[float, int]]]:
     tangency, not large as at a pole.
     """
     cells = cells[np.lexsort((cells.low, cells.index))]
-    apart = (np.diff(cells.index) != 0) | (cells.low[1:] != cells.high[:-1])
-    first = np.flatnonzero(np.concatenate(([True], apart)))
-    last = np.append(first[1:], len(cells)) - 1
+    first, last = _rows(cells, np.zeros(len(cells)))
     joined = {
         name: np.stack((getattr(cells, name)[0, first], getattr(cells, name)[1, last]))
         for name in ("values", "states", "rates")

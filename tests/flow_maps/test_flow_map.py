@@ -220,6 +220,50 @@ def test_map_across_a_separatrix_is_no_false_success() -> None:
     assert worst_ratio(flow) <= 1 or not flow.success
 
 
+@pytest.mark.parametrize(
+    ("force", "z0", "parameters", "place"),
+    [
+        ("1e4*x*exp(-((k - 0.37)/1e-6)**2)", {"x": (1, 2), "p": 0}, {"k": (0, 1)}, {"k": 0.37}),
+        pytest.param(
+            *("x/(1 + ((k - 0.37)/1e-7)**2)", {"x": (1, 2), "p": 0}, {"k": (0, 1)}, {"k": 0.37}),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "x*(tanh((k - 0.6)/1e-7) - tanh((k - 0.6000002)/1e-7))",
+            *({"x": (1, 2), "p": 0}, {"k": (0, 1)}, {"k": 0.6}),
+            marks=pytest.mark.slow,
+        ),
+        (
+            "x*exp(-((a - 0.37)**2 + (b - 0.61)**2)*1e12)",
+            *({"x": 1.5, "p": 0}, {"a": (0, 1), "b": (0, 1)}, {"a": 0.37, "b": 0.61}),
+        ),
+        ("0", {"x": "1 + exp(-((k - 0.37)/1e-6)**2)", "p": 0}, {"k": (0, 1)}, {"k": 0.37}),
+    ],
+)
+def test_narrow_feature_of_the_inputs_is_refused(
+    force: str, z0: dict, parameters: dict, place: dict
+) -> None:
+    flow = flow_map(f"p**2/2 + x**2/2 - ({force})", z0, (0, 1), parameters, points=100, tol=1e-4)
+    assert not flow.success
+    assert "a narrow feature of H at " in flow.message
+    worst = dict(zip(flow.inputs, flow.judgement.worst_inputs, strict=True))
+    assert all(abs(worst[name] - value) < 1e-5 for name, value in place.items())
+
+
+def test_narrow_feature_of_combined_inputs_is_refused() -> None:
+    H = "p**2/2 + x**2/2 - x*exp(-((a + 1000*b - 300.37)/1e-6)**2)"
+    flow = flow_map(H, {"x": 1.5, "p": 0}, (0, 1), {"a": (0, 1), "b": (0, 1)}, points=100, tol=1e-4)
+    assert not flow.success
+    a, b = flow.judgement.worst_inputs
+    assert abs(a + 1000 * b - 300.37) < 1e-5
+
+
+def test_narrow_feature_outside_the_box_is_passed_over() -> None:
+    H = "p**2/2 + x**2/2 - 1e4*x*exp(-((k - 1.37)/1e-6)**2)"
+    flow = flow_map(H, {"x": 1.5, "p": 0}, (0, 1), {"k": (0, 1)}, points=100, tol=1e-4)
+    assert flow.success
+
+
 @pytest.mark.slow
 def test_map_ends_before_a_solution_that_fails() -> None:
     """The largest value, to which the tolerance refers, is that before the end of the solutions."""

@@ -213,6 +213,17 @@ def test_a_stiff_system() -> None:
     np.testing.assert_allclose(solution(t)[:, 0], np.cos(np.sqrt(squares[0]) * t), atol=1e-6)
 
 
+@pytest.mark.parametrize("tol", [1e-7, 1e-9])
+def test_a_bounce_off_a_hard_core(tol: float) -> None:
+    """The period is the integral of dx/p between the turning points, with 40 digits by mpmath."""
+    period = 3.14161905712642697017
+    solution = hamsym.solve("p**2/2 + 1e-6/x + x**2/2", [1.0, 0.0], (0, 3.7), tol=tol)
+    assert solution.success, solution.message
+    s = np.array([0.0, 0.1, 0.3, 0.5])
+    np.testing.assert_allclose(solution(period + s), solution(s), atol=2 * tol)
+    np.testing.assert_allclose(solution(period - s), solution(s) * [1, -1], atol=2 * tol)
+
+
 @pytest.mark.parametrize("resolved", [1e-6, 0.0])
 def test_a_march_in_doubt_is_tried_once_more(
     monkeypatch: pytest.MonkeyPatch, resolved: float
