@@ -21,11 +21,10 @@ demo: $(VENV)/installed ## Train the paper's oscillator, compare, draw (two minu
 
 test: $(VENV)/installed ## Run the test suite (three minutes; five when nothing is compiled yet)
 	$(BIN)/python -m tests.compile_first
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not browser" --ignore=tests/docs \
-	    --ignore=tests/cli/test_examples_of_commands.py
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not page and not browser"
 
 test-docs: $(VENV)/installed ## Run the docstrings, pages and examples of the documentation
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not browser" tests/docs tests/cli/test_examples_of_commands.py
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "page and not slow" tests
 
 # The folders whose tests compute, without files that mostly compile, that these settings do not
 # reach, or whose arithmetic rounds alike on every processor: Arb and single steps of float64.

@@ -118,7 +118,7 @@ def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Iterator[pytest.TestReport]:
     report = yield
-    if call.when == "call" and report.passed and "slow" not in report.keywords:
+    if call.when == "call" and report.passed and not {"slow", "page"} & {*report.keywords}:
         seconds = item.stash[_SECONDS]
         if not seconds <= LIMIT:
             report.outcome = "failed"

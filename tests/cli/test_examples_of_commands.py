@@ -9,6 +9,8 @@ import pytest
 
 from hamsym.cli.commands import cli, main
 
+pytestmark = pytest.mark.page
+
 #: Examples that train for long, or write elsewhere.
 _LONG = ("reproduce", "report", "explore", "completion")
 EXAMPLES = [

@@ -19,6 +19,8 @@ from hamsym.cli.commands import main
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.systems import CATALOGUE
 
+pytestmark = pytest.mark.page
+
 ROOT = Path(__file__).parents[2]
 MODULES = ["hamsym"] + [
     module.name
