@@ -24,7 +24,7 @@ test: $(VENV)/installed ## Run the test suite (three minutes; five when nothing 
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not page and not browser"
 
 test-docs: $(VENV)/installed ## Run the docstrings, pages and examples of the documentation
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "page and not slow" tests
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "page and not slow" tests/docs tests/cli
 
 # The folders whose tests compute, without files that mostly compile, that these settings do not
 # reach, or whose arithmetic rounds alike on every processor: Arb and single steps of float64.
