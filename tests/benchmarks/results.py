@@ -1,9 +1,10 @@
-"""The results file: one section for each benchmark, with the machine that it ran on."""
+"""The results file: one section for each benchmark, with its commit and its machine."""
 
 from __future__ import annotations
 
 import json
 import platform
+import subprocess
 import time
 from collections.abc import Mapping
 from importlib import metadata
@@ -54,11 +55,21 @@ def environment() -> dict[str, Any]:
             continue
     return {
         "date": time.strftime("%Y-%m-%d"),
+        "commit": commit(),
         "processor": processor(),
         "python": platform.python_version(),
         "system": platform.system(),
         "versions": versions,
     }
+
+
+def commit() -> str | None:
+    """The commit that is measured, shortened; None outside a repository."""
+    command = ["git", "-C", str(FILE.parent), "rev-parse", "--short=8", "HEAD"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
 
 
 def processor() -> str:

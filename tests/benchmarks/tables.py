@@ -43,8 +43,9 @@ def origin(section: Section) -> str:
     found = section["environment"]
     versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
     quick = " Quick run: figures without meaning." if section["quick"] else ""
+    measured = f" at {found['commit']}" if found.get("commit") else ""
     return (
-        f"<sub>{found['processor']}, {found['date']}, Python {found['python']}, "
+        f"<sub>{found['processor']}, {found['date']}{measured}, Python {found['python']}, "
         f"{versions}.{quick}</sub>"
     )
 
