@@ -116,7 +116,7 @@ class _Search:
 
     def _aims(self, g: np.ndarray) -> list[tuple[int, int]]:
         """Return arguments to search, each with -1 for a maximum, 1 for a minimum, 0 for a zero."""
-        aims = []
+        aims: list[tuple[int, int]] = []
         for k, kind in enumerate(self.kinds):
             known = g[np.isfinite(g[:, k]), k]
             low, high = (known.min(), known.max()) if len(known) else (-np.inf, np.inf)
@@ -146,7 +146,7 @@ class _Search:
         shifted[..., 0] += step[:, None, None] * np.array([-1.0, 0.0, 1.0])
         shifted[..., 0] = np.clip(shifted[..., 0], -1, 1)
         found = self._heights(shifted.reshape(-1, y.shape[2]), 3 * y.shape[1])
-        return found.reshape(*y.shape[:2], 3).mean(axis=2)
+        return np.asarray(found.reshape(*y.shape[:2], 3).mean(axis=2))
 
     def _beside(self, heights: np.ndarray) -> np.ndarray:
         """Return the last generation in which the function still had another value.
