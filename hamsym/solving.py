@@ -290,7 +290,7 @@ def checked_options(H: Hamiltonian, method: str, options: Mapping[str, Any]) -> 
         if name not in names:
             if name in H.parameter_names:
                 raise InputError(f"'{name}' is a parameter; use H.with_parameters({name}=...)")
-            instead = advice(name, "solve", names)
+            instead = advice(name)
             if instead is not None:
                 raise KeywordError(f"'{name}' is not an argument of solve; {instead}")
             others = [
