@@ -59,7 +59,8 @@ def trial_pieces(trial: Any, span: tuple[float, float]) -> list[Piece]:
     else:
         from hamsym.networks.chain import Chain  # needs torch
 
-        parts, edges = (trial,), [Fraction(0), total]
+        parts: Sequence[Any] = (trial,)
+        edges = [Fraction(0), total]
         if isinstance(trial, Chain):
             parts = trial.pieces
             edges = [direction * (Fraction(edge) - begin) for edge in trial.edges.tolist()]
