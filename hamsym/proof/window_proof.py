@@ -209,6 +209,9 @@ class WindowProof:
     ) -> WindowBounds:
         """Bounds by an enclosure of some accuracy; no window contains one of the times.
 
+        Times within a rounding of the ends of a piece of z^ count as these ends: certificates have
+        them as float64 numbers, and no window is as short as a rounding.
+
         If not ``whole``, the energy error and the residual are not bounded.
         """
         equation, dim = self._equation, self._equation.dim
@@ -225,13 +228,15 @@ class WindowProof:
         )
         comparison = _Comparison(equation, self._begin, self._direction, self._solution.z0, samples)
         inner = sorted(self._direction * (Fraction(time) - self._begin) for time in times)
+        rounding = Fraction(np.spacing(max(map(abs, map(float, self._solution.span)))))
         uppers, lowers, scales = (np.zeros(dim + 3) for _ in range(3))
         edges, norms = [Fraction(0)], []
         for piece in self._pieces:
             limit = min(piece.end, self._total)
             if limit <= stepper.elapsed:
                 continue
-            stops = inner[bisect_right(inner, stepper.elapsed) : bisect_left(inner, limit)]
+            first = bisect_right(inner, stepper.elapsed + rounding)
+            stops = inner[first : bisect_left(inner, limit - rounding)]
             for stop in (*stops, limit):
                 while stepper.elapsed < stop:
                     window = stepper.step(stop)
