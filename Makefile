@@ -33,7 +33,7 @@ PORTABLE := $(addprefix tests/,codegen dynamics families fitting flow_maps integ
     $(addprefix --ignore=tests/codegen/test_,jax.py other_languages.py numba_cache.py generated_code.py) \
     $(addprefix --ignore=tests/integrators/test_,coefficients.py integrate.py) \
     $(addprefix --ignore-glob=tests/proof/test_,ball* box* chebyshev* *_attack.py forced* generated.py \
-    mutations.py root* sets* spectrum.py taylor* window_steps.py)
+    mutations.py root* sets* spectrum.py taylor_models.py window_steps.py)
 
 test-portable: $(VENV)/installed ## Test the numerics with the code for an older processor
 	$(BIN)/python -m tests.older_processor -n 2 --dist worksteal -m "not slow and not browser" $(PORTABLE)

@@ -42,10 +42,6 @@ class Ensemble:
     def __len__(self) -> int:
         return len(self.states)
 
-    def first(self) -> Ensemble:
-        """Return the first member alone."""
-        return Ensemble(self.H, self.states[:1], self.parameters[:1], (1,), self.varied)
-
     def hamiltonian(self, index: int) -> Hamiltonian:
         """Return H with the parameter values of one member."""
         if not self.varied:

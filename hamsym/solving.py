@@ -109,13 +109,6 @@ def solve(
             Collocation points K; or an increasing list of times in the span, at exactly which the
             loss is trained (``"adam"``: without noise, unless ``noise`` is given). Weights are
             always judged at other points.
-        sampling : {"uniform", "residual"}
-            ``"residual"`` draws the points with a density, relative to the usual one, of
-            1 + |residual| / mean |residual|, one in each cell of equal probability, with both ends
-            (Wu, Zhu, Tan, Kartha & Lu 2023). Over five seeds it changed the median error of
-            ``"adam"`` from 1.3 % to 1.2 % on an oscillator and from 1.9 % to 1.4 % on a Kepler
-            orbit of e = 0.3; both methods of second order became worse in the median on both, and
-            least squares on the orbit failed from more seeds (``tests/benchmarks/objectives.py``).
         stages : int, default 12, and 1 for ``"adam"``
             Sequential training: number of spans, each longer by an equal part, with the weights
             carried over.
@@ -290,7 +283,7 @@ def checked_options(H: Hamiltonian, method: str, options: Mapping[str, Any]) -> 
         if name not in names:
             if name in H.parameter_names:
                 raise InputError(f"'{name}' is a parameter; use H.with_parameters({name}=...)")
-            instead = advice(name, "solve", names)
+            instead = advice(name)
             if instead is not None:
                 raise KeywordError(f"'{name}' is not an argument of solve; {instead}")
             others = [

@@ -103,85 +103,48 @@ def unknown(name: object, names: Iterable[str], kind: str, remedy: str = "choose
 # -- arguments of scipy ----------------------------------------------------------------------------
 
 _TIMES = (
-    (
-        "saves",
-        "choose the saved states by saves=... or save_every=..., or call solve, whose result "
-        "is a function of time",
-    ),
-    ("tol", "the result is a function of time: call it with the times, solution(t)"),
+    "call the result with the times, solution(t); integrate keeps the states of saves=... or "
+    "save_every=..."
 )
-_FIXED = ("dt", "steps have a fixed length: give dt=... or steps=...")
-_NAMED = (
-    (
-        "",
-        "give the parameters of H by name: Hamiltonian(..., parameters={'m': 1.0}), or "
-        "H.with_parameters(m=1.0)",
-    ),
+_PARAMETERS = (
+    "give the parameters of H by name: Hamiltonian(..., parameters={'m': 1.0}), or "
+    "H.with_parameters(m=1.0)"
 )
 
-#: Keywords of ``scipy.integrate.solve_ivp``, and ``parameters``: pairs of an argument, and what to
-#: do in a function that has it; the first pair that applies is the answer.
-_ELSEWHERE: dict[str, Sequence[tuple[str, str]]] = {
-    "fun": (
-        ("", "give H, a formula or a Hamiltonian, as the first argument: its equations follow"),
-    ),
-    "y0": (("span", "give the initial state as the second argument, z0"),),
-    "t_span": (("span", "give the times as the third argument, the pair span=(start, end)"),),
+#: What takes the place of the keywords of ``scipy.integrate.solve_ivp``, and of ``parameters``.
+_ELSEWHERE = {
+    "fun": "give H, a formula or a Hamiltonian, as the first argument: its equations follow",
+    "y0": "give the initial state as the second argument, z0",
+    "t_span": "give the times as the third argument, the pair span=(start, end)",
     "t_eval": _TIMES,
     "dense_output": _TIMES,
-    "rtol": (
-        ("tol", "give tol=..., the error of each component relative to its largest value"),
-        _FIXED,
-    ),
-    "atol": (("tol", "give tol=..., and atol=... where it is taken"), _FIXED),
-    "max_step": (
-        ("dt", "give dt=... for the largest step, or steps=... for their number"),
-        ("max_window", "the lengths of windows follow from tol; max_window=... limits them"),
-    ),
+    "rtol": "give tol=..., or dt=... or steps=... where steps have a fixed length",
+    "max_step": "give dt=... or steps=..., or max_window=... to solve",
     "events": (
-        ("surface", "give the surface as the fourth argument, e.g. 'x = 0, p_x > 0'"),
-        ("saves", "call section(H, z0, span, 'x = 0, p_x > 0') for crossings of a surface"),
-        ("tol", "call events of the result: solution.events('x = 0, p_x > 0')"),
+        "call solution.events('x = 0, p_x > 0') of the result, or section(H, z0, span, "
+        "'x = 0, p_x > 0')"
     ),
-    "jac": (("", "leave it out: derivatives are derived from H"),),
-    "args": _NAMED,
-    "parameters": _NAMED,
+    "jac": "leave it out: derivatives are derived from H",
+    "args": _PARAMETERS,
+    "parameters": _PARAMETERS,
 }
 
-#: Arguments of ``solve`` that are options of its methods.
-_OF_METHODS = ("tol", "max_window")
 
-
-def advice(name: str, function: str, arguments: Iterable[str]) -> str | None:
+def advice(name: str) -> str | None:
     """Return what to do instead of a keyword of scipy, or None.
-
-    Parameters
-    ----------
-    name : str
-        The keyword.
-    function : str
-        Name of the function that it was given to.
-    arguments : iterable of str
-        The arguments that the function has.
 
     Examples
     --------
-    >>> advice("rtol", "section", ["H", "z0", "span", "dt"])
-    'steps have a fixed length: give dt=... or steps=...'
+    >>> advice("jac")
+    'leave it out: derivatives are derived from H'
     """
-    has = {*arguments, ""}
-    if function == "solve":
-        has.update(_OF_METHODS)
-    for needed, text in _ELSEWHERE.get(name, ()):
-        if needed in has:
-            return text
-    return None
+    return _ELSEWHERE.get(name)
 
 
 def keyword_message(name: str, function: str, arguments: Sequence[str]) -> str:
     """Return the sentence about a keyword that a function does not have."""
     begin = f"'{name}' is not an argument of {function}"
-    instead = advice(name, function, arguments)
+    instead = advice(name)
     if instead is not None:
         return f"{begin}; {instead}"
     hint = did_you_mean(name, arguments)
@@ -204,10 +167,10 @@ def checked_keywords(function: Callable[P, R], title: str | None = None) -> Call
     --------
     >>> @checked_keywords
     ... def section(H, z0, span, *, dt=None): ...
-    >>> section("p**2/2 + x**2/2", [1, 0], (0, 1), rtol=1e-9)
+    >>> section("p**2/2 + x**2/2", [1, 0], (0, 1), jac=None)
     Traceback (most recent call last):
-    hamsym.errors.KeywordError: 'rtol' is not an argument of section; steps have a fixed length: \
-give dt=... or steps=...
+    hamsym.errors.KeywordError: 'jac' is not an argument of section; leave it out: derivatives are \
+derived from H
     >>> section("p**2/2 + x**2/2", [1, 0])
     Traceback (most recent call last):
     hamsym.errors.KeywordError: section is called without span; give section(H, z0, span)
@@ -236,7 +199,7 @@ give dt=... or steps=...
             try:
                 signature.bind(*arguments, **keywords)
             except TypeError:
-                others = [n for n in others if advice(n, called, named)]
+                others = [n for n in others if advice(n)]
             else:
                 others = []
         if others:

@@ -53,8 +53,6 @@ LEMMAS = (
     "windows",
     "trial_models",
     "window_proof",
-    "taylor",
-    "error_bounds",
     "enclose",
     "box_proof",
     "tube",

@@ -28,7 +28,7 @@ __all__ = [
 _OF_SECTIONS = {
     "Problem": "q p param force lagrangian velocities z0 t-start t-end energy at box guess free "
     "bounds sigma near period symmetry invariant degree basis start",
-    "Accuracy": "tol rtol atol steps dt prove bits bound confidence max-steps max-boxes "
+    "Accuracy": "tol rtol atol steps dt prove bound confidence max-steps max-boxes "
     "time-limit compensated",
     "Output": "output plot save-every saves full analysis latex certificate out json",
     "Help": "help list version",

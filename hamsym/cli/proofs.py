@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +31,6 @@ _time_limit = click.option(
 )
 @click.argument("file", type=click.Path())
 @click.option("--rtol", default=0.02, show_default=True, help="Relative width of the bounds.")
-@click.option("--bits", type=int, help="Working precision of ball arithmetic  [as needed]")
 @click.option("--bound", type=float, help="Prove only that each component's error is below.")
 @_time_limit
 @click.option("-o", "--output", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate]")
@@ -51,7 +49,7 @@ def certify(file: str, output: str | None, rows: int | None, **options: Any) -> 
 
 def _values_of(found: Certificate) -> dict[str, Any]:
     """Return a certificate as values of JSON; the file has the numbers as they are proven."""
-    names = found.labels
+    names = found.components
     return {
         "statement": found.statement,
         "bound": found.bound,
@@ -63,8 +61,6 @@ def _values_of(found: Certificate) -> dict[str, Any]:
         "energy_lower": found.energy_lower,
         "ell_max_bound": found.ell_max_bound,
         "ell_max_lower": found.ell_max_lower,
-        "arithmetic": found.arithmetic,
-        "bits": found.bits,
         "digest": found.digest,
         "seconds": found.seconds,
     }
@@ -94,8 +90,7 @@ def verify(file: str, certificate: str | None, time_limit: float | None) -> Repo
     if isinstance(claims, BoxCertificate):
         return Report(f"verified: {claims.bounds}\n{last}", _values_of_box(claims))
     first = f"verified: the error is at most {decimal(claims.bound)} (2-norm)"
-    named = dataclasses.replace(claims, components=saved_solution(file).H.names)
-    return Report(f"{first}\n{last}", _values_of(named))
+    return Report(f"{first}\n{last}", _values_of(claims))
 
 
 def _values_of_box(found: BoxCertificate) -> dict[str, Any]:

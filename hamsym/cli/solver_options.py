@@ -75,7 +75,7 @@ _TOPICS = {
         "Accuracy": "tol atol breakpoints max_window",
         "Method": "compiled windows train_hidden",
         "Network": "hidden activation envelope tau frequency shared_weights initial dtype device",
-        "Loss": "points sampling energy_weight invariant_weight",
+        "Loss": "points energy_weight invariant_weight",
         "Search for the weights": "stages iterations restarts",
         "Training": "epochs learning_rate betas schedule noise",
         "End of the training": "target_loss target_ell_max target_error accuracy patience "

@@ -29,7 +29,7 @@ from hamsym.dynamics.growth import (
     orthonormal,
 )
 from hamsym.dynamics.history import history
-from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map, lyapunov_map_on_cluster
+from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
 from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
 from hamsym.ensemble import ensemble_of
@@ -47,7 +47,6 @@ from hamsym.support.validation import require_whole
 if TYPE_CHECKING:
     import pandas
     import xarray
-    from distributed import Client
     from matplotlib.figure import Figure
 
 __all__ = ["LyapunovExponents", "lyapunov"]
@@ -252,8 +251,6 @@ def lyapunov(
     seed: int = 0,
     parameters: Mapping[Any, Any] | None = None,
     progress: bool | None = None,
-    client: Client | None = None,
-    retries: int = 3,
 ) -> LyapunovExponents | LyapunovMap:
     """Compute the largest Lyapunov exponents, of one trajectory with their convergence over time.
 
@@ -286,10 +283,6 @@ def lyapunov(
         Values that replace those of H, broadcast with the starts.
     progress : bool, optional
         Show progress; by default on a terminal, after a second.
-    client : dask.distributed.Client, optional
-        Compute an array of starts on the workers of this cluster, with the same results.
-    retries : int
-        Times that a chunk is repeated after an error on a worker.
 
     Returns
     -------
@@ -322,12 +315,7 @@ def lyapunov(
     if members.shape:
         given = steps is not None or dt is not None
         number = checked_steps(span[1] - span[0], steps, dt) if given else None
-        settings = members, span, method, number, count, seed, progress
-        if client is not None:
-            return lyapunov_map_on_cluster(client, *settings, retries)
-        return lyapunov_map(*settings)
-    if client is not None:
-        raise InputError("a cluster computes arrays of starts; leave client out for one start")
+        return lyapunov_map(members, span, method, number, count, seed, progress)
     state = H.state_from(members.states[0])
     plan = TangentSteps.choose(H, method, state, span, steps, dt)
     began = time.perf_counter()

@@ -16,14 +16,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import hamsym
-from hamsym.cluster import members_on_cluster
 from hamsym.dynamics.growth import (
     APART,
     PARALLEL,
@@ -47,10 +45,9 @@ from hamsym.support.shown import Shown
 from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 
 if TYPE_CHECKING:
-    from distributed import Client
     from matplotlib.figure import Figure
 
-__all__ = ["LyapunovMap", "lyapunov_map", "lyapunov_map_on_cluster"]
+__all__ = ["LyapunovMap", "lyapunov_map"]
 
 _BLOCKS = 200  # fewest renormalisations, after which the energy is checked as well
 _FEWEST_STEPS = 1_000
@@ -216,97 +213,13 @@ def lyapunov_map(
     interrupted = False
     for _ in range(1 + _REPETITIONS):
         interrupted = interrupted or run.repeat(progress)
-    found = _Found(run.exponents, run.energy_error, run.steps, np.array(run.problems, dtype=object))
-    return _map_of(members, span, method, found, time.perf_counter() - began, interrupted)
-
-
-def lyapunov_map_on_cluster(
-    client: Client,
-    members: Ensemble,
-    span: tuple[float, float],
-    method: str,
-    steps: int | None,
-    count: int,
-    seed: int,
-    progress: bool | None,
-    retries: int,
-) -> LyapunovMap:
-    """Compute the same as :func:`lyapunov_map` on a cluster."""
-    began, size, interrupted = time.perf_counter(), len(members), False
-    problems = np.full(size, "interrupted", dtype=object)
-    empty = np.full((size, count), np.nan), np.full(size, np.nan), np.zeros(size, dtype=np.int64)
-    found = _Found(*empty, problems)
-    results = members_on_cluster(
-        client,
-        _on_worker,
-        (members.first(), span, method, steps, count, seed),
-        members,
-        prepare=_prepare,
-        compiled=f"{method} {count}",
-        retries=retries,
-    )
-    with stepping_progress(size, progress) as report, closing(results):
-        try:
-            for index, part in results:
-                for column, own in zip(found, part, strict=True):
-                    column[index] = own
-                report(len(index))
-        except KeyboardInterrupt:
-            interrupted = True
-    return _map_of(members, span, method, found, time.perf_counter() - began, interrupted)
-
-
-_Setup = tuple[Ensemble, tuple[float, float], str, int | None, int, int]
-
-
-def _prepare(setup: _Setup) -> None:
-    """Compile the steps of the method, by taking one."""
-    first, (start, end), method, _, count, seed = setup
-    vectors = first_vectors(first.H.dim, count, seed)[None].copy()
-    size = np.array([(end - start) / MAX_STEPS])
-    fixed_step(
-        first.H,
-        method,
-        first.states,
-        np.array([start]),
-        size,
-        tangents=vectors,
-        parameters=first.parameters,
-    ).step(1)
-
-
-def _on_worker(setup: _Setup, numbers: np.ndarray, members: Ensemble) -> _Found:
-    """Compute the exponents of a chunk of members."""
-    run = _Run(members, *setup[1:])
-    for _ in range(1 + _REPETITIONS):
-        run.repeat(False)
-    return _Found(run.exponents, run.energy_error, run.steps, np.array(run.problems, dtype=object))
-
-
-class _Found(NamedTuple):
-    """Results of members, in their order; ``problems`` are empty where there was success."""
-
-    exponents: np.ndarray
-    energy_error: np.ndarray
-    steps: np.ndarray
-    problems: np.ndarray
-
-
-def _map_of(
-    members: Ensemble,
-    span: tuple[float, float],
-    method: str,
-    found: _Found,
-    seconds: float,
-    interrupted: bool,
-) -> LyapunovMap:
     shape, names = members.shape, members.H.parameter_names
-    messages = found.problems.copy()
+    messages = np.array(run.problems, dtype=object)
     success = messages == ""
     messages[success] = [
-        f"{method}: {steps:,} steps to t = {span[1]:.6g}" for steps in found.steps[success]
+        f"{method}: {steps:,} steps to t = {span[1]:.6g}" for steps in run.steps[success]
     ]
-    exponents = np.where(success[:, None], found.exponents, np.nan)
+    exponents = np.where(success[:, None], run.exponents, np.nan)
     return LyapunovMap(
         exponents=exponents.reshape(*shape, exponents.shape[1]),
         success=success.reshape(shape),
@@ -317,10 +230,10 @@ def _map_of(
         },
         names=members.H.names,
         span=span,
-        energy_error=found.energy_error.reshape(shape),
-        steps=found.steps.reshape(shape),
+        energy_error=run.energy_error.reshape(shape),
+        steps=run.steps.reshape(shape),
         method=method,
-        seconds=seconds,
+        seconds=time.perf_counter() - began,
         interrupted=interrupted,
         title=members.H.formulas,
         H=members.H,

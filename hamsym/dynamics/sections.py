@@ -11,19 +11,16 @@ sampled, and a pair of crossings within one step is found from the slopes at its
 
 from __future__ import annotations
 
-import functools
 import math
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 import hamsym
-from hamsym.cluster import members_on_cluster
 from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError, StepSizeWarning
@@ -37,7 +34,6 @@ from hamsym.numerics.isolation import Cells, component_ranges, isolated_zeros, r
 from hamsym.numerics.roots import suspects, zeros
 from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Shown
 from hamsym.support.tables import data_frame, data_set, time_name
 from hamsym.support.text_tables import ALL, table, wrapped
@@ -47,7 +43,6 @@ from hamsym.surface import Surface, parse_surface
 if TYPE_CHECKING:
     import pandas
     import xarray
-    from distributed import Client
     from matplotlib.figure import Figure
 
 __all__ = ["Section", "section"]
@@ -250,8 +245,6 @@ def section(
     crossings: int | None = None,
     parameters: Mapping[Any, Any] | None = None,
     progress: bool | None = None,
-    client: Client | None = None,
-    retries: int = 3,
 ) -> Section:
     """Locate crossings of a surface by one trajectory or by each of an ensemble.
 
@@ -286,12 +279,6 @@ def section(
         Values that replace those of H, also in the surface, broadcast with the states.
     progress : bool, optional
         Show progress; by default on a terminal, after a second.
-    client : dask.distributed.Client, optional
-        Step an ensemble on the workers of this cluster, with the same crossings. Steps that are
-        not given are chosen on this machine. With ``crossings``, each chunk of trajectories stops
-        when all of its own have enough, so that ``drift`` may be smaller.
-    retries : int
-        Times that a chunk is repeated after an error on a worker.
 
     Returns
     -------
@@ -337,10 +324,7 @@ def section(
     size = (end - start) / steps
     share = max(AIM, min(choice.found, COARSE)) if chosen else COARSE
     setting = _Setting(method, surface, direction, start, size, steps, crossings, share)
-    if client is None:
-        found = setting.found(members, progress)
-    else:
-        found = _found_on_cluster(client, setting, members, progress, retries)
+    found = setting.found(members, progress)
     t, z, trajectory, drift = found.t, found.z, found.trajectory, found.drift
     problem = setting.problem(found, end)
     message = f"{len(t):,} crossings of {surface}, {method} with dt = {size:.3g}"
@@ -478,64 +462,6 @@ class _Setting:
                 f"crossings by t = {end:.6g}"
             )
         return ""
-
-
-def _found_on_cluster(
-    client: Client, setting: _Setting, members: Ensemble, progress: bool | None, retries: int
-) -> _Found:
-    """Return the crossings of all members, which chunks of trajectories find on a cluster."""
-    numbers, lost = np.zeros(len(members), dtype=int), np.zeros(len(members), dtype=bool)
-    parts: list[tuple[int, _Found]] = []
-    until = math.nan
-    results = members_on_cluster(
-        client,
-        _on_worker,
-        (setting, members.first()),
-        members,
-        prepare=_prepare,
-        compiled=setting.method,
-        retries=retries,
-    )
-    with stepping_progress(len(members), progress) as report, closing(results):
-        try:
-            for index, part in results:
-                parts.append((int(index[0]), part))
-                numbers[index], lost[index] = part.numbers, part.lost
-                report(len(index))
-        except KeyboardInterrupt:
-            until = setting.start  # that all trajectories have reached
-    found = [
-        part._replace(trajectory=first + part.trajectory)
-        for first, part in sorted(parts, key=lambda entry: entry[0])
-    ]
-    if not found:
-        nothing = np.empty(0), np.empty((0, members.H.dim)), np.empty(0, dtype=int)
-        return _Found(*nothing, numbers, lost, _Doubts(), math.nan, until)
-    ordered = sorted(
-        (part.doubts for part in found), key=lambda d: abs(d.undefined - setting.start)
-    )
-    return _Found(
-        np.concatenate([part.t for part in found]),
-        np.concatenate([part.z for part in found]),
-        np.concatenate([part.trajectory for part in found]),
-        numbers,
-        lost,
-        functools.reduce(_Doubts.together, ordered),
-        float(np.max([part.drift for part in found])),
-        until,
-    )
-
-
-def _prepare(setup: tuple[_Setting, Ensemble]) -> None:
-    """Compile the steps of the method, by taking one."""
-    setting, first = setup
-    one = np.array([setting.start]), np.array([setting.size])
-    fixed_step(first.H, setting.method, first.states, *one, parameters=first.parameters).step(1)
-
-
-def _on_worker(setup: tuple[_Setting, Ensemble], numbers: np.ndarray, members: Ensemble) -> _Found:
-    """Return the crossings of a chunk of members."""
-    return setup[0].found(members, False)
 
 
 class _Crossings:

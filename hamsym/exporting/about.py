@@ -79,7 +79,6 @@ class About:
             else {
                 "bound": certificate.bound,
                 "component_bounds": dict(zip(H.names, certificate.component_bounds, strict=True)),
-                "arithmetic": certificate.arithmetic,
             },
             "sha256": self.digest or None,
             "hamsym": hamsym.__version__,

@@ -26,8 +26,7 @@ from hamsym.networks.module_rates import ModuleRates
 from hamsym.networks.module_trial import ModuleTrial
 from hamsym.networks.network import Network, layers_of
 from hamsym.networks.objective import Objective
-from hamsym.networks.points import points_between
-from hamsym.networks.sampling import Collocation
+from hamsym.networks.points import Collocation, points_between
 from hamsym.networks.sensitivities import Layer, backward, forward
 from hamsym.networks.trial import TrialSolution
 from hamsym.support.validation import is_positive
@@ -51,8 +50,6 @@ class LevenbergMarquardt:
     points : int or numpy.ndarray
         Collocation points K on the whole span; short spans of sequential training have fewer. Or
         times, from the start of the span on, in place of random ones.
-    sampling : {"uniform", "residual"}
-        Density of the random points; see :class:`~hamsym.networks.sampling.Collocation`.
 
     Raises
     ------
@@ -63,8 +60,8 @@ class LevenbergMarquardt:
 
     check_every = 5
 
-    def __init__(self, *, points: int | np.ndarray = 200, sampling: str = "uniform") -> None:
-        self._collocation = Collocation(points, sampling)
+    def __init__(self, *, points: int | np.ndarray = 200) -> None:
+        self._collocation = Collocation(points)
         self.points = self._collocation.count
 
     @property
@@ -82,7 +79,7 @@ class LevenbergMarquardt:
         if not isinstance(trial, (TrialSolution, ModuleTrial)):
             raise InputError("the trial solution is not a TrialSolution; use Adam or LBFGS")
         self._weights, self._dtype, self._device = trial.weights, trial.z0.dtype, trial.z0.device
-        self._collocation.bind(trial, objective, generator)
+        self._collocation.bind(trial, generator)
         self._mu_least = _MU_LEAST * torch.finfo(self._dtype).eps
         self._trial, self._objective = trial, objective
         self.reset()

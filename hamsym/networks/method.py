@@ -376,14 +376,13 @@ def _optimizer(options: DeepOptions, points: int | np.ndarray) -> Optimizer:
                 schedule=options.schedule,
                 points=points,
                 noise=options.noise,
-                sampling=options.sampling,
             )
         case LBFGSOptions():
-            return LBFGS(points=points, sampling=options.sampling)
+            return LBFGS(points=points)
         case SelfScaledBroydenOptions():
-            return SelfScaledBroyden(points=points, sampling=options.sampling)
+            return SelfScaledBroyden(points=points)
         case _:
-            return LevenbergMarquardt(points=points, sampling=options.sampling)
+            return LevenbergMarquardt(points=points)
 
 
 def _stages(options: DeepOptions, trial: TrialSolution | ModuleTrial) -> Stages:

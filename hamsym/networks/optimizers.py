@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from hamsym.networks.objective import Objective
-from hamsym.networks.points import midpoints, points_between, points_within
-from hamsym.networks.sampling import Collocation, cumulative_density, drawn_points
+from hamsym.networks.points import Collocation, midpoints, points_between, points_within
 from hamsym.support.validation import is_positive, require, require_positive, require_whole
 
 __all__ = ["LBFGS", "Adam", "GradientOptimizer", "QuasiNewton"]
@@ -26,7 +25,7 @@ class GradientOptimizer:
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
     ) -> None:
         self._trial, self._objective, self._generator = trial, objective, generator
-        self._collocation.bind(trial, objective, generator)
+        self._collocation.bind(trial, generator)
         self._parameters = list(trial.parameters())
         self._dtype, self._device = self._parameters[0].dtype, self._parameters[0].device
         self.reset()
@@ -52,10 +51,7 @@ class Adam(GradientOptimizer):
         Collocation points K, equally spaced over the span; or times, from the start of the span on.
     noise : float, optional
         Standard deviation of the noise, in units of time; by default three times the spacing of
-        the points, as in the paper, and no noise of given times or of ``sampling="residual"``.
-    sampling : {"uniform", "residual"}
-        ``"residual"`` draws the points of each epoch, one in each cell of equal probability, with
-        a density proportional to 1 + |residual| / mean |residual|, of the last fifty epochs.
+        the points, as in the paper, and no noise of given times.
     """
 
     check_every = 50
@@ -69,9 +65,8 @@ class Adam(GradientOptimizer):
         schedule: str = "cosine",
         points: int | np.ndarray = 200,
         noise: float | None = None,
-        sampling: str = "uniform",
     ) -> None:
-        self._collocation = Collocation(points, sampling)
+        self._collocation = Collocation(points)
         require_positive("learning_rate", learning_rate)
         require(noise is None or noise == 0 or is_positive(noise), "noise", noise, "0 or more")
         require(
@@ -87,8 +82,6 @@ class Adam(GradientOptimizer):
         self.points, self.noise = self._collocation.count, noise
 
     def reset(self) -> None:
-        self._density: np.ndarray | None = None
-        self._age, self._share = 0, 0.0
         self._adam = torch.optim.Adam(
             self._parameters,
             lr=self.learning_rate,
@@ -105,7 +98,7 @@ class Adam(GradientOptimizer):
         if self.schedule == "cosine":
             rate = self.learning_rate * (1 + math.cos(math.pi * done)) / 2
             self._adam.param_groups[0]["lr"] = rate
-        t = self._noisy(self._base_points(span, share), min(span), max(span)).to(self._device)
+        t = self._noisy(self._base_points(span), min(span), max(span)).to(self._device)
         self._adam.zero_grad(set_to_none=True)
         z, dz = self._trial(t)
         loss = self._objective(t, z, dz)
@@ -114,33 +107,17 @@ class Adam(GradientOptimizer):
         motion = 0.0 if share == 1 else float(dz.detach().square().sum(-1).mean())
         return loss.item(), motion
 
-    def _base_points(self, span: tuple[float, float], share: float) -> Tensor:
+    def _base_points(self, span: tuple[float, float]) -> Tensor:
         """Return the points of an epoch before noise is added, on the CPU."""
-        start, end = span
         if self._collocation.times is not None:
             return points_within(self._collocation.times, span, self._dtype)
-        if not self._collocation.by_residual:
-            return torch.linspace(
-                min(span), max(span), self.points, dtype=self._dtype, device="cpu"
-            )
-
-        def place(u: Tensor) -> Tensor:
-            return (start + u * (end - start)).to(self._dtype)
-
-        if self._density is None or self._age >= self.check_every or share != self._share:
-            self._density = cumulative_density(
-                self._trial, self._objective, lambda u: place(u).to(self._device), self.points
-            )
-            self._age, self._share = 0, share
-        self._age += 1
-        return place(drawn_points(self._density, self.points, self._generator))
+        return torch.linspace(min(span), max(span), self.points, dtype=self._dtype, device="cpu")
 
     def _noisy(self, points: Tensor, start: float, end: float) -> Tensor:
         length = end - start
         noise = self.noise
         if noise is None:
-            equal = self._collocation.times is None and not self._collocation.by_residual
-            noise = 3 * length / (self.points - 1) if equal else 0.0
+            noise = 3 * length / (self.points - 1) if self._collocation.times is None else 0.0
         if not noise:
             return points
         moved = torch.randn(
@@ -152,18 +129,10 @@ class Adam(GradientOptimizer):
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         states = self._adam.state_dict()["state"]
-        found = {f"{i}.{name}": v for i, state in states.items() for name, v in state.items()}
-        if self._density is None:
-            return found, {}
-        found["density"] = torch.from_numpy(self._density)
-        return found, {"age": self._age, "share": self._share}
+        return {f"{i}.{name}": v for i, state in states.items() for name, v in state.items()}, {}
 
     def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
         states: dict[int, dict[str, Tensor]] = {}
-        tensors = dict(tensors)
-        if (density := tensors.pop("density", None)) is not None:
-            self._restore_density(density.numpy(), values)
-            values = {}
         for key, tensor in tensors.items():
             index, name = key.split(".", 1)
             states.setdefault(int(index), {})[name] = tensor
@@ -176,21 +145,6 @@ class Adam(GradientOptimizer):
                 raise ValueError("its moments do not match the weights")
         groups = self._adam.state_dict()["param_groups"]
         self._adam.load_state_dict({"state": states, "param_groups": groups})
-
-    def _restore_density(self, density: np.ndarray, values: dict[str, Any]) -> None:
-        age, share = values["age"], values["share"]
-        if not (
-            {*values} == {"age", "share"}
-            and isinstance(age, int)
-            and isinstance(share, float)
-            and density.ndim == 1
-            and density.dtype == float
-            and len(density) >= 2
-            and (density[0], density[-1]) == (0, 1)
-            and bool(np.all(np.diff(density) > 0))
-        ):
-            raise ValueError("its density of points is not one")
-        self._density, self._age, self._share = density, age, share
 
 
 class QuasiNewton(GradientOptimizer):
@@ -224,8 +178,6 @@ class LBFGS(QuasiNewton):
         Number of pairs of steps and gradient changes.
     refresh : int
         Iterations after which new points are drawn.
-    sampling : {"uniform", "residual"}
-        Density of the points that are drawn; see :class:`~hamsym.networks.sampling.Collocation`.
     """
 
     def __init__(
@@ -234,9 +186,8 @@ class LBFGS(QuasiNewton):
         points: int | np.ndarray = 200,
         memory: int = 50,
         refresh: int = 200,
-        sampling: str = "uniform",
     ) -> None:
-        self._collocation = Collocation(points, sampling)
+        self._collocation = Collocation(points)
         require_whole("memory", memory, 1)
         require_whole("refresh", refresh, 1)
         self.points, self.memory, self.refresh = self._collocation.count, memory, refresh

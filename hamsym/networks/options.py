@@ -57,7 +57,6 @@ class DeepOptions:
     )
     shared_weights: bool = option(True, "One network for all components, or one for each.")
     points: int | Sequence[float] | np.ndarray = option(200, "Collocation points K.")
-    sampling: str = option("uniform", "Density of the points.", choices=("uniform", "residual"))
     stages: int = option(12, "Spans of sequential training.")
     energy_weight: float = option(0.0, "Weight of the energy penalty.")
     invariants: KnownInvariants | None = None
@@ -235,11 +234,6 @@ def check_options(H: Hamiltonian, options: DeepOptions) -> None:
         raise InputError(
             f"invariant_weight={options.invariant_weight!r} needs invariants; give for example "
             'invariants=["x*p_y - y*p_x"]'
-        )
-    if options.sampling != "uniform" and not isinstance(options.points, int):
-        raise InputError(
-            f"sampling={options.sampling!r} draws points, and points are times of your own; "
-            "leave out one of them"
         )
     if options.trial is not None:
         _check_own_network(options)

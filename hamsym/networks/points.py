@@ -13,13 +13,12 @@ from hamsym.errors import InputError
 from hamsym.support.validation import require_whole
 
 __all__ = [
+    "Collocation",
     "checked_points",
     "fresh_points",
-    "judging_count",
     "midpoints",
     "points_between",
     "points_within",
-    "spread",
 ]
 
 _FEWEST_JUDGING = 200  # points beside those of the caller's choice, which may be few
@@ -60,9 +59,33 @@ def checked_points(points: Any, span: tuple[float, float]) -> int | np.ndarray:
     return times if span[0] < span[1] else times[::-1].copy()
 
 
-def judging_count(points: int | np.ndarray) -> int:
-    """Return the number of collocation points by which that of the judging points is chosen."""
-    return points if isinstance(points, int) else max(len(points), _FEWEST_JUDGING)
+class Collocation:
+    """The collocation points of an optimizer.
+
+    Parameters
+    ----------
+    points : int or numpy.ndarray
+        Their number K, or the times themselves, from the start of the span on.
+    """
+
+    def __init__(self, points: int | np.ndarray) -> None:
+        self.times = points if isinstance(points, np.ndarray) else None
+        if not isinstance(points, np.ndarray):
+            require_whole("points", points, 2)
+        self.count = points if isinstance(points, int) else len(points)
+        #: Number of collocation points by which that of the judging points is chosen.
+        self.judging = self.count if self.times is None else max(self.count, _FEWEST_JUDGING)
+
+    def bind(self, trial: torch.nn.Module, generator: torch.Generator) -> None:
+        """Set the source of random numbers, and the type and device of the times, once."""
+        self._generator, weights = generator, next(trial.parameters())
+        self._dtype, self._device = weights.dtype, weights.device
+
+    def draw(self, span: tuple[float, float], count: int) -> Tensor:
+        """Return times in a span: those of the caller's choice, or ``count`` random ones."""
+        if self.times is not None:
+            return points_within(self.times, span, self._dtype).to(self._device)
+        return fresh_points(span, count, self._dtype, self._generator).to(self._device)
 
 
 def points_within(times: np.ndarray, span: tuple[float, float], dtype: torch.dtype) -> Tensor:
@@ -86,15 +109,15 @@ def fresh_points(
         + torch.rand(count, generator=generator, dtype=dtype, device="cpu")
     ) / count
     u[0], u[-1] = 0.0, 1.0
-    return spread(span, u)
+    return _spread(span, u)
 
 
 def points_between(span: tuple[float, float], count: int, dtype: torch.dtype) -> Tensor:
     """Return the midpoints of 2 count + 1 cells with the density of :func:`fresh_points`."""
-    return spread(span, _cells(2 * count + 1, dtype))
+    return _spread(span, _cells(2 * count + 1, dtype))
 
 
-def spread(span: tuple[float, float], u: Tensor) -> Tensor:
+def _spread(span: tuple[float, float], u: Tensor) -> Tensor:
     """Map u in [0, 1] to times that are denser at both ends, between uniform and Chebyshev points.
 
     A residual that is large at the start offsets the whole trajectory.

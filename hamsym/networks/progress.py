@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
 from hamsym.networks.record import TrainingState
-from hamsym.support.progress import CellBar, is_shown, notebook_display
+from hamsym.support.progress import is_shown, stepping_progress
 
 __all__ = ["training_progress"]
 
@@ -31,36 +28,16 @@ def training_progress(
     if callable(show):
         yield [show]
         return
-    in_cell = notebook_display() if is_shown(show) else None
-    if in_cell is not None:
-        bar, done = CellBar(iterations, "training", in_cell), 0
-
-        def advance(state: TrainingState) -> None:
-            nonlocal done
-            note = f"loss {state.best_loss:.1e}, ell_max {state.ell_max:.1e}"
-            bar.advance(state.iteration - done, note)
-            done = state.iteration
-
-        with bar.running():
-            yield [advance]
-        return
-    console = Console(stderr=True, force_terminal=show)
-    if not (console.is_terminal if show is None else show):
+    if not is_shown(show):
         yield []
         return
-    columns = (
-        TextColumn("training"),
-        BarColumn(bar_width=16),
-        TaskProgressColumn(),
-        TextColumn("loss {task.fields[loss]:.1e}  ell_max {task.fields[ell_max]:.1e}  left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("", total=iterations, loss=float("nan"), ell_max=float("nan"))
+    with stepping_progress(iterations, show, "training") as advance:
+        done = 0
 
         def update(state: TrainingState) -> None:
-            progress.update(
-                task, completed=state.iteration, loss=state.best_loss, ell_max=state.ell_max
-            )
+            nonlocal done
+            note = f"loss {state.best_loss:.1e}, ell_max {state.ell_max:.1e}"
+            advance(state.iteration - done, note)
+            done = state.iteration
 
         yield [update]

@@ -25,7 +25,7 @@ from torch.nn.utils import parameters_to_vector
 from hamsym.errors import InputError
 from hamsym.networks.objective import Objective
 from hamsym.networks.optimizers import QuasiNewton
-from hamsym.networks.sampling import Collocation
+from hamsym.networks.points import Collocation
 from hamsym.support.validation import require_whole
 
 __all__ = ["InverseHessian", "SelfScaledBroyden"]
@@ -121,8 +121,6 @@ class SelfScaledBroyden(QuasiNewton):
         Collocation points K; or times, from the start of the span on.
     refresh : int
         Iterations after which new points are drawn.
-    sampling : {"uniform", "residual"}
-        Density of the points that are drawn; see :class:`~hamsym.networks.sampling.Collocation`.
 
     Raises
     ------
@@ -130,10 +128,8 @@ class SelfScaledBroyden(QuasiNewton):
         If the trial solution has more than 20,000 weights.
     """
 
-    def __init__(
-        self, *, points: int | np.ndarray = 200, refresh: int = 200, sampling: str = "uniform"
-    ) -> None:
-        self._collocation = Collocation(points, sampling)
+    def __init__(self, *, points: int | np.ndarray = 200, refresh: int = 200) -> None:
+        self._collocation = Collocation(points)
         require_whole("refresh", refresh, 1)
         self.points, self.refresh = self._collocation.count, refresh
 

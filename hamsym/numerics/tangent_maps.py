@@ -14,7 +14,6 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.numerics.collocation import collocation
-from hamsym.numerics.symplectic import poisson_product
 
 __all__ = ["TangentMaps"]
 
@@ -63,8 +62,6 @@ class TangentMaps:
         self._lengths, self._scale = lengths, scale
         dim, windows, nodes = len(scale), len(lengths), jacobians.shape[1]
         self.rule = collocation(nodes)
-        half = dim // 2
-        self._actions = np.tile(scale[:half] * scale[half:], 2)
         scaled = self._in_units(jacobians)
         self._forcing = _largest(scaled[..., dim:])
         unit_forcing = np.where(self._forcing > 0, self._forcing, 1.0)
@@ -147,20 +144,6 @@ class TangentMaps:
         solved = np.maximum(np.abs(self.inside), np.abs(self._node_rates)) / columns
         rows = np.abs(rates / columns).max(axis=(1, 2)) / solved.max(axis=(1, 2))
         return np.asarray(rows.max(axis=0))
-
-    def inverse_applied(self, maps: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Compute Phi^-1 v for maps (component, node, column, window), v (component, node, window).
-
-        In the units of H maps are symplectic, Phi^-1 = -J Phi^T J. In units s of the components
-        that becomes K^-1 Phi^T K with K = S J S, S = diag(s).
-        """
-        turned = np.einsum("inaw,inw->anw", maps, poisson_product(self._weighted(vectors)))
-        return -poisson_product(self._weighted(turned, -1.0))
-
-    def _weighted(self, vectors: np.ndarray, power: float = 1.0) -> np.ndarray:
-        # The largest action is the unit, so that no product overflows.
-        weights = (self._actions / self._actions.max()) ** power
-        return weights[:, None, None] * vectors
 
     def at(self, s: np.ndarray) -> np.ndarray:
         """Evaluate Phi at positions s in [0, 1] of all windows: (dim, len(s), columns, windows)."""

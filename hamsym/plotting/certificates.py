@@ -90,8 +90,8 @@ def _draw_widths(axes: Axes, found: Enclosure, t: np.ndarray, states: Ball) -> N
 
 def draw_certificate(found: Certificate, *names: Any, ax: Any = None) -> Any:
     """Draw proven bounds; see :meth:`hamsym.Certificate.plot`."""
-    shown = [math_name(name) for name in found.labels]
-    words = ["Proven", "in", f"{found.arithmetic}", "arithmetic:", "the", "largest", "error"]
+    shown = [math_name(name) for name in found.components]
+    words = ["Proven:", "the", "largest", "error"]
     words += ["|z^(t)", "−", "z(t)|", "is", "at", "least", number(found.lower, 3), "and", "at"]
     words += ["most", number(found.bound, 3) + "."]
     for name, bound in (("Energy error", found.energy_bound), ("Residual", found.ell_max_bound)):

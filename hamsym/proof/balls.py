@@ -23,7 +23,6 @@ __all__ = [
     "at_most",
     "ball",
     "below",
-    "binary_logarithm",
     "decimal",
     "decimal_above",
     "decimal_below",
@@ -153,18 +152,3 @@ def at_most(value: float) -> float:
 def at_least(value: float) -> float:
     """The smallest float64 that is not below the decimal of another."""
     return -at_most(-value)
-
-
-def binary_logarithm(number: arb) -> float:
-    """log2 of the magnitude of the midpoint of a ball, rounded; not for proofs."""
-    if not number.is_finite():
-        return math.inf
-    mantissa, exponent = number.mid().man_exp()
-    bits = abs(int(mantissa)).bit_length()
-    if not bits:
-        return -math.inf
-    shift = max(bits - 53, 0)
-    largest = 10**18
-    return math.log2(abs(int(mantissa)) >> shift) + max(
-        -largest, min(shift + int(exponent), largest)
-    )

@@ -18,7 +18,6 @@ from hamsym.errors import FileError, InputError
 from hamsym.formula.parser import check_name
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
 from hamsym.proof.certificate_text import opened, sealed
-from hamsym.proof.error_bounds import MOST_LEAVES
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.shown import Shown
 from hamsym.support.text_tables import ROWS, left_out, table, wrapped
@@ -26,21 +25,16 @@ from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["ARB", "FLOAT64", "Certificate", "check"]
+__all__ = ["Certificate", "check"]
 
 _KIND = "hamsym certificate"
-#: Version 1 has Taylor steps in Arb only, and no bounds that were asked for.
-_VERSIONS = (1, 2)
-
-#: Arithmetics of proofs.
-ARB, FLOAT64 = "Arb", "float64"
+_VERSION = 3
 
 # Difference of upper and lower bounds that is always small enough, in units of the components.
 FLOOR = 2.0**-60
 
-FEWEST_BITS, MOST_BITS = 64, 2_048
 LEAST_RTOL, MOST_RTOL = 1e-6, 1e6
-_MOST_EDGES = MOST_LEAVES + 2  # of a proof: one more leaf is not halved
+_MOST_EDGES = 200_000  # times that divide the span
 _LONGEST_TEXT = 16 * 2**20  # characters of a certificate with so many edges
 
 
@@ -67,18 +61,14 @@ class Certificate(Shown):
         piece applies to the value of the window in that piece, and :meth:`bound_at` bounds both.
     rtol : float
         Relative tolerance of the difference between upper and lower bounds.
-    bits : int
-        Working precision; 106 for sums of two float64 numbers.
     digest : str
         SHA-256 of what defines the solution: H, its parameters, z0, the span and all weights.
     seconds : float
-        Run time of the proof. ``rtol``, ``bits`` and ``seconds`` are not part of the claim.
-    arithmetic : {"float64", "Arb"}
-        Of the proof: enclosures on windows, or Taylor steps.
+        Run time of the proof. ``rtol`` and ``seconds`` are not part of the claim.
+    components : tuple of str
+        Names of the components, for texts and figures.
     asked : tuple of float or None
         The bound on each component's error that was asked for, and is proven.
-    components : tuple of str
-        Names of the components, for texts and figures; empty in certificates of earlier versions.
     """
 
     bound: float
@@ -92,18 +82,16 @@ class Certificate(Shown):
     edges: tuple[float, ...] = field(repr=False)
     piece_bounds: tuple[float, ...] = field(repr=False)
     rtol: float
-    bits: int
     digest: str = field(repr=False)
     seconds: float = field(compare=False)
-    arithmetic: str = ARB
+    components: tuple[str, ...] = field(compare=False)
     asked: tuple[float, ...] | None = None
-    components: tuple[str, ...] = field(default=(), compare=False)
 
     def __repr__(self) -> str:
         start, end = self.edges[0], self.edges[-1]
         return (
             f"Certificate(error at least {decimal(self.lower)} and at most {decimal(self.bound)}, "
-            f"t from {start:.6g} to {end:.6g}, {self.arithmetic})"
+            f"t from {start:.6g} to {end:.6g})"
         )
 
     def bound_at(self, t: Any) -> Any:
@@ -143,11 +131,6 @@ class Certificate(Shown):
         places = range(max(first, 0), min(last, len(self.piece_bounds) - 1) + 1)
         return max(self.piece_bounds[place] for place in places)
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the components; z_1, z_2, ... in a certificate without names."""
-        return self.components or tuple(f"z_{k + 1}" for k in range(len(self.component_bounds)))
-
     def plot(self, *names: Any, ax: Any = None) -> Figure:
         """Draw the proven bound over time, and the bounds of each component.
 
@@ -168,21 +151,6 @@ class Certificate(Shown):
     @property
     def statement(self) -> str:
         """The claim in words."""
-        if self.arithmetic == ARB:
-            proof = (
-                "Taylor polynomials with a rigorous bound on their distance from the exact "
-                "solution (defect and logarithmic norm), and Taylor expansions of z^ with "
-                f"remainders, in ball arithmetic of {self.bits} bits (Arb), every rounding "
-                "outward. It rests on the correctness of Arb and of this program"
-            )
-        else:
-            proof = (
-                "on windows, polynomials near the exact solution and its derivatives with rigorous "
-                "bounds on their distance (defect, logarithmic norm, sets of Lohner), and "
-                f"Chebyshev models of z^, in sums of two float64 numbers, {self.bits} bits, with "
-                "bounds on every rounding. It rests on the correctness of float64 arithmetic (IEEE "
-                "754), of Arb for constants and of this program"
-            )
         asked = ""
         if self.asked is not None:
             asked = (
@@ -197,7 +165,12 @@ class Certificate(Shown):
             "without the rounding of its evaluation in floating point, which comes on top. z0, the "
             "span, the parameters and all weights are taken as the exact binary fractions that "
             "they are, numbers in the formula of H as the exact numbers written there. The proof "
-            f"solves the equation once more: {proof}; verify() runs it again. "
+            "solves the equation once more: on windows, polynomials near the exact solution and "
+            "its derivatives with rigorous bounds on their distance (defect, logarithmic norm, "
+            "sets of Lohner), and Chebyshev models of z^, in sums of two float64 numbers, 106 "
+            "bits, with bounds on every rounding. It rests on the correctness of float64 "
+            "arithmetic (IEEE 754), of Arb for constants and of this program; verify() runs it "
+            "again. "
             f"SHA-256 of the solution: {self.digest}."
         )
 
@@ -209,7 +182,7 @@ class Certificate(Shown):
         rows : int, optional
             Most rows of the table; None for all.
         """
-        labels = self.labels
+        labels = self.components
         worst = max(range(len(labels)), key=self.component_bounds.__getitem__)
         first = (
             f"proven: error at most {decimal(self.bound)} (2-norm); the largest of a component is "
@@ -235,28 +208,20 @@ class Certificate(Shown):
 
     # -- as text ---------------------------------------------------------------------------
 
-    @property
-    def _version(self) -> int:
-        return 1 if self.arithmetic == ARB and self.asked is None else 2
-
     def to_json(self) -> str:
         """Write the certificate as text.
 
         Bounds are decimals of nine digits, upper bounds rounded up, lower bounds down. They hold as
         written; the attributes are the nearest float64 numbers.
         """
-        values: dict[str, Any] = {"kind": _KIND, "version": self._version}
+        values: dict[str, Any] = {"kind": _KIND, "version": _VERSION}
         values["statement"] = self.statement
         for name in (*UPPER, *LOWER):
             values[name] = _texts(getattr(self, name))
         values["edges"] = [repr(edge) for edge in self.edges]
         values |= {"rtol": repr(self.rtol), "seconds": repr(self.seconds)}
-        values |= {"bits": self.bits, "digest": self.digest}
-        if self._version > 1:
-            values["arithmetic"] = self.arithmetic
-            values["asked"] = None if self.asked is None else [repr(part) for part in self.asked]
-        if self.components:
-            values["components"] = list(self.components)
+        values |= {"digest": self.digest, "components": list(self.components)}
+        values["asked"] = None if self.asked is None else [repr(part) for part in self.asked]
         return sealed(values)
 
     @classmethod
@@ -278,8 +243,6 @@ UPPER = ("bound", "component_bounds", "energy_bound", "ell_max_bound", "piece_bo
 LOWER = ("lower", "component_lowers", "energy_lower", "ell_max_lower")
 LISTS = ("component_bounds", "component_lowers", "edges", "piece_bounds")
 WRITTEN_OUT = ("edges", "rtol", "seconds")  # with all digits, as is asked
-SECOND = {"arithmetic", "asked"}  # from version 2 on
-OPTIONAL = {"components"}
 NAMES = {"kind", "version", "statement"} | {entry.name for entry in fields(Certificate)}
 assert {*UPPER, *LOWER, *LISTS, *WRITTEN_OUT} < NAMES
 
@@ -288,25 +251,19 @@ def _from_json(text: str) -> Certificate:
     values = opened(text, _LONGEST_TEXT)
     if values["kind"] != _KIND:
         raise ValueError(f"its kind is not '{_KIND}'")
-    version = values.get("version")
-    if type(version) is not int or version not in _VERSIONS:
-        raise ValueError(f"its version is not one of {', '.join(map(str, _VERSIONS))}")
-    if values.keys() | OPTIONAL != (NAMES if version > 1 else NAMES - SECOND):
+    if type(values.get("version")) is not int or values["version"] != _VERSION:
+        raise ValueError(f"its version is not {_VERSION}")
+    if values.keys() != NAMES:
         raise ValueError("it has missing or extra entries")
     known: dict[str, Any] = {name: _numbers(values[name]) for name in (*UPPER, *LOWER)}
     known |= {name: _numbers(values[name], repr) for name in WRITTEN_OUT}
-    if version > 1:
-        asked = values["asked"]
-        known["arithmetic"] = values["arithmetic"]
-        known["asked"] = None if asked is None else _numbers(asked, repr)
-    if "components" in values:
-        if not isinstance(values["components"], list) or not values["components"]:
-            raise ValueError("its components are not a list of names")
-        known["components"] = tuple(values["components"])
-    certificate = Certificate(**known, bits=values["bits"], digest=values["digest"])
+    asked = values["asked"]
+    known["asked"] = None if asked is None else _numbers(asked, repr)
+    if not isinstance(values["components"], list):
+        raise ValueError("its components are not a list of names")
+    known["components"] = tuple(values["components"])
+    certificate = Certificate(**known, digest=values["digest"])
     check(certificate)
-    if certificate._version != version:
-        raise ValueError(f"its version is not {certificate._version}")
     if values["statement"] != certificate.statement:
         raise ValueError("its statement does not match its numbers")
     return certificate
@@ -326,8 +283,8 @@ def check(certificate: Certificate) -> None:
             valid = isinstance(value, tuple) and all(type(part) is float for part in value)
         elif entry.name == "components":
             valid = isinstance(value, tuple) and all(type(part) is str for part in value)
-        elif entry.name in ("bits", "digest", "arithmetic"):
-            valid = type(value) is (int if entry.name == "bits" else str)
+        elif entry.name == "digest":
+            valid = type(value) is str
         elif entry.name == "asked":
             valid = value is None or (
                 isinstance(value, tuple) and all(type(part) is float for part in value)
@@ -336,25 +293,22 @@ def check(certificate: Certificate) -> None:
             valid = type(value) is float
         if not valid:
             raise ValueError(f"its {entry.name} has another type than certify writes")
-    if not FEWEST_BITS <= certificate.bits <= MOST_BITS:
-        raise ValueError("its precision is out of range")
     if not LEAST_RTOL <= certificate.rtol <= MOST_RTOL:
         raise ValueError("its rtol is out of range")
     if not 0 <= certificate.seconds < math.inf:
         raise ValueError("its seconds are not a duration")
     if not re.fullmatch("[0-9a-f]{64}", certificate.digest):
         raise ValueError("its digest is not a SHA-256")
-    if certificate.arithmetic not in (ARB, FLOAT64):
-        raise ValueError(f"its arithmetic is not one of {ARB}, {FLOAT64}")
     if certificate.asked is not None:
         pairs = zip(certificate.component_bounds, certificate.asked, strict=True)
         if not all(0 <= bound <= asked < math.inf for bound, asked in pairs):
             raise ValueError("the bounds that it was asked for are not proven by its own")
-    if certificate.components:
-        if len({*certificate.components}) != len(certificate.component_bounds):
-            raise ValueError("its components do not have a name each")
-        for name in certificate.components:
-            check_name(name)
+    if len(certificate.components) != len(certificate.component_bounds) or (
+        len({*certificate.components}) != len(certificate.components)
+    ):
+        raise ValueError("its components do not have a name each")
+    for name in certificate.components:
+        check_name(name)
     _check_pieces(certificate.edges, certificate.piece_bounds)
     _check_bounds(certificate)
 

@@ -1,30 +1,13 @@
-"""Limits of a proof: wall time and working precision."""
+"""The limit of a proof on wall time."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from fractions import Fraction
 
 from hamsym.errors import CertificationError
 
-__all__ = ["Deadline", "PrecisionError", "TimeLimitError"]
-
-
-class PrecisionError(ArithmeticError):
-    """The working precision is too low.
-
-    Attributes
-    ----------
-    elapsed : fractions.Fraction, optional
-        Elapsed time that the enclosure of the solution reached.
-    missing : float, optional
-        Number of bits that are missing.
-    """
-
-    def __init__(self, elapsed: Fraction | None = None, missing: float | None = None) -> None:
-        self.elapsed, self.missing = elapsed, missing
-        super().__init__("the working precision is too low")
+__all__ = ["Deadline", "TimeLimitError"]
 
 
 class TimeLimitError(CertificationError):

@@ -1,27 +1,18 @@
 """Certificates: proven bounds on the error of a neural trajectory.
 
-Two proofs follow the same plan: enclose the exact solution, take the trajectory as the real
-function that its weights define, bound the difference. The first one that succeeds is used.
+:mod:`hamsym.proof.window_proof` encloses the exact solution on windows, takes the trajectory as the
+real function that its weights define, and bounds the difference. Upper bounds are rounded up and
+lower bounds down to the decimals of a :class:`Certificate`.
 
-1. On windows, with Chebyshev models in twice float64 (:mod:`hamsym.proof.window_proof`):
-   milliseconds to seconds.
-2. By Taylor steps in ball arithmetic of as many bits as are needed
-   (:mod:`hamsym.proof.taylor_proof`): seconds to minutes.
-
-Upper bounds are rounded up and lower bounds down to the decimals of a :class:`Certificate`.
-
-:func:`verify` repeats a proof from the solution, until the claims of the certificate are proven or
-refuted. It assumes nothing in the certificate, and neither the claimed precision nor the size of
-the certificate determines its run time.
+:func:`verify` repeats a proof from the solution and checks every claim of the certificate. It
+assumes nothing in the certificate, and the size of the certificate does not determine its run time.
 """
 
 from __future__ import annotations
 
 import os
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast, overload
 
@@ -36,11 +27,7 @@ from hamsym.proof.box_certificate import BoxCertificate
 from hamsym.proof.box_proof import certify_box
 from hamsym.proof.box_verification import verify_box
 from hamsym.proof.certificate import (
-    ARB,
-    FEWEST_BITS,
-    FLOAT64,
     LEAST_RTOL,
-    MOST_BITS,
     MOST_RTOL,
     Certificate,
     check,
@@ -49,24 +36,23 @@ from hamsym.proof.certificate import (
 )
 from hamsym.proof.certificate_files import certificate_from
 from hamsym.proof.compiled import require_compiled_float64
-from hamsym.proof.limits import Deadline, TimeLimitError
+from hamsym.proof.exact_numbers import require_exact
+from hamsym.proof.limits import Deadline
 from hamsym.proof.public_check import check_solution
-from hamsym.proof.taylor_proof import TaylorProof
-from hamsym.proof.trials import require_exact, segments
 from hamsym.proof.window_proof import WindowBounds, WindowProof
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
 from hamsym.suggestions import checked_keywords
 from hamsym.support.progress import share_progress
-from hamsym.support.validation import require, require_number, require_positive, require_whole
+from hamsym.support.validation import require, require_number, require_positive
 
 __all__ = ["certify", "verify"]
 
 # Default time limit of verify() in seconds: its own, per second of certify, and at most.
 _PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE = 60.0, 10.0, 600.0
-_FLOAT64_BITS = 106  # precision of sums of two float64 numbers
-# Another processor may find bounds that differ by round-off.
-_MARGIN = 1e-7
+# Bounds that are found on another processor, or on windows that end at the edges of a certificate,
+# differ by round-off: by a share of themselves, and by a share of what counts as zero.
+_MARGIN, _MARGIN_OF_FLOOR = 1e-7, 1e-9
 
 
 # -- proving ------------------------------------------------------------------------------------
@@ -77,7 +63,6 @@ def certify(
     solution: Solution,
     rtol: float = ...,
     time_limit: float | None = ...,
-    bits: int | None = ...,
     progress: bool | None = ...,
     *,
     bound: float | Sequence[float] | None = ...,
@@ -99,7 +84,6 @@ def certify(
     solution: Solution | FlowMap,
     rtol: float = 0.02,
     time_limit: float | None = None,
-    bits: int | None = None,
     progress: bool | None = None,
     *,
     bound: float | Sequence[float] | None = None,
@@ -110,10 +94,10 @@ def certify(
     See :meth:`hamsym.Solution.certify` and :meth:`hamsym.FlowMap.certify` for the arguments.
     """
     if isinstance(solution, FlowMap):
-        if (rtol, bits, progress, bound) != (0.02, None, None, None):
+        if (rtol, progress, bound) != (0.02, None, None):
             raise InputError(
-                "rtol, bits, progress and bound are not options for a flow map; give box, "
-                "time_limit or max_parts"
+                "rtol, progress and bound are not options for a flow map; give box, time_limit or "
+                "max_parts"
             )
         return certify_box(solution, time_limit=time_limit, **options)
     if options:
@@ -122,26 +106,16 @@ def certify(
     require(rtol <= MOST_RTOL, "rtol", rtol, "a number such as 0.02")
     if time_limit is not None:
         require_positive("time_limit", time_limit)
-    if bits is not None:
-        require_whole("bits", bits, FEWEST_BITS, MOST_BITS)
     asked = None if bound is None else _asked(bound, solution.H.names)
     began = time.monotonic()
     require_compiled_float64()
-    _require_exact(solution)
-    segments(solution.trial, solution.span)  # its windows cover the span
+    require_exact(solution)
     deadline = Deadline.after(time_limit)
+    claims = _on_windows(solution, rtol, asked, deadline, progress)
     try:
         known_by = digest(solution)
     except FileError as error:
         raise CertificationError(f"the solution has no digest for a certificate: {error}") from None
-    if bits is None:
-        try:
-            claims = _on_windows(solution, rtol, asked, deadline, progress)
-        except CertificationError as error:
-            with _after(error, deadline):
-                claims = _by_taylor_steps(solution, rtol, bits, deadline, progress)
-    else:
-        claims = _by_taylor_steps(solution, rtol, bits, deadline, progress)
     if asked is not None:
         _require_below(claims, asked, solution.H.names)
         claims["asked"] = asked
@@ -194,35 +168,12 @@ def _on_windows(
     """The numbers of a certificate by enclosures on windows."""
     with share_progress(progress, "proving") as report:
         found = WindowProof(solution, deadline, report).bounds(rtol, asked)
-    uppers = [rounded_up(value * (1 + _MARGIN)) for value in found.uppers.tolist()]
-    lowers = [rounded_down(value * (1 - _MARGIN)) for value in found.lowers.tolist()]
+    margins = _MARGIN_OF_FLOOR * np.where(found.uppers > 0, found.floors, 0.0)
+    higher = found.uppers * (1 + _MARGIN) + margins
+    lower = np.maximum(found.lowers * (1 - _MARGIN) - margins, 0.0)
+    uppers, lowers = [*map(rounded_up, higher.tolist())], [*map(rounded_down, lower.tolist())]
     edges, pieces = _pieces(found, solution.span)
-    return _numbers(uppers, lowers) | {
-        "edges": edges,
-        "piece_bounds": tuple(rounded_up(value * (1 + _MARGIN)) for value in pieces),
-        "bits": _FLOAT64_BITS,
-        "arithmetic": FLOAT64,
-    }
-
-
-@contextmanager
-def _after(windows: CertificationError, deadline: Deadline) -> Iterator[None]:
-    """Taylor steps after a proof on windows that failed: errors have the reasons of both."""
-    if isinstance(windows, TimeLimitError):
-        raise windows
-    try:
-        deadline.check("Taylor steps began")
-        yield
-    except CertificationError as error:
-        before, after = str(windows), str(error)
-        if before == after:
-            raise
-        reason = before.rpartition("; ")[0] or before  # the remedy comes last
-        raise CertificationError(f"on windows, {reason}; by Taylor steps, {after}") from None
-
-
-def _numbers(uppers: Sequence[float], lowers: Sequence[float]) -> dict[str, Any]:
-    """Bounds by their names in a certificate: norm, components, energy, residual."""
+    wider = np.array(pieces) * (1 + _MARGIN) + margins[0]
     return {
         "bound": uppers[0],
         "lower": lowers[0],
@@ -232,6 +183,8 @@ def _numbers(uppers: Sequence[float], lowers: Sequence[float]) -> dict[str, Any]
         "energy_lower": lowers[-2],
         "ell_max_bound": uppers[-1],
         "ell_max_lower": lowers[-1],
+        "edges": edges,
+        "piece_bounds": tuple(map(rounded_up, wider.tolist())),
     }
 
 
@@ -244,16 +197,6 @@ def _pieces(
     return edges, found.bounds_between(edges)
 
 
-def _by_taylor_steps(
-    solution: Solution, rtol: float, bits: int | None, deadline: Deadline, progress: bool | None
-) -> dict[str, Any]:
-    """The numbers of a certificate by Taylor steps."""
-    used, found, profile = TaylorProof(solution, deadline, progress).bounds(rtol, bits)
-    uppers = [rounded_up(entry.upper) for entry in found]
-    lowers = [rounded_down(entry.lower) for entry in found]
-    return _numbers(uppers, lowers) | profile | {"bits": used, "arithmetic": ARB}
-
-
 @checked_keywords
 def verify(
     certificate: Certificate | BoxCertificate | hamsym.OrbitCertificate | str,
@@ -262,10 +205,6 @@ def verify(
     progress: bool | None = None,
 ) -> None:
     """Repeat the proof from a result and check every claim of its certificate.
-
-    The precision is chosen as in :meth:`hamsym.Solution.certify`, independently of the certificate.
-    While a claim is neither proven nor refuted, the precision grows by half, up to that of the
-    certificate.
 
     Parameters
     ----------
@@ -328,7 +267,7 @@ def _verify_solution(
         check(claims)
     except ValueError as error:
         raise CertificationError(f"not a valid certificate: {error}") from None
-    _require_exact(solution)
+    require_exact(solution)
     if digest(solution) != claims.digest:
         raise CertificationError(
             "the certificate does not belong to this solution (SHA-256 mismatch)"
@@ -337,19 +276,11 @@ def _verify_solution(
         raise CertificationError("the certificate and the solution have different spans")
     if len(claims.component_bounds) != solution.H.dim:
         raise CertificationError("the certificate and the solution have different dimensions")
-    if claims.components and claims.components != tuple(solution.H.names):
+    if claims.components != tuple(solution.H.names):
         raise CertificationError("the certificate and the solution name components differently")
     deadline = _deadline(time_limit, claims.seconds)
-    if claims.arithmetic == FLOAT64:
-        try:
-            with share_progress(progress, "proving") as report:
-                if WindowProof(solution, deadline, report).proves(claims):
-                    return
-        except CertificationError as error:
-            with _after(error, deadline):
-                TaylorProof(solution, deadline, progress).check(claims)
-            return
-    TaylorProof(solution, deadline, progress).check(claims)
+    with share_progress(progress, "proving") as report:
+        WindowProof(solution, deadline, report).require(claims)
 
 
 def _deadline(time_limit: float | None, seconds: float) -> Deadline:
@@ -361,28 +292,3 @@ def _deadline(time_limit: float | None, seconds: float) -> Deadline:
         f", by default {_PATIENCE:g} s and {_PATIENCE_FACTOR:g} times what certify took, "
         f"at most {_MOST_PATIENCE:g} s,",
     )
-
-
-def _require_exact(solution: Solution) -> None:
-    """Require that z0, the span and all weights are finite numbers of exact types.
-
-    Raises
-    ------
-    CertificationError
-        Naming the first number that is not, and the remedy.
-    """
-    remedy = "solve again"
-    z0, dim = solution.z0, solution.H.dim
-    if not isinstance(z0, np.ndarray) or z0.dtype != np.float64 or z0.shape != (dim,):
-        raise CertificationError(
-            f"z0 of the solution is not an array of {dim} float64 numbers; {remedy}"
-        )
-    if not np.isfinite(z0).all():
-        raise CertificationError(f"z0 of the solution is not finite; {remedy}")
-    if not all(
-        isinstance(edge, (int, float)) and abs(edge) <= sys.float_info.max for edge in solution.span
-    ):
-        raise CertificationError(f"the span of the solution is not two finite times; {remedy}")
-    if float(solution.span[0]) == float(solution.span[1]):
-        raise CertificationError(f"the span of the solution is empty; {remedy}")
-    require_exact(solution.trial, dim)

@@ -59,11 +59,14 @@ def trial_pieces(trial: Any, span: tuple[float, float]) -> list[Piece]:
     else:
         from hamsym.networks.chain import Chain  # needs torch
 
-        parts = trial.pieces if isinstance(trial, Chain) else (trial,)
-        edges = [direction * (Fraction(part.t0) - begin) for part in parts[1:]]
+        parts: Sequence[Any] = (trial,)
+        edges = [Fraction(0), total]
+        if isinstance(trial, Chain):
+            parts = trial.pieces
+            edges = [direction * (Fraction(edge) - begin) for edge in trial.edges.tolist()]
         pieces = [
             Piece(low, high, _Network(part, begin, direction).models)
-            for part, (low, high) in zip(parts, pairwise([Fraction(0), *edges, total]), strict=True)
+            for part, (low, high) in zip(parts, pairwise(edges), strict=True)
         ]
     if any(not piece.start < piece.end for piece in pieces) or (
         pieces[0].start > 0 or pieces[-1].end < total

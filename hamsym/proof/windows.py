@@ -321,6 +321,7 @@ class WindowStepper:
         self._set = ErrorSet.of_radii(radii.astype(float)[:, None])
         self._rates = ModelRows(equation.rates, terms)
         self._jacobian = ModelRows(equation.jacobian, terms)
+        self._energy = ModelRows(equation.energy, terms)
         self._signs = equation.signs * direction
         self._rows = [
             np.repeat(models.high[:, :1], terms, axis=1) for models in (self._rates, self._jacobian)
@@ -589,6 +590,11 @@ class WindowStepper:
             self.reason = "the set of solutions became too wide"
             return None, 0.6
         found, d, derivative = accepted
+        # Derivatives of H may be smooth where H is not, as those of acot(x) at 0.
+        self._run_over_tube(self._energy, place, models, found)
+        if not np.isfinite(self._energy.radius[equation.energy.results]).all():
+            self.reason = "H is not smooth there, or was not resolved"
+            return None, 0.5
         # A shorter window has a smaller rest d beside the derivative.
         room = _REST * self._accuracy + 0.03 * width
         share = float((d / safe).max())
@@ -624,8 +630,17 @@ class WindowStepper:
         self, place: _Place, models: ModelRows, tube: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Models of DG over a tube around y: coefficients, radii and lengths."""
-        equation, own = self.equation, self._jacobian
-        dim, columns = equation.dim, equation.columns
+        own = self._jacobian
+        self._run_over_tube(own, place, models, tube)
+        places = self.equation.placed[:, 2]
+        # The half length may not be exact.
+        radius = own.radius[places] + 8 * UNIT * np.abs(own.high[places]).sum(axis=1)
+        return own.high[places], radius * (1 + 1e-9), own.length[places]
+
+    def _run_over_tube(
+        self, own: ModelRows, place: _Place, models: ModelRows, tube: np.ndarray
+    ) -> None:
+        dim, columns = self.equation.dim, self.equation.columns
         own.high[:dim] = models.high[:dim]
         own.low[:dim] = models.low[:dim]
         own.length[:dim] = self._terms
@@ -634,10 +649,6 @@ class WindowStepper:
         own.radius[dim:columns] = self._unknown
         own.set_line(columns, place.middle, place.slope)
         own.run(self._tables, False)
-        places = equation.placed[:, 2]
-        # The half length may not be exact.
-        radius = own.radius[places] + 8 * UNIT * np.abs(own.high[places]).sum(axis=1)
-        return own.high[places], radius * (1 + 1e-9), own.length[places]
 
     def _couplings(self) -> np.ndarray:
         """Sizes of the entries of DG at the points, shape (dim, dim)."""

@@ -689,7 +689,6 @@ class Solution(Shown):
         self,
         rtol: float = 0.02,
         time_limit: float | None = None,
-        bits: int | None = None,
         progress: bool | None = None,
         *,
         bound: float | Sequence[float] | None = None,
@@ -697,8 +696,7 @@ class Solution(Shown):
         """Compute rigorous bounds on the error, from above and below.
 
         The equation is solved again with every rounding accounted for (:mod:`hamsym.proof.prove`):
-        on windows in twice float64 and, where that does not succeed, in ball arithmetic of any
-        precision.
+        on windows, in sums of two float64 numbers.
 
         Parameters
         ----------
@@ -706,8 +704,6 @@ class Solution(Shown):
             Largest gap between upper and lower bounds, relative to the lower ones.
         time_limit : float, optional
             Seconds.
-        bits : int, optional
-            Working precision of ball arithmetic, which is then used from the start.
         progress : bool, optional
             Draw progress on standard error; by default where that is a terminal.
         bound : float or sequence, optional
@@ -736,7 +732,7 @@ class Solution(Shown):
         >>> solution.certify(bound=1e-9).asked
         (1e-09, 1e-09)
         """
-        return hamsym.certify(self, rtol, time_limit, bits, progress, bound=bound)
+        return hamsym.certify(self, rtol, time_limit, progress, bound=bound)
 
     def summary(self, rows: int | None = ROWS, *, analysis: bool = False) -> str:
         """Describe the outcome as text.

@@ -4,105 +4,63 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-from hamsym.support.progress import CellBar, notebook_display
+from hamsym.support.progress import is_shown, stepping_progress
 
 __all__ = ["Display", "display"]
 
 
 class Display:
-    """A progress display that shows nothing."""
+    """The shares of the runs that go on, and the run that reported last, drawn as a bar.
 
-    def __init__(self, total: int) -> None:
+    Parameters
+    ----------
+    total : int
+        Number of runs.
+    advance : callable
+        (completed runs since the last call, note) -> None.
+    """
+
+    def __init__(self, total: int, advance: Callable[[float, str], None]) -> None:
         self.total, self.count = total, 0
+        self._advance, self._drawn = advance, 0.0
+        self._shares, self._finished = dict[str, float](), set[str]()
 
     def put(self, item: tuple[str, float, float]) -> None:
         """Show label, share of the iterations and best loss of a run."""
+        label, share, loss = item
+        if label in self._finished:  # its report was delayed in the queue
+            return
+        self._shares[label] = share
+        self._draw(f"{label}: loss {loss:.1e}")
 
     def ended(self, label: str) -> None:
         """Count a run that has ended."""
         self.count += 1
+        self._shares.pop(label, None)
+        self._finished.add(label)
+        self._draw(f"{self.count} of {self.total} runs")
+
+    def _draw(self, note: str) -> None:
+        completed = self.count + sum(self._shares.values())
+        self._advance(completed - self._drawn, note)
+        self._drawn = completed
 
 
 class _Lines(Display):
     """A line on standard error for each run that has ended."""
 
     def __init__(self, total: int) -> None:
-        super().__init__(total)
-        self.began = time.monotonic()
+        super().__init__(total, lambda more, note: None)
+        self._began = time.monotonic()
 
     def ended(self, label: str) -> None:
         super().ended(label)
-        minutes = (time.monotonic() - self.began) / 60
+        minutes = (time.monotonic() - self._began) / 60
         line = f"{self.count}/{self.total} after {minutes:.1f} min: {label}"
         print(line, file=sys.stderr, flush=True)
-
-
-class _Shares(Display):
-    """What bars show: the shares of the runs that go on, and the run that reported last."""
-
-    def __init__(self, total: int) -> None:
-        super().__init__(total)
-        self.shares, self.finished = dict[str, float](), set[str]()
-
-    def put(self, item: tuple[str, float, float]) -> None:
-        label, share, loss = item
-        if label in self.finished:  # its report was delayed in the queue
-            return
-        self.shares[label] = share
-        self.draw(self._completed, f"{label}: loss {loss:.1e}")
-
-    def ended(self, label: str) -> None:
-        super().ended(label)
-        self.shares.pop(label, None)
-        self.finished.add(label)
-        self.draw(self._completed, self.note)
-
-    @property
-    def _completed(self) -> float:
-        return self.count + sum(self.shares.values())
-
-    @property
-    def note(self) -> str:
-        """The text after a run has ended."""
-        return ""
-
-    def draw(self, completed: float, note: str) -> None:
-        """Show how many runs are completed, with a text."""
-        raise NotImplementedError
-
-
-class _Bar(_Shares):
-    """A progress bar in a terminal."""
-
-    def __init__(self, total: int, progress: Progress) -> None:
-        super().__init__(total)
-        self.progress = progress
-        self.task = progress.add_task("", total=total, of=total, ended=0, now="")
-
-    def draw(self, completed: float, note: str) -> None:
-        self.progress.update(self.task, completed=completed, ended=self.count, now=note)
-
-
-class _Cell(_Shares):
-    """A progress bar in the cell of a notebook."""
-
-    def __init__(self, total: int, bar: CellBar) -> None:
-        super().__init__(total)
-        self.bar, self.drawn = bar, 0.0
-
-    @property
-    def note(self) -> str:
-        return f"{self.count} of {self.total} runs"
-
-    def draw(self, completed: float, note: str) -> None:
-        self.bar.advance(completed - self.drawn, note)
-        self.drawn = completed
 
 
 @contextmanager
@@ -116,23 +74,8 @@ def display(total: int, show: bool | None) -> Iterator[Display]:
     show : bool, optional
         False for no bar, True for lines.
     """
-    in_cell = notebook_display() if show is not False else None
-    if in_cell is not None:
-        bar = CellBar(total, "sweep", in_cell)
-        with bar.running():
-            yield _Cell(total, bar)
+    if show and not is_shown(None):
+        yield _Lines(total)
         return
-    console = Console(stderr=True)
-    if console.is_terminal and show is not False:
-        columns = (
-            TextColumn("{task.fields[ended]} of {task.fields[of]} runs"),
-            BarColumn(bar_width=16),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(elapsed_when_finished=False),
-            TextColumn("{task.fields[now]}"),
-        )
-        with Progress(*columns, console=console, transient=True) as progress:
-            yield _Bar(total, progress)
-    else:
-        yield _Lines(total) if show else Display(total)
+    with stepping_progress(total, show, "sweep") as advance:
+        yield Display(total, advance)

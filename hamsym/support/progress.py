@@ -23,8 +23,8 @@ _PAUSE = 0.2  # seconds between two drawings in a notebook
 @contextmanager
 def stepping_progress(
     steps: int, show: bool | None = None, text: str = "stepping"
-) -> Iterator[Callable[[int], None]]:
-    """Yield a function that takes a number of further steps and, after a second, draws a bar.
+) -> Iterator[Callable[..., None]]:
+    """Yield a function that takes further steps, and a note, and draws a bar after a second.
 
     In a notebook the bar is in the cell and becomes one line with the time that the work took; on
     a terminal it disappears.
@@ -39,7 +39,7 @@ def stepping_progress(
         What is in progress, before the bar.
     """
     if not is_shown(show):
-        yield lambda _: None
+        yield lambda more, note="": None
         return
     if (display := notebook_display()) is not None:
         bar = CellBar(steps, text, display)
@@ -51,14 +51,15 @@ def stepping_progress(
         BarColumn(bar_width=16),
         TaskProgressColumn(),
         TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
     )
     console = Console(stderr=True, force_terminal=show)
     progress = Progress(*columns, console=console, transient=True)
-    task = progress.add_task("", total=steps)
+    task = progress.add_task("", total=steps, note="")
     began = time.monotonic()
 
-    def update(more: int) -> None:
-        progress.update(task, advance=more)
+    def update(more: float, note: str = "") -> None:
+        progress.update(task, advance=more, note=note)
         if time.monotonic() - began > _BEGIN and not progress.live.is_started:
             progress.start()
 

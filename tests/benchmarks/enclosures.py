@@ -23,7 +23,6 @@ import numpy as np
 
 import hamsym
 from hamsym import systems
-from hamsym.proof.certificate import FLOAT64
 from hamsym.proof.limits import Deadline
 from hamsym.proof.window_proof import WindowBounds, WindowProof
 from hamsym.proof.windows import WindowStepper, equation_of
@@ -137,9 +136,7 @@ def _row(case: _Case) -> dict[str, Any]:
         lowers = [certificate.lower, *certificate.component_lowers]
         if min(lowers) > 0:
             row["ratio"] = max(b / a for a, b in zip(lowers, uppers, strict=True))
-        row["arithmetic"] = certificate.arithmetic
-    row["bounded"], certificate = _proof(solution, bound=_TOL * np.maximum(1.0, sizes))
-    row["bounded arithmetic"] = certificate and certificate.arithmetic
+    row["bounded"], _ = _proof(solution, bound=_TOL * np.maximum(1.0, sizes))
     if capd := _capd(case.capd):
         row["CAPD"] = {
             "fastest": _pair(capd["c0"]["fastest"], "width"),
@@ -283,7 +280,7 @@ def _longest_proof(H: hamsym.Hamiltonian, z0: np.ndarray, end: float) -> tuple[f
 
 
 def _on_windows(H: hamsym.Hamiltonian, z0: np.ndarray, end: float) -> WindowBounds | None:
-    """What ``certify()`` finds before it turns to Taylor steps."""
+    """What ``certify()`` finds."""
     solution = hamsym.solve(H, z0, (0.0, end), tol=_TOL, compiled=True)
     try:
         return WindowProof(solution, Deadline.after(_LIMIT)).bounds(0.02, None)
@@ -334,23 +331,18 @@ def _proofs(rows: list[dict[str, Any]], tol: float) -> str:
         [
             row["problem"],
             markdown.number(1e3 * row["solve"]),
-            _proof_cell(row["certify"], row.get("arithmetic")),
+            _proof_cell(row["certify"]),
             f"{row['ratio']:.4f}" if row.get("ratio") else "-",
-            _proof_cell(row["bounded"], row["bounded arithmetic"]),
+            _proof_cell(row["bounded"]),
             markdown.number(row["bounded"] and row["bounded"] / row["solve"], 2),
         ]
         for row in rows
     ]
-    text = markdown.table(head, lines)
-    if any("*" in cell for line in lines for cell in line):
-        text += "\n\n\\* by Taylor steps in ball arithmetic, because windows did not prove it."
-    return text
+    return markdown.table(head, lines)
 
 
-def _proof_cell(seconds: float | None, arithmetic: str | None) -> str:
-    if seconds is None:
-        return "not proven"
-    return markdown.number(1e3 * seconds) + ("" if arithmetic == FLOAT64 else "\\*")
+def _proof_cell(seconds: float | None) -> str:
+    return "not proven" if seconds is None else markdown.number(1e3 * seconds)
 
 
 def _chains(rows: list[dict[str, Any]]) -> str:

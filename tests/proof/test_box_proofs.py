@@ -205,7 +205,7 @@ def test_unusable_arguments_are_rejected(quartic):
     with pytest.raises(InputError, match="max_parts"):
         quartic.certify(max_parts=0)
     with pytest.raises(InputError, match="not options for a flow map"):
-        hamsym.certify(quartic, bits=128)
+        hamsym.certify(quartic, bound=1.0)
     with pytest.raises(CertificationError, match="time limit"):
         quartic.certify(time_limit=1e-3)
 

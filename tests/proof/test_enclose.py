@@ -484,6 +484,17 @@ def test_start_at_which_the_energy_is_not_real_is_refused():
             enclose("p**2/2 - log(x)", [x, 0], (0, 1))
 
 
+@pytest.mark.parametrize(
+    ("formula", "z0"), [("p**2/2 + acot(x)", [-0.5, 0.6]), ("p**2/2 + atan2(x, -1)", [-0.5, 0.6])]
+)
+def test_jump_with_smooth_derivatives_is_refused(formula, z0):
+    with pytest.raises(CertificationError, match=r"beyond t = 0\..*: H is not smooth there"):
+        enclose(formula, z0, (0, 2))
+    solution = hamsym.solve(formula, z0, (0, 2), tol=1e-6)
+    with pytest.raises(CertificationError, match="H is not smooth there"):
+        solution.certify(bound=1e-3)
+
+
 @pytest.mark.parametrize("formula", ["p**2/2 + abs(x)", "p**2/2 + Max(x, 0)"])
 def test_function_that_is_not_smooth_is_refused_by_name(formula):
     with pytest.raises((CertificationError, InputError)) as refused:

@@ -50,8 +50,6 @@ class Clock:
 def cell(monkeypatch: pytest.MonkeyPatch) -> Cell:
     found = Cell()
     monkeypatch.setattr(progress, "notebook_display", lambda: found.display)
-    for module in ("hamsym.networks.progress", "hamsym.study.display"):
-        monkeypatch.setattr(f"{module}.notebook_display", lambda: found.display)
     return found
 
 

@@ -357,9 +357,9 @@ def test_bounds_are_rounded_outward() -> None:
         edges=(0.0, 1.0),
         piece_bounds=(above,),
         rtol=0.02,
-        bits=106,
         digest="0" * 64,
         seconds=1.0,
+        components=("x",),
     )
     head = card_of(certificate).headline
     found = re.search(r"at most (\S+) and somewhere at least (\S+),", head)

@@ -55,14 +55,13 @@ def _certificate(certificate: Certificate) -> Card:
     if certificate.asked is not None:
         card.facts.append(("asked", ", ".join(map(repr, certificate.asked[:ROWS]))))
     card.facts += [
-        ("arithmetic", f"{certificate.arithmetic}, {certificate.bits} bits"),
         ("time of the proof", seconds_text(certificate.seconds)),
         ("SHA-256 of the solution", certificate.digest),
     ]
     rows = [
         [name, decimal_below(low), decimal_above(high)]
         for name, low, high in zip(
-            certificate.labels,
+            certificate.components,
             certificate.component_lowers,
             certificate.component_bounds,
             strict=True,
