@@ -26,6 +26,7 @@ from hamsym import FileError, Hamiltonian, InputError, Solution, solve
 from hamsym.cli.commands import main
 from hamsym.exporting.c_header import prefix_of
 from hamsym.exporting.export import FORMATS
+from hamsym.exporting.torch_program import _InSpan
 
 PAGE = Path(__file__).parents[2] / "examples" / "guide" / "exporting.md"
 EPS = np.finfo(float).eps
@@ -481,6 +482,16 @@ def test_programs_have_the_values_of_the_solution(name: str, tmp_path: Path) -> 
     run(inside)[:, 0].sum().backward()
     expected = solution.derivative(t[:5])[:, 0]
     np.testing.assert_allclose(inside.grad, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("span", [(-1.0, 3.0), (3.0, -1.0)])
+def test_programs_give_nan_outside_the_span(span: tuple[float, float]) -> None:
+    class Times(torch.nn.Module):
+        def forward(self, t: torch.Tensor) -> torch.Tensor:
+            return t[:, None]
+
+    found = _InSpan(Times(), span)(torch.tensor([-1.1, -1.0, 0.0, 3.0, 3.1]))[:, 0]
+    assert found.isnan().tolist() == [True, False, False, False, True]
 
 
 @pytest.mark.slow

@@ -14,10 +14,10 @@ import torch
 import hamsym
 from hamsym import FlowMap, flow_map, solve_many
 from hamsym.errors import FileError, InputError
+from hamsym.flow_maps import construction, legs
 from hamsym.flow_maps import flow_map as flow_map_module
-from hamsym.flow_maps import legs
 from hamsym.flow_maps.box import checked_box
-from hamsym.flow_maps.expansion import Chain, Leg, Split
+from hamsym.flow_maps.expansion import Chain, Leg, Split, chebyshev_slopes, chebyshev_table
 from hamsym.flow_maps.judging import linear_error
 
 OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
@@ -281,6 +281,25 @@ def test_map_ends_before_a_solution_that_fails() -> None:
 def test_more_solutions_than_allowed_are_refused() -> None:
     with pytest.raises(InputError, match="needs more than max_solutions=50 solutions; give sm"):
         flow_map(OSCILLATOR, BOX, (0, 4), max_solutions=50)
+
+
+def test_error_above_the_tolerance_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(construction, "_ATTEMPTS", 1)
+    monkeypatch.setattr(legs, "_SURPLUS", 1e4)
+    monkeypatch.setattr(legs.LegBuilder, "_worst_at_random", lambda _: 0.0)
+    flow = flow_map(OSCILLATOR, BOX, (0, 4), tol=1e-7, points=300)
+    assert flow.excess > 1
+    assert not flow.success
+    assert "of the tolerance; worst found at" in flow.message
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_slopes_are_those_of_chebyshev_series(count: int) -> None:
+    x = np.linspace(-1, 1, 9)
+    found = chebyshev_slopes(x, chebyshev_table(x, count))
+    for k in range(count):
+        expected = np.polynomial.Chebyshev.basis(k).deriv()(x)
+        np.testing.assert_allclose(found[k], expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.slow

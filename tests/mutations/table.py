@@ -21,7 +21,7 @@ class Mutation:
     old, new : str
         A passage that occurs once in the file, and what takes its place.
     tests : list of str
-        Files of tests, one of which must fail.
+        Files of tests, or tests in them, one of which must fail.
     """
 
     name: str

@@ -107,6 +107,20 @@ def test_checks_find_shifted_windows_only() -> None:
     assert failure.window == 4
 
 
+def test_limit_of_the_energy_is_independent_of_units() -> None:
+    flow, basis, length = flow_of(Hamiltonian("p**2/2 - cos(x)")), feature_basis(0), 2.0**20
+    marched = march(flow, np.array([1.0, 0.5]), (0.0, 10.0), 1e-10, basis, longest=3.0)
+    scaled = flow_of(Hamiltonian("(l*p)**2/2 - cos(x/l)", parameters={"l": length}))
+    found = []
+    for field, units in ((flow, np.ones(2)), (scaled, np.array([length, 1 / length]))):
+        windows = Windows(marched.edges, marched.states * units, marched.readouts * units)
+        windows.states[3] *= 1 + 1e-6
+        checks = WindowChecks(field, basis, 1e-10)
+        found.append(checks._energy_changes(windows, marched.scale * units)[2:4])
+    assert (found[0] > 1).all()
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-6)
+
+
 def test_nan_exceeds_every_bound() -> None:
     values = np.array([[0.0, 0.0], [np.nan, 0.0], [np.inf, 0.0], [1.0, 1.0]])
     excess = _excess(values, np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 1.0], [2.0, np.nan]]))

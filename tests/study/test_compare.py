@@ -15,6 +15,8 @@ from hamsym import Comparison, Solution
 from hamsym.errors import InputError
 from hamsym.integrators import fixed_step
 from hamsym.study.compare import Match, chosen_methods
+from hamsym.study.matching import run
+from hamsym.study.references import ReferenceSolution
 from hamsym.systems import (
     Problem,
     charged_particle,
@@ -228,6 +230,13 @@ def test_unusable_integrators_are_rejected() -> None:
         hamsym.compare(solution, [])
 
 
+def test_steps_without_a_divisor_are_a_few_more() -> None:
+    problem = harmonic_oscillator()
+    solution = hamsym.solve(problem.H, problem.z0, (0, 1), tol=1e-6)
+    assert run(solution, "symplectic_euler", 8_009).steps == 8_010  # 8,009 is a prime
+    assert run(solution, "symplectic_euler", 9_000).steps == 9_000
+
+
 def test_text_of_matches() -> None:
     assert str(Match(1234, 1, 1e-3, 0.1)) == "1,234"
     assert str(Match(None, 1, 1e-3, 0.1, tolerance=1e-9)) == "rtol 1e-09"
@@ -256,6 +265,13 @@ def test_errors_below_that_of_the_reference_have_only_bounds() -> None:
     assert errors.max() > network + 2 * u
     assert "(the reference is less than ten times better: bounds, not numbers)" in str(comparison)
     assert "have only bounds" in comparison.summary().replace("\n", " ")
+
+
+def test_reference_judges_errors_ten_times_its_own() -> None:
+    found = ReferenceSolution(np.cos, 1e-9, "")
+    assert found.judges(1.1e-8)
+    assert not found.judges(0.9e-8)
+    assert not found.judges(np.nan)
 
 
 @pytest.mark.slow
