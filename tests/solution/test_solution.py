@@ -15,6 +15,7 @@ from hamsym import Hamiltonian, InputError, Regularizer, Solution
 from hamsym.dynamics.monodromy import tangent_map
 from hamsym.errors import ParameterError, ParseError, VacuousBoundWarning, VariableError
 from hamsym.integrators.integrate import reference
+from hamsym.support import progress
 from hamsym.systems import CATALOGUE, harmonic_oscillator, henon_heiles
 
 QUICK = {
@@ -349,7 +350,10 @@ def test_solving_is_silent_without_a_terminal(capfd: pytest.CaptureFixture[str])
     assert capfd.readouterr() == ("", "")
 
 
-def test_progress_shows_loss_and_ell_max(capfd: pytest.CaptureFixture[str]) -> None:
+def test_progress_shows_loss_and_ell_max(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(progress, "_BEGIN", 0.0)
     hamsym.solve(
         harmonic_oscillator().H, [1, 0], (0, 1), method="adam", epochs=50, points=5, progress=True
     )
