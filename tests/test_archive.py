@@ -30,7 +30,7 @@ from hamsym import FileError, Hamiltonian, InputError
 from hamsym.archive import parts
 from hamsym.random_features.basis import rate_series
 from hamsym.solution.digest import digest
-from hamsym.support.tensor_files import read_tensors, write_tensors
+from hamsym.support.tensor_files import kind_of, read_tensors, write_tensors
 from hamsym.systems import Problem
 
 METHODS = {
@@ -327,6 +327,13 @@ def _damage(saved: dict[str, Path], path: Path, seeds: range) -> None:
 
 def test_damaged_files_are_refused(saved: dict[str, Path], tmp_path: Path) -> None:
     _damage(saved, tmp_path / "a", range(40))
+
+
+def test_kind_of_files_of_another_length_is_unknown(saved: dict[str, Path], tmp_path: Path) -> None:
+    content, path = saved["features"].read_bytes(), tmp_path / "a"
+    for changed, kind in ((content, "solution"), (content[:-1], None), (content + b"0", None)):
+        path.write_bytes(changed)
+        assert kind_of(path) == kind
 
 
 @pytest.mark.slow

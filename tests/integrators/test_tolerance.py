@@ -137,6 +137,14 @@ def test_round_off_limits_success() -> None:
             assert "limited by float64 round-off" in found.message
 
 
+def test_a_changed_energy_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        tolerance._Search, "_energy_changes", lambda self, rows, *_: np.full(len(rows), 2.0)
+    )
+    found = hamsym.integrate("p**2/2 + x**2/2", [1.0, 0.0], (0, 5), tol=1e-4)
+    assert found.success is False
+
+
 def test_rest_and_zero_components_succeed() -> None:
     found = hamsym.integrate(HENON_HEILES, [[0, 0, 0, 0], [0, 0.5, 0, 0.1]], (0, 30), tol=1e-9)
     assert found.success.all()
@@ -429,6 +437,13 @@ def test_slow_convergence_is_not_extrapolated_away() -> None:
     error = 0.05 / 4
     found = extrapolate(coarse, middle, fine, coarse.copy(), 2, 6, 8, 100, 1.0)
     assert (found.errors[0, 1:] > 0.9 * error).all()
+
+
+def test_estimate_holds_where_halved_steps_help_little() -> None:
+    coarse, middle, fine = runs_of_order(6, (0.5,))
+    error = np.abs(fine - 1).max()
+    found = extrapolate(coarse, middle, fine, coarse.copy(), 2, 6, 8, 100, 1.0)
+    assert found.errors[0, -1] > 0.9 * error
 
 
 def test_values_that_are_not_finite_give_infinite_errors() -> None:

@@ -47,7 +47,12 @@ def test_energy_check_finds_hidden_step(monkeypatch: pytest.MonkeyPatch) -> None
     windows = march(
         unseeing, np.array([1.0, 0.0]), (0.0, 6.0), 1e-9, feature_basis(0), longest=0.75
     )
-    assert np.ptp(flow.energy(windows.states, windows.edges)) > 0.05
+    energies = flow.energy(windows.states, windows.edges)
+    assert np.ptp(energies) > 0.05
+    checks = WindowChecks(flow, feature_basis(0), 1e-9)
+    crossed = int(np.argmax(np.abs(np.diff(energies)) > 0.05))
+    parts = Windows(windows.edges, windows.states, windows.readouts)
+    assert checks._energy_jump(parts, crossed) == pytest.approx(math.acos(1 / 3), abs=1e-3)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
