@@ -55,7 +55,7 @@ def same_everywhere(one: hamsym.Solution, other: hamsym.Solution) -> None:
         np.testing.assert_array_equal(value, getattr(other.history, name), name)
 
 
-@pytest.mark.slow_cases("adam", "ssbroyden", "float32", "lbfgs")
+@pytest.mark.slow_cases("levenberg-marquardt", "adam", "ssbroyden", "float32", "lbfgs")
 @pytest.mark.parametrize("method", METHODS)
 def test_exact_to_the_last_bit(method: str, tmp_path: Path) -> None:
     problem = hamsym.systems.nonlinear_oscillator()
@@ -69,6 +69,7 @@ def test_exact_to_the_last_bit(method: str, tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
+@pytest.mark.slow_cases("double_pendulum", "coupled_oscillators")
 def test_every_catalogue_system_is_restored(problem: Problem, tmp_path: Path) -> None:
     solution = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-6)
     solution.save(tmp_path / "a")
@@ -325,6 +326,7 @@ def _damage(saved: dict[str, Path], path: Path, seeds: range) -> None:
             _refused(path)
 
 
+@pytest.mark.slow
 def test_damaged_files_are_refused(saved: dict[str, Path], tmp_path: Path) -> None:
     _damage(saved, tmp_path / "a", range(40))
 
@@ -661,6 +663,7 @@ def test_rates_are_those_of_the_series(saved: dict[str, Path]) -> None:
 # -- how nearby solutions move --------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("henon_heiles", "kepler", "double_pendulum")
 @pytest.mark.parametrize("name", ["henon_heiles", "kepler", "charged_particle", "double_pendulum"])
 def test_sensitivity_against_finite_differences(name: str) -> None:
     problem = hamsym.systems.CATALOGUE[name]()
@@ -698,6 +701,7 @@ def test_gradients_reach_the_initial_state() -> None:
         solution([1.0], z0=z0)
 
 
+@pytest.mark.slow
 def test_sensitivity_of_a_trained_network() -> None:
     H = Hamiltonian("p**2/2 + x**2/2")
     solution = hamsym.solve(
@@ -708,6 +712,9 @@ def test_sensitivity_of_a_trained_network() -> None:
     np.testing.assert_allclose(solution.sensitivity(t), exact, atol=1e-8)
 
 
+@pytest.mark.slow_cases(
+    "<lambda>-levenberg-marquardt", "deepcopy-levenberg-marquardt", "deepcopy-adam", "<lambda>-adam"
+)
 @pytest.mark.parametrize("method", ["features", "levenberg-marquardt", "adam"])
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
 def test_solutions_are_copied_and_pickled(method: str, copied: Callable[[Any], Any]) -> None:

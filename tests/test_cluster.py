@@ -151,6 +151,7 @@ def test_interrupted_store_is_completed(processes: Any, tmp_path: Path) -> None:
         hamsym.solve_many(HENON, starts, SPAN, tol=1e-8, client=processes, zarr=path)
 
 
+@pytest.mark.slow
 def test_store_that_workers_do_not_reach(
     client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -68,6 +68,7 @@ def test_work_balances_the_energy(solution: hamsym.Solution) -> None:
         solution.work(21.0)
 
 
+@pytest.mark.slow
 def test_drift_of_the_balance_shows_errors() -> None:
     coarse = hamsym.solve(
         DAMPED, [1, 0], (0, 20), method="levenberg-marquardt", iterations=5, seed=1
@@ -121,6 +122,7 @@ def _by_taylor_series(rates: Any, state: list[float], times: list[float]) -> np.
         return np.array([[float(value) for value in solve(t)] for t in times])
 
 
+@pytest.mark.slow_cases("duffing")
 @pytest.mark.parametrize("name", ["duffing", "van der Pol"])
 def test_nonlinear_systems_agree_with_taylor_series(name: str) -> None:
     if name == "duffing":
@@ -154,6 +156,7 @@ def test_radiating_charge_spirals_inwards() -> None:
     np.testing.assert_allclose(x + 1j * y, place, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_friction_on_one_of_thirty_momenta() -> None:
     n = 30
     kinetic = " + ".join(f"p{i}**2/2" for i in range(n))
@@ -291,6 +294,7 @@ def test_limit_cycle_has_known_period_and_multiplier() -> None:
 # -- fits and maps ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("1")
 @pytest.mark.parametrize("starts", [1, 4])
 def test_friction_is_fitted_like_an_exact_model(starts: int) -> None:
     t = np.linspace(0, 10, 81)
@@ -330,6 +334,7 @@ def test_flow_map_of_friction() -> None:
 # -- networks --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_trained_networks_solve_forces() -> None:
     found = hamsym.solve(DAMPED, [1, 0], (0, 5), method="levenberg-marquardt", tol=1e-8)
     assert found.success
@@ -390,6 +395,7 @@ def test_descriptions_without_forces_are_as_before() -> None:
     assert "forces" not in described(hamsym.Hamiltonian("p**2/2 + x**2/2"))
 
 
+@pytest.mark.slow
 def test_figures_show_the_balance(solution: hamsym.Solution) -> None:
     figure = hamsym.plot(solution)
     assert "$|H - H_0 - W|$" in [axis.get_ylabel() for axis in figure.axes]
@@ -451,6 +457,7 @@ def test_known_invariants_count_forces() -> None:
         hamsym.solve(H, [1, 0, 0, 1], (0, 5), invariants=["p_x**2/2 + x**2"])
 
 
+@pytest.mark.slow
 def test_limit_cycle_is_a_periodic_orbit() -> None:
     orbit = hamsym.periodic_orbit(POL, [2.0, 0.0])
     assert orbit.success

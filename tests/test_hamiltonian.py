@@ -49,7 +49,7 @@ def test_derivatives_agree_with_sympy(problem: Problem) -> None:
     assert list(H.vector_field) == list(H.poisson_matrix * H.gradient)
 
 
-@pytest.mark.slow_cases("spring_pendulum")
+@pytest.mark.slow_cases("kepler", "spring_pendulum")
 def test_sigma_min_agrees_with_singular_values(problem: Problem) -> None:
     H = problem.H
     if H.sigma_min is None:

@@ -98,6 +98,7 @@ def loaded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str] | st
     return json.loads(result.stdout)
 
 
+@pytest.mark.slow_cases("import")
 @pytest.mark.parametrize("step", _STEPS)
 def test_slow_packages_not_imported(step: str, loaded: dict[str, list[str] | str]) -> None:
     assert isinstance(loaded[step], list), loaded[step]

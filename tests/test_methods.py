@@ -45,7 +45,7 @@ def method(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
     solver_options._solver_parameters.cache_clear()
 
 
-@pytest.mark.slow_cases("adam", "lbfgs", "ssbroyden")
+@pytest.mark.slow_cases("features", "levenberg-marquardt", "adam", "lbfgs", "ssbroyden")
 def test_command_line_solves_and_saves(
     method: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -65,6 +65,7 @@ def test_command_line_solves_and_saves(
     assert error <= certificate.bound + 1e-15
 
 
+@pytest.mark.slow
 def test_sweep_runs_every_method(tmp_path: Path) -> None:
     settings = {method: {"method": method, **_BRIEF.get(method, {})} for method in METHODS}
     done = hamsym.sweep(

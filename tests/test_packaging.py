@@ -7,6 +7,8 @@ import tomllib
 from importlib.metadata import distribution
 from pathlib import Path
 
+import pytest
+
 import hamsym
 from hamsym.codegen.backends import BACKENDS
 
@@ -39,6 +41,7 @@ def test_command_is_installed() -> None:
     assert names["hamsym"] == "hamsym.cli.commands:main"
 
 
+@pytest.mark.slow
 def test_import_changes_no_global_state() -> None:
     """In a fresh process: defaults of torch and numpy, and their random states, stay."""
     import subprocess

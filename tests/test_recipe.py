@@ -76,7 +76,7 @@ def test_lines_of_python_give_the_same_solution(name: str) -> None:
     assert session["H"].units == solution.H.units
 
 
-@pytest.mark.slow_cases("network")
+@pytest.mark.slow_cases("units", "chain", "many components", "network")
 @pytest.mark.parametrize("name", CASES)
 def test_command_gives_the_same_solution(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -97,6 +97,7 @@ def test_complete_lines_omit_nothing() -> None:
     assert omissions(solved("force")) == []
 
 
+@pytest.mark.slow
 def test_omissions_are_named() -> None:
     network = torch.nn.Sequential(torch.nn.Linear(1, 4), torch.nn.Tanh(), torch.nn.Linear(4, 2))
     options = {"method": "adam", "epochs": 2, "points": [0.0, 0.5, 1.0], "frequency": None}

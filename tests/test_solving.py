@@ -126,6 +126,7 @@ def test_function_that_is_not_smooth_is_not_proven():
     assert "abs" in solution.message
 
 
+@pytest.mark.slow
 def test_failed_solution_is_not_proven():
     solution = hamsym.solve("p**2/2 - 1/x**2", [1.0, 0.0], (0, 1), prove=True)
     assert not solution.success
@@ -140,6 +141,7 @@ def test_chain_of_networks_is_proven():
     assert solution.certificate.asked == pytest.approx((1e-6, np.sin(1) * 1e-6), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_network_without_a_tolerance_is_not_proven():
     brief = {"hidden": (6,), "points": 20, "iterations": 30, "restarts": 0, "target_error": 0.5}
     solution = hamsym.solve(

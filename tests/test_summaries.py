@@ -70,6 +70,7 @@ def test_units_of_si_are_shown() -> None:
     assert re.match(r"largest estimated error \S+ kg\*m/s in p_[xy], \S+ % of tol 1.0e-09", text)
 
 
+@pytest.mark.slow
 def test_bound_of_the_paper_is_given_where_it_says_something() -> None:
     solution = hamsym.solve(OSCILLATOR, [1.3, 1], (0, 9))
     assert solution.largest_error.max() <= solution.error_bound < 1
@@ -84,6 +85,7 @@ def test_bound_of_the_paper_is_given_where_it_says_something() -> None:
     assert "infinite: the Hessian is singular on the trajectory" in text
 
 
+@pytest.mark.slow
 def test_failure_is_said_first() -> None:
     text = hamsym.solve("p**2/2 - x**4/4", [1, 1], (0, 5)).summary()
     assert text.startswith("stopped at t = 1.31103")
@@ -99,6 +101,7 @@ def test_component_of_zero_meets_what_was_asked() -> None:
     assert "more" not in solution.summary()
 
 
+@pytest.mark.slow
 def test_trained_network_is_related_to_its_motion() -> None:
     solution = hamsym.solve(OSCILLATOR, [1.3, 1], (0, 0.4), method="adam", epochs=40, points=20)
     assert solution.allowed_error is None
@@ -161,6 +164,7 @@ def results() -> list[tuple[Any, str]]:
     ]
 
 
+@pytest.mark.slow
 def test_every_result_has_a_summary() -> None:
     for result, begin in results():
         text = result.summary()

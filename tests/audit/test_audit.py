@@ -27,7 +27,32 @@ _CASES = [
 
 
 @pytest.mark.slow_cases(
-    "scatterer_after_flight-1e-06", "scatterer_after_flight_0.1-1e-06", "pythagorean_10-1e-04"
+    "kapitza-1e-08",
+    "blow_up_quartic-1e-08",
+    "toda_ring_12-1e-08",
+    "stiff_spring_pendulum-1e-04",
+    "diatomic_molecule_si-1e-08",
+    "fall_into_centre-1e-08",
+    "two_centres-1e-08",
+    "kepler_si_polar-1e-06",
+    "square_wave-1e-08",
+    "kepler_0.999-1e-04",
+    "phi_four_6-1e-04",
+    "kepler_polar_0.95-1e-08",
+    "kepler_si_polar_eccentric-1e-09",
+    "rounded_abs_1e-10-1e-08",
+    "henon_heiles_300-1e-11",
+    "cone_through_apex-1e-08",
+    "kink_quartic_root-1e-08",
+    "kink_expanded_square-1e-08",
+    "blow_up_plane-1e-04",
+    "kink_quartic_root_quartic-1e-02",
+    "kink_quartic_root_met-1e-03",
+    "kink_quartic_root-1e-04",
+    "kink_quartic_root_plane-1e-04",
+    "scatterer_after_flight-1e-06",
+    "scatterer_after_flight_0.1-1e-06",
+    "pythagorean_10-1e-04",
 )
 @pytest.mark.parametrize(("system", "tol"), _CASES)
 def test_success_and_estimate_are_true(system: System, tol: float) -> None:

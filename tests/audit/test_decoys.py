@@ -82,6 +82,9 @@ _CASES = [
 ]
 
 
+@pytest.mark.slow_cases(
+    "coincidence-1e-04-plain", "sheet_of_friction-1e-06-plain", "sheet_of_friction-1e-04-plain"
+)
 @pytest.mark.parametrize(("decoy", "tol", "way"), _CASES)
 def test_success_means_the_feature_was_met(decoy: Decoy, tol: float, way: str) -> None:
     truth = truths()[decoy.name]

@@ -12,6 +12,7 @@ from hamsym.cli.commands import main
 from hamsym.systems import CATALOGUE, arenstorf, driven_oscillator, henon_heiles, pleiades
 
 
+@pytest.mark.slow
 def test_table_lists_all_systems_in_80_columns(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["systems"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -33,6 +34,7 @@ def test_one_system_is_described(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(value in text for value in problem.reference.z)
 
 
+@pytest.mark.slow_cases("arenstorf")
 @pytest.mark.parametrize("make", [henon_heiles, driven_oscillator, arenstorf])
 def test_shown_command_solves_the_problem(make, capsys: pytest.CaptureFixture[str]) -> None:
     command = solving_command(make())
@@ -74,6 +76,7 @@ def test_bad_input_is_refused_in_one_line(
     assert captured.err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_every_system_with_starts_takes_one() -> None:
     for make in CATALOGUE.values():
         assert ("start" in inspect.signature(make).parameters) == bool(make().starts)

@@ -56,6 +56,7 @@ def test_derive_shows_everything(capsys: Captured) -> None:
         assert line in out.splitlines()
 
 
+@pytest.mark.slow
 def test_derive_with_options_and_long_output(capsys: Captured) -> None:
     _, out, _ = run(capsys, "derive", "p_r**2/2 + p_phi**2/(2*r**2) - k/r", "--param", "k=2")
     assert "cyclic coordinates: phi" in out
@@ -104,6 +105,7 @@ def test_unusable_lagrangians_end_in_one_line(
     assert mention in err
 
 
+@pytest.mark.slow_cases("arguments1", "arguments2")
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -176,6 +178,7 @@ def test_solve_reports_and_draws(capsys: Captured, tmp_path: Path) -> None:
     assert figure.read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_solve_exits_with_success(capsys: Captured) -> None:
     settings = ["--epochs", "600", "--tau", "1/4", "--noise", "0", "--schedule", "cosine"]
     settings += ["--learning-rate", "0.02"]
@@ -235,6 +238,7 @@ def test_compare_prints_the_table(capsys: Captured, tmp_path: Path) -> None:
     assert b"<svg" in figure.read_bytes()
 
 
+@pytest.mark.slow
 def test_compare_with_any_integrators(capsys: Captured) -> None:
     arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "2", "--tol", "1e-4"]
     status, out, _ = run(capsys, "compare", *arguments, "--with", "yoshida4,usual")
@@ -379,6 +383,7 @@ def test_lyapunov_prints_indicators(capsys: Captured, tmp_path: Path) -> None:
     assert "However, the run failed" in " ".join(out.split())
 
 
+@pytest.mark.slow
 def test_lyapunov_of_several_starts(capsys: Captured, tmp_path: Path) -> None:
     path, figure = tmp_path / "exponents.csv", tmp_path / "exponents.png"
     arguments = [HENON_HEILES, "--z0", "0.3,-0.3,0.3,0.15", "--z0", "x=0,y=0.1,p_x=0.4,p_y=0"]
@@ -415,6 +420,7 @@ def test_section_of_an_ensemble(capsys: Captured, tmp_path: Path) -> None:
     assert figure.read_bytes()[1:4] == b"PNG"
 
 
+@pytest.mark.slow
 def test_certify_and_verify(capsys: Captured, tmp_path: Path) -> None:
     path = str(tmp_path / "orbit.hamsym")
     arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "3", "--tol", "1e-6", "-o", path]
@@ -664,6 +670,7 @@ def test_failed_write_leaves_nothing_behind(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_as_a_program() -> None:
     result = subprocess.run(
         [sys.executable, "-m", "hamsym", "derive", "p**2/2 + x**2/2"],
@@ -674,6 +681,7 @@ def test_as_a_program() -> None:
     assert "dx/dt = p" in result.stdout
 
 
+@pytest.mark.slow
 def test_closed_pipe_is_not_an_error() -> None:
     command = f'"{sys.executable}" -m hamsym source "{OSCILLATOR}" | head -1'
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)

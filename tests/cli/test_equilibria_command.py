@@ -7,6 +7,7 @@ import pytest
 from hamsym.cli.commands import main
 
 
+@pytest.mark.slow
 def test_complete_table_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["equilibria", "p**2/2 - cos(x)", "--box", "x=-4:4,p=-1:1"]) == 0
     lines = capsys.readouterr().out.splitlines()

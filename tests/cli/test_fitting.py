@@ -25,6 +25,7 @@ def run(capsys: Captured, path: Path, text: str, *options: str) -> tuple[int, st
     return status, captured.out, captured.err
 
 
+@pytest.mark.slow
 def test_estimates_and_files(capsys: Captured, tmp_path: Path) -> None:
     table, figure = tmp_path / "fitted.csv", tmp_path / "fitted.png"
     arguments = ["--free", "k=3.8,x=1", "--z0", "p=0", "--sigma", "x=0.05"]

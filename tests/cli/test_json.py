@@ -62,6 +62,7 @@ def test_every_command_is_tested() -> None:
     assert cli.commands.keys() - WITHOUT == COMMANDS.keys()
 
 
+@pytest.mark.slow_cases("fit")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_results_are_one_object(
     command: str, capsys: Captured, folder: Path, monkeypatch: pytest.MonkeyPatch

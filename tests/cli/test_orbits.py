@@ -19,6 +19,7 @@ def test_orbit_is_printed_with_its_stability(capsys: Captured) -> None:
     assert "stability: parabolic" in out
 
 
+@pytest.mark.slow
 def test_orbit_with_family_proof_and_figure(capsys: Captured, tmp_path: Path) -> None:
     figure = str(tmp_path / "family.png")
     options = ["--energy", "0.4", "--to-energy", "0.5", "--prove", "--plot", figure]

@@ -188,6 +188,7 @@ def test_scripts_are_valid(shell: str, capsys: Captured, tmp_path: Path) -> None
     subprocess.run([program, "-n", str(path)], check=True)
 
 
+@pytest.mark.slow
 def test_bash_completes_with_the_script(capsys: Captured, tmp_path: Path) -> None:
     bash = shutil.which("bash")
     if bash is None:

@@ -148,6 +148,7 @@ def test_compiled_functions_match_sympy(name: str) -> None:
     check_against_sympy(problem.H, z, problem.H.compile("numba"))
 
 
+@pytest.mark.slow_cases("three_bodies")
 def test_assumptions_of_symbols_are_ignored(example: Problem) -> None:
     H = example.H
     z = states(H, np.array(example.z0), count=2)
@@ -249,7 +250,7 @@ def every_function() -> tuple[Hamiltonian, np.ndarray]:
     return H, z
 
 
-@pytest.mark.slow_cases("torch", "numba")
+@pytest.mark.slow_cases("numpy", "torch", "numba")
 def test_every_function_in_every_backend(
     every_function: tuple[Hamiltonian, np.ndarray], backend: str
 ) -> None:
@@ -269,6 +270,7 @@ def test_every_function_in_every_backend(
     np.testing.assert_allclose(call(system, "hessian", z), hessian, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_gradients_flow_twice_through_every_function(
     every_function: tuple[Hamiltonian, np.ndarray],
 ) -> None:
@@ -416,6 +418,7 @@ def test_source_is_the_executed_text(example: Problem, backend: str) -> None:
     assert example.H.compile(backend) is system
 
 
+@pytest.mark.slow_cases("nonlinear_oscillator-numba")
 def test_generated_text_is_tidy(example: Problem, backend: str) -> None:
     source = example.H.source(backend)
     assert max(map(len, source.splitlines())) <= 96
@@ -545,7 +548,7 @@ def test_reserved_names_are_usable_in_formulas(
             np.testing.assert_allclose((first - z[0]) / 1e-3, z[0] - residual[0], atol=0.1)
 
 
-@pytest.mark.slow_cases("numba")
+@pytest.mark.slow_cases("numpy", "torch", "numba")
 def test_large_systems_extract_common_subexpressions(backend: str) -> None:
     """Results with temporaries equal sympy's."""
     terms = " + ".join(f"exp(-(q{i} - q{i + 1})**2)*cos(q{i} - q{i + 1})" for i in range(1, 8))
@@ -610,6 +613,7 @@ def test_lines_end_before_products_but_not_inside_powers(length: int) -> None:
     assert ast.dump(ast.parse(_wrapped(text, 4), mode="eval")) == expected
 
 
+@pytest.mark.slow
 def test_sources_do_not_depend_on_the_process() -> None:
     formula = "*".join(f"sin(q{i} + p{i})" for i in range(5))
     script = f"import hamsym; print(hamsym.Hamiltonian('{formula}').source('numpy'))"

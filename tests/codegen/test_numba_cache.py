@@ -37,6 +37,7 @@ def test_compiled_and_plain_march_agree(name: str) -> None:
     assert abs(len(fast.history.edges) - len(plain.history.edges)) <= 1
 
 
+@pytest.mark.slow
 def test_short_march_does_not_compile() -> None:
     code = (
         "import sys, hamsym; hamsym.solve(hamsym.Hamiltonian('p**2 + x**2'), [1, 0], (0, 9));"

@@ -166,6 +166,7 @@ def test_arithmetic_of_balls_has_every_function() -> None:
 SYSTEMS = ["kepler", "henon_heiles", "driven_oscillator", "double_pendulum", "three_bodies"]
 
 
+@pytest.mark.slow_cases("three_bodies")
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_text_has_only_arithmetic_without_branches(name: str) -> None:
     H = systems.CATALOGUE[name]().H

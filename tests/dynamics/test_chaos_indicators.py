@@ -129,6 +129,7 @@ def test_sali_of_a_saddle_is_followed_below_round_off() -> None:
     assert np.isfinite(found.megno).all()
 
 
+@pytest.mark.slow
 def test_sali_of_one_degree_of_freedom_falls_like_a_power() -> None:
     """Vectors turn into the only tangent direction of the torus: 1/t^2."""
     found = hamsym.chaos_indicators(pendulum().H, [2.5, 0.0], (0, 1e4))
@@ -192,6 +193,7 @@ def test_indicators_are_those_of_the_variational_equations(
 # -- published orbits --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_ordered_orbit_has_mean_two_and_vectors_apart() -> None:
     found = hamsym.chaos_indicators(henon_heiles().H, start_of(ORDERED), (0, 1e4))
     assert found.success
@@ -202,6 +204,7 @@ def test_ordered_orbit_has_mean_two_and_vectors_apart() -> None:
     assert found.energy_error < 1e-9
 
 
+@pytest.mark.slow
 def test_chaotic_orbit_grows_and_aligns_by_its_exponent() -> None:
     """SALI falls by the difference of the two largest exponents, of which the second is 0."""
     H, start = henon_heiles().H, start_of(CHAOTIC)
@@ -215,6 +218,7 @@ def test_chaotic_orbit_grows_and_aligns_by_its_exponent() -> None:
     assert "nothing is proved" in found.statement
 
 
+@pytest.mark.slow_cases("1", "2")
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_verdict_does_not_depend_on_the_seed(seed: int) -> None:
     H = henon_heiles().H

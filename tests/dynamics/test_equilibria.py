@@ -92,6 +92,7 @@ def test_lagrange_points_have_their_places_and_exponents(mu: float) -> None:
         assert each.lyapunov_stable is None
 
 
+@pytest.mark.slow
 def test_published_values_of_the_earth_and_the_moon() -> None:
     """Six digits, as tabulated for mu = 0.0121506 in many textbooks."""
     found = three_bodies(EARTH_MOON).equilibria()
@@ -175,6 +176,7 @@ COUNTS: dict[str, tuple[str, dict[str, Any], int, int]] = {
 }
 
 
+@pytest.mark.slow_cases("Mueller-Brown")
 @pytest.mark.parametrize("name", COUNTS)
 def test_counts_in_boxes_are_complete(name: str) -> None:
     text, box, stable, others = COUNTS[name]
@@ -256,6 +258,7 @@ def test_degenerate_points_of_the_plane_are_shown_but_not_proven() -> None:
     assert "not proven" in found.message
 
 
+@pytest.mark.slow
 def test_singularities_are_undecided() -> None:
     found = equilibria(KINETIC + "-1/sqrt(x**2 + y**2)", box=plane((-1, 2)))
     assert not found.complete
@@ -287,6 +290,7 @@ def test_cyclic_coordinates_give_one_continuum() -> None:
     assert "1 continuum" in str(equilibria(H)) or "continuum" in found.message
 
 
+@pytest.mark.slow
 def test_circles_of_equilibria_are_one_continuum() -> None:
     found = equilibria(KINETIC + "(x**2 + y**2 - 1)**2", box=plane((-2, 2), (-2, 2)))
     assert not found.complete
@@ -296,6 +300,7 @@ def test_circles_of_equilibria_are_one_continuum() -> None:
     assert found.boxes < 5_000
 
 
+@pytest.mark.slow
 def test_translations_give_lines_of_equilibria() -> None:
     H = "(p1**2 + p2**2 + p3**2)/2 + exp(q1 - q2) + exp(q2 - q3) + exp(q3 - q1)"
     [each] = equilibria(H)
@@ -349,6 +354,7 @@ def test_guesses_lead_to_their_equilibria() -> None:
     assert "did not converge" in failed.message
 
 
+@pytest.mark.slow_cases("exp(-x**2)*x + x")
 @pytest.mark.parametrize("potential", ["exp(x)", "exp(-x**2)*x + x", "1/x", "-1/sqrt(x**2)"])
 def test_flat_tails_are_no_equilibria(potential: str) -> None:
     assert len(equilibria(f"p**2/2 + {potential}")) == 0

@@ -251,6 +251,7 @@ def test_start_of_the_paper_is_not_chaotic(method: str | None) -> None:
     assert found.success
 
 
+@pytest.mark.slow
 def test_chaotic_orbit_of_henon_heiles() -> None:
     problem = henon_heiles()
     start = problem.H.state_at_energy(1 / 6, {"x": 0, "y": -0.15, "p_y": 0})

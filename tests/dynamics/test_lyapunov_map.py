@@ -38,7 +38,7 @@ def test_exponents_of_saddles_are_their_rates() -> None:
     np.testing.assert_array_equal(found.parameters["k"], k)
 
 
-@pytest.mark.slow_cases("1-gauss4")
+@pytest.mark.slow_cases("3-None", "1-gauss4")
 @pytest.mark.parametrize(("count", "method"), [(1, None), (3, None), (1, "gauss4")])
 def test_array_of_starts_is_loop_of_starts(
     starts: np.ndarray, count: int, method: str | None
@@ -53,6 +53,7 @@ def test_array_of_starts_is_loop_of_starts(
         assert together.energy_error[index] <= alone.energy_error * (1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_parameters_are_those_of_a_loop(starts: np.ndarray) -> None:
     k = np.array([0.0, 0.7, 1.0])
     together = hamsym.lyapunov(ESCAPING, starts, (0, 100), parameters={"k": k}, steps=1_000)
@@ -286,6 +287,7 @@ def test_maps_are_drawn() -> None:
     np.testing.assert_allclose((corners[1:, 0, 1] + corners[:-1, 0, 1]) / 2, p_y[:, 0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_rows_are_drawn_over_a_parameter(starts: np.ndarray) -> None:
     k = np.linspace(0.5, 1.0, 4)
     found = hamsym.lyapunov(ESCAPING, starts[0, 0], (0, 20), parameters={"k": k})

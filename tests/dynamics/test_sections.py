@@ -164,6 +164,7 @@ def test_section_over_a_plane_of_parameters() -> None:
         np.testing.assert_array_equal(table["z0_x"], np.array([1.0, 2.0])[start])
 
 
+@pytest.mark.slow
 def test_direction_and_number_of_crossings(start: np.ndarray) -> None:
     H = henon_heiles().H
     both = hamsym.section(H, start, (0, 100), "x = 0", dt=0.1)
@@ -223,6 +224,7 @@ def test_unusable_section_options_are_rejected(options: dict[str, object], messa
         hamsym.section(problem.H, problem.z0, (0, 1), "x = 0", **options)
 
 
+@pytest.mark.slow
 def test_section_is_drawn_in_the_free_plane(start: np.ndarray) -> None:
     found = hamsym.section(henon_heiles().H, start, (0, 100), "x = 0, p_x > 0", dt=0.1)
     axis = found.plot().axes[0]
@@ -279,6 +281,7 @@ def test_steps_of_a_section_are_chosen() -> None:
     assert np.isnan(found.drift)
 
 
+@pytest.mark.slow
 def test_energy_drift_fails_and_warns() -> None:
     problem = kepler(0.9)
     with pytest.warns(StepSizeWarning, match="of its scale: take smaller steps"):
@@ -413,6 +416,7 @@ def circle() -> hamsym.Solution:
     return hamsym.solve(harmonic_oscillator().H, [1.0, 0.0], (0, 300), tol=1e-11)
 
 
+@pytest.mark.slow_cases("0.999999", "0.99")
 @pytest.mark.parametrize("level", [0.99, 0.9999, 0.999999])
 def test_pairs_of_events_between_scan_times(circle: hamsym.Solution, level: float) -> None:
     expected = both_sides(level, 300.0)
@@ -471,6 +475,7 @@ def test_every_zero_of_a_fast_formula_is_found(circle: hamsym.Solution) -> None:
     np.testing.assert_allclose(first, np.sort(expected), atol=1e-8)
 
 
+@pytest.mark.slow_cases("x**2 + p**2 = 1-more often than")
 @pytest.mark.parametrize(
     ("text", "message"),
     [("x**2 = 0", "round-off at t = 1.57"), ("x**2 + p**2 = 1", "more often than")],
@@ -480,6 +485,7 @@ def test_undecided_events_are_named(circle: hamsym.Solution, text: str, message:
         circle.events(text)
 
 
+@pytest.mark.slow
 def test_undecided_crossings_of_a_section_are_named() -> None:
     H = harmonic_oscillator().H
     found = hamsym.section(H, [1.0, 0.0], (0, 20), "x**2 = 0")

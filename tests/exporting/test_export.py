@@ -183,7 +183,9 @@ def exported(solution: Solution, tmp_path: Path) -> ModuleType:
     return module(tmp_path / "orbit.py")
 
 
-@pytest.mark.slow_cases("thirty degrees of freedom")
+@pytest.mark.slow_cases(
+    "chain", "many windows", "network, tanh", "network, sine", "thirty degrees of freedom"
+)
 @pytest.mark.sampled(9)
 def test_modules_have_the_values_of_the_solution(solution: Solution, exported: ModuleType) -> None:
     t = times(solution)
@@ -201,7 +203,9 @@ def test_modules_have_the_values_of_the_solution(solution: Solution, exported: M
     assert exported.SUCCESS is bool(solution.success)
 
 
-@pytest.mark.slow_cases("networks, sigmoid, linear, float32")
+@pytest.mark.slow_cases(
+    "networks, one held", "thirty degrees of freedom", "networks, sigmoid, linear, float32"
+)
 def test_modules_start_exactly(solution: Solution, exported: ModuleType) -> None:
     np.testing.assert_array_equal(exported.state(solution.span[0]), solution(solution.span[0]))
 
@@ -246,6 +250,7 @@ def test_modules_need_numpy_alone(tmp_path: Path) -> None:
     assert out.strip() == f"{solution(1.5).tolist()} {float(solution.energy(1.5))}"
 
 
+@pytest.mark.slow_cases("networks, sigmoid, linear, float32")
 def test_docstrings_say_what_they_are(solution: Solution, exported: ModuleType) -> None:
     text = " ".join((exported.__doc__ or "").split())
     H = solution.H
@@ -451,6 +456,7 @@ def test_prefixes_are_identifiers(stem: str, prefix: str) -> None:
     assert prefix_of(stem) == prefix
 
 
+@pytest.mark.slow
 def test_headers_are_cpp_too(tmp_path: Path) -> None:
     cc = shutil.which("c++")
     if cc is None:
@@ -533,6 +539,7 @@ class Branching(torch.nn.Module):
         return self.layer(s) if float(s.sum()) < 1e9 else 2 * self.layer(s)
 
 
+@pytest.mark.slow
 def test_networks_that_torch_cannot_export_are_refused(tmp_path: Path) -> None:
     H = Hamiltonian("p**2/2 + x**2/2")
     solution = solve(H, [1, 0], (0, 1), trial=Branching(), progress=False, **_QUICK)
@@ -695,6 +702,7 @@ def test_command_names_what_is_wrong(
     assert Path("a.py").exists() == (status == 0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("saved")
 def test_solve_exports(capsys: pytest.CaptureFixture[str]) -> None:
     command = ["solve", "p**2/2 + x**4/4", "--z0", "1,0", "--t-end", "5", "--export"]

@@ -763,7 +763,7 @@ def survey_parameters(count: int) -> None:
     assert errors(many[:1], t, single(t)[None]).max() <= 1e-9
 
 
-@pytest.mark.slow_cases("pendulum")
+@pytest.mark.slow_cases("kepler", "pendulum")
 @pytest.mark.parametrize(
     ("survey", "count"),
     [(survey_henon, 300), (survey_pendulum, 100), (survey_kepler, 100), (survey_parameters, 50)],

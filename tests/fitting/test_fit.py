@@ -94,6 +94,7 @@ def test_pendulum_from_a_noisy_track(swing: np.ndarray) -> None:
     np.testing.assert_allclose(np.diag(found.correlation), 1.0)
 
 
+@pytest.mark.slow
 def test_minimum_and_covariance_are_those_of_scipy(swing: np.ndarray) -> None:
     data = swing[:, 0] + noise(0.02)
     H = Hamiltonian(PENDULUM, parameters={"m": 1, "l": 1, "g": 1.6})
@@ -112,6 +113,7 @@ def test_minimum_and_covariance_are_those_of_scipy(swing: np.ndarray) -> None:
     np.testing.assert_allclose(found.chi_square, 2 * expected.cost, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_observables_are_expressions_with_their_own_sigma(swing: np.ndarray) -> None:
     theta, p = swing.T
     x, g, momentum = sympy.symbols("theta g p")
@@ -137,6 +139,7 @@ def test_observables_are_expressions_with_their_own_sigma(swing: np.ndarray) -> 
     assert squares == pytest.approx(found.chi_square)
 
 
+@pytest.mark.slow
 def test_missing_data_are_left_out(swing: np.ndarray) -> None:
     data = swing[:, 0] + noise(0.02)
     gaps = np.where(np.arange(len(T)) % 3 == 0, np.nan, data)
@@ -150,6 +153,7 @@ def test_missing_data_are_left_out(swing: np.ndarray) -> None:
     np.testing.assert_array_equal(np.isnan(found.residuals["theta"]), np.isnan(gaps))
 
 
+@pytest.mark.slow
 def test_times_in_any_order_and_repeated(swing: np.ndarray) -> None:
     data = swing[:, 0] + noise(0.02)
     order = np.random.default_rng(0).permutation(np.tile(np.arange(len(T)), 2))
@@ -158,6 +162,7 @@ def test_times_in_any_order_and_repeated(swing: np.ndarray) -> None:
     np.testing.assert_allclose(found.covariance, sorted_.covariance / 2, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_sigma_is_estimated_if_it_is_not_given(swing: np.ndarray) -> None:
     data = swing[:, 0] + noise(0.02)
     found, given = fit_pendulum({"theta": data}, sigma=None), fit_pendulum({"theta": data})
@@ -190,6 +195,7 @@ def test_explicit_time_in_the_hamiltonian() -> None:
     assert abs(found.parameters["w"] - 0.7) < 3 * found.standard_errors["w"]
 
 
+@pytest.mark.slow
 def test_backward_spans_fit_the_later_state(swing: np.ndarray) -> None:
     data = {"theta": swing[:, 0] + noise(0.02)}
     end = {"theta": swing[-1, 0] + 0.1, "p": swing[-1, 1]}
@@ -199,6 +205,7 @@ def test_backward_spans_fit_the_later_state(swing: np.ndarray) -> None:
     np.testing.assert_allclose(found.z0, forward.solution(20.0), rtol=1e-5)
 
 
+@pytest.mark.slow_cases("1e-09")
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
 def test_units_change_nothing_but_the_unit(swing: np.ndarray, unit: float) -> None:
     data = {"theta": swing[:, 0] + noise(0.02)}
@@ -233,6 +240,7 @@ def test_quantities_that_data_do_not_determine_are_named() -> None:
     assert found.parameters["k"] / found.parameters["m"] == pytest.approx(4.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_quantities_without_effect_are_named() -> None:
     t = np.linspace(0, 10, 50)
     found = hamsym.fit(
@@ -248,6 +256,7 @@ def test_quantities_without_effect_are_named() -> None:
     assert "the data do not depend on y" in found.message
 
 
+@pytest.mark.slow
 def test_estimates_at_a_bound_are_refused(swing: np.ndarray) -> None:
     data = {"theta": swing[:, 0] + noise(0.02)}
     found = fit_pendulum(data, bounds={"g": (0, 1.5)})
@@ -259,6 +268,7 @@ def test_estimates_at_a_bound_are_refused(swing: np.ndarray) -> None:
     assert inside.parameters["g"] == pytest.approx(fit_pendulum(data).parameters["g"], rel=1e-8)
 
 
+@pytest.mark.slow
 def test_models_that_do_not_fit_are_refused(swing: np.ndarray) -> None:
     data = swing[:, 0] + noise(0.02)
     data[::20] += 1.0
@@ -279,6 +289,7 @@ def test_sigma_near_the_errors_of_the_motion_is_refused(swing: np.ndarray) -> No
     assert "sigma cannot be estimated" in exact.message
 
 
+@pytest.mark.slow_cases("stiff")
 @pytest.mark.parametrize(
     ("formula", "free", "message"),
     [
@@ -434,6 +445,7 @@ def test_minima_that_fit_as_well_are_refused() -> None:
 # -- sets of data ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_sets_are_fits_of_their_own(swing: np.ndarray) -> None:
     data = swing[:, 0] + noise(0.02, (3, len(T)))
     data[1, ::2] = np.nan
@@ -474,6 +486,7 @@ def test_parameters_alone_are_fitted_to_sets() -> None:
         np.testing.assert_allclose(found.parameters["k"], k, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_switches_that_are_not_crossed_do_not_matter() -> None:
     t = np.linspace(0, 1.2, 20)
     data, free = {"x": 1 - t**2 / 2 + noise(0.01, (2, 20))}, {"x": 0.9}
@@ -494,6 +507,7 @@ def coverage(found: Fit, truth: Mapping[str, float]) -> dict[str, float]:
     return inside
 
 
+@pytest.mark.slow_cases("None")
 @pytest.mark.parametrize("sigma", [0.1, None])
 def test_intervals_of_a_flow_map_cover_the_truth(sigma: float | None) -> None:
     t, data = tracks(1000, 0.1)
@@ -521,6 +535,7 @@ def test_intervals_of_solutions_cover_the_truth(swing: np.ndarray, sigma: float 
 # -- flow maps -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_flow_map_gives_the_fit_of_solutions() -> None:
     t, data = tracks(1, 0.05)
     options: dict[str, Any] = {"free": {"k": 3.8, "x": 1.0}, "sigma": 0.05}
@@ -603,6 +618,7 @@ def test_figures_show_data_and_residuals(swing: np.ndarray) -> None:
     assert "Set 2. Fitted: $k$ = " in hamsym.plot(sets, number=2).caption
 
 
+@pytest.mark.slow
 def test_results_can_be_pickled_and_printed(swing: np.ndarray) -> None:
     found = fit_pendulum({"theta": swing[:, 0] + noise(0.02)})
     again = pickle.loads(pickle.dumps(found))

@@ -119,6 +119,7 @@ def test_linear_models_keep_linear_intervals() -> None:
     np.testing.assert_allclose(high - low, 2 * 1.959964 * found.standard_errors["k"], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_profiles_that_do_not_close_are_named() -> None:
     data = np.random.default_rng(1).normal(0, 0.8, (40, 12))  # no oscillation at all
     found = fit_swing(data, 0.8)
@@ -129,6 +130,7 @@ def test_profiles_that_do_not_close_are_named() -> None:
     assert all("the data do not bound k from" in message for message in found.message[open_])
 
 
+@pytest.mark.slow
 def test_solutions_have_the_intervals_of_a_flow_map() -> None:
     data = noisy(1)[0]
     found = fit_swing(data, 0.8)
@@ -160,6 +162,7 @@ def test_intervals_of_noisy_pendulums_cover() -> None:
 # -- signs -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_cases("0.1-0.0", "0.0-0.3", "0.1-0.3")
 @pytest.mark.parametrize("start", [0.3, 0.0])
 @pytest.mark.parametrize("truth", [0.0, 0.1])
 def test_squares_near_zero_have_a_verdict(truth: float, start: float) -> None:
@@ -177,6 +180,7 @@ def test_squares_near_zero_have_a_verdict(truth: float, start: float) -> None:
     assert_covered(found, known, 0.92, np.ones(60, dtype=bool))
 
 
+@pytest.mark.slow
 def test_reflected_solutions_are_named() -> None:
     t = np.linspace(0, 10, 60)
     data = np.cos(2 * t) ** 2 + np.random.default_rng(0).normal(0, 0.02, 60)

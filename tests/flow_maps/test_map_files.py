@@ -126,6 +126,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow_cases("leg against the span", "chain legs exchanged")
 @pytest.mark.parametrize(("kind", "name"), CASES, ids=[" ".join(case) for case in CASES])
 def test_parts_out_of_order_are_refused(request, tmp_path, kind, name):
     edit = {"leg": LEG, "chain": CHAIN, "split": SPLIT}[kind][name]

@@ -51,6 +51,7 @@ def test_no_limit_under_a_profiler() -> None:
     assert busy.__code__ in called
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_lost_exception_is_raised_at_the_end() -> None:
     """In a callback of the garbage collector an exception is printed, not passed on."""

@@ -141,6 +141,7 @@ def test_any_other_name_is_a_symbol(name: str) -> None:
     assert parse_expression(f"2*{name}") == 2 * sympy.Symbol(name, real=True)
 
 
+@pytest.mark.slow
 def test_long_sums_are_one_level_deep() -> None:
     terms = [f"x{i}**2" for i in range(2_000)]
     assert len(parse_expression(" + ".join(terms)).args) == 2_000
@@ -403,6 +404,7 @@ def traps() -> object:
     patch.undo()
 
 
+@pytest.mark.slow
 @settings(
     max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
@@ -411,6 +413,7 @@ def test_any_text_is_a_hamiltonian_or_one_clear_error(traps: object, text: str) 
     _hamiltonian_or_error(text)
 
 
+@pytest.mark.slow
 @settings(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

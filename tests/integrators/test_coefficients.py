@@ -63,6 +63,7 @@ def flows_of(scheme: Splitting | Doubled) -> list[Flow]:
     ]
 
 
+@pytest.mark.slow_cases("yoshida8")
 @pytest.mark.parametrize("method", SPLITTINGS + DOUBLED)
 def test_order_conditions_of_splittings(method: str) -> None:
     row = INTEGRATORS[method]

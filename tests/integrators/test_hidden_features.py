@@ -93,6 +93,7 @@ def test_pulse_is_refused_with_a_tolerance(name: str) -> None:
     assert "feature narrower than a step" in found.message
 
 
+@pytest.mark.slow
 def test_tolerance_needs_no_place_from_the_formula(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tolerance, "narrow_features", lambda _: None)
     H = OSCILLATOR + PULSES["one of few floats"]

@@ -218,6 +218,7 @@ def test_symmetric_methods_return_to_the_start(system: str, method: str) -> None
         assert back > 1e-8
 
 
+@pytest.mark.slow_cases("implicit_midpoint")
 @pytest.mark.parametrize(
     "method", ["symplectic_euler", "stormer_verlet", "blanes_moan6", "implicit_midpoint"]
 )
@@ -234,6 +235,7 @@ def test_energy_does_not_drift_in_a_million_steps(method: str) -> None:
     assert np.abs(last).max() < 1.2 * size + 1e-14
 
 
+@pytest.mark.slow
 def test_dop853_energy_drifts() -> None:
     """DOP853 fails the criterion of the test above."""
     problem = nonlinear_oscillator()
@@ -334,6 +336,7 @@ def test_unsolvable_step_keeps_earlier_states() -> None:
         assert np.all(np.isfinite(trajectory.z))
 
 
+@pytest.mark.slow_cases("odeint")
 @pytest.mark.parametrize("method", ["yoshida8", "gauss6", "tao2", *ADAPTIVE])
 def test_escape_to_infinity_is_reported(method: str) -> None:
     trajectory = hamsym.integrate(TIMED, [2.0, 4.0], (0, 5), method, steps=1000)
@@ -579,6 +582,7 @@ def test_ctrl_c_keeps_earlier_states(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.isfinite(found.z).all()
 
 
+@pytest.mark.slow
 def test_progress_is_drawn_on_request(capsys: pytest.CaptureFixture[str]) -> None:
     problem = nonlinear_oscillator()
     hamsym.integrate(problem.H, problem.z0, (0, 1e6), "symplectic_euler", steps=200_000_000,
@@ -729,6 +733,7 @@ def test_collision_raises_a_warning() -> None:
     assert np.isfinite(jumped.z).all()
 
 
+@pytest.mark.slow_cases("p**2/2 - (1 + sin(t)/2)*cos(x)-start6-span6-options6")
 @pytest.mark.parametrize(
     ("formula", "start", "span", "options"),
     [

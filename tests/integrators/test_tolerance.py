@@ -57,7 +57,15 @@ def relative_errors(found: hamsym.Trajectory, truths: np.ndarray) -> np.ndarray:
 # -- true errors ---------------------------------------------------------------------------------
 
 
-@pytest.mark.slow_cases("H4-starts4-span4-0.0001")
+@pytest.mark.slow_cases(
+    "H3-starts3-span3-0.0001",
+    "H1-starts1-span1-1e-09",
+    "H3-starts3-span3-1e-09",
+    "H4-starts4-span4-1e-09",
+    "H0-starts0-span0-1e-09",
+    "H0-starts0-span0-0.0001",
+    "H4-starts4-span4-0.0001",
+)
 @pytest.mark.parametrize("tol", [1e-4, 1e-9])
 @pytest.mark.parametrize(
     ("H", "starts", "span"),

@@ -30,6 +30,7 @@ def _saddle(t: np.ndarray) -> np.ndarray:
     return np.stack((x, np.sinh(t) - 0.5 * np.cosh(t)), axis=-1)
 
 
+@pytest.mark.slow_cases("2", "1")
 @pytest.mark.parametrize("seed", range(3))
 def test_linear_motion_is_exact_to_round_off(seed: int) -> None:
     solution = hamsym.solve(CIRCLE, [1.0, 0.0], (0, 20), method=LM, seed=seed, tol=1e-11)
@@ -73,6 +74,7 @@ def test_backward_and_far_spans() -> None:
     np.testing.assert_allclose(far(1e9 + 12), there(12.0), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_cost_grows_in_proportion_to_the_span() -> None:
     short, long = (hamsym.solve(PENDULUM, [1.0, 0.5], (0, end), method=LM) for end in (20.0, 200.0))
     assert short.success
@@ -94,6 +96,7 @@ def test_other_networks(hidden: tuple[int, ...], activation: str, envelope: str)
     np.testing.assert_allclose(solution(t), truth(t), atol=1e-7)
 
 
+@pytest.mark.slow
 def test_hidden_layers_are_trained_where_readouts_do_not_suffice() -> None:
     options: dict[str, Any] = {"method": LM, "hidden": (10, 10), "tol": 1e-7}
     trained = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), **options)
@@ -131,6 +134,7 @@ def test_windows_end_at_breakpoints_and_are_short_enough() -> None:
     assert np.diff(solution.trial.edges).max() <= 0.25 * (1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_narrow_pulse_is_not_stepped_over() -> None:
     H = Hamiltonian("p**2/2 + x**2/2 + x*exp(-1e6*(t - 3.3)**2)")
     solution = hamsym.solve(H, [1.0, 0.0], (0, 6), method=LM)
@@ -165,6 +169,7 @@ def test_chaos_beyond_round_off_is_refused() -> None:
     assert 10 < held < 700
 
 
+@pytest.mark.slow
 def test_time_limit_keeps_what_was_reached() -> None:
     solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 1e5), method=LM, time_limit=0.5)
     assert not solution.success
@@ -172,6 +177,7 @@ def test_time_limit_keeps_what_was_reached() -> None:
     assert 0 < solution.span[1] < 1e5
 
 
+@pytest.mark.slow
 def test_networks_that_are_too_small_are_named() -> None:
     solution = hamsym.solve(
         PENDULUM, [1.0, 0.5], (0, 20), method=LM, hidden=(5, 5), train_hidden=False

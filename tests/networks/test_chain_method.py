@@ -72,6 +72,7 @@ def test_late_pulse_in_a_long_motion_is_passed() -> None:
     assert solution(55.31)[1] == pytest.approx(-math.sin(55.31) - kick * math.cos(0.01), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_networks_that_are_too_narrow_are_named() -> None:
     H = "p**2/2 - cos(q) + 0.4*cos(5*q - t)"
     solution = trained(H, [2.5, 0.1], (0, 20), windows=1, hidden=[4], train_hidden=False)
@@ -159,6 +160,7 @@ def digest_of_training(rubbish: int) -> str:
     return digest.hexdigest()
 
 
+@pytest.mark.slow
 def test_same_seed_gives_the_same_bits_whatever_memory_held() -> None:
     assert len({digest_of_training(rubbish) for rubbish in (0, 1, -1)}) == 1
 

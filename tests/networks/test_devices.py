@@ -80,6 +80,7 @@ def test_absent_devices_are_refused_in_one_sentence(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_command_line_takes_device_and_precision(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["solve", "p**2/2 + x**2/2", "--z0", "1,0", "--t-end", "1", "--method", "lbfgs"]
     arguments += ["--iterations", "5", "--hidden", "4", "--dtype", "float32"]
@@ -89,6 +90,7 @@ def test_command_line_takes_device_and_precision(capsys: pytest.CaptureFixture[s
     assert "device='cuda:99' cannot be used here" in capsys.readouterr().err
 
 
+@pytest.mark.slow_cases("adam", "levenberg-marquardt")
 @pytest.mark.parametrize("method", BRIEF)
 def test_float32_weights_are_evaluated_in_float64(method: str) -> None:
     solution = hamsym.solve(

@@ -85,6 +85,7 @@ def test_every_method_takes_the_penalty(method: str) -> None:
     assert set(with_penalty.invariant_drift) == {MOMENTUM}
 
 
+@pytest.mark.slow_cases("adam", "ssbroyden", "levenberg-marquardt")
 @pytest.mark.parametrize("method", QUICK)
 def test_cyclic_momenta_are_constant_to_the_last_bit(method: str, tmp_path: Path) -> None:
     solution = hamsym.solve(
@@ -101,6 +102,7 @@ def test_cyclic_momenta_are_constant_to_the_last_bit(method: str, tmp_path: Path
     assert (solution(torch.tensor(t)).numpy()[:, 2] == 1.1).all()
 
 
+@pytest.mark.slow_cases("options0")
 @pytest.mark.parametrize("options", [{"shared_weights": False}, {"envelope": "linear"}])
 def test_cyclic_momenta_are_constant_in_every_layout(options: dict[str, Any]) -> None:
     solution = hamsym.solve(

@@ -117,6 +117,8 @@ def test_time_dependent_and_penalised_by_least_squares() -> None:
 
 
 @pytest.mark.slow_cases(
+    "levenberg-marquardt-target_loss-0.001",
+    "levenberg-marquardt-accuracy-0.1",
     "lbfgs-target_loss-0.001",
     "ssbroyden-target_loss-0.001",
     "levenberg-marquardt-target_error-0.01",
@@ -151,6 +153,7 @@ def test_target_ends_training(method: str, option: str, value: float) -> None:
     assert reached[option] <= value
 
 
+@pytest.mark.slow
 def test_accuracy_undefined_where_sigma_min_is_zero() -> None:
     H = Hamiltonian("p**2/2 + cos(x)")  # the curvature of cos changes its sign on the way
     solution = hamsym.solve(
@@ -180,6 +183,7 @@ def test_patience_and_time_limit_end_training() -> None:
     assert brief.record.stopped == "time limit"
 
 
+@pytest.mark.slow
 def test_restarts_are_counted_in_the_message() -> None:
     """A network far too small for its problem stalls."""
     problem = hamsym.systems.henon_heiles()
@@ -294,6 +298,7 @@ def test_killed_training_resumes_to_the_same_bits(
     np.testing.assert_array_equal(one.history.loss, other.history.loss)
 
 
+@pytest.mark.slow
 def test_checkpoint_of_another_problem_is_rejected(tmp_path: Path) -> None:
     settings = {"method": "adam", "epochs": 20, "points": 10, "checkpoint": tmp_path / "run"}
     hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 1), **settings)
@@ -305,6 +310,7 @@ def test_checkpoint_of_another_problem_is_rejected(tmp_path: Path) -> None:
     assert hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 1), **longer) is not None
 
 
+@pytest.mark.slow
 def test_initial_weights_are_those_given():
     H = Hamiltonian("p**2/2 + x**2/2")
     options = {"method": "adam", "points": 20, "hidden": (6, 6)}
@@ -318,6 +324,9 @@ def test_initial_weights_are_those_given():
     assert np.abs(second(t) - fresh(t)).max() > 0.01
 
 
+@pytest.mark.slow_cases(
+    "change0-1-6-6-2 sin, this training 1-7-6-2 sin", "change2-1-6-6-1 . 1-6-6-1 sin"
+)
 @pytest.mark.parametrize(
     ("change", "message"),
     [

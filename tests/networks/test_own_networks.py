@@ -214,6 +214,7 @@ def test_frozen_weights_and_eval_mode_are_kept() -> None:
         assert not solution.trial.network.training
 
 
+@pytest.mark.slow
 def test_copies_are_equal_and_files_are_refused(tmp_path: Path) -> None:
     solution = hamsym.solve(H, [1, 0], (0, 1), method="adam", trial=Plain(), epochs=5, points=10)
     t = np.linspace(0, 1, 7)
@@ -328,6 +329,7 @@ def test_options_of_other_networks_are_refused(options: dict, message: str) -> N
         hamsym.solve(H, [1, 0], (0, 1), method="lbfgs", trial=layered(), **options)
 
 
+@pytest.mark.slow
 def test_modules_beyond_least_squares_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def branching(x: Tensor, y: Tensor) -> Tensor:
         return y if float(x.max()) > -1 else -y

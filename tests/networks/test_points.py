@@ -31,6 +31,7 @@ class Seen(list):
         return 0 * z[:, 0]
 
 
+@pytest.mark.slow_cases("span1-adam", "span0-adam")
 @pytest.mark.parametrize("method", ["adam", "lbfgs"])
 @pytest.mark.parametrize("span", [(0.0, 3.0), (3.0, 0.0)])
 def test_loss_is_trained_at_exactly_the_given_times(method: str, span: tuple[float, float]) -> None:
@@ -126,6 +127,7 @@ def test_unusable_points_are_refused(method: str, points: object, message: str) 
     assert message in str(caught.value)
 
 
+@pytest.mark.slow
 def test_given_times_resume_to_the_same_bits(tmp_path: Path) -> None:
     options = {"method": "levenberg-marquardt", "hidden": (5,), "points": OWN}
     whole = hamsym.solve(H, [1, 0], (0, 3), iterations=20, **options)

@@ -58,6 +58,7 @@ def test_best_weights_at_fixed_points_are_kept() -> None:
     assert np.argmin(training.history.fixed_loss) < len(training.history.fixed_loss) - 1
 
 
+@pytest.mark.slow
 def test_training_stops_at_the_target() -> None:
     trial, generator = decay_trial()
     options = Adam(points=20, learning_rate=0.01), Stopping(iterations=5000, target_loss=1e-3)
@@ -193,6 +194,7 @@ def test_training_is_reproducible_and_leaves_torch_state() -> None:
     assert torch.get_default_dtype() == torch.float32
 
 
+@pytest.mark.slow
 def test_cosine_schedule_ends_at_rate_zero() -> None:
     moved = {}
     for schedule in ("constant", "cosine"):
@@ -255,7 +257,7 @@ def optimizer(request: pytest.FixtureRequest):
     return OPTIMIZERS[request.param]
 
 
-@pytest.mark.slow_cases("lbfgs", "ssbroyden")
+@pytest.mark.slow_cases("adam", "lbfgs", "ssbroyden")
 def test_each_optimizer_solves_another_equation(optimizer) -> None:
     trial, generator = decay_trial()
     iterations = 150 if isinstance(optimizer(), LevenbergMarquardt) else 1000
@@ -308,7 +310,7 @@ def test_patience_begins_with_a_stage() -> None:
     assert rule.limit_reached(progress, last_stage=True) == "patience"
 
 
-@pytest.mark.slow_cases("ssbroyden", "lbfgs")
+@pytest.mark.slow_cases("levenberg-marquardt", "ssbroyden", "lbfgs")
 def test_sequential_training_grows_the_span(optimizer) -> None:
     seen: list[float] = []
 
@@ -443,7 +445,15 @@ def _below(level: float) -> Criterion:
     return Criterion("error", level, is_met)
 
 
-@pytest.mark.slow_cases("lbfgs-iterations", "ssbroyden-iterations")
+@pytest.mark.slow_cases(
+    "adam-iterations",
+    "adam-criterion",
+    "adam-patience",
+    "lbfgs-patience",
+    "levenberg-marquardt-iterations",
+    "lbfgs-iterations",
+    "ssbroyden-iterations",
+)
 @pytest.mark.parametrize(
     "stopping",
     [

@@ -15,6 +15,7 @@ def amplitude_of(energy):
     return math.sqrt(math.sqrt(1 + 4 * energy) - 1)
 
 
+@pytest.mark.slow
 def test_family_of_an_oscillator_has_the_exact_periods():
     orbit = hamsym.periodic_orbit(DUFFING, [1.0, 0.0])
     family = orbit.family(energy=4.0)
@@ -61,6 +62,7 @@ def test_period_doubling_is_where_the_trace_says():
     assert np.trace(other.matrix) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_family_in_a_parameter_has_the_exact_periods():
     H = hamsym.Hamiltonian("p**2/2 + k*x**2/2 + x**4/4", parameters={"k": 1.0})
     orbit = hamsym.periodic_orbit(H, [1.0, 0.0], energy=0.75)
@@ -117,6 +119,7 @@ def test_family_that_does_not_reach_its_target_says_so():
     assert all(member.success for member in family)
 
 
+@pytest.mark.slow
 def test_family_ends_at_an_equilibrium_without_bifurcations():
     orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0])
     family = orbit.family(energy=-1.0)
@@ -155,6 +158,7 @@ def test_driven_orbit_is_not_continued_beyond_its_period():
     assert not orbit.family(parameter=("w", 1.2)).success
 
 
+@pytest.mark.slow
 def test_family_is_a_sequence():
     orbit = hamsym.periodic_orbit(DUFFING, [1.0, 0.0])
     family = orbit.family(energy=0.9)

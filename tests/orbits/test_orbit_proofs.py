@@ -55,6 +55,7 @@ def test_exact_orbit_is_in_the_proven_balls(amplitude, symmetry):
     assert f"energy {energy!r}" in certificate.statement
 
 
+@pytest.mark.slow_cases("-0.3", "0.3")
 @pytest.mark.parametrize("square", [0.3, -0.3, 2.0])
 def test_exact_multipliers_are_in_the_proven_matrix(square):
     # along y = 0 the second oscillator is linear
@@ -79,6 +80,13 @@ def test_stability_is_not_claimed_at_a_resonance():
     assert not orbit.is_isolated or orbit.certify().stability == "undecided"
 
 
+@pytest.mark.slow_cases(
+    "start2-symmetry2-0.08333333333333333",
+    "start1-symmetry1-0.08333333333333333",
+    "start1-symmetry1-0.12",
+    "start0-symmetry0-0.08333333333333333",
+    "start2-symmetry2-0.12",
+)
 @pytest.mark.parametrize("energy", [1 / 12, 0.12])
 @pytest.mark.parametrize(
     ("start", "symmetry"),
@@ -209,6 +217,7 @@ def test_lyapunov_orbit_is_proven_unstable():
     assert certificate.bound < 1e-11
 
 
+@pytest.mark.slow
 def test_limit_cycle_is_proven_to_attract():
     # van der Pol with mu = 1; the period by Andersen & Geer, SIAM J. Appl. Math. 42 (1982)
     H = hamsym.Hamiltonian(
@@ -259,6 +268,7 @@ def test_displaced_orbit_has_a_bound_above_its_error(change):
     assert contains(certificate.period, exact_period(1.0))
 
 
+@pytest.mark.slow_cases("0.2")
 @pytest.mark.parametrize("change", [0.2, -0.5])
 def test_wrong_orbit_is_refused(change):
     orbit = hamsym.periodic_orbit(DUFFING, [1.0, 0.0])

@@ -99,6 +99,7 @@ def test_arenstorf_orbit():
     assert orbit.z0[3] - orbit.z0[0] == pytest.approx(speed, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_figure_eight_has_the_published_multipliers():
     # Simo, Dynamical properties of the figure eight solution of the three-body problem (2002)
     orbit = hamsym.periodic_orbit(three_bodies(), (EIGHT, 6.3259), symmetry=eight_symmetries())
@@ -178,6 +179,7 @@ def test_symmetries_lead_to_the_same_orbit():
     assert max(periods) - min(periods) < 1e-12
 
 
+@pytest.mark.slow
 def test_orbit_of_a_symplectic_symmetry():
     # two uncoupled equal oscillators, run through half a period apart
     H = hamsym.Hamiltonian("(p1**2 + p2**2)/2 + (q1**4 + q2**4)/4 + q1**2*q2**2")
@@ -322,6 +324,7 @@ def test_orbit_without_other_multipliers_is_judged_by_its_shear(H, guess, word):
     assert orbit.stability == word
 
 
+@pytest.mark.slow_cases("False")
 @pytest.mark.parametrize("symmetric", [False, True])
 def test_figure_eight_is_elliptic_without_its_eight_integrals(symmetric):
     symmetry = eight_symmetries() if symmetric else None

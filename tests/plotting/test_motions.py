@@ -80,6 +80,7 @@ def test_texts_of_an_overview_of_many_degrees_of_freedom_do_not_overlap() -> Non
     check_layout(moved(30).plot())
 
 
+@pytest.mark.slow
 def test_texts_of_a_solution_do_not_overlap(pendulum: hamsym.Solution) -> None:
     check_layout(pendulum.plot())
 
@@ -101,7 +102,7 @@ def test_texts_of_a_failed_solution_do_not_overlap() -> None:
     assert figure.warning.startswith("Failed: stopped at t = 1.31103")
 
 
-@pytest.mark.slow_cases("names0", "names1", "names3")
+@pytest.mark.slow_cases("names2", "names0", "names1", "names3")
 @pytest.mark.parametrize("names", [("x",), ("x", "z"), ("x", "p_x"), ("error",), ("energy",)])
 def test_texts_of_one_panel_do_not_overlap(trap: hamsym.Solution, names: tuple[str, ...]) -> None:
     figure = trap.plot(*names)
@@ -176,6 +177,7 @@ def test_every_body_has_its_orbit() -> None:
     assert texts == ["($x_{1}$, $y_{1}$)", "($x_{2}$, $y_{2}$)", "($x_{3}$, $y_{3}$)"]
 
 
+@pytest.mark.slow
 def test_planes_of_one_kind_have_one_scale() -> None:
     assert same_scale(hamsym.Hamiltonian(HENON_HEILES), "x", "y")
     assert same_scale(hamsym.Hamiltonian(HENON_HEILES), "p_x", "p_y")
@@ -225,6 +227,7 @@ def test_lines_of_many_turns_look_like_curves() -> None:
     assert chords(saved.plot("x", "p").axes[0]).min() > 0.98
 
 
+@pytest.mark.slow
 def test_turns_too_many_for_lines_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sampling, "_MOST", 4_100)
     solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1_000), tol=1e-6)
@@ -282,6 +285,7 @@ def test_the_portrait_has_level_sets_of_H(pendulum: hamsym.Solution) -> None:
         np.testing.assert_allclose(energies, level, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_level_sets_of_driven_systems_are_refused_in_words() -> None:
     problem = hamsym.systems.driven_duffing()
     figure = hamsym.integrate(problem.H, problem.z0, (0, 10), steps=200).plot("x", "p")
@@ -318,7 +322,7 @@ def test_the_proven_bound_is_drawn(pendulum: hamsym.Solution) -> None:
     assert figure.axes[0].patches  # the band from the lower bound to the upper
 
 
-@pytest.mark.slow_cases("residual")
+@pytest.mark.slow_cases("energy", "residual")
 @pytest.mark.parametrize("name", ["residual", "energy", "search"])
 def test_other_panels_can_be_drawn_alone(pendulum: hamsym.Solution, name: str) -> None:
     figure = pendulum.plot(name)
@@ -356,6 +360,7 @@ def test_peaks_of_many_times_are_kept() -> None:
 # -- axes of the user ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_panel_is_drawn_into_axes_of_the_user(pendulum: hamsym.Solution) -> None:
     own = matplotlib.figure.Figure()
     left, right = own.subplots(1, 2)

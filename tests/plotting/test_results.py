@@ -85,6 +85,7 @@ def test_exponents_of_any_number_are_laid_out(dof: int, count: int) -> None:
     check_layout(exponents(dof, count, chain(dof)).plot())
 
 
+@pytest.mark.slow
 def test_negative_exponents_are_drawn_with_the_others() -> None:
     found = exponents(3, 6, chain(3))
     convergence, all_of_them = found.plot().axes
@@ -118,6 +119,7 @@ def test_exponents_without_their_hamiltonian_keep_its_text() -> None:
     assert "H = p**2/2." in figure.caption
 
 
+@pytest.mark.slow
 def test_failed_exponents_are_marked() -> None:
     figure = exponents(2, 2, chain(2), success=False, message="energy lost").plot()
     assert figure.warning == "Failed: energy lost"
@@ -183,6 +185,7 @@ def test_named_plane_shows_every_start_of_any_array() -> None:
 # -- orbits ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_orbit_is_drawn_with_its_multipliers(orbit: hamsym.PeriodicOrbit) -> None:
     figure = orbit.plot()
     check_layout(figure)
@@ -224,6 +227,7 @@ def test_family_has_periods_orbits_and_multipliers(family: hamsym.OrbitFamily) -
         family.plot("x")
 
 
+@pytest.mark.slow
 def test_proven_orbit_says_its_proof() -> None:
     middle = np.array([[0.0, 1.0], [-1.0, 0.0]])
     ball = Ball(np.zeros(2), np.zeros(2))
@@ -308,6 +312,7 @@ def test_equilibria_without_numbers_are_refused() -> None:
 # -- proofs ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_bands_of_an_enclosure_contain_the_solution() -> None:
     found = hamsym.enclose("p**2/2 + x**2/2", ["1 +- 0.1", 0], (0, 3))
     figure = found.plot("x")
@@ -401,6 +406,7 @@ def test_fit_shows_estimates_and_residuals(fit: hamsym.Fit) -> None:
     np.testing.assert_array_equal(figure.axes[1].lines[0].get_ydata(), fit.weighted_residuals["x"])
 
 
+@pytest.mark.slow
 def test_observable_is_drawn_into_given_axes(fit: hamsym.Fit) -> None:
     own = matplotlib.figure.Figure()
     axes = own.subplots()

@@ -72,6 +72,7 @@ def test_names_are_drawn_as_mathematics(name: str, expected: str) -> None:
     assert math_name(name) == expected
 
 
+@pytest.mark.slow_cases("\\u017c", "_x", "$", "{", "\\\\frac", "x^2", "p_", "a$b")
 @pytest.mark.parametrize("name", HOSTILE)
 def test_any_name_can_be_drawn(name: str) -> None:
     figure = Figure.of_size(9, 6)
@@ -160,6 +161,7 @@ def test_figure_grows_with_its_caption() -> None:
     assert figure.get_size_inches()[1] == pytest.approx(plain)
 
 
+@pytest.mark.slow
 def test_settings_of_the_user_are_kept() -> None:
     with matplotlib.rc_context({"font.size": 31.0, "axes.grid": False, "text.usetex": False}):
         before = dict(matplotlib.rcParams)
@@ -169,6 +171,7 @@ def test_settings_of_the_user_are_kept() -> None:
     assert figure.axes[0].xaxis.label.get_fontsize() == 8
 
 
+@pytest.mark.slow
 def test_figure_appears_in_a_notebook_once() -> None:
     formatter = pytest.importorskip("IPython.core.formatters").DisplayFormatter()
     figure = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 6), steps=50).plot("x")
@@ -181,6 +184,7 @@ def test_figure_appears_in_a_notebook_once() -> None:
     assert not pyplot.get_fignums()
 
 
+@pytest.mark.slow
 def test_pickled_figure_is_the_same() -> None:
     figure = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 6), steps=50).plot("x", "p")
     again = pickle.loads(pickle.dumps(figure))
@@ -189,7 +193,7 @@ def test_pickled_figure_is_the_same() -> None:
     assert again._repr_png_()[:4] == b"\x89PNG"
 
 
-@pytest.mark.slow_cases("pdf-%PDF")
+@pytest.mark.slow_cases("svg-<", "pdf-%PDF")
 @pytest.mark.parametrize(
     ("suffix", "start"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<")]
 )

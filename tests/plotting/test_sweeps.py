@@ -46,6 +46,7 @@ def test_one_swept_option_is_the_axis() -> None:
         sweep.plot("eror")
 
 
+@pytest.mark.slow
 def test_second_option_makes_series() -> None:
     pairs = [(n, h) for n in (10, 20) for h in ((8,), (8, 8))]
     sweep = sweep_of({f"{n} {h}": {"iterations": n, "hidden": h} for n, h in pairs})
@@ -101,6 +102,7 @@ def stored(folder: Path, **over: Any) -> hamsym.StoredSweep:
 OVER = {"k": [3.0, 1.0, 2.0], "x": [0.5, 1.0, 2.5, 1.5]}
 
 
+@pytest.mark.slow
 def test_two_axes_are_a_plane_with_failures_in_red(tmp_path: Path) -> None:
     sweep = stored(tmp_path, **OVER)
     figure = sweep.plot()
@@ -124,6 +126,7 @@ def test_one_axis_is_a_line(tmp_path: Path) -> None:
     np.testing.assert_array_equal(red(axes), [2.5])
 
 
+@pytest.mark.slow
 def test_further_axes_are_drawn_at_one_value(tmp_path: Path) -> None:
     sweep = stored(tmp_path, **OVER, p=[0.0, 1.0])
     assert "plot(at={'p':" in sweep.plot().caption.replace("\n", " ")

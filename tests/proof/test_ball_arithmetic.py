@@ -151,6 +151,7 @@ def _many(L, name, count, seed, size):
     return x, y, found
 
 
+@pytest.mark.slow_cases("multiply-55.0")
 @pytest.mark.parametrize(("name", "size"), [("add", 250.0), ("multiply", 55.0)])
 def test_a_million_sums_and_products_contain_the_exact_ones(L, name, size):
     missed = 0

@@ -86,7 +86,7 @@ def reference(case, times, z0=None, digits=36.0, parameters=None):
 # -- truth -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow_cases("powers", "logarithms")
+@pytest.mark.slow_cases("hyperbolic", "kepler", "powers", "logarithms")
 @pytest.mark.parametrize("name", CASES)
 def test_states_of_the_reference_are_inside(name):
     case = CASES[name]
@@ -253,6 +253,7 @@ def near(ball, values, slack):
     return holds(Ball(ball.mid, ball.radius + slack), values)
 
 
+@pytest.mark.slow_cases("henon_heiles")
 @pytest.mark.parametrize("name", ["pendulum", "henon_heiles", "driven", "backward"])
 def test_derivative_contains_differences_of_the_reference(name):
     case = CASES[name]

@@ -57,6 +57,7 @@ def _estimate_with(residuals: Iterator[np.ndarray], *found: Any) -> MarchError:
 
 
 @pytest.mark.slow_cases(
+    "p**2/2 - x**2/2-z02-span2",
     "p**2/2 + x**2/2-z00-span0",
     "p**2/2 - cos(x)-z01-span1",
     "(px**2 + py**2)/2 + (x**2 + y**2)/2 + x**2*y - y**3/3-z03-span3",
@@ -146,6 +147,7 @@ def test_error_is_followed_through_many_close_passages() -> None:
         np.testing.assert_allclose(estimated, errors, rtol=0.1)
 
 
+@pytest.mark.slow_cases("True")
 @pytest.mark.parametrize("compiled", [True, False])
 def test_success_on_eccentric_orbits_is_true(compiled: bool) -> None:
     generator, successes = np.random.default_rng(11), 0

@@ -378,6 +378,7 @@ def test_jumping_force_fails(formula: str, z0: list, jump: float | None) -> None
         assert hamsym.solve(H, z0, (0, jump - 1e-9), tol=1e-6).success
 
 
+@pytest.mark.slow_cases("span1", "span0")
 @pytest.mark.parametrize("span", [(0, 4), (0, 3.3), (0, 0.6)])  # the first has 0.5 as a joint
 def test_potential_step_fails(span: tuple[float, float]) -> None:
     """The derivative of sign shows no force, and the energy changes."""
@@ -396,7 +397,9 @@ def test_kink_of_the_force_succeeds() -> None:
     assert true_error(solution, truth).max() <= 1e-6
 
 
-@pytest.mark.slow_cases("atan2(y, x)-True", "x*atan2(y, x)-False")
+@pytest.mark.slow_cases(
+    "atan2(y, x) + sin(2*atan2(y, x))-True", "atan2(y, x)-True", "x*atan2(y, x)-False"
+)
 @pytest.mark.parametrize(
     ("potential", "smooth"),
     [
@@ -606,7 +609,7 @@ def _check_random_starts(name: str, count: int) -> None:
     assert successes > 0.8 * count
 
 
-@pytest.mark.slow_cases("double_pendulum", "kepler")
+@pytest.mark.slow_cases("quartic", "double_pendulum", "kepler")
 @pytest.mark.parametrize("name", ["henon_heiles", "kepler", "double_pendulum", "quartic"])
 def test_success_is_never_false(name: str) -> None:
     _check_random_starts(name, 6)

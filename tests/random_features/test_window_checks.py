@@ -134,6 +134,10 @@ def test_nan_exceeds_every_bound() -> None:
     assert not excess[3] <= 1
 
 
+@pytest.mark.slow_cases(
+    "(px**2 + py**2)/2 + sqrt((x**2 + y**2 - 1)**2) + x/3-z02",
+    "sqrt(x**4 - 2*x**2 + 1) + p**2/2-z00",
+)
 @pytest.mark.parametrize(
     ("formula", "z0"),
     [
@@ -181,7 +185,7 @@ def test_small_step_of_a_large_potential_is_a_jump() -> None:
     assert "H jumps at t = 0.69" in solution.message
 
 
-@pytest.mark.slow_cases("1e-20/sin(x)**2-z06", "1e-20*tan(x)**2-z01")
+@pytest.mark.slow_cases("1e-20/(x - 1)**2-z00", "1e-20/sin(x)**2-z06", "1e-20*tan(x)**2-z01")
 @pytest.mark.parametrize(
     ("wall", "z0"),
     [
@@ -233,6 +237,7 @@ def test_pulses_beside_the_ends_of_windows_are_found(place: float, stops: list[f
     assert solution(10.0)[1] == pytest.approx(1 - math.sqrt(math.pi) / 1e5, abs=2e-8)
 
 
+@pytest.mark.slow_cases("5307-0.0299-places1")
 @pytest.mark.parametrize(
     ("steepness", "push", "places"),
     [

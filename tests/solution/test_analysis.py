@@ -59,6 +59,7 @@ def resonant(eps: float, end: float) -> Solution:
     )
 
 
+@pytest.mark.slow
 def test_resonant_residual_violates_the_bound() -> None:
     """ell = eps (cos t, -sin t) has size eps all along, and the error grows to eps T."""
     solution = resonant(1e-3, 4 * math.pi)
@@ -140,6 +141,7 @@ def test_extrema_are_over_continuous_time(oscillator: Solution) -> None:
     assert analysis.sigma_min <= smallest * (1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_estimate_check_agrees_with_estimate(oscillator: Solution) -> None:
     """Of both kinds of estimate, far below the error; and it is another computation."""
     problem = nonlinear_oscillator()
@@ -151,6 +153,7 @@ def test_estimate_check_agrees_with_estimate(oscillator: Solution) -> None:
         assert 0 < check.max() < share * np.abs(estimate).max()
 
 
+@pytest.mark.slow
 def test_estimate_check_survives_a_file(tmp_path: Path) -> None:
     problem = henon_heiles()
     solution = hamsym.solve(problem.H, problem.z0, (0, 6), tol=1e-7, seed=3)

@@ -127,6 +127,7 @@ def test_derivatives_against_exact_solutions(case: str) -> None:
     np.testing.assert_array_less(np.abs(found - expected).max(axis=0), 1e-9 * sizes + 1e-300)
 
 
+@pytest.mark.slow
 def test_derivatives_against_differences_of_solves() -> None:
     H = Hamiltonian(
         "(p_x**2 + p_y**2)/2 + (a*x**2 + y**2)/2 + c*x**2*y - y**3/3",
@@ -143,6 +144,7 @@ def test_derivatives_against_differences_of_solves() -> None:
         np.testing.assert_allclose(found[:, :, k], slope, atol=1e-7 * np.abs(slope).max())
 
 
+@pytest.mark.slow
 def test_trained_network_is_differentiated() -> None:
     H = Hamiltonian(DRIVEN, parameters={"F": 0.0, "w": 50.0})
     solution = hamsym.solve(
@@ -153,6 +155,7 @@ def test_trained_network_is_differentiated() -> None:
     np.testing.assert_allclose(solution.sensitivity(t, parameters=["F", "w"]), expected, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_equations_finer_than_the_motion() -> None:
     """The tangent map of a rest position whose stiffness oscillates, against a moving start."""
     H = Hamiltonian("p**2/2 + (1 + a*cos(w*t))*x**2/2", parameters={"a": 200.0, "w": 60.0})
@@ -177,6 +180,7 @@ def test_pulse_between_the_nodes_acts() -> None:
     np.testing.assert_allclose(found[:, 0], [size * math.sin(7), size * math.cos(7)], rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_kink_of_the_hessian_is_no_limit() -> None:
     H = Hamiltonian("p**2/2 + x**2/2 + max(x - k, 0)**2", parameters={"k": 0.3})
     found = hamsym.solve(H, [1, 0], (0, 5)).sensitivity(5.0, parameters=["k"])
@@ -255,6 +259,9 @@ def test_names_that_are_refused(spring: Solution, parameters: Any, message: str)
         spring.sensitivity(1.0, parameters=parameters)
 
 
+@pytest.mark.slow_cases(
+    "k*x + abs(x)-0.3-the force jumps at t = ", "abs(x - k)-0.3-the force jumps at t = 0\\\\.86"
+)
 @pytest.mark.parametrize(
     ("formula", "value", "message"),
     [

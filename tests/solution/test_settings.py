@@ -54,6 +54,7 @@ def test_span_that_was_not_reached_is_kept(tmp_path: Path) -> None:
     assert hamsym.load(tmp_path / "a").settings.span == (0, 5)
 
 
+@pytest.mark.slow
 def test_options_that_are_no_data_are_named(tmp_path: Path) -> None:
     network = torch.nn.Sequential(torch.nn.Linear(1, 4), torch.nn.Tanh(), torch.nn.Linear(4, 2))
     settings = hamsym.solve(

@@ -53,6 +53,7 @@ def test_converges_to_the_exact_solution(solution: Solution) -> None:
     assert solution(0.0).tolist() == [1.0, 0.0]
 
 
+@pytest.mark.slow_cases("charged_particle")
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "name",
@@ -144,6 +145,7 @@ def test_bound_and_scale(solution: Solution) -> None:
     np.testing.assert_allclose(solution.scale, [1.0, 1.0], atol=0.02)
 
 
+@pytest.mark.slow
 def test_bound_is_infinite_where_the_hessian_is_singular() -> None:
     """On the Henon-Heiles orbit an eigenvalue changes its sign between any two grid points."""
     problem = henon_heiles()
@@ -155,6 +157,7 @@ def test_bound_is_infinite_where_the_hessian_is_singular() -> None:
         assert solution.error_bound == math.inf
 
 
+@pytest.mark.slow
 def test_bound_is_infinite_for_a_cyclic_coordinate() -> None:
     H = Hamiltonian("p**2/2", q=["x"], p=["p"])
     solution = hamsym.solve(H, [0, 1], (0, 1), method="adam", epochs=100, points=10)
@@ -162,6 +165,7 @@ def test_bound_is_infinite_for_a_cyclic_coordinate() -> None:
         assert solution.error_bound == math.inf
 
 
+@pytest.mark.slow
 def test_energy_weight_enters_loss_and_ell_max() -> None:
     problem = harmonic_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (0, 2), **QUICK, energy_weight=5.0)
@@ -176,6 +180,7 @@ def test_energy_weight_enters_loss_and_ell_max() -> None:
     assert float(ell + 5 * drift) == pytest.approx(solution.record.best_loss, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_regularizers_pull() -> None:
     problem = harmonic_oscillator()
     flat = Regularizer(1e3, lambda t, z, dz: (z[:, 0] - 1) ** 2)
@@ -184,6 +189,7 @@ def test_regularizers_pull() -> None:
     assert not solution.success
 
 
+@pytest.mark.slow
 def test_backward_time_and_other_start() -> None:
     problem = harmonic_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (5.0, 3.0), **QUICK)
@@ -192,6 +198,7 @@ def test_backward_time_and_other_start() -> None:
     assert solution(5.0).tolist() == [1.0, 0.0]
 
 
+@pytest.mark.slow
 def test_time_dependent_hamiltonian() -> None:
     H = Hamiltonian("p**2/2 + x**2/2 - x*cos(2*t)")
     solution = hamsym.solve(H, [0.0, 0.0], (0, 2), **QUICK)
@@ -230,6 +237,7 @@ def test_same_seed_same_solution() -> None:
 # -- failures ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_too_little_training_fails() -> None:
     problem = harmonic_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (0, 10), method="adam", epochs=20)
@@ -238,6 +246,7 @@ def test_too_little_training_fails() -> None:
     assert solution(3.0).shape == (2,)
 
 
+@pytest.mark.slow
 def test_missed_and_reached_targets() -> None:
     problem = harmonic_oscillator()
     settings = {"method": "adam", "points": 20, "hidden": (20,), "learning_rate": 0.01}

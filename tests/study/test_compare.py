@@ -249,6 +249,7 @@ ROUGH = "p**2/2 - x**2/2 + x**4/4 + abs(x)**5/1000"
 METHODS_OF_BOUNDS = ["symplectic_euler", "blanes_moan6", "dop853"]
 
 
+@pytest.mark.slow
 def test_errors_below_that_of_the_reference_have_only_bounds() -> None:
     solution = hamsym.solve(ROUGH, [0.1, 0.0], (0, 30), tol=1e-10)
     comparison = hamsym.compare(solution, METHODS_OF_BOUNDS)
@@ -341,6 +342,7 @@ def test_failed_euler_has_infinite_error() -> None:
     assert math.isfinite(rows[3].error)
 
 
+@pytest.mark.slow
 def test_reference_without_an_exact_solution() -> None:
     problem = harmonic_oscillator()
     solution = quick(harmonic_oscillator, epochs=200)
@@ -348,6 +350,7 @@ def test_reference_without_an_exact_solution() -> None:
     assert hamsym.compare(solution).rows[0].error == pytest.approx(with_exact, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_figure(comparison: Comparison) -> None:
     figure = comparison.plot()
     *panels, legend = figure.axes
@@ -358,6 +361,7 @@ def test_figure(comparison: Comparison) -> None:
         comparison.plot("werk")
 
 
+@pytest.mark.slow
 def test_figure_of_many(several: Comparison) -> None:
     axes = several.plot().axes
     assert len(axes[0].lines) == 1 + len(METHODS)

@@ -30,7 +30,7 @@ def swept(store: Path, **more: Any) -> Any:
     return hamsym.sweep(H, START, SPAN, **given)
 
 
-@pytest.mark.slow_cases("1")
+@pytest.mark.slow_cases("2", "1")
 @pytest.mark.parametrize("chunk", [1, 2, 100])
 def test_states_are_those_of_solve_many(tmp_path: Path, chunk: int) -> None:
     found = swept(tmp_path / "a.zarr", chunk=chunk)
@@ -107,6 +107,7 @@ def test_functions_of_the_user(tmp_path: Path) -> None:
     assert data["success"].values.tolist() == [[True, False]] * 2
 
 
+@pytest.mark.slow
 def test_interrupted_sweep_computes_what_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

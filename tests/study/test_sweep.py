@@ -113,6 +113,7 @@ def test_settings_may_depend_on_the_seed(tmp_path):
         assert (solution(T) == alone(T)).all()
 
 
+@pytest.mark.slow
 def test_rows_and_median_of_solutions(tmp_path):
     found = _sweep(tmp_path, seeds=3)
     rows = found.rows(OSCILLATOR.exact)["Adam"]
@@ -138,6 +139,7 @@ def test_refused_proof_gives_its_reason(tmp_path):
     assert proof.bound < 1e-9
 
 
+@pytest.mark.slow
 def test_progress_lines_without_a_terminal(tmp_path, capsys):
     _sweep(tmp_path, progress=True)
     assert "2/2 after" in capsys.readouterr().err
@@ -181,6 +183,7 @@ with exclusive(sys.argv[1]):
 """
 
 
+@pytest.mark.slow
 def test_folder_is_locked_against_other_processes(tmp_path):
     _sweep(tmp_path)
     longer = {"Adam": ADAM | {"epochs": 61}}

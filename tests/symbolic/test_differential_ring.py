@@ -83,6 +83,7 @@ def test_rates_are_those_of_sympy(text: str) -> None:
         assert abs(value - other) < 1e-15 * (1 + abs(value))
 
 
+@pytest.mark.slow_cases("(x**2 + y**2)**(3/2) - x**2*sqrt(x**2 + y**2) - y**2*sqrt(x**2 + y**2)")
 @pytest.mark.parametrize("text", IDENTITIES)
 def test_identities_vanish_and_changed_ones_do_not(text: str) -> None:
     ring, (f,) = ring_of(text)

@@ -391,6 +391,7 @@ def test_both_tables_are_long_enough() -> None:
     assert len(NONE) >= 50
 
 
+@pytest.mark.slow
 def test_generators_are_not_repeated() -> None:
     # Products such as L^2, L H and p_x^2 of lower degree are left out.
     H = Hamiltonian(f"{PLANE} + (x**2 + y**2)**2")

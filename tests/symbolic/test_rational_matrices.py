@@ -12,7 +12,7 @@ from hamsym.symbolic.rational_matrices import inverse_matrix
 a, b, x, y = sympy.symbols("a b x y", real=True)
 
 
-@pytest.mark.slow_cases("4-5")
+@pytest.mark.slow_cases("3-4", "4-5")
 @pytest.mark.parametrize(("size", "seed"), [(1, 0), (2, 1), (2, 2), (3, 3), (3, 4), (4, 5)])
 def test_product_with_the_matrix_is_the_identity(size: int, seed: int) -> None:
     generator = random.Random(seed)

@@ -51,12 +51,14 @@ def test_triangular_point_is_at_rest(mu: float) -> None:
     np.testing.assert_allclose(rates(problem, [x, y, -y, x]), 0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_small_body_stays_near_a_triangular_point() -> None:
     problem = systems.restricted_three_bodies()
     z = reference(problem.H, problem.z0, (0, 400))(np.linspace(0, 400, 401))
     assert np.hypot(z[:, 0] - 0.49, z[:, 1] - math.sqrt(3) / 2).max() < 0.2
 
 
+@pytest.mark.slow
 def test_stars_attract_each_other_by_their_masses() -> None:
     mass = np.arange(1, 8)
     x, y, px, py = z = RANDOM.normal(size=(4, 7))
@@ -155,6 +157,7 @@ def test_discrete_schroedinger_equation_holds(n: int) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
+@pytest.mark.slow_cases("8.0")
 @pytest.mark.parametrize("strength", [1.0, 3.9, 4.1, 8.0])
 def test_dimer_follows_the_elliptic_function(strength: float) -> None:
     """Kenkre & Campbell: cn(2 t | m) for m = (strength/4)^2, by the reciprocal modulus if > 1."""
@@ -187,6 +190,7 @@ def test_travelling_wave_solves_ablowitz_and_ladiks_equation(n: int, m: float) -
 # -- atoms -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_argon_crystal_has_the_published_energy() -> None:
     """-1260.2 K in Hairer, Lubich & Wanner, section I.4."""
     problem = systems.argon_crystal()

@@ -66,6 +66,7 @@ def check_by_scipy(problem: Problem) -> None:
     assert (np.abs(z - problem.reference.state) <= allowed * np.maximum(scale, 1e-3)).all()
 
 
+@pytest.mark.slow
 def test_every_usual_problem_has_a_reference() -> None:
     assert {name for name, _ in ROWS} == set(CATALOGUE)
     assert len(set(ROWS)) == len(ROWS)
@@ -80,6 +81,7 @@ def test_every_usual_problem_has_a_reference() -> None:
         assert all((name, other) in ROWS for other in problem.starts)
 
 
+@pytest.mark.slow
 def test_problem_and_reference_have_the_same_numbers() -> None:
     """The stored ones, which a function computes up to its round-off."""
     for row in _references():
@@ -137,7 +139,12 @@ def test_reference_has_thirty_digits(name: str, solution: Callable) -> None:
         assert abs(value - mpmath.mpf(digits)) < 3e-30
 
 
-@pytest.mark.slow_cases("fermi_pasta_ulam_tsingou-", "point_vortices-polygon", "ablowitz_ladik-")
+@pytest.mark.slow_cases(
+    "point_vortices-shaken polygon",
+    "fermi_pasta_ulam_tsingou-",
+    "point_vortices-polygon",
+    "ablowitz_ladik-",
+)
 @pytest.mark.parametrize(
     ("name", "start"), [pytest.param(*row, marks=_slow(row[0])) for row in ROWS]
 )

@@ -95,6 +95,7 @@ def made(name: str) -> Problem:
     return ALL[name]()
 
 
+@pytest.mark.slow
 def test_lists_of_names_are_complete() -> None:
     assert {name for name in ALL if made(name).exact} == set(EXACT)
     assert {name for name in ALL if made(name).conserved} == set(CONSERVING)
@@ -138,7 +139,15 @@ def test_exact_solution_solves_the_equations(name: str) -> None:
     np.testing.assert_allclose(slope, flow, atol=1e-8)
 
 
-@pytest.mark.slow_cases("point_vortices 7-forwards")
+@pytest.mark.slow_cases(
+    "penning_trap-forwards",
+    "point_vortices 7-backwards",
+    "lagrange_top 6.0, 1.5-forwards",
+    "ablowitz_ladik 3, 0.5-forwards",
+    "calogero_moser 5, 0.3-forwards",
+    "calogero_moser, weak-forwards",
+    "point_vortices 7-forwards",
+)
 @pytest.mark.sampled(40)
 @pytest.mark.parametrize("end", [1, -1], ids=["forwards", "backwards"])
 @pytest.mark.parametrize("name", EXACT)
@@ -185,6 +194,13 @@ def slopes(problem: Problem, f: sympy.Expr, point: dict[sympy.Symbol, sympy.Floa
     return [float(f.diff(symbol).xreplace(point)) for symbol in problem.H.z]
 
 
+@pytest.mark.slow_cases(
+    "coupled_oscillators 5",
+    "calogero_moser 5, 0.3",
+    "fermi_pasta_ulam_tsingou 5, linear",
+    "point_vortices 7",
+    "toda_chain 5",
+)
 @pytest.mark.parametrize("name", marked(CONSERVING))
 def test_conserved_quantities_are_independent_integrals(name: str) -> None:
     problem = made(name)
@@ -223,6 +239,7 @@ def test_conserved_for_all_parameters(name: str) -> None:
     assert all(problem.H.is_conserved(formula) for formula in problem.conserved)
 
 
+@pytest.mark.slow_cases("toda_chain-4", "coupled_oscillators-4")
 @pytest.mark.parametrize("n", [2, 3, 4])
 @pytest.mark.parametrize("make", [systems.toda_chain, systems.coupled_oscillators])
 def test_chains_are_integrable(make: Callable[[int], Problem], n: int) -> None:
@@ -238,6 +255,7 @@ def test_chains_are_integrable(make: Callable[[int], Problem], n: int) -> None:
             assert abs(float(problem.H.poisson_bracket(f, g).xreplace(point))) < 1e-25
 
 
+@pytest.mark.slow
 def test_long_chains_are_not_written_out() -> None:
     assert systems.toda_chain(13).exact is None
     assert len(systems.toda_chain(13).conserved) == 5

@@ -65,6 +65,7 @@ def test_motion_backwards_in_time_is_played_in_its_order():
     assert animation.states[-1, 0, 0] == pytest.approx(np.cos(3), abs=1e-7)
 
 
+@pytest.mark.slow
 def test_periodic_orbit_ends_one_frame_before_it_repeats():
     orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0])
     animation = orbit.animate(frames=10)
@@ -81,6 +82,7 @@ def test_members_of_solve_many_are_drawn_together():
     np.testing.assert_allclose(animation.states[-1, :, 0], ends, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_number_of_members_that_are_left_out_is_said(oscillators):
     animation = oscillators.animate(frames=3)
     assert animation.states.shape == (3, 50, 2)
@@ -115,7 +117,7 @@ def test_pendulum_hangs_from_the_origin_by_rods_of_its_lengths():
     np.testing.assert_allclose(second - first, [0.5 * np.sin(-1.0), -0.5 * np.cos(1.0)])
 
 
-@pytest.mark.slow_cases("3-3")
+@pytest.mark.slow_cases("g-9.81", "lengths1-3", "3-3")
 @pytest.mark.parametrize(("lengths", "expected"), [(3, 3), ([3.0], 3), ("g", 9.81), (["g"], 9.81)])
 def test_lengths_are_numbers_or_parameters(lengths, expected):
     H = hamsym.Hamiltonian("p**2/2 - g*cos(q)", parameters={"g": 9.81})
@@ -124,6 +126,7 @@ def test_lengths_are_numbers_or_parameters(lengths, expected):
     np.testing.assert_allclose(at[1], [expected, 0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_bodies_move_in_one_plane(bodies):
     animation = bodies.animate(frames=4)
     z = animation.states[2, 0]
@@ -165,6 +168,7 @@ def test_level_sets_are_left_out_where_they_mean_nothing(H):
     assert not any(hasattr(artist, "levels") for artist in axis.collections)
 
 
+@pytest.mark.slow
 def test_points_are_functions_of_the_state_and_the_time():
     found = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 2), "gauss6", dt=0.05)
     one = found.animate(points=lambda z: [z[0], 2.0], frames=3)
@@ -186,6 +190,7 @@ def test_limits_hold_all_frames_and_do_not_change(bodies):
     assert len(limits) == 1
 
 
+@pytest.mark.slow
 def test_tail_covers_its_part_of_the_span(pendulum):
     def oldest(tail):
         figure = pendulum.animate("theta", "p", frames=21, tail=tail).frame(-1)
@@ -211,6 +216,7 @@ def test_time_is_shown_with_its_unit():
 # -- files -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_gif_has_all_frames_and_their_duration(pendulum, tmp_path):
     animation = pendulum.animate(frames=7, fps=20)
     animation.save(tmp_path / "a.gif", dpi=60)
@@ -223,6 +229,7 @@ def test_gif_has_all_frames_and_their_duration(pendulum, tmp_path):
         assert (np.asarray(image.convert("RGB")) != first).any()
 
 
+@pytest.mark.slow
 def test_page_contains_all_frames_and_fetches_nothing(pendulum, tmp_path):
     pendulum.animate(frames=6).save(tmp_path / "a.html", dpi=60)
     text = (tmp_path / "a.html").read_text()
@@ -232,6 +239,7 @@ def test_page_contains_all_frames_and_fetches_nothing(pendulum, tmp_path):
     assert "t = 9.0" in text
 
 
+@pytest.mark.slow
 def test_notebook_shows_a_player(pendulum):
     text = pendulum.animate(frames=3)._repr_html_()
     assert text.lstrip().startswith("<div")
@@ -260,6 +268,7 @@ def test_formula_is_no_markup(tmp_path):
     assert "<script>alert" not in (tmp_path / "a.html").read_text()
 
 
+@pytest.mark.slow
 def test_too_large_file_leaves_the_old_one(pendulum, tmp_path):
     path = tmp_path / "a.gif"
     path.write_text("old")
@@ -316,6 +325,7 @@ def test_unusable_option_is_refused(pendulum, names, options, reason):
         pendulum.animate(*names, **options)
 
 
+@pytest.mark.slow_cases("p_r**2/2 + p_phi**2/(2*r**2) + 9*(r - 1)**2 + r*cos(phi)-direction1")
 @pytest.mark.parametrize(
     ("H", "direction"),
     [
@@ -336,6 +346,7 @@ def test_polar_coordinates_hang_along_the_weight(H, direction):
     np.testing.assert_allclose(body, [-sign * r * sine(angle), sign * r * np.cos(angle)])
 
 
+@pytest.mark.slow
 def test_polar_coordinates_of_a_central_force_are_those_of_the_plane():
     H = hamsym.Hamiltonian("p_rho**2/2 + p_phi**2/(2*rho**2) - 1/rho")
     found = hamsym.integrate(
@@ -348,6 +359,7 @@ def test_polar_coordinates_of_a_central_force_are_those_of_the_plane():
     assert animation.frame(0).axes[0].get_aspect() == 1
 
 
+@pytest.mark.slow_cases("names0")
 @pytest.mark.parametrize("names", [(), ("r", "theta"), ("r",)])
 def test_distance_is_not_drawn_as_an_angle(names):
     problem = systems.swinging_atwood()
@@ -379,6 +391,7 @@ def test_number_of_a_frame_is_checked(pendulum):
         pendulum.animate(frames=3).frame(3)
 
 
+@pytest.mark.slow
 def test_frames_are_drawn_once_for_the_page_and_its_palette(pendulum, monkeypatch, tmp_path):
     drawn = []
     draw = Film.draw

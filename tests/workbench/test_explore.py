@@ -241,6 +241,7 @@ def test_level_sets_are_curves_of_equal_energy():
         assert np.ptp(values) < 0.05 * max(abs(values).max(), 0.1)
 
 
+@pytest.mark.slow
 def test_picture_of_a_failure_says_so():
     setting = Setting("p**2/2 - 1/x", z0={"x": 1.0, "p": 0.0}, span=(0.0, 5.0))
     found = tasks.picture(setting, False)
@@ -250,6 +251,7 @@ def test_picture_of_a_failure_says_so():
     assert "not accepted" in options["title"]["text"]
 
 
+@pytest.mark.slow
 def test_fast_motion_gets_more_points():
     setting = replace(FIRST, span=(0.0, 400.0))
     assert len(tasks.picture(setting, False).t) > len(tasks.picture(FIRST, False).t)

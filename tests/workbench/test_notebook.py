@@ -191,6 +191,14 @@ def tags_of(text: str) -> Tags:
 
 
 @pytest.mark.slow_cases(
+    "LyapunovMap",
+    "Section",
+    "ChaosIndicators",
+    "Fit",
+    "Trajectory",
+    "FlowMap",
+    "Solution",
+    "Solutions",
     "Solution that failed",
     "Solutions that failed",
     "Trajectory that failed",
@@ -241,6 +249,7 @@ def test_every_card_belongs_to_a_result() -> None:
 HOSTILE = "<script>alert('1')</script> & <img src=http://x onerror=y> \"'$x$"
 
 
+@pytest.mark.slow
 def test_hostile_texts_are_escaped() -> None:
     plain = solution()
     for result in (
@@ -280,6 +289,7 @@ def test_nothing_that_is_broken_raises() -> None:
     assert representation(empty).startswith("<pre>Solution(")
 
 
+@pytest.mark.slow
 def test_numbers_that_are_not_finite_are_shown() -> None:
     found = hamsym.lyapunov(OSCILLATOR, [1, 0], (0, 9))
     lost = dataclasses.replace(found, exponents=np.full_like(found.exponents, np.nan))
@@ -376,6 +386,7 @@ def test_formulas_have_latex_too() -> None:
     assert found._repr_latex_() == r"$\displaystyle p_{x} y - p_{y} x$"
 
 
+@pytest.mark.slow
 def test_a_formula_is_shown_without_loading_solvers() -> None:
     script = (
         "import sys, hamsym\n"

@@ -203,6 +203,7 @@ def test_many_components_are_shortened_with_a_sentence(tmp_path: Path) -> None:
 # -- hostile texts ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_hostile_texts_are_escaped(solution: hamsym.Solution, tmp_path: Path) -> None:
     attack = "</style><script>alert(1)</script>--><img src=x onerror=alert(2)>'\""
     name = tmp_path / "<b onclick=x>&.hamsym"
@@ -379,6 +380,7 @@ def test_report_replaces_none_of_its_sources(saved: Path, tmp_path: Path) -> Non
     assert saved.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_failed_writing_leaves_the_old_report(
     saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -394,6 +396,7 @@ def test_failed_writing_leaves_the_old_report(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "orbit.hamsym"]
 
 
+@pytest.mark.slow
 def test_command_writes_beside_the_file(
     saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
