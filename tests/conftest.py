@@ -7,16 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from numba.core import event as numba_events
 
 # Compiled code is kept from one run to the next, beside what pytest keeps. Workers of xdist and all
 # other processes that tests start inherit the folder.
 os.environ.setdefault(
     "HAMSYM_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "hamsym")
 )
-# Workers side by side, each with as many threads as there are cores, would wait for each other.
-if "PYTEST_XDIST_WORKER" in os.environ:
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+from numba.core import event as numba_events
 
 from hamsym.codegen.backends import BACKENDS, runnable
 from hamsym.systems import CATALOGUE, Problem
@@ -25,6 +22,16 @@ from hamsym.systems import CATALOGUE, Problem
 LIMIT = 3.0
 
 _BEGAN, _SECONDS = pytest.StashKey[float](), pytest.StashKey[float]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let workers side by side use one thread each; otherwise they would wait for each other.
+
+    They inherit the variable, which libraries read when they are imported.
+    """
+    if getattr(config.option, "numprocesses", None):
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 
 # One system of each form; tests/systems has the others.
 _FEW = [

@@ -82,6 +82,7 @@ def circles(graph: Mapping[str, set[str]]) -> list[set[str]]:
     return found
 
 
+@pytest.mark.slow
 def test_no_import_circles() -> None:
     files = module_files(PACKAGE)
     assert len(files) > 50

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
 from numba.core.registry import cpu_target
 
 from tests.older_processor import settings
@@ -53,6 +54,7 @@ def report() -> dict[str, Any]:
     return json.loads(found.stdout)
 
 
+@pytest.mark.slow
 def test_settings_of_an_older_processor_act() -> None:
     older = report()
     assert older["numpy"] == []

@@ -213,6 +213,7 @@ def test_solve_with_breakpoints(capsys: Captured) -> None:
     assert status == 0, out
 
 
+@pytest.mark.slow
 def test_solve_to_a_tolerance(capsys: Captured, tmp_path: Path) -> None:
     arguments = [OSCILLATOR, "--z0", "x=1.3,p=1", "--t-end", "4*pi", "--tol", "1e-9"]
     figure = tmp_path / "s.pdf"

@@ -331,6 +331,7 @@ def test_periodic_angles_are_shown_in_one_period() -> None:
     assert "period 2*pi in x" in found.message
 
 
+@pytest.mark.slow
 def test_points_without_closed_form_are_proven() -> None:
     [each] = equilibria("p**2/2 + x**2/2 - 3*x/10 + cos(x)")
     mp.dps = 30

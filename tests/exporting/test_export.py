@@ -250,7 +250,7 @@ def test_modules_need_numpy_alone(tmp_path: Path) -> None:
     assert out.strip() == f"{solution(1.5).tolist()} {float(solution.energy(1.5))}"
 
 
-@pytest.mark.slow_cases("networks, sigmoid, linear, float32")
+@pytest.mark.slow_cases("thirty degrees of freedom", "networks, sigmoid, linear, float32")
 def test_docstrings_say_what_they_are(solution: Solution, exported: ModuleType) -> None:
     text = " ".join((exported.__doc__ or "").split())
     H = solution.H

@@ -400,6 +400,7 @@ def test_jumps_of_the_force_are_refused(formula: str) -> None:
     assert "a jump" in found.message
 
 
+@pytest.mark.slow
 def test_stiff_oscillation_is_resolved() -> None:
     """The fast oscillation has an amplitude that every run could ignore."""
     H = Hamiltonian("(p_x**2 + p_y**2)/2 + x**2/2 + 1e4*y**2/2 + x**2*y")

@@ -357,7 +357,7 @@ def test_wrong_rates_are_never_a_success() -> None:
             return self.inner(x) + self.gain * hidden
 
     solution = hamsym.solve(
-        H, [1, 0], (0, 1), method="levenberg-marquardt", trial=Later(), points=12, iterations=20
+        H, [1, 0], (0, 1), method="levenberg-marquardt", trial=Later(), points=8, iterations=10
     )
     defect = rate_defect(solution.trial, solution.span)
     assert defect.max() > 1e-6

@@ -276,6 +276,7 @@ def test_wrong_orbit_is_refused(change):
         displaced(orbit, change).certify()
 
 
+@pytest.mark.slow
 def test_trajectory_that_does_not_close_is_refused():
     orbit = hamsym.periodic_orbit(DUFFING, [1.0, 0.0])
     arc = dataclasses.replace(orbit.arc, period=orbit.period * 1.3)

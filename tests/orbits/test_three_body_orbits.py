@@ -65,6 +65,7 @@ def closure(orbit, axes):
     return np.abs(path.y[:, -1] - orbit.z0).max()
 
 
+@pytest.mark.slow_cases("moth I")
 @pytest.mark.parametrize(
     "name",
     ["moth I", *(pytest.param(n, marks=pytest.mark.slow) for n in ("butterfly I", "yin-yang I"))],

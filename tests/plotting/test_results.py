@@ -344,7 +344,7 @@ def certificate(dim: int, **changes: Any) -> Certificate:
     return Certificate(**(values | changes))
 
 
-@pytest.mark.slow_cases("2", "60")
+@pytest.mark.slow_cases("12", "60")
 @pytest.mark.parametrize("dim", [2, 12, 60])
 def test_certificates_are_laid_out(dim: int) -> None:
     figure = certificate(dim, asked=(1e-8,) * dim).plot()
@@ -415,7 +415,7 @@ def test_observable_is_drawn_into_given_axes(fit: hamsym.Fit) -> None:
         fit.plot(ax=axes)
 
 
-@pytest.mark.slow_cases("names0", "names1")
+@pytest.mark.slow_cases("names2", "names0", "names1")
 @pytest.mark.parametrize("names", [(), ("x",), ("x", "p")])
 def test_flow_maps_are_laid_out(names: tuple[str, ...]) -> None:
     flow = hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 2), "p": (-1, 1)}, (0, 3), tol=1e-6)

@@ -241,6 +241,7 @@ def case():
     return solution, solution.certify()
 
 
+@pytest.mark.slow
 def test_full_size_certificate_survives_saving(tmp_path):
     solution, certificate = solved("levenberg-marquardt"), certified("levenberg-marquardt")
     solution.save(tmp_path / "a.hamsym")

@@ -209,7 +209,7 @@ def test_time_dependent_hamiltonian() -> None:
         hamsym.solve(H, [0.0, 0.0], (0, 2), **QUICK, energy_weight=1.0)
 
 
-@pytest.mark.slow_cases("options1", "options2")
+@pytest.mark.slow_cases("options0", "options1", "options2")
 @pytest.mark.parametrize(
     "options",
     [
