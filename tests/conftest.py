@@ -18,8 +18,8 @@ from numba.core import event as numba_events
 from hamsym.codegen.backends import BACKENDS, runnable
 from hamsym.systems import CATALOGUE, Problem
 
-#: Seconds of processor time beyond which a case that is not marked slow fails. Beside another worker
-#: on the same core a case takes up to twice as many.
+#: Seconds of processor time beyond which a case that is not marked slow fails. Beside another
+#: worker on the same core a case takes up to twice as many.
 LIMIT = 6.0 if "PYTEST_XDIST_WORKER" in os.environ else 3.0
 
 _BEGAN, _SECONDS = pytest.StashKey[float](), pytest.StashKey[float]()
