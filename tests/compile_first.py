@@ -8,7 +8,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from tests import conftest  # chooses the folder of the cache
+import tests.conftest  # noqa: F401  chooses the folder of the cache
 
 _MARCH = """
 hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1), compiled=True)
@@ -31,5 +31,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    assert conftest.__file__
     main()

@@ -15,6 +15,7 @@ from click.shell_completion import CompletionItem
 from hamsym.suggestions import did_you_mean, unknown
 
 __all__ = [
+    "HELP",
     "Choice",
     "ClosedPipeError",
     "Command",
@@ -36,6 +37,10 @@ _OF_SECTIONS = {
 _SECTIONS = {name: title for title, names in _OF_SECTIONS.items() for name in names.split()}
 _ORDER = ("Problem", "Accuracy", "Method")  # other sections follow, then these:
 _LAST = ("Output", "Help")
+
+
+#: Settings of every context: the names of the option that prints the help.
+HELP = {"help_option_names": ["-h", "--help"]}
 
 
 class InterruptError(Exception):
@@ -115,8 +120,7 @@ class Command(click.Command):
 
     def __init__(self, *arguments: Any, examples: Sequence[str] = (), **settings: Any) -> None:
         # click keeps the option of the first context, which need not be one of the group.
-        names = {"help_option_names": ["-h", "--help"]}
-        super().__init__(*arguments, **{"context_settings": names, **settings})
+        super().__init__(*arguments, **{"context_settings": HELP, **settings})
         self.examples = tuple(examples)
         self.params.append(
             click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON object.")

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import click
 
 from hamsym.cli.catalogue import systems
-from hamsym.cli.command import ClosedPipeError, Group, InterruptError
+from hamsym.cli.command import HELP, ClosedPipeError, Group, InterruptError
 from hamsym.cli.completion import completion
 from hamsym.cli.derivation import derive, source
 from hamsym.cli.equilibria import equilibria
@@ -115,7 +115,7 @@ def _warn(message: Warning | str) -> None:
         "Show and share": "report export explore",
         "Others": "reproduce completion",
     },
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDTH},
+    context_settings={**HELP, "max_content_width": WIDTH},
     invoke_without_command=True,
     epilog="Exit status: 0 success, 1 not converged or not proven, 2 invalid input, 130 Ctrl-C.",
 )
