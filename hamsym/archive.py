@@ -45,8 +45,6 @@ from hamsym.support.checked_data import (
 )
 from hamsym.support.tensor_files import kind_of, one_line, read_tensors, write_tensors
 
-__all__ = ["assembled", "load", "load_solution", "parts", "save"]
-
 _KIND = "solution"
 # Arrays of a march that are also arrays of its trial solution, and are stored once.
 _IN_TRIAL = ("edges", "states", "readouts")

@@ -35,8 +35,6 @@ from hamsym.support.validation import require_whole
 if TYPE_CHECKING:  # an optional package
     from distributed import Client, Future
 
-__all__ = ["Task", "cluster_results", "members_on_cluster", "require_client"]
-
 _FIRST, _MOST = 32, 65_536  # members of the first chunks, and of any
 _SECONDS = 5.0  # that a chunk should take: long beside the millisecond of the scheduler
 _SHARES = 4  # chunks for each thread, at least

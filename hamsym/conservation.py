@@ -18,8 +18,6 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.symbolic.invariant import Invariant
 
-__all__ = ["InvariantLike", "KnownInvariants"]
-
 #: Types of an invariant in arguments.
 InvariantLike: TypeAlias = str | sympy.Expr | Invariant
 

@@ -24,8 +24,6 @@ from hamsym.support.checked_data import (
 )
 from hamsym.support.validation import plain
 
-__all__ = ["MALFORMED", "attributes_of", "described", "hamiltonian_from", "settings_text"]
-
 _TAKEN = {"H", "confidence", "dt", "hamsym", "method", "reference_error", "span", "steps", "tol"}
 _LARGEST_POWER = 1_100  # of two, in a number of the formula; float64 ends at 1,024
 #: Errors that parts of the package raise for values that are not those of a solution.

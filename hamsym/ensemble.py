@@ -12,8 +12,6 @@ from hamsym.errors import VariableError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.symbolic.states import parameter_arrays, states_array
 
-__all__ = ["Ensemble", "ensemble_of"]
-
 
 @dataclass(frozen=True)
 class Ensemble:

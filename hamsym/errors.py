@@ -6,22 +6,6 @@ sentence with the expected value, the given one and a suggestion.
 
 from __future__ import annotations
 
-__all__ = [
-    "CertificationError",
-    "CodeGenerationError",
-    "EventWarning",
-    "FileError",
-    "HamsymError",
-    "InputError",
-    "KeywordError",
-    "ParameterError",
-    "ParseError",
-    "SeparabilityError",
-    "StepSizeWarning",
-    "VacuousBoundWarning",
-    "VariableError",
-]
-
 
 class HamsymError(Exception):
     """Base class of all errors of hamsym."""

@@ -41,8 +41,6 @@ from hamsym.symbolic.variables import TIME, assign_variables
 if TYPE_CHECKING:
     from hamsym import Equilibria
 
-__all__ = ["Hamiltonian", "HamiltonianLike"]
-
 
 @suggest_attributes
 class Hamiltonian(Shown):

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from hamsym.problem import InitialValueProblem
     from hamsym.solution.solution import Solution
 
-__all__ = ["METHOD", "METHODS", "SEED", "Method"]
-
 #: Defaults of :func:`hamsym.solve`.
 METHOD, SEED = "features", 0
 

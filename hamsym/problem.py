@@ -13,8 +13,6 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.validation import require_positive, require_whole
 
-__all__ = ["MAX_STEPS", "InitialValueProblem", "checked_span", "checked_steps"]
-
 MAX_STEPS = 2**53
 
 

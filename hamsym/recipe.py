@@ -16,8 +16,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.methods import METHODS
 from hamsym.solution.solution import Solution
 
-__all__ = ["command_line", "omissions", "python_lines"]
-
 _WIDTH = 88
 
 

@@ -25,8 +25,6 @@ from hamsym.suggestions import advice, checked_keywords, did_you_mean, require_k
 if TYPE_CHECKING:
     from hamsym.networks.record import TrainingState
 
-__all__ = ["checked_options", "solve"]
-
 
 @checked_keywords
 def solve(

@@ -11,17 +11,6 @@ from typing import Any, ParamSpec, TypeVar
 
 from hamsym.errors import InputError, KeywordError
 
-__all__ = [
-    "advice",
-    "attribute_message",
-    "checked_keywords",
-    "did_you_mean",
-    "require_known",
-    "similar",
-    "suggest_attributes",
-    "unknown",
-]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")

@@ -24,8 +24,6 @@ from hamsym.numerics.intervals import RangeArithmetic, Ranges
 from hamsym.symbolic.exact import rational
 from hamsym.symbolic.variables import TIME
 
-__all__ = ["Surface", "parse_surface"]
-
 
 @dataclass(frozen=True)
 class Surface:

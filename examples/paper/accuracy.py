@@ -7,7 +7,7 @@ number of epochs or iterations, or a tolerance, for each seed.
 import numpy as np
 
 import hamsym
-from hamsym.integrators.integrate import reference
+from hamsym.integrators.adaptive import reference
 from hamsym.paper import henon_heiles, oscillator
 from hamsym.paper.drawing import BLUE, GREEN, ORANGE, PINK, RED, SKY, figure
 from hamsym.paper.experiment import CHAIN, COSINE, Cost, Experiment, parse

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import hamsym
-from hamsym.integrators.integrate import reference
+from hamsym.integrators.adaptive import reference
 from hamsym.paper.tables import console_table, finite, markdown_table, spread, write
 
 INTEGRATORS = ("symplectic_euler", "stormer_verlet", "yoshida4", "yoshida8")

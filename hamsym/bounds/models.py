@@ -25,8 +25,6 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy import special
 
-__all__ = ["ARITHMETIC", "DEGREE", "NODES", "PLACES", "Arithmetic", "Models"]
-
 DEGREE = 31  # of the polynomials: the columns of the march have 1e-14 beyond it
 PLACES = 2 * DEGREE + 2  # enough for products
 #: Places in [-1, 1], ascending.

@@ -24,8 +24,6 @@ import numpy as np
 from hamsym.bounds.models import PLACES, Models
 from hamsym.bounds.vector_field import ModelField
 
-__all__ = ["Excess", "Parts", "Places", "excesses", "residual_bounds"]
-
 _SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
 _MOST_SHARES = 4.0  # of the limit, that all parts of a window may use
 _MOST_PARTS = 256  # of one generation of halves

@@ -18,8 +18,6 @@ from hamsym.symbolic.equations import Equations
 from hamsym.symbolic.exact import rational
 from hamsym.symbolic.variables import TIME
 
-__all__ = ["ModelField", "model_field"]
-
 _SHORT_POLYNOMIAL = 8  # degree of a vector field that hides nothing between the places of a march
 
 

@@ -16,9 +16,6 @@ from hamsym.support.text_tables import table, wrapped
 if TYPE_CHECKING:
     from hamsym.systems import Problem
 
-__all__ = ["systems"]
-
-
 _LEGEND = """
 d: degrees of freedom, exact: solution known, T: period known,
 F: number of known first integrals besides H"""

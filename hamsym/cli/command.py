@@ -14,18 +14,6 @@ from click.shell_completion import CompletionItem
 
 from hamsym.suggestions import did_you_mean, unknown
 
-__all__ = [
-    "HELP",
-    "Choice",
-    "ClosedPipeError",
-    "Command",
-    "Group",
-    "InterruptError",
-    "Report",
-    "completing",
-    "strict",
-]
-
 _OF_SECTIONS = {
     "Problem": "q p param force lagrangian velocities z0 t-start t-end energy at box guess free "
     "bounds sigma near period symmetry invariant degree basis start",

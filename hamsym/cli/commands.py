@@ -38,8 +38,6 @@ from hamsym.cli.trajectories import compare, integrate, lyapunov, section, solve
 from hamsym.errors import CertificationError, HamsymError, StepSizeWarning
 from hamsym.support.text_tables import WIDTH
 
-__all__ = ["main"]
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the entry point of the ``hamsym`` script.

@@ -7,8 +7,6 @@ from click.shell_completion import get_completion_class
 
 from hamsym.cli.command import Choice, Command, Report
 
-__all__ = ["completion"]
-
 
 @click.command(
     cls=Command,

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
     from hamsym.symbolic.lagrangian import Lagrangian
 
-__all__ = ["derive", "source"]
-
 
 @click.command(
     cls=Command,

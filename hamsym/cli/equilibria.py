@@ -15,8 +15,6 @@ from hamsym.support.text_tables import ROWS
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
 
-__all__ = ["equilibria"]
-
 
 @click.command(
     cls=Command,

@@ -8,8 +8,6 @@ import click
 
 from hamsym.cli.command import Command
 
-__all__ = ["explore"]
-
 
 @click.command(
     cls=Command,

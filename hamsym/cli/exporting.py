@@ -12,8 +12,6 @@ from hamsym.cli.output import CERTIFICATE, check_directory
 from hamsym.cli.texts import saved_solution
 from hamsym.errors import InputError
 
-__all__ = ["check_export", "export"]
-
 
 @click.command(
     cls=Command,

@@ -18,8 +18,6 @@ from hamsym.support.text_tables import ROWS
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
 
-__all__ = ["fit"]
-
 
 @click.command(
     cls=Command,

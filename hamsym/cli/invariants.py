@@ -13,8 +13,6 @@ from hamsym.support.text_tables import ROWS
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
 
-__all__ = ["invariants"]
-
 
 @click.command(
     cls=Command,

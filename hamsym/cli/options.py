@@ -16,19 +16,6 @@ from hamsym.errors import InputError
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
 
-__all__ = [
-    "figure_option",
-    "formula_options",
-    "hamiltonian_options",
-    "integrator_options",
-    "integrators",
-    "output_options",
-    "rows_option",
-    "show_methods",
-    "span_options",
-    "starts_options",
-]
-
 Command = Callable[..., Any]
 
 

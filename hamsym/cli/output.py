@@ -14,16 +14,6 @@ if TYPE_CHECKING:
 
     from hamsym.proof.certificate import Certificate
 
-__all__ = [
-    "CERTIFICATE",
-    "check_directory",
-    "check_figure",
-    "check_table",
-    "save_figure",
-    "write_certificate",
-    "write_table",
-]
-
 CERTIFICATE = ".certificate"  # ending of the file beside that of a solution
 
 

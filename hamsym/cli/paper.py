@@ -12,8 +12,6 @@ import click
 
 from hamsym.cli.command import Command, Report
 
-__all__ = ["reproduce"]
-
 _EXPERIMENTS = ("oscillator", "oscillator-long", "henon-heiles", "henon-heiles-long", "accuracy")
 
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from hamsym.proof.box_certificate import BoxCertificate
     from hamsym.proof.certificate import Certificate
 
-__all__ = ["certify", "verify"]
-
 _time_limit = click.option(
     "--time-limit", type=float, metavar="SECONDS", help="Refuse after this time."
 )

@@ -10,8 +10,6 @@ import click
 from hamsym.cli.command import Command, Report
 from hamsym.codegen.backends import BACKENDS
 
-__all__ = ["report"]
-
 _HIDDEN = "balls"  # code of proofs, which nobody runs by hand
 
 

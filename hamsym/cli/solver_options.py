@@ -14,8 +14,6 @@ from hamsym.cli.command import Choice, Command
 from hamsym.cli.texts import number, numbers, saved_solution, whole_numbers
 from hamsym.errors import InputError
 
-__all__ = ["SolverCommand"]
-
 
 class SolverCommand(Command):
     """A command that takes the options of all methods of solution.

@@ -10,18 +10,6 @@ from hamsym.errors import InputError
 if TYPE_CHECKING:
     from hamsym.solution.solution import Solution
 
-__all__ = [
-    "assignments",
-    "formulas",
-    "listed",
-    "number",
-    "numbers",
-    "saved_solution",
-    "state",
-    "texts_by_name",
-    "whole_numbers",
-]
-
 
 def listed(text: str) -> list[str]:
     """Return the parts of a text between its commas."""

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
     from hamsym.solution.solution import Solution
 
-__all__ = ["compare", "integrate", "lyapunov", "section", "solve"]
-
 #: A result, its report, the columns of its table, and its arrays.
 Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
     from hamsym.symbolic.lagrangian import Lagrangian
 
-__all__ = ["aligned"]
-
 _LINE = 150  # characters of LaTeX in one line of a sum, which print as some 80
 _FEW = 8  # components of a state that is written out, and of a Hessian that is a matrix
 

@@ -11,8 +11,6 @@ import builtins
 import keyword
 from dataclasses import dataclass
 
-__all__ = ["BACKENDS", "FUNCTIONS", "PYTHON_NAMES", "Backend", "runnable"]
-
 #: Functions of a module, in its order.
 FUNCTIONS = ("energy", "gradient", "vector_field", "hessian", "residual", "loss")
 

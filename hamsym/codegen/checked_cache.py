@@ -26,8 +26,6 @@ from numba.core.serialize import dumps
 
 from hamsym.support.atomic import write_atomically
 
-__all__ = ["cache_functions"]
-
 _DIGEST = hashlib.sha256
 _VERSIONS = (
     *(platform.python_implementation(), platform.python_version()),

@@ -18,8 +18,6 @@ from hamsym.errors import CodeGenerationError
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["compile_expressions", "compile_straight_line", "expressions_source"]
-
 _INFINITE = (sympy.nan, sympy.zoo, sympy.oo, -sympy.oo)
 
 

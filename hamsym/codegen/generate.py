@@ -40,8 +40,6 @@ from hamsym.formula.printer import FormulaPrinter, rewritten_to
 from hamsym.suggestions import unknown
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["Source", "environment", "generate"]
-
 _WIDTH = 96
 # Up to this number of degrees of freedom, deriving the text is faster than reading it from a file.
 _MAX_UNCACHED_DOF = 6

@@ -23,8 +23,6 @@ from types import ModuleType
 
 from hamsym.support.atomic import write_atomically
 
-__all__ = ["cache_directory", "cached_text", "load_module"]
-
 _VARIABLE = "HAMSYM_CACHE_DIR"
 _DAY = 86_400.0  # seconds
 _UNUSED = 90 * _DAY  # age since the last use at which a file is removed

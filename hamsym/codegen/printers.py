@@ -10,8 +10,6 @@ from hamsym.formula.printer import _ATOM, _COMMON, _MUL, _POW, Printer, _table
 
 _HALF_INTEGERS = tuple(kind(k) / 2 for k in (3, 5, 7) for kind in (sympy.Integer, sympy.Float))
 
-__all__ = ["NUMPY_DEFINITIONS", "PRINTERS", "NumpyPrinter"]
-
 
 class _TensorPrinter(Printer):
     """Printer of code for tensors whose results are stacked and so must have one shape."""

@@ -34,16 +34,6 @@ from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
 from hamsym.symbolic.exact import rational, without_floats
 
-__all__ = [
-    "FUNCTIONS",
-    "StraightLine",
-    "StraightLines",
-    "described",
-    "inserted_parameters",
-    "straight_line",
-    "without_arithmetic",
-]
-
 #: Functions of one or two arguments that an arithmetic has, smooth for all numbers.
 _ENTIRE = "exp sin cos atan erf sinh cosh tanh asinh".split()
 #: Those that are smooth for some numbers only.

@@ -21,8 +21,6 @@ from hamsym.numerics.symplectic import generators
 from hamsym.support.shown import Shown
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["System", "load"]
-
 
 class System(Shown):
     """Callables of a generated module, each generated on first use.

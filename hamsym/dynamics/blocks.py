@@ -6,8 +6,6 @@ from collections.abc import Callable
 
 from hamsym.support.progress import stepping_progress
 
-__all__ = ["advance_in_blocks"]
-
 
 def advance_in_blocks(
     steps: int, block: int, show: bool | None, advance: Callable[[int, int], bool]

@@ -47,8 +47,6 @@ from hamsym.support.validation import require_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["ChaosIndicators", "chaos_indicators"]
-
 _SAMPLE = 2 / STEPS_PER_RADIAN  # radians of the fastest linear motion between two samples
 # Bounds of the interpretation. MEGNO tends to 2 on a torus and grows without limit in chaos; 1e-8
 # is the usual threshold of SALI.

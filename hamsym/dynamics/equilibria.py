@@ -32,8 +32,6 @@ from hamsym.support.validation import require_positive, require_whole
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.stationary_points import periods, stationary_points
 
-__all__ = ["equilibria"]
-
 _DIGITS = 60  # of closed forms
 
 

@@ -35,8 +35,6 @@ from hamsym.proof.limits import Deadline
 from hamsym.proof.roots import BITS, Root, polynomial_roots
 from hamsym.symbolic.stationary_points import blocks, exact_gradient
 
-__all__ = ["all_in_box"]
-
 _PROBES = 6  # 2**6 starts in the box
 _FINEST = 2.0**-32  # width of the smallest boxes, as a share of the box
 _COARSE = 2.0**-7  # the same, where a continuum is known

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     import sympy
     from matplotlib.figure import Figure
 
-__all__ = ["Equilibria", "Equilibrium", "Region"]
-
 _WIDTH = 80
 _SHOWN_REGIONS = 3
 

@@ -28,8 +28,6 @@ from hamsym.proof.derivative_balls import DerivativeBalls
 from hamsym.proof.public_check import require_same
 from hamsym.proof.roots import BITS, Root, enclosed_root
 
-__all__ = ["NEAR", "Finder", "add_points", "counted", "is_known", "ordered", "spread_out"]
-
 NEAR = 1e-3  # of the sizes: distance of approximations of one point with a singular Hessian
 _SAME = 1e-7  # of the sizes: the same, for other points
 _SAME_ENERGY = 1e-9

@@ -12,18 +12,6 @@ import scipy.linalg
 
 from hamsym.codegen.system import System
 
-__all__ = [
-    "APART",
-    "PARALLEL",
-    "STEPS_PER_RADIAN",
-    "UNRESOLVED",
-    "fastest_rates",
-    "first_vectors",
-    "growth_limit",
-    "orthonormal",
-    "tangent_scales",
-]
-
 #: Default steps in a radian of the fastest linear motion.
 STEPS_PER_RADIAN = 5
 #: Times the rate for which the steps were chosen at which they no longer resolve the motion.

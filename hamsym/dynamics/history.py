@@ -8,8 +8,6 @@ import numpy as np
 
 from hamsym.support.text_tables import table
 
-__all__ = ["history"]
-
 
 def history(t: np.ndarray, start: float, columns: Mapping[str, np.ndarray]) -> list[str]:
     """Return the lines of a table with two rows for each of three decades of time, and the end.

@@ -23,8 +23,6 @@ from hamsym.numerics.symplectic import generators, poisson_product
 from hamsym.proof.balls import working
 from hamsym.proof.spectrum import BlockSpectrum, block_spectra
 
-__all__ = ["DEGENERATE", "LinearStability", "linear_stability", "undecided"]
-
 DEGENERATE = "degenerate"
 _NOISE = 1e-14  # of the largest eigenvalue
 _FEW = 3  # parts of a type that are spelled out

@@ -49,8 +49,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-__all__ = ["LyapunovExponents", "lyapunov"]
-
 
 @suggest_attributes
 @dataclass(frozen=True)

@@ -47,8 +47,6 @@ from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["LyapunovMap", "lyapunov_map"]
-
 _BLOCKS = 200  # fewest renormalisations, after which the energy is checked as well
 _FEWEST_STEPS = 1_000
 _LONGEST_BLOCK = 10_000  # steps

@@ -24,8 +24,6 @@ from hamsym.support.validation import require_number
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["TangentMap", "monodromy", "tangent_map"]
-
 
 @suggest_attributes
 @dataclass(frozen=True)

@@ -10,8 +10,6 @@ import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
 
-__all__ = ["Candidates", "continues", "converged_points", "default_starts"]
-
 _ROUNDS = 100
 _CONVERGED = 1e-13  # of |z| and the size: last step of a simple zero
 _SINGULAR = 1e-15  # share of the largest eigenvalue of the scaled Hessian that counts as zero

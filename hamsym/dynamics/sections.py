@@ -45,8 +45,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-__all__ = ["Section", "section"]
-
 _HELD = 2_000_000  # numbers of a block of paths
 _ASIDE = 1e-3  # of a step: distance along the flow over which slopes are measured
 

@@ -19,8 +19,6 @@ from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.integrate import fastest_rate, fixed_step
 from hamsym.problem import checked_steps
 
-__all__ = ["KEPT", "LOST", "TangentSteps"]
-
 #: Points of a history.
 KEPT = 2_000
 #: Outcome where a step did not end in a finite state.

@@ -15,8 +15,6 @@ from hamsym.recipe import command_line, omissions, python_lines
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
 
-__all__ = ["About", "checked_certificate"]
-
 _WIDTH = 96  # characters of a line
 
 

@@ -13,8 +13,6 @@ from hamsym.exporting.about import About
 from hamsym.exporting.closed_form import ClosedForm, FeatureForm
 from hamsym.formula.parser import canonical_name
 
-__all__ = ["c_header", "prefix_of"]
-
 _PER_LINE = 4
 # Functions and names of the generated code, which become those of the header.
 _GLOBAL = ("DIM", "sign", "smaller", "larger")

@@ -16,8 +16,6 @@ from hamsym.solution.solution import Solution
 if TYPE_CHECKING:  # torch is imported only by solutions that are networks
     from hamsym.networks.trial import TrialSolution
 
-__all__ = ["ClosedForm", "FeatureForm", "NetworkForm", "closed_form"]
-
 #: Matrix and bias of each layer, shapes (neurons, inputs) and (neurons,).
 Layers = list[tuple[np.ndarray, np.ndarray]]
 

@@ -16,8 +16,6 @@ from hamsym.solution.solution import Solution
 from hamsym.suggestions import checked_keywords
 from hamsym.support.atomic import write_atomically
 
-__all__ = ["FORMATS", "export"]
-
 
 @dataclass(frozen=True)
 class Format:

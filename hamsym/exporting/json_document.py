@@ -8,8 +8,6 @@ from typing import Any
 from hamsym.exporting.about import About
 from hamsym.exporting.closed_form import ClosedForm, FeatureForm
 
-__all__ = ["json_document"]
-
 _FORMAT, _VERSION = "hamsym trajectory", 1
 
 

@@ -13,8 +13,6 @@ from hamsym.codegen.printers import NUMPY_DEFINITIONS
 from hamsym.exporting.about import About
 from hamsym.exporting.closed_form import ClosedForm, FeatureForm
 
-__all__ = ["python_module"]
-
 _WIDTH = 96  # characters of a line
 _WRITTEN_OUT = 64  # numbers of an array that is written in decimals, not as bytes
 

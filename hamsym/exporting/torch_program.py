@@ -18,8 +18,6 @@ from hamsym.exporting.closed_form import ClosedForm, FeatureForm, NetworkForm
 from hamsym.networks.module_trial import ModuleTrial
 from hamsym.support.tensor_files import one_line
 
-__all__ = ["torch_program"]
-
 _ABOUT = "about.json"
 _EXAMPLES = 5  # times by which the program is traced; any number works afterwards
 _SLACK = 4e-16  # relative, of times at the ends of the span

@@ -27,8 +27,6 @@ from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.solution.solution import Solution
 from hamsym.support.checked_data import numbers_of
 
-__all__ = ["Block", "BlockSolver"]
-
 _CHECKED = 65_536  # members whose starts are checked at once
 
 

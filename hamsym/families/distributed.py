@@ -22,8 +22,6 @@ from hamsym.families.solutions import Family
 if TYPE_CHECKING:  # an optional package
     from distributed import Client
 
-__all__ = ["StorePlace", "blocks_on_cluster"]
-
 
 class StorePlace(NamedTuple):
     """A store: its path, and a text in it by which a worker recognises it."""

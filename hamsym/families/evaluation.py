@@ -14,8 +14,6 @@ import numpy as np
 from hamsym.families.windows import Table, Windows
 from hamsym.numerics.chebyshev import chebyshev_values
 
-__all__ = ["states_in_groups"]
-
 _TIMES = 4_096  # as for one solution
 _STATES = 8_192  # of a group
 _WINDOWS = 8_192  # that are read for a group

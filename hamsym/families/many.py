@@ -41,8 +41,6 @@ from hamsym.support.validation import require_whole
 if TYPE_CHECKING:  # an optional package
     from distributed import Client
 
-__all__ = ["solve_many"]
-
 _FIRST, _MOST = 32, 1_024  # members of the first chunk, and of any; a call costs a millisecond
 _SECONDS = 0.2  # that a chunk should take, so that Ctrl-C is soon obeyed
 _WAITING = 2  # chunks for each core

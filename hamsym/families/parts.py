@@ -26,18 +26,6 @@ from hamsym.families.blocks import Block
 from hamsym.families.windows import MARCHED, Table, Windows
 from hamsym.support.tensor_files import one_line
 
-__all__ = [
-    "FOLDER",
-    "NAME",
-    "Part",
-    "create_array",
-    "part_of",
-    "read_parts",
-    "windows_of",
-    "write_part",
-    "zarr_of",
-]
-
 FOLDER = "parts"
 #: Name of a part: its first member, and a digest of all.
 NAME = re.compile(r"\d{12,}-[0-9a-f]{16}")

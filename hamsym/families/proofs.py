@@ -15,8 +15,6 @@ from hamsym.solution.window_error import allowed_errors
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Shown
 
-__all__ = ["Proofs", "prove_members"]
-
 
 @dataclass(frozen=True, eq=False)
 class Proofs(Shown):

@@ -46,8 +46,6 @@ if TYPE_CHECKING:  # optional packages
     import xarray
     from matplotlib.figure import Figure
 
-__all__ = ["Family", "Solutions"]
-
 
 @dataclass(frozen=True, eq=False)
 class Family:

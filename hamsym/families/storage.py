@@ -66,8 +66,6 @@ from hamsym.support.locking import exclusive
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 from hamsym.support.validation import require_whole
 
-__all__ = ["KIND", "WindowStore", "is_store", "open_store", "read_solutions", "write_solutions"]
-
 KIND = "solutions"
 _VALUES = {"H", "span", "options", "seed", "varied", "shape", "stopped"}
 _VERSION = 2  # of stores

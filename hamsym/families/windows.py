@@ -14,19 +14,6 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-__all__ = [
-    "ACCEPTED",
-    "MARCHED",
-    "OPEN",
-    "REFUSED",
-    "Packed",
-    "Pieces",
-    "Rows",
-    "Table",
-    "Windows",
-    "pieces_of",
-]
-
 # States of a member: not solved yet; accepted by the loop over members; solved by itself, with
 # success or without; without a solution.
 OPEN, ACCEPTED, MARCHED, REFUSED = range(4)

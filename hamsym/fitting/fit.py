@@ -38,8 +38,6 @@ from hamsym.suggestions import checked_keywords
 from hamsym.support.validation import require, require_number, require_whole
 from hamsym.symbolic.checks import name_of
 
-__all__ = ["fit"]
-
 
 @checked_keywords
 def fit(

@@ -24,8 +24,6 @@ from hamsym.solution.solution import Solution
 from hamsym.solving import solve
 from hamsym.symbolic import derivatives
 
-__all__ = ["FlowLike", "LiftedMotions", "MappedMotions", "Motions", "SolvedMotions", "rates"]
-
 _ROWS = 256  # that are solved together, to bound the memory
 _FAST = 2e4  # radians in the span, from which a motion takes a second
 _FASTER = 10  # times the first guess: also too fast

@@ -17,8 +17,6 @@ from hamsym.symbolic import derivatives
 from hamsym.symbolic.brackets import phase_function
 from hamsym.symbolic.variables import TIME
 
-__all__ = ["Observables", "Observations", "checked_observations", "checked_times"]
-
 
 class Observables:
     """Functions of state, time and parameters, with their derivatives.

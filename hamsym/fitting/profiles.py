@@ -14,8 +14,6 @@ import numpy as np
 from hamsym.fitting.search import Model
 from hamsym.numerics.least_squares import minimize_squares
 
-__all__ = ["Profiles", "profiled"]
-
 _STEPS = 40
 _ITERATIONS = 25  # of each search for the other quantities
 _CLOSE = 0.01  # relative error of an end

@@ -15,8 +15,6 @@ from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.least_squares import minimize_squares
 
-__all__ = ["aliased", "reflected", "reflections"]
-
 _MOST = 8  # quantities whose signs are tried together
 _FASTEST = 3.0  # times as fast: motions with fewer than four data in a period
 _POINTS = 64  # in a period, to find it

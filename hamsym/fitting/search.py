@@ -13,8 +13,6 @@ from hamsym.fitting.observations import Observables, Observations
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.numerics.least_squares import Minima, are_minima, minimize_squares, projections
 
-__all__ = ["Found", "Model", "search"]
-
 _FEWEST, _SHARE = 8, 4  # starts that are refined: eight, or a quarter
 _SAME = 0.1  # standard errors between estimates of the same minimum
 _BATCH = 4_000_000  # numbers in the derivatives of states that are computed together

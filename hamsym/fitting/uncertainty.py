@@ -12,8 +12,6 @@ from hamsym.fitting.profiles import profiled
 from hamsym.fitting.search import Found, Model
 from hamsym.fitting.unknowns import Unknowns
 
-__all__ = ["Uncertainty", "uncertainty_of"]
-
 _SINGULAR = 1e-6  # of the largest singular value of J, its columns of unit length
 _IN_COMBINATION = 1e-4  # part of a unit vector
 _CURVED = 0.1  # relative error of the root of the rise of chi-square at the end of an interval

@@ -14,8 +14,6 @@ from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.symbolic.checks import name_of
 
-__all__ = ["Unknowns", "checked_unknowns"]
-
 
 @dataclass(frozen=True)
 class Unknowns:

@@ -15,8 +15,6 @@ from hamsym.fitting.uncertainty import Uncertainty
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.solution.solution import Solution
 
-__all__ = ["Verdicts", "judged"]
-
 _ACCURACY = 0.1  # of sigma: errors of the motion
 _IMPROBABLE = 1e-6
 _SHOWN = 3  # further minima in a message

@@ -22,8 +22,6 @@ from hamsym.suggestions import did_you_mean, unknown
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["Box", "checked_box", "compiled_in"]
-
 _SLACK = 1e-12  # of the width of an interval, by which round-off may leave it
 
 

@@ -20,8 +20,6 @@ from hamsym.flow_maps.expansion import Chain, Split
 from hamsym.flow_maps.legs import FailedError, LegBuilder
 from hamsym.flow_maps.time_order import ended
 
-__all__ = ["Builder", "Built", "image_of"]
-
 _CORNERS, _IMAGE = 1_000, 20_000  # samples of an image: corners, and others
 _DEEPEST = 10  # splits of a domain, one after the other
 _SHORTEST = 0.005  # of the span, of a leg that ends where a solution fails

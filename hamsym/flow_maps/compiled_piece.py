@@ -13,9 +13,6 @@ import numpy as np
 from hamsym.codegen.numba_cache import load_module
 from hamsym.flow_maps.expansion import Piece
 
-__all__ = ["CompiledPiece"]
-
-
 _CHUNK = 8_192  # queries at once
 
 

@@ -27,8 +27,6 @@ from hamsym.support.validation import require, require_whole
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["flow_map"]
-
 _SMALLEST_TOL = 1e-11  # the solutions of which a map is made are exact to 1e-12
 _SOLUTIONS = 0.02  # tolerance of these solutions, relative to that of the map
 _SMALLEST_SOLUTIONS, _LARGEST_SOLUTIONS = 1e-12, 1e-7  # looser ones are not faster

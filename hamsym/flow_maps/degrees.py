@@ -13,8 +13,6 @@ import numpy as np
 
 from hamsym.numerics.lower_sets import MOST_DEGREE, leja_points, surpluses
 
-__all__ = ["axis_degrees", "further_degrees", "interpolated", "margin", "points"]
-
 _AHEAD = 2  # degrees beyond one that counts, since symmetric functions lack every second one
 
 

@@ -13,8 +13,6 @@ from hamsym.flow_maps.degrees import interpolated
 from hamsym.flow_maps.expansion import affine, starts
 from hamsym.numerics.lower_sets import chebyshev_coefficients
 
-__all__ = ["Domain", "box_domain", "image_domain", "random_places", "split_domain"]
-
 _MARGIN = 0.02  # of a half-width, around the samples of an image
 _ROUND_OFF = 4e-15  # of expressions in z0, relative
 _MOST_START = 3_000  # terms of their expansion

@@ -15,8 +15,6 @@ from hamsym.errors import FileError
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.support.atomic import write_atomically
 
-__all__ = ["export_flow_map"]
-
 _WIDTH = 100  # characters of a line of numbers
 
 

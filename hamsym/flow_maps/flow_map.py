@@ -25,8 +25,6 @@ from hamsym.support.shown import Shown
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FlowMap"]
-
 _QUERIES = 10_000  # for each core, from which on several are used
 _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 

@@ -28,8 +28,6 @@ from hamsym.flow_maps.narrow_places import narrow_places
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
 
-__all__ = ["Judgement", "judged", "linear_error"]
-
 _MARGIN = 1.5  # times the largest error found
 _CONFIDENCE = 0.95
 _NARROW = 10.0  # times the largest other error, of one that a narrow feature causes

@@ -29,8 +29,6 @@ from hamsym.numerics.lower_sets import (
     surpluses,
 )
 
-__all__ = ["FailedError", "LegBuilder"]
-
 _TERMS = 12  # of the series in time of a piece
 _LARGEST = 2_500  # terms of an expansion in the inputs: more make queries slow
 _TIME = 0.03  # share of the allowed error for the series in time

@@ -19,8 +19,6 @@ from hamsym.flow_maps.box import Box, compiled_in
 from hamsym.flow_maps.domain import random_places
 from hamsym.symbolic.derivatives import Narrow, narrow_arguments
 
-__all__ = ["narrow_places"]
-
 _SAMPLES = 4_096  # places at which the ranges are measured
 _AT_END = 0.3  # probability that a coordinate of a sample is an end
 _CHANGE = 20.0  # of the argument of exp, which random places resolve

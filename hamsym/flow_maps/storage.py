@@ -30,8 +30,6 @@ from hamsym.support.checked_data import (
 )
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
-__all__ = ["KIND", "read_flow_map", "write_flow_map"]
-
 #: Kind of the file.
 KIND = "flow map"
 

@@ -11,8 +11,6 @@ from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.collocation import collocation
 
-__all__ = ["ended", "require_order"]
-
 _ROUND_OFF = 4e-16  # relative, of an end that is the sum of a start and a length
 
 

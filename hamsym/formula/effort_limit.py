@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["CallLimitExceededError", "call_limit"]
-
 _EVERY = 256  # events between readings of the clock
 
 

@@ -12,16 +12,6 @@ import warnings
 
 from hamsym.errors import ParseError
 
-__all__ = [
-    "GREEK",
-    "LAMBDA",
-    "LAMBDA_STAND_IN",
-    "REFUSED_NODES",
-    "REFUSED_OPERATORS",
-    "readable",
-    "syntax_tree",
-]
-
 # Greek capitals and omicron that look like Latin letters are not accepted as names.
 GREEK = "".join(sorted(set("ΓΔΘΛΞΠΣΦΨΩαβγδεζηθικλμνξπρςστυφχψω")))
 # Variants that Python itself folds into the letter opposite.

@@ -34,8 +34,6 @@ from hamsym.formula.grammar import (
 )
 from hamsym.suggestions import did_you_mean
 
-__all__ = ["FUNCTIONS", "canonical_name", "check_name", "parse_expression", "parse_number"]
-
 MAX_LENGTH = 50_000  # characters
 MAX_NODES = 10_000  # operands and operations
 MAX_DEPTH = 60  # nesting; a sum or product of any length counts once

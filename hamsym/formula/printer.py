@@ -14,8 +14,6 @@ import sympy
 
 from hamsym.errors import CodeGenerationError
 
-__all__ = ["FormulaPrinter", "Printer", "exact_decimal", "ordered_terms", "rewritten_to"]
-
 _ADD, _MUL, _POW, _ATOM = range(4)  # precedences
 _READABLE = 1_000  # fractions up to here stay fractions in code
 

@@ -13,8 +13,6 @@ import scipy.integrate
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 
-__all__ = ["Adaptive", "reference", "run_dop853", "run_odeint"]
-
 
 @dataclass(frozen=True)
 class Adaptive:

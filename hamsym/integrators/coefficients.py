@@ -22,8 +22,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Doubled", "RungeKutta", "Scheme", "Splitting"]
-
 _DIGITS = 55
 _SMALL = Decimal("1e-50")
 

@@ -25,8 +25,6 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.coefficients import RungeKutta, Scheme
 
-__all__ = ["AIM", "COARSE", "Attempt", "Choice", "EnergyDrift", "choose", "work_of"]
-
 #: Target drift of the choice of steps; where H is not conserved, target change by halving the step.
 AIM = 1e-9
 #: Drift above which the given steps do not represent the system.

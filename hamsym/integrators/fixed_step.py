@@ -23,8 +23,6 @@ from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitti
 from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
 
-__all__ = ["NOT_ONLY_SEPARABLE", "Stepper", "Stepping"]
-
 #: Splitting methods that also have a loop with an implicit half, for a non-separable H.
 NOT_ONLY_SEPARABLE = ("symplectic_euler", "symplectic_euler_p")
 

@@ -30,8 +30,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.step_scales import StepScales
 from hamsym.numerics.scales import resolved_sizes
 
-__all__ = ["HiddenFeatures", "hidden_features", "passed_over"]
-
 _LENGTHS = (
     256,
     64,

@@ -26,7 +26,7 @@ from hamsym.description import attributes_of
 from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError, SeparabilityError, StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.integrators.adaptive import Adaptive, reference
+from hamsym.integrators.adaptive import Adaptive
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Splitting
 from hamsym.integrators.energy_drift import (
     AIM,
@@ -54,17 +54,6 @@ if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.figure import Figure
-
-__all__ = [
-    "Trajectory",
-    "choose_steps",
-    "fastest_rate",
-    "fixed_step",
-    "integrate",
-    "reference",
-    "usable_method",
-    "usual_method",
-]
 
 
 _INTERRUPTED = "interrupted"

@@ -18,8 +18,6 @@ from hamsym.ensemble import Ensemble
 from hamsym.errors import InputError
 from hamsym.numerics.scales import SMALLEST
 
-__all__ = ["Interpolant"]
-
 _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 _COARSEST = 0.01  # of the size of a component: errors above are refused
 _HELD = 4_000_000  # numbers of the derivatives of the rates that are evaluated at once

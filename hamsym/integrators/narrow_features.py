@@ -21,8 +21,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.step_scales import on_trajectories
 from hamsym.symbolic.derivatives import Narrow
 
-__all__ = ["NarrowFeatures", "narrow_features"]
-
 _POLE_EXCESS = 4.0  # factor by which a step beside a pole is too long for any method
 _FORCE_JUMP, _ENERGY_JUMP = 1e-3, 1e-12  # smallest jumps that count, relative to the largest values
 

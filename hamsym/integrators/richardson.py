@@ -26,8 +26,6 @@ import numpy as np
 
 from hamsym.codegen.numba_cache import load_module
 
-__all__ = ["Extrapolation", "extrapolate", "perturb"]
-
 _PERTURBATION = 1e-11  # of a component, above its round-off and below all nonlinear effects
 
 

@@ -18,8 +18,6 @@ from hamsym.codegen.functions import compile_expressions
 from hamsym.codegen.names import Names
 from hamsym.hamiltonian import Hamiltonian
 
-__all__ = ["StepScales", "on_trajectories"]
-
 _HIGHEST = 6  # power that a few steps resolve
 _STEEPEST = 24  # negative or fractional power of a base that changes by the largest ratio
 _LARGEST_RATIO = 2.0  # of an argument over a few steps, of functions of RATIO

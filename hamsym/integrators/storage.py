@@ -24,8 +24,6 @@ from hamsym.support.checked_data import (
 )
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
-__all__ = ["KIND", "read_trajectory", "write_trajectory"]
-
 #: Kind of the file.
 KIND = "trajectory"
 

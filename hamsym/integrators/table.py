@@ -8,8 +8,6 @@ from hamsym.integrators import coefficients
 from hamsym.integrators.adaptive import Adaptive, run_dop853, run_odeint
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
 
-__all__ = ["ALIASES", "INTEGRATORS", "Integrator", "listing"]
-
 
 @dataclass(frozen=True)
 class Integrator:

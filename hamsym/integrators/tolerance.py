@@ -39,8 +39,6 @@ from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
 
-__all__ = ["Tolerated", "integrate_to_tolerance"]
-
 _SAMPLES = 5  # fewest times at which the three runs are compared
 _MIDDLE_SAVES = 64  # most saved states of the middle run between two of these times
 _PERTURBED = 8  # most perturbations between two of these times

@@ -8,8 +8,6 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor
 
-__all__ = ["BestWeights"]
-
 
 class BestWeights:
     """The weights with the lowest loss so far, and the trial solution's current ones."""

@@ -21,8 +21,6 @@ from hamsym.support.checked_data import (
     require_names,
 )
 
-__all__ = ["MAX_WINDOWS", "Chain", "ChainTraining"]
-
 #: Most windows of a chain.
 MAX_WINDOWS = 50_000
 

@@ -15,8 +15,6 @@ from hamsym.random_features.flow import flow_of
 from hamsym.random_features.window_checks import Pieces, WindowChecks, times_of
 from hamsym.random_features.window_loop import Windows
 
-__all__ = ["ChainChecks"]
-
 
 class ChainChecks(WindowChecks):
     """The checks of :mod:`hamsym.random_features.window_checks`, of networks instead of features.

@@ -25,8 +25,6 @@ from hamsym.numerics.scales import resolved_sizes
 from hamsym.numerics.tangent_maps import TangentMaps
 from hamsym.solution.window_error import WindowError
 
-__all__ = ["ChainError", "ErrorOfChain", "estimate_chain_error"]
-
 _NODES, _FINE_NODES = 32, 48  # of a part: for the estimate, and for its check
 _POINTS_PER_PART = 16  # collocation points of the network
 _SETS = 4  # of random perturbations

@@ -37,8 +37,6 @@ from hamsym.solution.window_error import allowed_errors
 from hamsym.support.progress import stepping_progress
 from hamsym.support.validation import require_positive, require_whole
 
-__all__ = ["solve_by_chain"]
-
 _LOCAL = 1e-2  # tolerance of the residual in a window, relative to that of the error
 _LEAST_LOCAL, _LARGEST_LOCAL = 1e-12, 1e-10
 _PASSES = 3

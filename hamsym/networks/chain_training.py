@@ -26,18 +26,6 @@ from hamsym.networks.trial import TrialSolution
 from hamsym.networks.window_training import Equations, Fit, Settings, late, train_window
 from hamsym.numerics.scales import coupled_sizes
 
-__all__ = [
-    "REACH",
-    "ChainSettings",
-    "Flow",
-    "Layout",
-    "TrainedChain",
-    "assembled",
-    "piece_of",
-    "points_of",
-    "train_chain",
-]
-
 #: Largest input of the network of a window whose length is free.
 REACH = 3.0
 _WIDTH = 50  # narrower layers, with fewer functions, represent shorter windows

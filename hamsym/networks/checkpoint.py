@@ -14,8 +14,6 @@ from torch import Tensor
 from hamsym.errors import FileError, InputError
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
-__all__ = ["Checkpoint"]
-
 
 @dataclass(frozen=True)
 class Checkpoint:

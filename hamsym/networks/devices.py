@@ -7,8 +7,6 @@ import torch
 from hamsym.errors import InputError
 from hamsym.support.tensor_files import one_line
 
-__all__ = ["available_device"]
-
 
 def available_device(device: str | torch.device, dtype: torch.dtype) -> torch.device:
     """Return a device on which tensors of this type can be used.

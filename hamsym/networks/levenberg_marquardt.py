@@ -31,8 +31,6 @@ from hamsym.networks.sensitivities import Layer, backward, forward
 from hamsym.networks.trial import TrialSolution
 from hamsym.support.validation import is_positive
 
-__all__ = ["LevenbergMarquardt"]
-
 # Damping relative to the mean diagonal of J J^T; the least in units of the type's precision,
 # 1e-14 in float64.
 _MU_FIRST, _MU_LEAST = 1e-3, 1e-14 / torch.finfo(torch.float64).eps

@@ -51,8 +51,6 @@ from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.solution import Solution
 from hamsym.support.validation import require_positive
 
-__all__ = ["solve_by_training"]
-
 _DTYPES = {"float32": torch.float32, "float64": torch.float64}
 # Largest input of the network for methods of second order, on any span.
 _INPUT_RANGE = 4 * math.pi

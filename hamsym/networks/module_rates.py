@@ -13,8 +13,6 @@ from hamsym.errors import InputError
 from hamsym.networks.module_trial import ModuleTrial
 from hamsym.support.tensor_files import one_line
 
-__all__ = ["ModuleRates"]
-
 _LARGEST = 200_000_000  # numbers in J: 1.6 GB in float64
 
 

@@ -20,8 +20,6 @@ from hamsym.errors import InputError
 from hamsym.networks.trial import EnvelopedNetwork
 from hamsym.support.tensor_files import one_line
 
-__all__ = ["ModuleTrial", "checked_copy", "rate_defect"]
-
 _PROBES = 33  # inputs at which a module is tested
 _INTERVALS = 2_000  # of the quadrature of dz^/dt
 # Largest defect of a derivative before a training, relative to the change of the values: the

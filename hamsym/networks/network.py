@@ -17,16 +17,6 @@ from torch import Tensor
 from hamsym.errors import InputError
 from hamsym.suggestions import require_known
 
-__all__ = [
-    "ACTIVATIONS",
-    "ComponentNetworks",
-    "Network",
-    "chosen",
-    "has_explicit_gradient",
-    "layers_of",
-    "weights_of",
-]
-
 
 @dataclass(frozen=True)
 class _Activation:

@@ -9,8 +9,6 @@ from torch import Tensor
 
 from hamsym.support.validation import require, require_number
 
-__all__ = ["Objective", "Regularizer"]
-
 
 @dataclass(frozen=True)
 class Regularizer:

@@ -13,8 +13,6 @@ from hamsym.networks.objective import Objective
 from hamsym.networks.points import Collocation, midpoints, points_between, points_within
 from hamsym.support.validation import is_positive, require, require_positive, require_whole
 
-__all__ = ["LBFGS", "Adam", "GradientOptimizer", "QuasiNewton"]
-
 
 class GradientOptimizer:
     """Common part of the optimizers that need the loss and its gradient."""

@@ -20,17 +20,6 @@ if TYPE_CHECKING:
     from hamsym.networks.objective import Regularizer
     from hamsym.solution.solution import Solution
 
-__all__ = [
-    "CONVERGED",
-    "AdamOptions",
-    "DeepOptions",
-    "LBFGSOptions",
-    "LevenbergMarquardtOptions",
-    "SelfScaledBroydenOptions",
-    "check_options",
-    "precision_name",
-]
-
 _OF_CHAINS = ("tol", "atol", "breakpoints", "max_window", "windows", "train_hidden")
 _OF_BOTH = ("hidden", "activation", "envelope", "frequency", "time_limit", "device")
 #: Estimated error, relative to the motion, below which a network without targets has succeeded.

@@ -12,15 +12,6 @@ from torch import Tensor
 from hamsym.errors import InputError
 from hamsym.support.validation import require_whole
 
-__all__ = [
-    "Collocation",
-    "checked_points",
-    "fresh_points",
-    "midpoints",
-    "points_between",
-    "points_within",
-]
-
 _FEWEST_JUDGING = 200  # points beside those of the caller's choice, which may be few
 
 

@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from hamsym.networks.record import TrainingState
 from hamsym.support.progress import is_shown, stepping_progress
 
-__all__ = ["training_progress"]
-
 
 @contextmanager
 def training_progress(

@@ -10,8 +10,6 @@ import numpy as np
 
 from hamsym.support.checked_data import require_array, require_counts
 
-__all__ = ["History", "Stopped", "Training", "TrainingState"]
-
 
 class Stopped(StrEnum):
     """Reasons for which a training ended."""

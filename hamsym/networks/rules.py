@@ -12,8 +12,6 @@ import torch
 from hamsym.networks.record import Stopped, Training
 from hamsym.support.validation import require_positive, require_whole
 
-__all__ = ["Criterion", "Progress", "StageSchedule", "Stages", "Stopping"]
-
 
 @dataclass
 class Progress:

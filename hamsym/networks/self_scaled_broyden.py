@@ -28,8 +28,6 @@ from hamsym.networks.optimizers import QuasiNewton
 from hamsym.networks.points import Collocation
 from hamsym.support.validation import require_whole
 
-__all__ = ["InverseHessian", "SelfScaledBroyden"]
-
 _LARGEST = 20_000  # weights: the matrix takes 3.2 GB
 
 

@@ -15,8 +15,6 @@ from torch import Tensor
 
 from hamsym.networks.network import ACTIVATIONS
 
-__all__ = ["Layer", "backward", "forward", "weight_rows"]
-
 
 @dataclass(frozen=True)
 class Layer:

@@ -31,8 +31,6 @@ from hamsym.networks.rules import Progress, Stages, StageSchedule, Stopping
 from hamsym.support.checked_data import checked_mapping, checked_record, checked_type
 from hamsym.support.tensor_files import one_line
 
-__all__ = ["Optimizer", "train"]
-
 # Products of points and weights below this are no faster on two threads, which cost twice the CPU
 # time.
 _ONE_THREAD = 4_000_000

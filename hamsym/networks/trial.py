@@ -30,8 +30,6 @@ from hamsym.support.checked_data import (
     require_names,
 )
 
-__all__ = ["ENVELOPES", "EnvelopedNetwork", "TrialSolution"]
-
 
 def _exponential(s: Tensor) -> tuple[Tensor, Tensor]:
     # Without cancellation near s = 0; the derivative needs no second exponential.

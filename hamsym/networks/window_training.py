@@ -39,8 +39,6 @@ from hamsym.networks.sensitivities import backward, forward, weight_rows
 from hamsym.networks.trial import ENVELOPES
 from hamsym.numerics.collocation import chebyshev_points
 
-__all__ = ["Equations", "Fit", "Settings", "late", "train_window"]
-
 _RANK = 1e-13  # singular values of the features' rates, relative to the largest, that are used
 _PASSES = 60  # of the fixed-point iteration
 _NEWTON_STEPS = 25

@@ -7,8 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-__all__ = ["TooManyCallsError", "limited"]
-
 
 class TooManyCallsError(Exception):
     """A function was called more often than allowed."""

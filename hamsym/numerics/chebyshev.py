@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["chebyshev_values"]
-
 
 def chebyshev_values(x: np.ndarray, count: int) -> np.ndarray:
     """Evaluate T_0 .. T_(count-1) at x of any shape, shape (*x.shape, count).

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import chebyshev
 
-__all__ = ["Collocation", "chebyshev_points", "collocation"]
-
 
 @dataclass(frozen=True)
 class Collocation:

@@ -17,8 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["Intervals", "RangeArithmetic", "Ranges"]
-
 
 class Intervals(NamedTuple):
     """Intervals [low, high] of equal shape; infinite where nothing is known."""

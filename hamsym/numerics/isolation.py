@@ -19,8 +19,6 @@ import numpy as np
 from hamsym.numerics.intervals import Intervals, Ranges
 from hamsym.numerics.roots import changes, refine
 
-__all__ = ["Cells", "Isolated", "component_ranges", "isolated_zeros", "rate_bends"]
-
 _SAFETY = 4  # of the second derivatives of the rates, which are differences
 _HALVINGS = 36  # of a cell, to the distance at which a tangency is round-off
 _MOST = 200_000  # parts at a time

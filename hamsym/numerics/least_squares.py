@@ -17,8 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Minima", "are_minima", "minimize_squares", "projections"]
-
 _CLOSE = 1e-6  # of the variance of the residuals: a minimum, if no step improves it further
 _ENOUGH = 0.01  # of that: iterations end
 _FIRST_DAMPING = 1e-2

@@ -16,8 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev
 
-__all__ = ["MOST_DEGREE", "chebyshev_coefficients", "is_lower", "leja_points", "surpluses"]
-
 #: Largest degree in one variable.
 MOST_DEGREE = 127
 

@@ -17,8 +17,6 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import elementwise
 
-__all__ = ["changes", "first_zeros", "refine", "sign_changes", "suspects", "zeros"]
-
 _ASIDE = (
     1e-3  # of an interval: distance from its ends at which the search for a turning point begins
 )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["SMALLEST", "coupled_sizes", "floored_sizes", "resolved_sizes"]
-
 #: Smallest size of a component, as a share of its coupled size: smaller values cannot be
 #: distinguished from the round-off of the terms in its own equation.
 SMALLEST = 1e-8

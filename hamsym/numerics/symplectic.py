@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["generators", "poisson_matrix", "poisson_product", "symplectic_inverse"]
-
 
 def generators(hessians: np.ndarray) -> np.ndarray:
     """Return J Hess, which moves tangent vectors, from Hessians of shape (..., dim, dim)."""

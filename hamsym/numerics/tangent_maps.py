@@ -15,8 +15,6 @@ from numpy.polynomial import chebyshev
 
 from hamsym.numerics.collocation import collocation
 
-__all__ = ["TangentMaps"]
-
 _NODES = 28
 _ITERATIONS = 60
 

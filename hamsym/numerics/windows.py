@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 
-__all__ = ["locate"]
-
 
 def locate(edges: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the window of each time and the position s in it.

@@ -24,8 +24,6 @@ from hamsym.numerics.windows import locate
 from hamsym.orbits.period import Period
 from hamsym.orbits.symmetry import Closing
 
-__all__ = ["Arc", "Problem"]
-
 _FLOOR = 1e-8  # scale of a component relative to the largest of its kind
 
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from hamsym.orbits.orbit import PeriodicOrbit
 
-__all__ = ["OrbitCertificate"]
-
 _VERSION = 1
 _LONGEST_TEXT = 2**22
 

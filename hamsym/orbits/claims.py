@@ -17,8 +17,6 @@ from hamsym.proof.ball import Ball
 if TYPE_CHECKING:
     from hamsym.orbits.orbit import PeriodicOrbit
 
-__all__ = ["orbit_digest", "statement_of"]
-
 
 def statement_of(
     problem: Problem, period: Ball, bound: float, unique: float, stability: str, pieces: int

@@ -16,8 +16,6 @@ import numpy as np
 import scipy.linalg
 from scipy.linalg import lapack
 
-__all__ = ["CondensedWindows", "solved"]
-
 _SINGULAR = 1e-11  # reciprocal condition number of a system without a unique solution
 _RANK = 1e-8  # singular values relative to the largest that count as zero
 

@@ -24,8 +24,6 @@ from hamsym.orbits.orbit import PeriodicOrbit, solved_orbit
 from hamsym.orbits.period import period_of
 from hamsym.orbits.search import anchor_of
 
-__all__ = ["Aim", "Bifurcation", "Continuation"]
-
 _FIRST, _SMALLEST = 0.02, 1e-6  # steps in scaled unknowns
 _GROWTH, _CUT = 1.4, 0.4  # of a step after an easy and after a failed orbit
 _MOST_CHANGE = 0.5  # of m + 1/m of the multipliers m between neighbours

@@ -21,8 +21,6 @@ from hamsym.support.validation import require_number, require_positive, require_
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["OrbitFamily", "orbit_family"]
-
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)

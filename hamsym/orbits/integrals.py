@@ -13,8 +13,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.symmetry import SignedPermutation
 from hamsym.symbolic.invariants import find_invariants, suggested_basis
 
-__all__ = ["gradients_of_integrals"]
-
 _DEGREE = 2  # of momenta, angular momenta and quadratic integrals
 _SECONDS = 60.0  # for their search
 

@@ -17,8 +17,6 @@ import scipy.linalg
 
 from hamsym.numerics.symplectic import poisson_product
 
-__all__ = ["has_shear", "reduced_map", "stability_of"]
-
 _PARABOLIC = 1e-5  # distance of a multiplier from 1 or -1 that round-off may cause
 _ON_CIRCLE = 1e-6  # distance of |multiplier| from 1 that round-off may cause
 _SHEAR = 1e-9  # entries of a monodromy matrix without the identity that are no round-off

@@ -20,8 +20,6 @@ from hamsym.orbits.condensed import CondensedWindows, solved
 from hamsym.orbits.symmetry import Closing, SignedPermutation
 from hamsym.orbits.window_maps import WindowMaps
 
-__all__ = ["NewtonSystem", "Step"]
-
 
 @dataclass(frozen=True)
 class Step:

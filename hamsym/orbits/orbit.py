@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
     from hamsym.solution.solution import Solution
 
-__all__ = ["PeriodicOrbit", "periodic_orbit"]
-
 _REPETITIONS = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31)
 _SAME = 1e-6  # distance of states that are the same, relative to the motion
 _POINTS = 400  # of an arc, for its extent

@@ -16,8 +16,6 @@ from hamsym.proof.public_check import require_same
 if TYPE_CHECKING:
     from hamsym.orbits.orbit import PeriodicOrbit
 
-__all__ = ["check_orbit"]
-
 _UNIT = 2.0**-53
 _TIMES = 40  # at random, beside those of the states that are proven
 _MOST = 64  # of those

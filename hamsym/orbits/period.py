@@ -13,8 +13,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_positive
 from hamsym.symbolic.exact import rational
 
-__all__ = ["Period", "period_of"]
-
 
 @dataclass(frozen=True)
 class Period:

@@ -49,8 +49,6 @@ from hamsym.support.validation import require_positive
 if TYPE_CHECKING:
     from hamsym.orbits.orbit import PeriodicOrbit
 
-__all__ = ["prove_orbit"]
-
 _BITS = 128
 _WINDOWS = 2  # of the numerical arc in a piece, about
 _MOST_PIECES = 32

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-__all__ = ["WEAKER", "proven_attraction", "proven_stability"]
-
 #: Words that a proof gives, each with the weaker ones that follow from it.
 WEAKER: dict[str, tuple[str, ...]] = {
     "elliptic": ("undecided",),

@@ -15,8 +15,6 @@ from hamsym.proof.ball import Ball
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.exact import rational, without_floats
 
-__all__ = ["exact_period", "in_units_of_the_arc"]
-
 
 def exact_period(problem: Problem) -> Ball:
     """The given period."""

@@ -19,17 +19,6 @@ from hamsym.orbits.newton_system import NewtonSystem, Step
 from hamsym.orbits.symmetry import Closing
 from hamsym.random_features.flow import flow_of
 
-__all__ = [
-    "Found",
-    "anchor_of",
-    "check",
-    "converged",
-    "first_arc",
-    "first_return",
-    "refined",
-    "vector_field_at",
-]
-
 _NODES, _FEW_NODES, _MANY = 20, 12, 20  # points in a window; fewer from so many components on
 _EXTRA_NODES = 8  # of the check
 _ITERATIONS = 30

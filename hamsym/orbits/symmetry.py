@@ -15,8 +15,6 @@ from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.suggestions import did_you_mean
 from hamsym.symbolic import derivatives
 
-__all__ = ["Closing", "SignedPermutation", "closing_of", "is_unchanged"]
-
 
 @dataclass(frozen=True)
 class SignedPermutation:

@@ -12,8 +12,6 @@ from hamsym.orbits.claims import orbit_digest, statement_of
 from hamsym.orbits.proven_stability import WEAKER
 from hamsym.proof.ball import Ball
 
-__all__ = ["verify_orbit"]
-
 
 def verify_orbit(
     claims: hamsym.OrbitCertificate, orbit: hamsym.PeriodicOrbit, time_limit: float | None

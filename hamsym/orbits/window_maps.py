@@ -16,8 +16,6 @@ from hamsym.orbits.arc import Arc, Problem
 from hamsym.random_features.flow import flow_of
 from hamsym.solution.parameters import ParameterForcing
 
-__all__ = ["WindowMaps"]
-
 _BLOCK = 1 << 22  # entries of the matrices of windows that are solved at once
 
 

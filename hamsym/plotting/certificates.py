@@ -20,8 +20,6 @@ from hamsym.proof.box_certificate import BoxCertificate
 from hamsym.proof.certificate import Certificate
 from hamsym.proof.enclose import Enclosure
 
-__all__ = ["draw_box_certificate", "draw_certificate", "draw_enclosure"]
-
 _TIMES = 401
 _MOST_PANELS = 6
 _MOST_BARS = 30

@@ -38,8 +38,6 @@ from hamsym.plotting.style import (
     style_for,
 )
 
-__all__ = ["draw_chaos_indicators", "draw_lyapunov", "draw_lyapunov_map"]
-
 _FEWEST = 1e-3  # part of the time from which on log(t)/t is drawn
 _PIECES = 80  # of the logarithm of time
 _MEANS = f"Drawn are means over {_PIECES} pieces of the logarithm of time, and the last values"

@@ -15,8 +15,6 @@ from hamsym.plotting.names import energy_unit, known_name, math_name, quantity
 from hamsym.plotting.style import PAGE, SAMPLES, line_style, style_for, styled
 from hamsym.study.compare import Comparison, Row
 
-__all__ = ["draw_comparison"]
-
 _PANELS = ("error", "energy", "plane", "work")
 
 

@@ -19,8 +19,6 @@ from hamsym.plotting.phase_portraits import draw_levels
 from hamsym.plotting.spectra import draw_exponents_plane
 from hamsym.plotting.style import COLUMN, MARKERS, color_of, style_for
 
-__all__ = ["draw_equilibria", "draw_equilibrium"]
-
 _GRID, _LEVELS = 161, 16
 _QUADRATIC = 1e-6  # of the rates, which vanish at zero velocity
 _MOST_NUMBERED = 60

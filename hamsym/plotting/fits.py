@@ -26,8 +26,6 @@ from hamsym.plotting.names import (
 from hamsym.plotting.style import COLUMN, GREY, PAGE, SAMPLES, color_of, style_for, styled
 from hamsym.support.validation import require_whole
 
-__all__ = ["draw_fit"]
-
 _MOST = 6  # observables of an overview
 
 

@@ -15,8 +15,6 @@ from hamsym.plotting.figure import Figure, figure_of, label, one_panel, require_
 from hamsym.plotting.names import known_name, math_name, math_unit, number, quantity, time_name
 from hamsym.plotting.style import COLORS, COLUMN, PAGE, SEQUENTIAL, color_of, style_for, styled
 
-__all__ = ["draw_flow_map"]
-
 _MOST = 6  # panels of an overview
 _POINTS, _STARTS, _SHOWN, _TIMES = 200, 200, 8, 401
 

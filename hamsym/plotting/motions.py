@@ -40,21 +40,6 @@ from hamsym.plotting.style import (
     style_for,
 )
 
-__all__ = [
-    "LARGEST",
-    "Motion",
-    "MotionPanels",
-    "chosen_members",
-    "component_curves",
-    "component_of",
-    "decades_and_lines",
-    "draw_motion",
-    "label_time",
-    "log_lines",
-    "parameters_of",
-    "varying",
-]
-
 MAX_DRAWN = 200  # trajectories of an ensemble
 _MAX_DOF = 6  # rows of an overview
 _DENSE = 8_000  # points from which lines are drawn as pixels in files of vector graphics

@@ -27,8 +27,6 @@ from hamsym.plotting.sampling import resolved
 from hamsym.plotting.spectra import draw_multipliers
 from hamsym.plotting.style import GREY, MARKERS, SAMPLES, color_of, style_for
 
-__all__ = ["draw_family", "draw_orbit", "draw_orbit_certificate"]
-
 _BIFURCATIONS = "*DsPXv^"
 _MOST_ORBITS = 40  # of a family, in a plane
 

@@ -14,8 +14,6 @@ from hamsym.plotting.figure import Figure, figure_of, one_panel
 from hamsym.plotting.names import known_name
 from hamsym.plotting.style import COLUMN, GREY, PAGE, style_for, styled
 
-__all__ = ["Panel", "draw_panels", "log_scales"]
-
 
 @dataclass(frozen=True)
 class Panel:

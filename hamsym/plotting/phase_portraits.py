@@ -11,8 +11,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.figure import Figure, figure_of
 from hamsym.plotting.names import energy_unit, number
 
-__all__ = ["draw_levels", "energies_on_grid"]
-
 _LEVELS = 9
 _GRID = 241
 

@@ -42,8 +42,6 @@ from hamsym.study.grid import StoredSweep
 from hamsym.study.sweep import Sweep
 from hamsym.suggestions import checked_keywords
 
-__all__ = ["plot"]
-
 
 @singledispatch
 def plot(result: Any, *args: Any, **options: Any) -> Figure:

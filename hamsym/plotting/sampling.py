@@ -8,8 +8,6 @@ import numpy as np
 
 from hamsym.plotting.style import SAMPLES
 
-__all__ = ["resolved", "thinned"]
-
 _MOST = 20_000  # times of a figure
 _MOST_STATES = 500_000  # of all trajectories of a figure
 #: Distance of a line from the curve, relative to the range of a component, up to which they look

@@ -19,8 +19,6 @@ from hamsym.plotting.names import known_name, math_name, number, quantity, with_
 from hamsym.plotting.style import COLORS, COLUMN, MAX_LINES, SEQUENTIAL, style_for
 from hamsym.surface import parse_surface
 
-__all__ = ["draw_section"]
-
 _VARIED = 2  # quantities of a start in the legend
 _ROUND_OFF = 1e-12  # of a range: a smaller value is zero
 _ASIDE = 1e-6  # of the time scale of the motion: distance along the flow to see the direction

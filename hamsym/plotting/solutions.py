@@ -38,8 +38,6 @@ from hamsym.plotting.style import (
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.solution import Solution
 
-__all__ = ["draw_solution", "draw_solutions"]
-
 _MOST_OF_ERRORS = 4_000
 _ASKED_STYLE: dict[str, Any] = {"color": "black", "linestyle": ":", "label": "asked for"}
 _WORDS = ("error", "residual", "energy", "search")

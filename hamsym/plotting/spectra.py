@@ -13,8 +13,6 @@ from hamsym.plotting.figure import Figure, figure_of, label, one_panel
 from hamsym.plotting.names import number
 from hamsym.plotting.style import GREY, color_of, style_for
 
-__all__ = ["draw_exponents_plane", "draw_multipliers", "draw_tangent_map"]
-
 _LARGE = 10.0  # multipliers beyond are drawn on axes that are linear near 0 only
 _MOST_NAMED = 6
 

@@ -20,8 +20,6 @@ from hamsym.plotting.style import MAX_LINES, WARNING, color_of, line_styles
 from hamsym.study.grid import StoredSweep
 from hamsym.study.sweep import Sweep
 
-__all__ = ["draw_stored_sweep", "draw_sweep"]
-
 _WIDE = 30.0  # ratio of the largest to the smallest value from which an axis is logarithmic
 _RED: dict[str, Any] = {"color": WARNING, "marker": "x", "linestyle": "none", "zorder": 4}
 _NAMES = 30  # settings of a figure

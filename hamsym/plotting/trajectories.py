@@ -27,9 +27,6 @@ from hamsym.plotting.names import energy_unit
 from hamsym.plotting.sampling import resolved
 from hamsym.plotting.style import SAMPLES, style_for, styled
 
-__all__ = ["draw_trajectory"]
-
-
 _SAVE_MORE = "Dots: the saved states, which are too far apart for lines between them; save more"
 
 

@@ -14,8 +14,6 @@ import numpy as np
 
 from hamsym.errors import InputError
 
-__all__ = ["Ball"]
-
 _TEXT = re.compile(r"\s*(?P<middle>\S+)\s*(\+-|\+/-|±)\s*(?P<radius>\S+)\s*")
 
 

@@ -37,20 +37,6 @@ from numba.extending import intrinsic
 
 from hamsym.proof.balls import above, exact, float_above, working
 
-__all__ = [
-    "HALF_PI",
-    "MIDDLE",
-    "TINY",
-    "UNDERFLOW",
-    "UNIT",
-    "absolute",
-    "ball_of",
-    "fma",
-    "number_of",
-    "two_product",
-    "two_sum",
-]
-
 UNIT = 2.0**-53
 MIDDLE = 32 * UNIT * UNIT
 TINY = 1e-290

@@ -16,22 +16,6 @@ from fractions import Fraction
 
 from flint import arb, ctx, fmpq
 
-__all__ = [
-    "SMALLEST",
-    "above",
-    "at_least",
-    "at_most",
-    "ball",
-    "below",
-    "decimal",
-    "decimal_above",
-    "decimal_below",
-    "exact",
-    "float_above",
-    "interval",
-    "working",
-]
-
 _LOCK = threading.RLock()
 _DIGITS = 9  # of the decimals in certificates
 SMALLEST = 1e-300  # positive bound; below 1e-307 floats are coarser than nine digits

@@ -21,8 +21,6 @@ from hamsym.support.shown import Shown
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["BoxCertificate", "map_digest"]
-
 _VERSION = 2
 _LONGEST_TEXT = 2**20
 

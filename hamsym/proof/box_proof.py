@@ -35,8 +35,6 @@ from hamsym.proof.taylor_models import BITS, MODELS, Model, Space
 from hamsym.proof.tube import Flow, StepModels, Stepper, Tube
 from hamsym.support.validation import require_positive, require_whole
 
-__all__ = ["certify_box", "proven_bound"]
-
 # Largest degrees in tau and in the inputs, by the number of inputs.
 _DEGREES = {1: (16, 12), 2: (14, 10), 3: (12, 7), 4: (10, 5)}
 _MANY_INPUTS = (10, 4)

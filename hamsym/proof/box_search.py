@@ -39,8 +39,6 @@ from hamsym.proof.roots import (
     refined,
 )
 
-__all__ = ["DEGENERATE", "SINGULAR", "Search", "Undecided", "search_box", "singular_term"]
-
 SINGULAR = "H is not smooth there"
 DEGENERATE = "the Hessian is singular or nearly singular there"
 UNFINISHED = "the limit was reached"

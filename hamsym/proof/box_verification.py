@@ -10,8 +10,6 @@ from hamsym.proof.box_certificate import BoxCertificate, map_digest
 from hamsym.proof.box_proof import proven_bound
 from hamsym.proof.limits import Deadline
 
-__all__ = ["verify_box"]
-
 _MOST_PARTS = 4_096, 100_000  # of a proof; with the parts that a certificate claims
 
 

@@ -25,8 +25,6 @@ from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Certificate", "check"]
-
 _KIND = "hamsym certificate"
 _VERSION = 3
 

@@ -12,8 +12,6 @@ from hamsym.proof.box_certificate import BoxCertificate
 from hamsym.proof.certificate import Certificate
 from hamsym.proof.certificate_text import BOX_KIND, ORBIT_KIND, kind_of
 
-__all__ = ["certificate_from", "read_certificate"]
-
 _LARGEST = 2**25  # bytes
 
 

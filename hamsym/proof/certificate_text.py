@@ -10,8 +10,6 @@ import hashlib
 import json
 from typing import Any
 
-__all__ = ["BOX_KIND", "ORBIT_KIND", "kind_of", "opened", "sealed"]
-
 BOX_KIND = "hamsym flow map certificate"
 ORBIT_KIND = "hamsym orbit certificate"
 

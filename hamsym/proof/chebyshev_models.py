@@ -72,8 +72,6 @@ from hamsym.proof.ball_arithmetic import (
     two_sum,
 )
 
-__all__ = ["run_models"]
-
 HALVING = 1e-321  # error of halving the numbers of a series, which may be subnormal
 
 ADD, SUBTRACT, NEGATE, MULTIPLY, RECIPROCAL, RECIPROCAL_ROOT, EXPONENTIAL, SINE_COSINE = range(8)

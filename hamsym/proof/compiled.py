@@ -14,8 +14,6 @@ from typing import Any
 from hamsym.codegen.numba_cache import load_module
 from hamsym.proof.float64_arithmetic import require_float64
 
-__all__ = ["loops", "module_of", "require_compiled_float64"]
-
 _PARTS = ("ball_arithmetic", "chebyshev_models", "window_steps", "taylor_products")
 
 

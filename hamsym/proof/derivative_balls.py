@@ -18,8 +18,6 @@ from hamsym.proof.float64_arithmetic import require_float64
 from hamsym.proof.functions import Arithmetic, SingularityError
 from hamsym.proof.generated import GeneratedFunctions
 
-__all__ = ["Balls", "DerivativeBalls"]
-
 #: Balls of numbers (``arb``).
 Balls = list[Any]
 

@@ -30,8 +30,6 @@ from hamsym.support.validation import require_positive
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Enclosure", "enclose", "enclosed"]
-
 # Accuracies of the polynomials, relative to the components, and their terms; the cheaper first.
 _ACCURACIES = ((2.0**-70, 32), (2.0**-86, 48))
 

@@ -15,8 +15,6 @@ from hamsym.errors import CertificationError
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 
-__all__ = ["require_exact"]
-
 
 def require_exact(solution: Solution) -> None:
     """Require that z0, the span and all weights are finite numbers of exact types.

@@ -16,8 +16,6 @@ import numpy as np
 
 from hamsym.errors import CertificationError
 
-__all__ = ["require_float64"]
-
 
 def _power(exponent: int) -> int:
     """The bits of 2**exponent; one more is the next number."""

@@ -18,19 +18,6 @@ from typing import Any
 
 from flint import arb, arb_series, ctx, fmpq
 
-__all__ = [
-    "BALLS",
-    "FUNCTIONS",
-    "Arithmetic",
-    "Enclosed",
-    "SingularityError",
-    "general_power",
-    "hyperbolic_tangent",
-    "reciprocal",
-    "reciprocal_root",
-    "root",
-]
-
 #: A ball or a Taylor series of balls.
 Enclosed = Any
 

@@ -23,8 +23,6 @@ from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.functions import Arithmetic, SingularityError
 
-__all__ = ["GeneratedFunctions", "evaluated", "require_smooth"]
-
 
 class GeneratedFunctions:
     """The functions of a Hamiltonian in an arithmetic.

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from hamsym.errors import CertificationError
 
-__all__ = ["Deadline", "TimeLimitError"]
-
 
 class TimeLimitError(CertificationError):
     """The wall time of a proof exceeds its limit."""

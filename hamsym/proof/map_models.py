@@ -34,8 +34,6 @@ from hamsym.proof.taylor_models import (
     multi_indices,
 )
 
-__all__ = ["Cells", "LegModels", "Step", "affine_models"]
-
 _UNIT = 2.0**-53
 _TABLE_BITS = 400  # the tables of Chebyshev polynomials cancel
 _ROUND_OFF = 2.0**-100  # above the radii of their balls

@@ -42,8 +42,6 @@ from hamsym.proof.chebyshev_models import (
 from hamsym.proof.compiled import loops
 from hamsym.proof.functions import Arithmetic
 
-__all__ = ["BITS", "ModelRows", "Program", "Recorder", "Rows", "tables"]
-
 BITS = 240  # of numbers
 
 

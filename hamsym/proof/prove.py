@@ -46,8 +46,6 @@ from hamsym.suggestions import checked_keywords
 from hamsym.support.progress import share_progress
 from hamsym.support.validation import require, require_number, require_positive
 
-__all__ = ["certify", "verify"]
-
 # Default time limit of verify() in seconds: its own, per second of certify, and at most.
 _PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE = 60.0, 10.0, 600.0
 # Bounds that are found on another processor, or on windows that end at the edges of a certificate,

@@ -27,8 +27,6 @@ from hamsym.proof.trial_models import trial_pieces
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 
-__all__ = ["check_enclosure", "check_map", "check_solution", "require_same"]
-
 _UNIT = 2.0**-53
 _WINDOWS = 14  # that are compared, of a solution
 _PLACES = 3  # in each window: random ones

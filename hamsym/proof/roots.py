@@ -25,19 +25,6 @@ from flint import arb, arb_mat
 from hamsym.proof.balls import interval, working
 from hamsym.proof.derivative_balls import Balls, DerivativeBalls
 
-__all__ = [
-    "BITS",
-    "Block",
-    "Root",
-    "approximate_inverse",
-    "enclosed_root",
-    "inside",
-    "krawczyk",
-    "newton",
-    "polynomial_roots",
-    "refined",
-]
-
 BITS = 192  # of enclosures
 _NEWTON = 60  # most steps
 _RADII = 60  # trial radii, each 2**-_STEP times the one before

@@ -23,8 +23,6 @@ from flint import acb, acb_mat, arb_mat
 from hamsym.proof.balls import working
 from hamsym.symbolic.derivatives import connected_blocks
 
-__all__ = ["BlockSpectrum", "block_spectra"]
-
 _BITS = 128
 
 

@@ -37,8 +37,6 @@ from hamsym.proof.balls import above, working
 from hamsym.proof.compiled import loops
 from hamsym.proof.functions import Arithmetic, SingularityError, general_power
 
-__all__ = ["BITS", "MODELS", "Model", "Space", "deflated", "float_with_radius", "inflated"]
-
 BITS = 160  # of constants, tables and elementary functions
 _UNIT = 2.0**-53
 _TINY = 1e-290

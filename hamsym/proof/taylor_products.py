@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from hamsym.proof.ball_arithmetic import compiled
 
-__all__ = ["add_products"]
-
 
 @compiled
 def add_products(found, first, second, rows, others, targets):

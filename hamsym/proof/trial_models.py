@@ -23,8 +23,6 @@ from hamsym.proof.compiled import loops
 from hamsym.proof.programs import ModelRows, Program, Recorder, Rows, tables
 from hamsym.random_features.trial import FeatureTrial
 
-__all__ = ["Piece", "trial_pieces", "zero_components"]
-
 
 @dataclass(frozen=True, eq=False)
 class Piece:

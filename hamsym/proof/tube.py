@@ -57,8 +57,6 @@ from hamsym.proof.taylor_models import (
     total,
 )
 
-__all__ = ["Flow", "StepModels", "Tube"]
-
 _TIMES = 10  # nodes of a step for the fundamental matrix, without its start
 _FIT = {1: 8, 2: 5, 3: 3}  # degree of the fundamental matrix in the inputs, by their number
 _ROOM = 1.02  # of a tube

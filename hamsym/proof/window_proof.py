@@ -37,8 +37,6 @@ from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of, s
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 
-__all__ = ["WindowBounds", "WindowProof", "norm_and_parts"]
-
 _TERMS = 64  # of models of z^
 _ROOM, _LESS = 1 + 1e-9, 1 - 1e-9  # for the rounding of sums of numbers >= 0
 # Accuracy of the enclosure, terms of its polynomials and least number of windows of attempts.

@@ -78,8 +78,6 @@ from hamsym.proof.chebyshev_models import (
     up,
 )
 
-__all__ = ["collocate", "correct", "defects", "run_values", "tangents", "transport"]
-
 
 @compiled
 def run_values(program, rows):

@@ -36,8 +36,6 @@ from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, tables
 from hamsym.symbolic.exact import rational
 
-__all__ = ["Equation", "ErrorSet", "Window", "WindowStepper", "equation_of", "set_sizes"]
-
 TERMS = 32
 _ITERATIONS = 80
 _SHORTEST = Fraction(1, 2**40)  # window, relative to the span

@@ -29,8 +29,6 @@ from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.collocation import chebyshev_points
 from hamsym.random_features import window_loop
 
-__all__ = ["FeatureBasis", "Size", "basis_of_series", "columns_of", "feature_basis", "size_of"]
-
 _NEURONS = 60
 _TRUNCATION = 1e-14  # of singular values, relative
 DEGREE = 47  # of the Chebyshev series of the columns, which are entire functions

@@ -13,8 +13,6 @@ from hamsym.codegen.numba_cache import cache_directory, load_module, source_file
 from hamsym.codegen.system import System
 from hamsym.random_features import error_loop, member_loop, window_loop
 
-__all__ = ["PLAIN", "Loops", "compiled_loops", "compiled_rows", "cost"]
-
 #: Modules with functions that the loops call.
 _CALLED = ("vector_products", "row_products", "window_loop", "error_loop", "member_loop")
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}

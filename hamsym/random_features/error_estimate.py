@@ -34,18 +34,6 @@ from hamsym.random_features.windows import March
 from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import WindowError
 
-__all__ = [
-    "RESOLUTIONS",
-    "Estimate",
-    "MarchError",
-    "disturbances",
-    "error_tables",
-    "estimate_error",
-    "halves",
-    "kicks",
-    "resolution_for",
-]
-
 #: Nodes for the tangent equation and for the residual, by the nodes of the basis: of the estimate,
 #: of that of a march to a loose tolerance, in whose long windows the residual is in resonance with
 #: J Hess, and of the check.

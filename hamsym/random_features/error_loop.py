@@ -41,17 +41,6 @@ from hamsym.random_features.window_loop import (
     weighted,
 )
 
-__all__ = [
-    "BENT",
-    "DONE",
-    "LOST",
-    "STUCK",
-    "Actions",
-    "ErrorSettings",
-    "ErrorTables",
-    "carry_errors",
-]
-
 # Outcomes of carry_errors: all windows estimated; errors as large as the motion, or not finite; a
 # window whose equation neither iteration nor elimination solves.
 DONE, LOST, STUCK = range(3)

@@ -15,15 +15,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.random_features.compiled_loop import PLAIN, Loops, compiled_loops, compiled_rows
 from hamsym.symbolic.equations import Equations
 
-__all__ = [
-    "Flow",
-    "RowFunctions",
-    "flow_of",
-    "has_conserved_values",
-    "has_rounded_numbers",
-    "stored_entries",
-]
-
 Rows: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
 
 

@@ -30,8 +30,6 @@ from hamsym.random_features.window_loop import Progress, Settings, Windows
 from hamsym.random_features.windows import March
 from hamsym.solution.times import shown_time
 
-__all__ = ["MAX_WINDOWS", "march", "newton", "node_signs", "origin_of", "shortest_window"]
-
 _NEWTON_ITERATIONS = 12
 _SHORTEST = 1e-13  # window, relative to the times
 _ROOM = 64  # windows for which there is room at first

@@ -43,8 +43,6 @@ from hamsym.random_features.window_loop import (
     march_windows,
 )
 
-__all__ = ["ACCEPTED", "LEFT", "Members", "Span", "solve_members"]
-
 # Verdicts: the checks of the loop passed; left to the caller.
 ACCEPTED, LEFT = range(2)
 

@@ -41,8 +41,6 @@ from hamsym.random_features.windows import March
 from hamsym.solution.discontinuities import has_switches, has_time_switches
 from hamsym.solution.window_error import relative_tolerance
 
-__all__ = ["Batch", "MemberSolver"]
-
 _ROOM = 64  # windows for each member at first
 _MOST_ROOM = 2**21  # numbers in the readouts of one call
 MAX_WINDOWS = 50_000  # of one member; more are left to the general march

@@ -44,16 +44,6 @@ from hamsym.solution.solution import Solution
 from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import allowed_errors, largest_ratio
 
-__all__ = [
-    "Accuracy",
-    "accepted_solution",
-    "basis_for",
-    "checked_accuracy",
-    "solve_by_features",
-    "solve_by_march",
-    "success_message",
-]
-
 _SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
 _LOCAL = 0.1  # local tolerance of the first march, relative to the tolerance
 _ATTEMPTS = 6

@@ -8,8 +8,6 @@ from typing import Literal
 
 from hamsym.support.option_fields import option
 
-__all__ = ["FEWEST_WINDOWS", "FeatureOptions"]
-
 #: Windows of a span, so that a short event in a long rest is sampled.
 FEWEST_WINDOWS = 8
 

@@ -16,8 +16,6 @@ from hamsym.random_features import vector_products, window_loop
 from hamsym.random_features.error_loop import PERTURBATIONS
 from hamsym.random_features.window_loop import TINY
 
-__all__ = ["ERROR_FUNCTIONS", "MARCH_FUNCTIONS"]
-
 #: Names of the functions that replace those of the plain loops.
 MARCH_FUNCTIONS = (
     *("add", "advance", "disturb", "fill", "largest_of", "multiply", "polynomials", "products"),

@@ -18,8 +18,6 @@ from hamsym.support.checked_data import require_array, require_names
 if TYPE_CHECKING:  # only functions of tensors need torch
     from torch import Tensor
 
-__all__ = ["FeatureTrial"]
-
 
 @dataclass(frozen=True, eq=False)
 class FeatureTrial:

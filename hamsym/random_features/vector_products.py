@@ -16,8 +16,6 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-__all__ = ["add_products", "advance", "maxima", "products", "ratios"]
-
 _WIDTH = 8
 _REAL, _INDEX = ir.DoubleType(), ir.IntType(64)
 _VECTOR = ir.VectorType(_REAL, _WIDTH)

@@ -29,8 +29,6 @@ from hamsym.random_features.window_loop import (
     margin_inside,
 )
 
-__all__ = ["Failure", "Pieces", "WindowChecks", "pieces_of", "times_of"]
-
 _FEW = np.linspace(-1, 1, 9)  # places at which the size of the rates is taken
 _NODES, _BISECTIONS = 32, 40  # of the search for the place at which H changes
 

@@ -19,18 +19,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-__all__ = [
-    "FINISHED",
-    "FULL",
-    "NEWTON",
-    "TOO_SHORT",
-    "Progress",
-    "Settings",
-    "Tables",
-    "Windows",
-    "march_windows",
-]
-
 # Outcomes of march_windows: at the end of the span, at a window whose equation the fixed-point
 # iteration does not solve, at a window too short for float64, or with its arrays full.
 FINISHED, NEWTON, TOO_SHORT, FULL = range(4)

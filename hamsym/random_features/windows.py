@@ -10,8 +10,6 @@ import numpy as np
 from hamsym.random_features.basis import size_of
 from hamsym.support.checked_data import require_array, require_counts
 
-__all__ = ["March"]
-
 
 @dataclass(frozen=True)
 class March:

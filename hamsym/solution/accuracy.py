@@ -12,15 +12,6 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.symbolic.switching import switch_times
 
-__all__ = [
-    "SMALLEST_TOL",
-    "checked_atol",
-    "checked_breakpoints",
-    "checked_tol",
-    "checked_window",
-    "window_ends",
-]
-
 #: Smallest tolerance that float64 allows.
 SMALLEST_TOL = 1e-12
 

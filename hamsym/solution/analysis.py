@@ -31,8 +31,6 @@ from hamsym.numerics.symplectic import generators
 from hamsym.solution.error_equation import integrated_error
 from hamsym.solution.path import Path
 
-__all__ = ["Analysis"]
-
 _SINGULAR = 1e-12  # of the largest eigenvalue; below it an eigenvalue is round-off
 
 

@@ -12,8 +12,6 @@ from hamsym.errors import InputError
 from hamsym.solution.solution import Solution
 from hamsym.support.checked_data import require_array
 
-__all__ = ["check_definition", "digest"]
-
 
 def digest(solution: Solution) -> str:
     """Compute SHA-256 of a solution as a function: of H, z0, the span and the trial solution.

@@ -24,8 +24,6 @@ from hamsym.solution.times import shown_time
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
 
-__all__ = ["first_jump", "has_switches", "has_time_switches", "parameter_jump", "unresolved"]
-
 _RESOLVED = 1e-2  # residual, relative to the largest rate of the component
 _MOST_PLACES = 20  # places of a trained network that are searched for a jump
 _SAMPLES = 400  # of the rates between two suspect times

@@ -17,8 +17,6 @@ import scipy.integrate
 from hamsym.numerics.call_limit import TooManyCallsError, limited
 from hamsym.solution.path import Path
 
-__all__ = ["RESOLUTIONS", "integrated_error"]
-
 #: Relative tolerance and largest step, as a share of the span: of the estimate, and of its check.
 RESOLUTIONS = ((1e-6, 1 / 50), (1e-9, 1 / 200))
 _CALLS = 20_000  # evaluations, at most, at the first resolution

@@ -27,8 +27,6 @@ from hamsym.solution.path import Path
 from hamsym.support.validation import is_positive, require, require_number
 from hamsym.surface import Surface, parse_surface
 
-__all__ = ["Event", "Events", "find_events"]
-
 #: A surface, for example "x = 0, p_x > 0", or a function of (t, z) as solve_ivp takes it.
 Event = str | Callable[[float, np.ndarray], float]
 

@@ -9,8 +9,6 @@ import numpy as np
 from hamsym.conservation import KnownInvariants
 from hamsym.solution.solution import Solution
 
-__all__ = ["judged_by_invariants"]
-
 
 def judged_by_invariants(
     solution: Solution, known: KnownInvariants, allowed: np.ndarray

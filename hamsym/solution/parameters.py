@@ -19,8 +19,6 @@ from hamsym.symbolic.checks import as_list, name_of
 if TYPE_CHECKING:  # torch is imported only by callers that have tensors
     from torch import Tensor
 
-__all__ = ["ParameterForcing", "parameter_names", "parameter_tensors"]
-
 
 def parameter_names(H: Hamiltonian, parameters: Any) -> tuple[str, ...]:
     """Return the names in H of one or several parameters, given by name or as symbols.

@@ -15,8 +15,6 @@ from hamsym.hamiltonian import Hamiltonian
 if TYPE_CHECKING:  # torch is imported only by functions of tensors
     from torch import Tensor
 
-__all__ = ["ErrorEstimate", "Path", "Record", "Trial"]
-
 
 class Trial(Protocol):
     """A trial solution z^(t), exact at the start of the span."""

@@ -22,8 +22,6 @@ from hamsym.numerics.tangent_maps import TangentMaps
 from hamsym.numerics.windows import locate
 from hamsym.solution.path import Path
 
-__all__ = ["Forcing", "Sensitivity"]
-
 _BATCH = 2_000_000  # numbers in the tangent maps that are computed together
 _MOST_TIMES = 4_096  # in one batch
 _MOST_WINDOWS = 100_000

@@ -18,8 +18,6 @@ from hamsym.support.checked_data import (
     require_names,
 )
 
-__all__ = ["Settings", "settings_of"]
-
 _MOST_OPTIONS = 100
 _LONGEST_TEXT = 10_000
 

@@ -39,8 +39,6 @@ if TYPE_CHECKING:  # torch and matplotlib are imported only where they are used
     from matplotlib.figure import Figure
     from torch import Tensor
 
-__all__ = ["Solution"]
-
 _SCAN = 4_001  # times of the scan that precedes the search for an extremum over time
 
 

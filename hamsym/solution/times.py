@@ -14,8 +14,6 @@ from hamsym.errors import InputError
 if TYPE_CHECKING:  # torch is imported only by callers that have tensors
     from torch import Tensor
 
-__all__ = ["evaluate_in_parts", "is_tensor", "shown_time", "tensor_of", "times_in_span"]
-
 _CHUNK = 4_096  # times evaluated at once, to bound the memory
 _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 

@@ -13,8 +13,6 @@ from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.windows import locate
 from hamsym.support.checked_data import require_array
 
-__all__ = ["WindowError", "allowed_errors", "largest_ratio", "relative_tolerance"]
-
 
 @dataclass(frozen=True)
 class WindowError:

@@ -9,8 +9,6 @@ from hamsym.numerics.collocation import collocation
 from hamsym.numerics.windows import locate
 from hamsym.solution.path import Path
 
-__all__ = ["Work"]
-
 _NODES = 48  # in a window; the power has products of components, which vary twice as fast as they
 _WINDOWS = 400  # of a trajectory that has none of its own
 

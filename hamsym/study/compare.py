@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "Match", "Row", "chosen_methods", "compare", "measure"]
-
 MAX_STEPS = 100_000_000
 _FACTORS = (1, 10, 100)  # multiples of K, as in the paper
 _TOLERANCES = (1e-3, 1e-6, 1e-9)  # of adaptive methods

@@ -9,8 +9,6 @@ from contextlib import contextmanager
 
 from hamsym.support.progress import is_shown, stepping_progress
 
-__all__ = ["Display", "display"]
-
 
 class Display:
     """The shares of the runs that go on, and the run that reported last, drawn as a bar.

@@ -39,8 +39,6 @@ if TYPE_CHECKING:  # optional packages
     from distributed import Client
     from matplotlib.figure import Figure
 
-__all__ = ["StoredSweep", "sweep_to_store"]
-
 _MOST = {"solve": 1_024, "lyapunov": 1_024}  # points of a box
 _MOST_ALONE = 16  # of tasks that treat one point at a time
 _SHARES = 4  # boxes for each thread of a cluster, at least

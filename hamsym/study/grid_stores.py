@@ -27,8 +27,6 @@ from hamsym.families.parts import zarr_of
 from hamsym.study.grid_tasks import Columns
 from hamsym.support.atomic import create_atomically
 
-__all__ = ["Box", "GridStore", "box_shape", "store_at"]
-
 Box = tuple[slice, ...]
 
 _LONG = ("time", "crossing")  # axes along which a point has many values

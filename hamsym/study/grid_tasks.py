@@ -21,8 +21,6 @@ from hamsym.problem import checked_span
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import did_you_mean, unknown
 
-__all__ = ["OPTIONS", "TASKS", "Columns", "checked_options", "computed"]
-
 #: Name -> names of the axes after that of the members, and values.
 Columns = dict[str, tuple[tuple[str, ...], np.ndarray]]
 

@@ -23,8 +23,6 @@ from hamsym.integrators.table import INTEGRATORS
 from hamsym.solution.solution import Solution
 from hamsym.study.references import SAMPLES, ReferenceSolution, largest
 
-__all__ = ["Match", "find_match", "run", "trajectory"]
-
 _SEARCH_SECONDS = 2.0  # of the runs of one search
 _NEAR = 0.008  # relative distance of steps that counts as the smallest number, within 1 %
 _UNKNOWN = "unknown: the error of the reference is larger"

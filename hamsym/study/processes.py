@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from hamsym.networks.record import TrainingState
 
-__all__ = ["carry_out", "carry_out_on"]
-
 _REPORT_EVERY = 0.5  # seconds between two reports of a run
 
 

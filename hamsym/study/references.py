@@ -19,11 +19,9 @@ import numpy as np
 
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.integrators.integrate import reference
+from hamsym.integrators.adaptive import reference
 from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.proof.enclose import Enclosure, enclose
-
-__all__ = ["SAMPLES", "ReferenceSolution", "largest", "reference_for"]
 
 SAMPLES = 4_000  # largest number of intervals at whose ends errors are measured
 _BETTER = 0.01  # the error of a good reference, in units of the error to be judged

@@ -29,8 +29,6 @@ from hamsym.support.atomic import write_atomically
 if TYPE_CHECKING:
     from hamsym.networks.record import TrainingState
 
-__all__ = ["Run", "planned_run"]
-
 # Increased by changes of the methods after which existing runs are not reused.
 _REVISION = 3
 # Options that do not affect the solution, or that are handled separately.

@@ -40,8 +40,6 @@ if TYPE_CHECKING:  # optional packages
     from distributed import Client
     from matplotlib.figure import Figure
 
-__all__ = ["Sweep", "sweep"]
-
 #: Options of :func:`hamsym.solve`, or a function from a seed to options.
 Settings = Mapping[str, Any] | Callable[[int], Mapping[str, Any]]
 

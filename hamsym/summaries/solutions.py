@@ -9,8 +9,6 @@ import numpy as np
 from hamsym.solution.solution import Solution
 from hamsym.support.text_tables import ROWS, left_out, share, table, wrapped
 
-__all__ = ["largest_share", "solution_summary"]
-
 
 def solution_summary(
     solution: Solution,

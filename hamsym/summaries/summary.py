@@ -11,8 +11,6 @@ from hamsym.solution.solution import Solution
 from hamsym.summaries.solutions import solution_summary
 from hamsym.summaries.trajectories import trajectory_summary
 
-__all__ = ["summary"]
-
 
 @singledispatch
 def summary(result: Any, *args: Any, **options: Any) -> str:

@@ -9,8 +9,6 @@ import numpy as np
 from hamsym.integrators.integrate import Trajectory
 from hamsym.support.text_tables import ROWS, left_out, share, table, wrapped
 
-__all__ = ["largest_errors", "sizes", "trajectory_summary"]
-
 
 def trajectory_summary(
     trajectory: Trajectory,

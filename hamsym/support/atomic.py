@@ -10,8 +10,6 @@ from pathlib import Path
 
 from hamsym.support.leftovers import remove_leftovers, temporary_name
 
-__all__ = ["create_atomically", "write_atomically"]
-
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file so that it has either the old or the new content at any time.

@@ -12,20 +12,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "arrays_of",
-    "checked_list",
-    "checked_mapping",
-    "checked_number",
-    "checked_record",
-    "checked_type",
-    "numbers_of",
-    "require_array",
-    "require_counts",
-    "require_names",
-    "taken",
-]
-
 _MOST_ENTRIES = 10_000  # of a list; a formula has no more parts
 _TYPES: dict[str, tuple[type, ...]] = {
     "bool": (bool,),

@@ -7,8 +7,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["available_cores", "one_core"]
-
 _own = threading.local()
 
 

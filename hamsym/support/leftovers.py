@@ -15,8 +15,6 @@ import shutil
 import uuid
 from pathlib import Path
 
-__all__ = ["remove_leftovers", "temporary_name"]
-
 _NAME = re.compile(r"\.hamsym-(?P<machine>[0-9a-f]{12})-(?P<process>\d{1,10})-[0-9a-f]{32}")
 
 

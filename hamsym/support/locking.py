@@ -11,8 +11,6 @@ from filelock import FileLock, Timeout
 
 from hamsym.errors import FileError
 
-__all__ = ["LOCK", "exclusive"]
-
 #: Name of the lock file in a directory; it is empty and is not deleted.
 LOCK = ".lock"
 

@@ -6,8 +6,6 @@ import math
 import os
 from pathlib import Path
 
-__all__ = ["memory_size"]
-
 # Limits of a container (cgroups 2 and 1).
 _LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 

@@ -9,8 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field
 from typing import Any
 
-__all__ = ["option"]
-
 
 def option(
     default: Any,

@@ -13,8 +13,6 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-__all__ = ["CellBar", "is_shown", "notebook_display", "share_progress", "stepping_progress"]
-
 _TICKS = 1_000
 _BEGIN = 1.0  # seconds without a bar
 _PAUSE = 0.2  # seconds between two drawings in a notebook

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hamsym
 
-__all__ = ["Shown"]
-
 
 class Shown:
     """A result with a representation as HTML, which Jupyter asks for."""

@@ -10,8 +10,6 @@ import numpy as np
 
 from hamsym.errors import InputError
 
-__all__ = ["data_frame", "data_set", "member_axes", "time_name"]
-
 
 def _package(name: str, purpose: str) -> Any:
     try:

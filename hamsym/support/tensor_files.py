@@ -23,8 +23,6 @@ import safetensors.numpy
 from hamsym.errors import FileError
 from hamsym.support.atomic import write_atomically
 
-__all__ = ["kind_of", "one_line", "read_tensors", "write_tensors"]
-
 _VERSION = 2
 _KEY = "hamsym"
 _NO_CHECKSUM = "0" * 64

@@ -7,8 +7,6 @@ import sys
 import textwrap
 from collections.abc import Sequence
 
-__all__ = ["ALL", "ROWS", "WIDTH", "columns", "left_out", "share", "table", "wrapped"]
-
 WIDTH = 80  # columns of text
 _NARROWEST = 40
 #: What shows the rows that are left out, at the command line and in Python.

@@ -10,8 +10,6 @@ import numpy as np
 
 from hamsym.errors import InputError
 
-__all__ = ["is_positive", "plain", "require", "require_number", "require_positive", "require_whole"]
-
 
 def require(valid: bool, name: str, value: object, expected: str) -> None:
     """Raise InputError unless an argument is valid."""

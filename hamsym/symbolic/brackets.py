@@ -12,8 +12,6 @@ from hamsym.suggestions import did_you_mean
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.checks import checked_expression
 
-__all__ = ["evolution", "phase_function", "poisson_bracket", "variational_equations"]
-
 
 def phase_function(f: str | sympy.Expr, names: Iterable[str]) -> sympy.Expr:
     """Convert a function on phase space to real symbols.

@@ -20,18 +20,6 @@ from hamsym.suggestions import did_you_mean
 from hamsym.symbolic.pairing import natural_order
 from hamsym.symbolic.plain_symbols import plain_name
 
-__all__ = [
-    "as_list",
-    "by_name",
-    "check_state",
-    "checked_expression",
-    "checked_values",
-    "name_of",
-    "quoted",
-    "real_symbols",
-    "state_symbol",
-]
-
 
 def as_list(symbols: Sequence[str | sympy.Symbol]) -> list[str | sympy.Symbol]:
     """Names or symbols as a list; a single one becomes a list of one."""

@@ -22,25 +22,6 @@ import sympy
 
 from hamsym.errors import CodeGenerationError
 
-__all__ = [
-    "Alike",
-    "Effort",
-    "Narrow",
-    "alike_terms",
-    "common_subexpressions",
-    "connected_blocks",
-    "gradient",
-    "has_angle_cut",
-    "hessian",
-    "narrow_arguments",
-    "poisson_rows",
-    "smallest_singular_value",
-    "split",
-    "switch_arguments",
-    "switches",
-    "vanishes",
-]
-
 # Functions with a transition or a peak within one unit of their argument.
 _LOCALISED = (
     sympy.exp,

@@ -19,8 +19,6 @@ from sympy.polys.rings import PolyElement, PolyRing, ring
 
 from hamsym.symbolic.generators import Generators, UnsupportedFunctionError
 
-__all__ = ["PRIME", "DifferentialRing"]
-
 #: A prime p with (p - 1)/2 prime: roots of odd order exist and are unique, squares have (p+1)/4.
 PRIME = 2147483579
 

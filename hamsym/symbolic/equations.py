@@ -14,8 +14,6 @@ from hamsym.symbolic.checks import real_symbols
 from hamsym.symbolic.exact import ExactDerivatives
 from hamsym.symbolic.formulas import aligned
 
-__all__ = ["Equations", "free_symbols"]
-
 
 class Equations(Shown):
     """H with its gradient and Hessian, forces, and the derivatives of the rates, in real symbols.

@@ -16,8 +16,6 @@ import sympy
 from hamsym.formula.parser import MAX_EXPONENT
 from hamsym.symbolic import derivatives
 
-__all__ = ["ExactDerivatives", "fraction", "rational", "without_floats"]
-
 
 class ExactDerivatives:
     """H, forces, and their derivatives, with a symbol for each floating-point number.

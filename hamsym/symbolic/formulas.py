@@ -8,8 +8,6 @@ import sympy
 
 from hamsym.support.shown import Shown
 
-__all__ = ["Formulas", "aligned"]
-
 
 class Formulas(Shown, list[sympy.Eq]):
     """A list of equations, one below the other in notebooks.

@@ -16,8 +16,6 @@ import sympy
 from hamsym.errors import InputError
 from hamsym.symbolic.exact import fraction
 
-__all__ = ["Generator", "Generators", "UnsupportedFunctionError"]
-
 _MOST_MULTIPLE = 24  # of an angle or an exponent
 _MOST_EXPANDED = 20_000  # terms of a rewritten formula
 _FREE = (

@@ -22,8 +22,6 @@ from hamsym.support.text_tables import ROWS, left_out, wrapped
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Invariant", "Invariants"]
-
 
 @dataclass(frozen=True)
 class Invariant(Shown):

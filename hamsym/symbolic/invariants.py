@@ -32,8 +32,6 @@ from hamsym.symbolic.exact import rational
 from hamsym.symbolic.generators import UnsupportedFunctionError
 from hamsym.symbolic.invariant import Invariant
 
-__all__ = ["find_invariants", "is_proven", "suggested_basis"]
-
 _MOST_MONOMIALS = 3_000  # of one homogeneous part, whose matrix is dense
 _MOST_CANDIDATES = 20_000  # monomials in all
 _MOST_PRODUCTS = 3_000  # of known invariants

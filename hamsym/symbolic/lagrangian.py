@@ -29,8 +29,6 @@ from hamsym.symbolic.legendre import legendre_transform
 from hamsym.symbolic.pairing import conventional, natural_order
 from hamsym.symbolic.variables import TIME
 
-__all__ = ["Lagrangian", "find_velocities", "lagrangian_of", "read_lagrangian"]
-
 _TIME = sympy.Symbol(TIME, real=True)
 _REMEDY = "name them with q=[...] and velocities=[...], or give parameters their values"
 

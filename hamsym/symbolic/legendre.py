@@ -23,8 +23,6 @@ from hamsym.symbolic import derivatives
 from hamsym.symbolic.rational_matrices import inverse_matrix
 from hamsym.symbolic.transform_checks import TransformChecks
 
-__all__ = ["legendre_transform"]
-
 MAX_EFFORT = 20_000_000  # function calls, most of them sympy's; ten seconds
 MAX_SECONDS = 15.0  # of processor time
 # Inverting a matrix ends, so that waiting for it pays; a search for roots may have no end.

@@ -12,8 +12,6 @@ from collections.abc import Iterable
 from hamsym.errors import VariableError
 from hamsym.formula.parser import canonical_name
 
-__all__ = ["conventional", "find_pairs", "natural_order"]
-
 # A bare p belongs to q or x; without these, to the only other conventional coordinate.
 _FIRST_CHOICE = ("q", "x")
 _CONVENTIONAL = frozenset(

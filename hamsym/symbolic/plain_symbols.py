@@ -14,8 +14,6 @@ from sympy.matrices.expressions.matexpr import MatrixElement
 
 from hamsym.errors import InputError, VariableError
 
-__all__ = ["plain_name", "with_plain_symbols"]
-
 _TIME = "t"
 
 

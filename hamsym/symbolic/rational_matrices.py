@@ -10,8 +10,6 @@ from sympy.polys.matrices import DomainMatrix
 
 from hamsym.symbolic import derivatives
 
-__all__ = ["inverse_matrix"]
-
 _MANY = 300  # terms of a polynomial beyond which common factors take long to find
 
 Rows = list[list[sympy.Expr]]

@@ -12,8 +12,6 @@ from hamsym.formula.parser import canonical_name
 from hamsym.suggestions import did_you_mean
 from hamsym.symbolic.checks import name_of
 
-__all__ = ["parameter_arrays", "state_array", "states_array"]
-
 
 def state_array(
     z0: Sequence[float] | Mapping[Any, float] | np.ndarray, names: Sequence[str]

@@ -20,8 +20,6 @@ from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
 from hamsym.symbolic.exact import rational
 
-__all__ = ["blocks", "exact_gradient", "periods", "stationary_points"]
-
 _CALLS, _SECONDS = 1_000_000, 3.0  # of all blocks
 _LONGEST = 80  # operations of a solution that is still readable
 _MOST = 1_000  # combinations of the solutions of blocks

@@ -19,8 +19,6 @@ from hamsym.symbolic.derivatives import switch_arguments
 if TYPE_CHECKING:
     from hamsym.symbolic.equations import Equations
 
-__all__ = ["switch_times", "with_steps"]
-
 _SAMPLES = 20_000  # of a span, between which an argument has one zero or one extremum at most
 _MOST = 5_000  # switches in a span
 _DIGITS = 40  # of the arithmetic that locates them

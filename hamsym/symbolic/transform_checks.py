@@ -16,8 +16,6 @@ import sympy
 
 from hamsym.symbolic import derivatives
 
-__all__ = ["TransformChecks"]
-
 _SAMPLES = 8  # random s at which a transform is compared
 _TRIALS = 200
 _DIGITS = 120  # of the slopes: those of sqrt(m**2 + s**2) differ little where s is large

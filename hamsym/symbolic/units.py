@@ -18,8 +18,6 @@ from hamsym.errors import InputError, VariableError
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.symbolic.checks import name_of
 
-__all__ = ["checked_units"]
-
 #: Units by the names in texts; the values are names in sympy.physics.units.
 _NAMES = {
     name: name

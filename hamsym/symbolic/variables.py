@@ -26,8 +26,6 @@ from hamsym.symbolic.pairing import find_pairs
 from hamsym.symbolic.plain_symbols import with_plain_symbols
 from hamsym.symbolic.switching import with_steps
 
-__all__ = ["TIME", "Variables", "assign_variables"]
-
 #: Name of the time variable.
 TIME = "t"
 

@@ -17,17 +17,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.suggestions import did_you_mean, suggest_attributes
 from hamsym.support.validation import require_positive
 
-__all__ = [
-    "CATALOGUE",
-    "Problem",
-    "Reference",
-    "check_positive",
-    "check_start",
-    "kinetic",
-    "listed",
-    "numbered",
-]
-
 
 @dataclass(frozen=True)
 class Reference:

@@ -14,15 +14,6 @@ from hamsym.support.validation import require_number
 from hamsym.systems.catalogue import Problem, check_positive, check_start, listed
 from hamsym.systems.planar import planar_integrals, planar_names
 
-__all__ = [
-    "anisotropic_kepler",
-    "arenstorf",
-    "kepler",
-    "pleiades",
-    "restricted_three_bodies",
-    "three_bodies",
-]
-
 
 @listed
 def kepler(eccentricity: float = 0.6) -> Problem:

@@ -17,8 +17,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_whole
 from hamsym.systems.catalogue import Problem, check_positive, kinetic, listed, numbered
 
-__all__ = ["calogero_moser", "coupled_oscillators", "fermi_pasta_ulam_tsingou", "toda_chain"]
-
 # Largest number of particles for formulas of 2**n terms, or for n formulas of n terms.
 _MANY = 12
 

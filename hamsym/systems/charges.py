@@ -15,8 +15,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_number
 from hamsym.systems.catalogue import Problem, check_positive, listed
 
-__all__ = ["charged_particle", "paul_trap", "penning_trap", "stormer", "two_waves"]
-
 
 @listed
 def charged_particle(field: float = 1.0) -> Problem:

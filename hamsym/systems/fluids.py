@@ -12,8 +12,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_number, require_whole
 from hamsym.systems.catalogue import Problem, check_start, listed, numbered
 
-__all__ = ["bickley_jet", "point_vortices"]
-
 _VORTICES = ("polygon", "shaken polygon")
 
 

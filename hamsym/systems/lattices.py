@@ -13,8 +13,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_number, require_whole
 from hamsym.systems.catalogue import Problem, listed, numbered
 
-__all__ = ["ablowitz_ladik", "discrete_nls"]
-
 
 def _ring(names: list[str]) -> list[tuple[str, str]]:
     """Neighbours on a ring; two sites have one bond."""

@@ -10,8 +10,6 @@ from hamsym.support.validation import require_whole
 from hamsym.systems.catalogue import Problem, listed
 from hamsym.systems.planar import planar_integrals, planar_names
 
-__all__ = ["argon_crystal", "lennard_jones"]
-
 
 def _cluster(n: int, **parameters: float) -> Hamiltonian:
     """Unit masses in the plane with the potential 4 epsilon ((sigma/r)^12 - (sigma/r)^6)."""

@@ -12,15 +12,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_number
 from hamsym.systems.catalogue import Problem, check_positive, check_start, listed
 
-__all__ = [
-    "driven_duffing",
-    "driven_oscillator",
-    "harmonic_oscillator",
-    "henon_heiles",
-    "morse_oscillator",
-    "nonlinear_oscillator",
-]
-
 
 @listed
 def harmonic_oscillator(omega: float = 1.0) -> Problem:

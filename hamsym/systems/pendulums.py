@@ -12,8 +12,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_number
 from hamsym.systems.catalogue import Problem, check_positive, listed
 
-__all__ = ["double_pendulum", "pendulum", "spring_pendulum", "swinging_atwood"]
-
 
 @listed
 def pendulum(amplitude: float = 2.0) -> Problem:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["planar_integrals", "planar_names"]
-
 
 def planar_names(n: int) -> list[str]:
     """Return the names of the coordinates of n bodies, x1, x2, ..., y1, y2, ...

@@ -13,8 +13,6 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.validation import require_number
 from hamsym.systems.catalogue import Problem, check_positive, listed
 
-__all__ = ["kovalevskaya_top", "lagrange_top"]
-
 
 def _third_kind(turns: Any, angle: Any, n: float, m: float) -> np.ndarray:
     """Incomplete elliptic integral Pi(n; angle + turns pi | m), angle from -pi/2 to pi/2."""

@@ -11,8 +11,6 @@ from sympy.printing.mathml import MathMLPresentationPrinter
 
 from hamsym.formula.printer import exact_decimal, ordered_terms
 
-__all__ = ["derivative", "equation", "mathml", "second_derivative"]
-
 _LONGEST = 10**7  # fractions up to here stay fractions if no decimal equals them
 _MARKUP = {"lt", "gt", "amp", "quot"}
 

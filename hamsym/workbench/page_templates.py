@@ -7,8 +7,6 @@ from typing import Any
 
 import jinja2
 
-__all__ = ["page_environment", "page_template"]
-
 
 def page_environment(**layout: Any) -> jinja2.Environment:
     """Return an environment that escapes texts and refuses names without a value.

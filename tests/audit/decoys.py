@@ -20,8 +20,6 @@ import numpy as np
 
 from .taylor import Equations, Orbit, integrate
 
-__all__ = ["DECOYS", "FILE", "Decoy", "truths"]
-
 FILE = Path(__file__).with_name("decoys.json")
 
 _OSCILLATOR = "p**2/2+x**2/2"

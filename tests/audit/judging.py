@@ -18,8 +18,6 @@ import hamsym
 
 from .systems import BY_NAME, System
 
-__all__ = ["Verdict", "complaints", "difference", "judged", "references"]
-
 _EPS = 2.0**-52
 _ROUND_OFF = 1e3 * _EPS  # relative to the growth of errors: larger errors are not round-off
 _SEEN = 1e-14  # relative error below which the state itself is rounded

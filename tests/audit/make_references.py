@@ -24,8 +24,6 @@ from flint import arb, ctx
 from .systems import BY_NAME, System
 from .taylor import Equations, formula, integrate
 
-__all__ = ["FILE"]
-
 FILE = Path(__file__).with_name("references.json")
 _TIMES, _BUSY = 20, 6
 _DIGITS = 25

@@ -11,8 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-__all__ = ["BY_NAME", "EVERY", "SYSTEMS", "System"]
-
 EVERY = (1e-4, 1e-8, 1e-11)
 
 _CHAOS = r"round-off|chao|grow|lost|carried|needs"

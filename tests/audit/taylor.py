@@ -17,8 +17,6 @@ import sympy
 from flint import arb, arb_series, ctx, fmpq
 from sympy.parsing.sympy_parser import parse_expr, rationalize, standard_transformations
 
-__all__ = ["Equations", "Orbit", "StoppedError", "integrate"]
-
 _FUNCTIONS = {
     "sin": "{0}.sin()",
     "cos": "{0}.cos()",

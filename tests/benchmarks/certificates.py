@@ -14,13 +14,11 @@ import numpy as np
 
 import hamsym
 from hamsym import systems
-from hamsym.integrators.integrate import reference
+from hamsym.integrators.adaptive import reference
 
 from . import markdown
 from .measuring import cpu, largest_error
 from .results import Section
-
-__all__ = ["measure", "table"]
 
 _CASE = tuple[str, systems.Problem, tuple[float, float], str, dict[str, Any]]
 

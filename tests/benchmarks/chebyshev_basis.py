@@ -23,8 +23,6 @@ from hamsym.random_features.windows import March
 from .opponents import Run
 from .problems import Case
 
-__all__ = ["chebyshev_basis", "chebyshev_runs"]
-
 
 def _columns(s: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """f T_k and its derivative in s, in extended precision."""

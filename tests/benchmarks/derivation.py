@@ -18,8 +18,6 @@ from .measuring import exponent, median
 from .problems import chain
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _STAGES = ("parse", "derive", "generate", "load")
 
 

@@ -20,8 +20,6 @@ from . import markdown
 from .measuring import cpu, exponent, largest_error, median
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _COLUMNS = ("march", "solve", "march, compiled", "solve, compiled", "DOP853")
 
 

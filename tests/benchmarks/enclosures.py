@@ -32,8 +32,6 @@ from .measuring import cpu
 from .problems import chain
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _TOL = 1e-9
 _REPEATS, _ENOUGH = 5, 2.0  # runs, and seconds after which there are no more
 _LIMIT = 120.0  # seconds of a proof

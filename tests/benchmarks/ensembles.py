@@ -20,8 +20,6 @@ from . import markdown
 from .measuring import in_turns, median, median_ratio, on_one_core, wall
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _METHOD = "blanes_moan4"
 
 

@@ -19,8 +19,6 @@ from . import markdown
 from .measuring import median
 from .results import Section
 
-__all__ = ["measure", "table", "usual"]
-
 
 class Network(torch.nn.Module):
     """Two layers of 50 sines, two outputs."""

@@ -24,8 +24,6 @@ from .opponents import Run, heyoka_grid, heyoka_integrator, interpreted, optiona
 from .problems import PROBLEMS, Case
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _OUTPUTS, _FEWEST = 960, 60
 _ASKED = (1e-6, 1e-9)
 _LARGEST, _LEAST = 3e-4, 3e-12  # errors of the runs that are timed

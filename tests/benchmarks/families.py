@@ -20,8 +20,6 @@ from .measuring import cpu, median, on_one_core, wall
 from .opponents import optional
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _END = 6 * np.pi
 _LOOPED = 50  # members of a loop over calls of solve
 

@@ -12,8 +12,6 @@ from . import markdown
 from .measuring import median
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _HAMSYM = """
 from hamsym import solve
 from hamsym.systems import henon_heiles

@@ -11,8 +11,6 @@ import numpy as np
 import hamsym
 from hamsym.flow_maps.box import checked_box
 
-__all__ = ["OSCILLATOR", "MapCase", "TrueError", "queries_of", "search"]
-
 _CHUNK = 5_000  # starts at once
 _EXACT, _LEAST = 1e-3, 1e-12  # tolerance of the reference, of that of the map, and the smallest
 _SEED = 9  # other features than those of the solutions of which the map is made

@@ -25,8 +25,6 @@ from .opponents import callback, optional
 from .problems import oscillator
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _ASKED = 1e-8
 _TOLERANCES = [10 ** (-k / 2) for k in range(10, 24)]
 _BATCH = 8  # of heyoka

@@ -21,8 +21,6 @@ from .flow_map_errors import OSCILLATOR, MapCase, queries_of, search
 from .measuring import cpu, median
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _HENON_HEILES = (0.3, -0.3, 0.3, 0.15)
 _KEPLER = "Kepler, e from 0 to 0.6"
 

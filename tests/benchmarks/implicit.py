@@ -19,8 +19,6 @@ from . import markdown
 from .measuring import in_turns, median
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 
 def measure(quick: bool) -> Section:
     end, steps, turns = (10.0, 1_000, 1) if quick else (100.0, 10_000, 5)

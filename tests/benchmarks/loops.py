@@ -20,8 +20,6 @@ from . import markdown
 from .measuring import in_turns, median
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 Function = Callable[..., Any]
 
 # Forest & Ruth: drifts by C1, C2, C2, C1 and kicks by D1, D2, D1, in turns, in units of a step.

@@ -11,18 +11,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "cpu",
-    "exponent",
-    "in_turns",
-    "largest_error",
-    "median",
-    "median_ratio",
-    "on_one_core",
-    "short_cpu",
-    "wall",
-]
-
 median = statistics.median
 
 

@@ -21,8 +21,6 @@ from .measuring import cpu, median
 from .problems import Case, henon_heiles, oscillator
 from .results import Section
 
-__all__ = ["PROBLEMS", "measure", "table"]
-
 PROBLEMS = (
     ("oscillator, 4 pi", "nonlinear_oscillator", oscillator),
     ("Henon-Heiles, 6 pi", "henon_heiles", henon_heiles),

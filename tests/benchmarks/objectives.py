@@ -23,8 +23,6 @@ from . import markdown
 from .measuring import cpu, median
 from .results import Section
 
-__all__ = ["measure", "symplectic", "table"]
-
 _PROBLEMS: tuple[tuple[str, Callable[[], systems.Problem], float], ...] = (
     ("oscillator, t = pi", systems.nonlinear_oscillator, np.pi),
     ("Kepler e = 0.3, half a period", lambda: systems.kepler(eccentricity=0.3), np.pi),

@@ -26,16 +26,6 @@ import hamsym
 from .measuring import cpu, largest_error, median
 from .problems import Case
 
-__all__ = [
-    "Run",
-    "compare",
-    "hamsym_runs",
-    "heyoka_grid",
-    "opponent_runs",
-    "optional",
-    "scipy_runs",
-]
-
 INSTALLATION = {"numbalsoda": "numbalsoda (needs gfortran)"}
 
 

@@ -19,8 +19,6 @@ from . import markdown
 from .measuring import cpu
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _ACROSS = {"x": "-x", "p_y": "-p_y"}
 _EXAMPLE = Path(__file__).parents[2] / "examples" / "periodic_orbits.py"
 

@@ -14,8 +14,6 @@ import numpy as np
 import hamsym
 from hamsym import systems
 
-__all__ = ["PROBLEMS", "Case", "chain"]
-
 
 def chain(n: int, alpha: float = 0.25, beta: float = 0.3) -> str:
     """H of the Fermi-Pasta-Ulam-Tsingou chain of n masses as text."""

@@ -27,8 +27,6 @@ from .measuring import in_turns, median, median_ratio
 from .opponents import optional
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 
 def chi_arrays(h: float, t: float, y: np.ndarray) -> np.ndarray:
     """A drift, then a kick."""

@@ -29,8 +29,6 @@ from . import (
 )
 from .results import Section
 
-__all__ = ["BENCHMARKS", "Benchmark"]
-
 
 class Benchmark(Protocol):
     """A module that measures one thing."""

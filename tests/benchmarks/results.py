@@ -13,8 +13,6 @@ from typing import Any, TypeAlias
 
 from hamsym.support.atomic import write_atomically
 
-__all__ = ["FILE", "Section", "read", "replace_section"]
-
 #: Results of one benchmark as JSON has them.
 Section: TypeAlias = dict[str, Any]
 

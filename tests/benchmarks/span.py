@@ -17,8 +17,6 @@ from . import markdown
 from .measuring import cpu, exponent, largest_error, median
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _TOL = 1e-8
 
 

@@ -17,8 +17,6 @@ from .registry import BENCHMARKS
 from .results import Section, read
 from .work_precision import draw
 
-__all__ = ["PAGE", "filled"]
-
 _ROOT = Path(__file__).parents[2]
 PAGE = _ROOT / "examples" / "guide" / "benchmarks.md"
 FIGURE = PAGE.parent / "pictures" / "work-precision.png"

@@ -24,8 +24,6 @@ from . import markdown
 from .measuring import cpu, median
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _TIMES = 200
 _LIMIT, _ABLATION_LIMIT = 60.0, 10.0  # seconds of a call
 _WIDTHS = (50, 20, 10, 5)

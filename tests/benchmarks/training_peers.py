@@ -31,8 +31,6 @@ from .opponents import optional
 from .problems import Case
 from .results import Section
 
-__all__ = ["measure", "table"]
-
 _HIDDEN, _POINTS = (50, 50), 200
 _RATE = 8e-3  # of Adam, as in the paper and in hamsym
 _PAIRS = 100  # of L-BFGS, DeepXDE's default

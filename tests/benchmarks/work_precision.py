@@ -21,8 +21,6 @@ from .opponents import compare, hamsym_runs, interpreted, opponent_runs, scipy_r
 from .problems import PROBLEMS, Case
 from .results import Section
 
-__all__ = ["draw", "measure", "table"]
-
 _ASKED = (1e-6, 1e-9, 1e-11)
 _PLAIN, _COMPILED = "features, plain", "features, compiled"
 _POLYNOMIALS = "Chebyshev, plain", "Chebyshev, compiled"

@@ -17,10 +17,10 @@ import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import SeparabilityError, StepSizeWarning
 from hamsym.integrators import fixed_step
+from hamsym.integrators.adaptive import reference
 from hamsym.integrators.coefficients import Doubled, Splitting
 from hamsym.integrators.energy_drift import EnergyDrift
 from hamsym.integrators.integrate import fixed_step as stepper_of
-from hamsym.integrators.integrate import reference
 from hamsym.integrators.table import ALIASES, INTEGRATORS, listing
 from hamsym.systems import (
     CATALOGUE,

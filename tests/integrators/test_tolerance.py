@@ -15,7 +15,7 @@ import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import StepSizeWarning
 from hamsym.integrators import tolerance
-from hamsym.integrators.integrate import reference
+from hamsym.integrators.adaptive import reference
 from hamsym.integrators.narrow_features import NarrowFeatures, _base_excess, narrow_features
 from hamsym.integrators.richardson import extrapolate
 from hamsym.systems import kepler as kepler_problem

@@ -14,7 +14,7 @@ import torch
 
 import hamsym
 from hamsym import Hamiltonian, InputError, systems
-from hamsym.integrators.integrate import reference
+from hamsym.integrators.adaptive import reference
 from hamsym.random_features import method, row_products, window_loop
 from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.flow import flow_of

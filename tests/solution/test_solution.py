@@ -14,7 +14,7 @@ import hamsym
 from hamsym import Hamiltonian, InputError, Regularizer, Solution
 from hamsym.dynamics.monodromy import tangent_map
 from hamsym.errors import ParameterError, ParseError, VacuousBoundWarning, VariableError
-from hamsym.integrators.integrate import reference
+from hamsym.integrators.adaptive import reference
 from hamsym.support import progress
 from hamsym.systems import CATALOGUE, harmonic_oscillator, henon_heiles
 

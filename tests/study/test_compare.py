@@ -14,9 +14,8 @@ import hamsym
 from hamsym import Comparison, Solution
 from hamsym.errors import InputError
 from hamsym.integrators import fixed_step
-from hamsym.study.compare import Match, chosen_methods
-from hamsym.study.matching import run
-from hamsym.study.references import ReferenceSolution
+from hamsym.study.compare import chosen_methods
+from hamsym.study.matching import Match, ReferenceSolution, run
 from hamsym.systems import (
     Problem,
     charged_particle,

@@ -11,7 +11,7 @@ import scipy.special
 
 import hamsym
 from hamsym import systems
-from hamsym.integrators.integrate import reference
+from hamsym.integrators.adaptive import reference
 from hamsym.systems import Problem
 
 RANDOM = np.random.default_rng(5)

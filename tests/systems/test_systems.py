@@ -13,7 +13,7 @@ import sympy
 import hamsym
 from hamsym import InputError, systems
 from hamsym.formula.parser import parse_expression
-from hamsym.integrators.integrate import reference
+from hamsym.integrators.adaptive import reference
 from hamsym.systems import CATALOGUE, Problem, fermi_pasta_ulam_tsingou
 
 Make = Callable[[], Problem]

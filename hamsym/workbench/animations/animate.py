@@ -33,8 +33,6 @@ from hamsym.workbench.animations.motion import Motion, motion_of
 from hamsym.workbench.animations.scenes import Scene, scene_of
 from hamsym.workbench.page_templates import page_template
 
-__all__ = ["Animation", "animate"]
-
 _SECONDS, _FPS = 8.0, 25.0
 _SLOWEST, _FASTEST = 0.01, 1_000.0  # frames a second; a GIF has 16 bits for each pause
 _MOST_FRAMES = 2_000

@@ -20,8 +20,6 @@ from hamsym.plotting.style import COLORS, SEQUENTIAL, styled
 from hamsym.workbench.animations.motion import Motion
 from hamsym.workbench.animations.scenes import Scene
 
-__all__ = ["Film"]
-
 _WIDTH = 11.0  # of a figure, in centimetres
 _SAMPLES = 4_000  # of a path, of which a tail is a part
 _PIECES = 6_000  # of all tails

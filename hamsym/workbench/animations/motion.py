@@ -16,8 +16,6 @@ from hamsym.integrators.integrate import Trajectory
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.solution.solution import Solution
 
-__all__ = ["MOST_MEMBERS", "Motion", "motion_of"]
-
 #: Members of an ensemble that are drawn.
 MOST_MEMBERS = 50
 

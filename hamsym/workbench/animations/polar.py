@@ -15,18 +15,6 @@ import sympy
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.symbolic import derivatives
 
-__all__ = [
-    "ANGLE",
-    "DOWN",
-    "RADIUS",
-    "RIGHT",
-    "UP",
-    "coupled",
-    "direction_of_zero",
-    "is_angle",
-    "polar_pairs",
-]
-
 ANGLE = re.compile(r"(theta|phi|psi|varphi|vartheta|alpha)(_?\d+)?")
 RADIUS = re.compile(r"(r|rho|R)(_?\d+)?")
 

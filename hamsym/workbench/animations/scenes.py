@@ -30,8 +30,6 @@ from hamsym.workbench.animations.polar import (
     polar_pairs,
 )
 
-__all__ = ["KINDS", "Scene", "scene_of"]
-
 #: Kinds of pictures that are made from names of components.
 KINDS = ("plane", "phase", "polar", "pendulum", "chain")
 

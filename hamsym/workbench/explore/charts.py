@@ -10,8 +10,6 @@ import numpy as np
 from hamsym.plotting.style import COLORS
 from hamsym.workbench.explore.results import Picture, SectionPicture
 
-__all__ = ["empty", "errors_over_time", "over_time", "plane", "section_plane"]
-
 _FAINT = "#c8ccd2"
 _INK = "#1f2328"
 _SOFT = "#5f6368"

@@ -5,8 +5,6 @@ from __future__ import annotations
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.workbench.mathml import derivative, mathml, second_derivative
 
-__all__ = ["equations", "hessian"]
-
 _WIDEST = 8  # columns of a Hessian that is shown as a matrix
 _MOST = 150  # entries of a list
 

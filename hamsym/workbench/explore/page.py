@@ -26,8 +26,6 @@ from hamsym.workbench.explore.tab_panels import (
 )
 from hamsym.workbench.explore.values_panel import ValuesPanel
 
-__all__ = ["build"]
-
 _Event: TypeAlias = events.ValueChangeEventArguments
 _Handler: TypeAlias = Callable[[_Event], Awaitable[None]]
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Derivation", "JobResult", "Picture", "SectionPicture"]
-
 
 @dataclass(frozen=True)
 class Derivation:

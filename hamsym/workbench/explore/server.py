@@ -11,8 +11,6 @@ from hamsym.errors import InputError
 from hamsym.workbench.explore.access import Guard, new_token
 from hamsym.workbench.explore.setting import Setting
 
-__all__ = ["explore"]
-
 _HOST = "127.0.0.1"
 
 

@@ -15,8 +15,6 @@ from hamsym.workbench.explore.results import Derivation, JobResult, Picture, Sec
 from hamsym.workbench.explore.setting import Setting
 from hamsym.workbench.explore.worker import TaskError, Worker
 
-__all__ = ["FIRST", "MOST_TABS", "Latest", "Session", "Sessions", "excerpt", "missing_feature"]
-
 FIRST = Setting("p**2/2 + x**2/2 + x**4/4", z0={"x": 1.3, "p": 1.0}, span=(0.0, 20.0))
 _TASKS = "hamsym.workbench.explore.tasks"
 _LIVE_LIMIT = 15.0  # seconds of what is drawn while a slider moves

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field, replace
 
 from hamsym.errors import InputError
 
-__all__ = ["Setting", "SliderRange", "usual_state"]
-
 _POSITIONS = 200  # of a slider
 
 

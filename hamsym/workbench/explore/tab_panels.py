@@ -15,8 +15,6 @@ from hamsym.integrators.table import INTEGRATORS
 from hamsym.workbench.explore.results import JobResult
 from hamsym.workbench.explore.session import Session, missing_feature
 
-__all__ = ["CodePanel", "build_comparison", "build_downloads", "build_exponents", "build_proof"]
-
 _ENDINGS = {"torch": "py", "numpy": "py", "numba": "py", "jax": "py", "c": "c", "julia": "jl"}
 
 

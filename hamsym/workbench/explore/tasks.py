@@ -23,8 +23,6 @@ from hamsym.workbench.explore.equations import equations, hessian
 from hamsym.workbench.explore.results import Derivation, JobResult, Picture, SectionPicture
 from hamsym.workbench.explore.setting import Setting
 
-__all__ = ["TASKS"]
-
 POINTS = 500  # of a curve
 _MOST_POINTS = 3_000
 _POINTS_OF_WINDOW = 20

@@ -13,8 +13,6 @@ from hamsym.errors import HamsymError
 from hamsym.workbench.explore.session import Session
 from hamsym.workbench.explore.setting import SliderRange
 
-__all__ = ["ValuesPanel"]
-
 _Event: TypeAlias = events.ValueChangeEventArguments
 
 _DURATION = "time span"  # no name of a formula

@@ -16,8 +16,6 @@ from typing import Any
 
 from hamsym.errors import HamsymError, ParseError
 
-__all__ = ["CancelledError", "TaskError", "TimeLimitError", "Worker"]
-
 
 class TaskError(HamsymError):
     """A task that failed; the message is one sentence for the user.

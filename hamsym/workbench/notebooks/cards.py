@@ -23,27 +23,6 @@ if TYPE_CHECKING:
     from hamsym.symbolic.equations import Equations
     from hamsym.symbolic.formulas import Formulas
 
-__all__ = [
-    "CARDS",
-    "ROWS",
-    "Card",
-    "card_of",
-    "counted",
-    "cut",
-    "energy_formulas",
-    "equation",
-    "error_text",
-    "formula",
-    "interval",
-    "judged",
-    "number",
-    "of_type",
-    "parameter_facts",
-    "seconds_text",
-    "with_details",
-    "with_table",
-]
-
 ROWS = 12  # of a table
 _FORMULAS = 12  # lines
 _SIZE = 400  # operations of a formula that is typeset; larger ones are text

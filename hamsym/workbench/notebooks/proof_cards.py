@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from hamsym import BoxCertificate, Certificate, Enclosure, OrbitCertificate
     from hamsym.families.proofs import Proofs
 
-__all__ = ["bound_text"]
-
 _THREE_DIGITS = Context(prec=3, rounding=ROUND_CEILING)
 
 

@@ -20,8 +20,6 @@ from hamsym.workbench.notebooks import dynamics_cards, motion_cards, proof_cards
 from hamsym.workbench.notebooks.cards import Card, card_of
 from hamsym.workbench.page_templates import page_template
 
-__all__ = ["representation"]
-
 _MOST_DRAWN = 2_000_000  # numbers that the figure of a result may evaluate
 _WIDTH = 960  # pixels of a figure, shown at half the size for sharp lines
 _LONGEST = 2_000  # characters of the text of a result that has no card

@@ -23,8 +23,6 @@ from hamsym.solution.solution import Solution
 from hamsym.study.compare import Comparison, compare
 from hamsym.workbench.reports.inline_svg import inline_svg
 
-__all__ = ["Compared", "compared_within"]
-
 _MOST_STEPS = 10_000_000  # in the search for the steps that reach the error of the solution
 _WATCH = 0.5  # seconds between looks at the parent
 _START = (

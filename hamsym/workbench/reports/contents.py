@@ -25,23 +25,6 @@ from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.solution.solution import Solution
 from hamsym.workbench.mathml import derivative, equation, mathml, second_derivative
 
-__all__ = [
-    "Proof",
-    "Verdict",
-    "components",
-    "equations",
-    "errors",
-    "extension",
-    "proof",
-    "settings",
-    "solution_digest",
-    "source",
-    "unbroken",
-    "verdict",
-    "versions",
-    "windows",
-]
-
 _MATRIX = 8  # components of a Hessian that is shown as a matrix
 _LONG = 2_000  # operations of a formula beyond which it is shown as text
 _LONGEST = 4_000  # characters of it that are shown

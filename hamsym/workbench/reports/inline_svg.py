@@ -9,8 +9,6 @@ from xml.etree import ElementTree
 import matplotlib
 from matplotlib.figure import Figure
 
-__all__ = ["inline_svg"]
-
 _SVG, _LINK = "http://www.w3.org/2000/svg", "{http://www.w3.org/1999/xlink}href"
 _DIGITS = re.compile(r"(\.\d\d)\d+")  # hundredths of a point are enough
 _REFERENCE = re.compile(r"#([^)\s]+)")

@@ -38,8 +38,6 @@ from hamsym.workbench.reports import contents
 from hamsym.workbench.reports.comparing import Compared, compared_within
 from hamsym.workbench.reports.inline_svg import inline_svg
 
-__all__ = ["report"]
-
 CERTIFICATE = ".certificate"  # ending of the file beside that of a solution
 _COMPARE_SECONDS = 60.0
 _MOST_LINES = 400  # of generated code
