@@ -11,7 +11,11 @@ TORCH := torch==2.13.0
 help: ## List what can be done
 	@grep -hE '^[a-z-]+:.*## ' Makefile | sed 's/:.*## /: /' | awk -F': ' '{printf "  make %-13s %s\n", $$1, $$2}'
 
-$(VENV)/installed: pyproject.toml
+$(VENV)/installed: $(VENV)/packages hamsym/kernel/build_backend.py $(wildcard hamsym/kernel/*.[ch])
+	$(BIN)/python -P hamsym/kernel/build_backend.py
+	@touch $@
+
+$(VENV)/packages: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TORCH) --editable '.[dev]'
 	@touch $@
@@ -91,4 +95,4 @@ docs: $(VENV)/documented ## Build the documentation into output/site, which need
 	@echo "open output/site/index.html"
 
 clean: ## Remove the environment and everything built
-	rm -rf $(VENV) build dist output examples/guide/generated *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage .coverage.*
+	rm -rf $(VENV) build dist output examples/guide/generated *.egg-info hamsym/kernel/kernel.*.so .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage .coverage.*

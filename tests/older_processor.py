@@ -34,7 +34,9 @@ def settings() -> dict[str, str]:
         "MKL_CBWR": "COMPATIBLE",
         "ONEDNN_MAX_CPU_ISA": "SSE41",
     }
-    if _X86:  # sin, exp and others of glibc, which Python, scipy and numba call
+    if _X86:
+        chosen["HAMSYM_KERNEL_LEVEL"] = "v2"
+        # sin, exp and others of glibc, which Python, scipy and numba call
         chosen["GLIBC_TUNABLES"] = "glibc.cpu.hwcaps=-AVX2,-AVX,-FMA,-FMA4"
     return chosen
 

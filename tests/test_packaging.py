@@ -11,6 +11,7 @@ import pytest
 
 import hamsym
 from hamsym.codegen.backends import BACKENDS
+from hamsym.kernel.library import kernel_library
 
 
 def test_templates_are_package_data() -> None:
@@ -34,6 +35,10 @@ def test_every_package_and_data_file_is_installed() -> None:
 def test_package_is_typed_and_versioned() -> None:
     assert importlib.resources.files("hamsym").joinpath("py.typed").is_file()
     assert hamsym.__version__ == distribution("hamsym").version
+
+
+def test_kernel_is_installed() -> None:
+    assert kernel_library().hamsym_arithmetic() == 0
 
 
 def test_command_is_installed() -> None:
