@@ -4,15 +4,13 @@ Input:  a function, a set-up that all tasks share, and arguments of each task.
 Output: the results, as they come.
 
 A task is sent the set-up as bytes, which a worker unpickles once, so that nothing is lost with a
-worker. Compiled functions are not sent: each machine compiles once, into its cache directory, and
-its processes load the result. A task uses one thread; the threads of the workers set how many run
-side by side.
+worker. Compiled functions are not sent: a machine compiles what a task needs into its cache
+directory. A task uses one thread; the threads of the workers set how many run side by side.
 """
 
 from __future__ import annotations
 
 import functools
-import hashlib
 import math
 import pickle
 import time
@@ -22,13 +20,10 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from filelock import FileLock
 
 import hamsym
-from hamsym.codegen.numba_cache import cache_directory
 from hamsym.ensemble import Ensemble
 from hamsym.errors import HamsymError, InputError
-from hamsym.support.atomic import write_atomically
 from hamsym.support.cores import one_core
 from hamsym.support.validation import require_whole
 
@@ -90,8 +85,6 @@ def members_on_cluster(
     members: Ensemble,
     chosen: np.ndarray | None = None,
     *,
-    prepare: Callable[[Any], None] | None = None,
-    compiled: str = "",
     retries: int = 3,
 ) -> Generator[tuple[np.ndarray, Any], None, None]:
     """Yield the numbers of a chunk of members with its result, in the order in which chunks end.
@@ -100,7 +93,7 @@ def members_on_cluster(
 
     Parameters
     ----------
-    client, setup, prepare, compiled, retries
+    client, setup, retries
         As in :func:`cluster_results`.
     function : callable
         ``function(setup, numbers, members)`` for a chunk.
@@ -119,11 +112,7 @@ def members_on_cluster(
             own = members.states[chunk], members.parameters[chunk]
             yield Task(chunk, (chunk, Ensemble(members.H, *own, chunk.shape, members.varied)))
 
-    compiled = f"{members.H.formulas} {members.H.names} {compiled}"
-    results = cluster_results(
-        client, function, setup, tasks(), prepare=prepare, compiled=compiled, retries=retries
-    )
-    with closing(results):
+    with closing(cluster_results(client, function, setup, tasks(), retries=retries)) as results:
         for task, result, seconds in results:
             size = int(min(max(_SECONDS * len(task.members) / seconds, 1), _MOST))
             yield task.members, result
@@ -135,8 +124,6 @@ def cluster_results(
     setup: Any,
     tasks: Iterable[Task],
     *,
-    prepare: Callable[[Any], None] | None = None,
-    compiled: str = "",
     retries: int = 3,
 ) -> Generator[tuple[Task, Any, float], None, None]:
     """Yield each task with its result and its seconds, in the order in which they end.
@@ -152,10 +139,6 @@ def cluster_results(
         Picklable.
     tasks : iterable of Task
         Read when workers are free, so that tasks may depend on earlier results.
-    prepare : callable, optional
-        ``prepare(setup)`` compiles what the function needs.
-    compiled : str
-        Text of what it compiles: one process of each machine does so before the others.
     retries : int
         Times that a task is repeated after an error on a worker that is not of hamsym. A task
         whose worker dies is repeated by the scheduler (``distributed.scheduler.allowed-failures``).
@@ -165,7 +148,7 @@ def cluster_results(
     HamsymError
         If a task fails, or kills its workers even when it runs alone.
     """
-    run = _Tasks(client, function, (setup, prepare, compiled), retries)
+    run = _Tasks(client, function, setup, retries)
     pending, threads = iter(tasks), _Threads(client)
     try:
         while True:
@@ -189,11 +172,7 @@ class _Tasks:
     """Tasks that are submitted and not finished."""
 
     def __init__(
-        self,
-        client: Client,
-        function: Callable[..., Any],
-        setup: tuple[Any, Callable[[Any], None] | None, str],
-        retries: int,
+        self, client: Client, function: Callable[..., Any], setup: Any, retries: int
     ) -> None:
         from cloudpickle import dumps  # a part of distributed
 
@@ -267,7 +246,7 @@ def _on_worker(
     with one_core():
         began = 0.0
         try:
-            setup = _prepared(content)
+            setup = _unpickled(content)
             began = time.perf_counter()
             found = function(setup, *arguments)
         except HamsymError as error:
@@ -276,20 +255,9 @@ def _on_worker(
 
 
 @functools.lru_cache(maxsize=8)
-def _prepared(content: bytes) -> Any:
-    """Return the set-up; what it needs is compiled by one process of a machine at a time."""
-    setup, prepare, compiled = pickle.loads(content)
-    if prepare is None:
-        return setup
-    text = f"{hamsym.__version__} {prepare.__module__} {compiled}"
-    stamp = cache_directory() / f"compiled_{hashlib.sha256(text.encode()).hexdigest()[:32]}.txt"
-    if not stamp.exists():
-        with FileLock(cache_directory() / ".prepare"):
-            if not stamp.exists():
-                prepare(setup)
-                write_atomically(stamp, b"")
-    prepare(setup)
-    return setup
+def _unpickled(content: bytes) -> Any:
+    """Return the set-up, the same object for all tasks of a process."""
+    return pickle.loads(content)
 
 
 def _distributed() -> Any:

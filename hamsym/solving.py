@@ -84,9 +84,6 @@ def solve(
             Longest window, by default an eighth of the span. Pulses and steps of H are detected
             from the formula, at random times and by the change of H
             (:mod:`hamsym.random_features.window_checks`); reduce it to resolve shorter features.
-        compiled : {"auto", True, False}
-            Whether windows are marched by compiled code: always, never, or where compiling is
-            predicted to take less time than it saves. The solution is the same.
 
         For all methods that train a deep network:
 

@@ -20,16 +20,18 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import sympy
 
-from hamsym.bounds.models import PLACES, Models
-from hamsym.bounds.vector_field import ModelField
+from hamsym.bounds.models import PLACES, residual_bounds
+from hamsym.kernel.loops import Equations as Programs
+from hamsym.symbolic.equations import Equations
 
 _SHARE = 1 / 64  # of the limit of a window that a part may use, however short it is
 _MOST_SHARES = 4.0  # of the limit, that all parts of a window may use
 _MOST_PARTS = 256  # of one generation of halves
 _AT_ONCE = 56  # parts in one evaluation of models: products so small are not spread over threads
 _GENERATIONS = 60
-_ROUNDED = 4.0  # times the rounding of models that is left out of a residual
+_SHORT_POLYNOMIAL = 8  # degree of a vector field that hides nothing between the places of a march
 _ULPS = 16.0  # of the time, below which a part is not divided
 _EPS = 2.0**-52
 
@@ -89,7 +91,7 @@ class Excess(NamedTuple):
 
 
 def excesses(
-    field: ModelField,
+    programs: Programs,
     rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
     trial: Callable[[Parts], Places],
     edges: np.ndarray,
@@ -103,7 +105,7 @@ def excesses(
 
     Parameters
     ----------
-    field : ModelField
+    programs : hamsym.kernel.loops.Equations
     rates : callable
         (z, t, window) -> F at points, shapes (n, dim), (n,), (n,) -> (n, dim).
     trial : callable
@@ -124,7 +126,7 @@ def excesses(
     list of Excess
         In the order of the windows.
     """
-    search = _Search(field, rates, trial, edges, limits, parameters, noise, first_only)
+    search = _Search(programs, rates, trial, edges, limits, parameters, noise, first_only)
     parts = Parts.whole(len(limits))
     most = max(_MOST_PARTS, len(parts))
     with np.errstate(all="ignore"):  # what overflows or has no value exceeds its limit
@@ -143,7 +145,7 @@ class _Search:
 
     def __init__(
         self,
-        field: ModelField,
+        programs: Programs,
         rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
         trial: Callable[[Parts], Places],
         edges: np.ndarray,
@@ -152,7 +154,7 @@ class _Search:
         noise: float,
         first_only: bool,
     ) -> None:
-        self._field, self._rates, self._trial = field, rates, trial
+        self._programs, self._rates, self._trial = programs, rates, trial
         self._edges, self._limits, self._parameters = edges, limits, parameters
         self._lengths = np.abs(edges[1] - edges[0])
         self._resolution = _ULPS * _EPS * np.abs(edges).max(axis=0)
@@ -212,7 +214,7 @@ class _Search:
         """
         places, limits = self._trial(parts), self._limits[parts.window]
         weight = self._lengths[parts.window] * parts.width
-        bounds = residual_bounds(self._field, places, self._edges, parts, self._parameters)
+        bounds = bounds_on_parts(self._programs, places, self._edges, parts, self._parameters)
         upper = _ratios(bounds * weight[:, None], limits)
         lower, times = np.zeros(len(parts)), places.t[:, PLACES // 2].copy()
         large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
@@ -229,31 +231,31 @@ class _Search:
         return upper, lower, times
 
 
-def residual_bounds(
-    field: ModelField,
+def bounds_on_parts(
+    programs: Programs,
     places: Places,
     edges: np.ndarray,
     parts: Parts,
     parameters: np.ndarray,
 ) -> np.ndarray:
     """Bound the residual of each component on each part, shape (parts, dim)."""
-    # A trial solution may be evaluated at times that are rounded.
-    late = 8 * _EPS * np.abs(places.t).max(axis=1) / np.ptp(places.t, axis=1)
-
-    def modelled(values: np.ndarray) -> Models:
-        return Models.of_values(values, rounding=late * np.ptp(values, axis=1))
-
-    components = [modelled(values) for values in np.moveaxis(places.z, 2, 0)]
     start, end = edges[:, parts.window]
     ends = start + (end - start) * parts.start, start + (end - start) * (parts.start + parts.width)
-    t = Models.of_values(places.t, np.minimum(*ends), np.maximum(*ends))
     given = parameters if parameters.ndim == 1 else parameters[parts.window]
-    found = field(components, t, given)
-    slopes = np.moveaxis(places.rates, 2, 0)
-    rests = [modelled(slope) - rate for slope, rate in zip(slopes, found, strict=True)]
-    # What is round-off of the formula itself is no residual.
-    bounds = [np.maximum(rest.magnitude - _ROUNDED * rest.rounding, 0.0) for rest in rests]
-    return np.stack(bounds, axis=1)
+    return residual_bounds(programs, *places, np.sort(np.stack(ends, axis=1), axis=1), given)
+
+
+def is_short_polynomial(form: Equations) -> bool:
+    """Return whether the rates are polynomials of low degree, resolved wherever z^ is."""
+    variables = [*form.z, *([] if form.time is None else [form.time])]
+    if not all(rate.is_polynomial(*variables) for rate in form.vector_field):
+        return False
+    return all(
+        sum(sympy.Poly(term, *variables).degree_list()) <= _SHORT_POLYNOMIAL
+        for rate in form.vector_field
+        for term in sympy.Add.make_args(rate)
+        if term.free_symbols & set(variables)
+    )
 
 
 def _residuals(

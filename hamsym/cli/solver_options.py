@@ -71,7 +71,7 @@ _TOPICS = {
     name: topic
     for topic, names in {
         "Accuracy": "tol atol breakpoints max_window",
-        "Method": "compiled windows train_hidden",
+        "Method": "windows train_hidden",
         "Network": "hidden activation envelope tau frequency shared_weights initial dtype device",
         "Loss": "points energy_weight invariant_weight",
         "Search for the weights": "stages iterations restarts",

@@ -56,8 +56,6 @@ class _Part:
 
 
 _LOOPS = "integrator_loops.py"
-#: Functions of the march, of states as rows, which the compiler vectorizes over points.
-ROWS = ("velocity", "force", "hessian", "energy")
 #: Parts in the order of the module. Those without a macro are sections of the loops.
 _FUNCTION_PARTS = {
     "head": _Part(()),
@@ -67,7 +65,6 @@ _FUNCTION_PARTS = {
     "loss": _Part(("head", "energy", "residual"), ("loss",)),
 }
 _STEP_PARTS = {
-    **{f"{name}_rows": _Part(defines=(f"{name}_rows",)) for name in ROWS},
     "access": _Part(),
     "velocity": _Part(("head", "access")),
     "compensation": _Part(("head", "access")),
@@ -91,8 +88,13 @@ _STEP_PARTS = {
     ),
     "doubled phase space": _Part(("gradient", "hessian", "integrators"), ("doubled",)),
 }
+#: Functions of states as rows, which the march calls where H has a function that its library lacks.
+_ROW_PARTS = {
+    f"{name}_rows": _Part(defines=(f"{name}_rows",))
+    for name in ("velocity", "force", "hessian", "energy")
+}
 _BALL_PARTS = {"third_derivatives": _Part(defines=("third_derivatives",))}
-_PARTS = _FUNCTION_PARTS | _STEP_PARTS | _BALL_PARTS
+_PARTS = _FUNCTION_PARTS | _STEP_PARTS | _ROW_PARTS | _BALL_PARTS
 _ONLY_SEPARABLE = frozenset(("compensation", "curvature", "splitting", "tangents"))
 _NOT_SEPARABLE = frozenset(("mixed_derivatives", "symplectic Euler"))
 # Parts that systems with forces lack.

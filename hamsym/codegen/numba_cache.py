@@ -2,8 +2,8 @@
 
 numba stores compiled code next to the source as pickles, so anybody with write access there can run
 code. The cache is therefore one directory that only the user can write. Entries that were not used
-for a long time are removed. Code is compiled only on request (``compiled=True``, an integrator) or
-where it saves time (:mod:`hamsym.random_features.march`).
+for a long time are removed. Integrators and proofs compile code, and so do functions of the backend
+"numba".
 """
 
 from __future__ import annotations

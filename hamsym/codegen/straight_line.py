@@ -244,7 +244,7 @@ def straight_line(
     lower = Printer({}).lower
     exact = [lower(without_floats(expression)) for expression in expressions]
     shared, reduced = derivatives.common_subexpressions(exact, _shared_symbols())
-    graph = _Graph(names, values or {}, arithmetic)
+    graph = Graph(names, values or {}, arithmetic)
     for symbol, expression in shared:
         graph.assign(symbol, expression)
     results = [graph.place(expression) for expression in reduced]
@@ -278,7 +278,7 @@ class _Node:
     text: str = ""
 
 
-class _Graph:
+class Graph:
     """Operations without repetitions, in order of evaluation."""
 
     def __init__(

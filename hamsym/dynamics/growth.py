@@ -8,7 +8,7 @@ Output: orthonormal vectors of the same flags, and the logarithms of their growt
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from hamsym.codegen.system import System
 

@@ -1,6 +1,6 @@
 """Solution of blocks of members: what one process does with a part of an ensemble.
 
-Stage 1  The compiled loop over members (:mod:`hamsym.random_features.members`) solves a chunk.
+Stage 1  The loop over members (:mod:`hamsym.random_features.members`) solves a chunk.
 Stage 2  Members that it does not accept are solved one at a time, as :func:`hamsym.solve` does.
 Stage 3  Both are put in order, as a :class:`Block`.
 """
@@ -64,7 +64,7 @@ class BlockSolver:
 
     @property
     def solver(self) -> MemberSolver | None:
-        """The solver of batches, which is compiled on first use; None where it does not apply."""
+        """The solver of batches, which is made on first use; None where it does not apply."""
         return self._family.solver
 
     def valid_starts(self) -> tuple[np.ndarray, dict[int, str]]:

@@ -46,28 +46,17 @@ def blocks_on_cluster(
     retries: int,
 ) -> Generator[Block, None, None]:
     """Yield the blocks of the chosen members; see :func:`hamsym.cluster.members_on_cluster`."""
-    setup = (family, store, members.states[chosen[:1]], members.parameters[chosen[:1]])
-    found = members_on_cluster(
-        client, _solved, setup, members, chosen, prepare=_prepare, retries=retries
-    )
+    found = members_on_cluster(client, _solved, (family, store), members, chosen, retries=retries)
     with closing(found):
         for _, block in found:
             yield block
 
 
-_Setup = tuple[Family, StorePlace | None, np.ndarray, np.ndarray]
-
-
-def _prepare(setup: _Setup) -> None:
-    """Compile what solves members of a family, by solving the first one."""
-    family, _, *first = setup
-    if family.solver is not None:
-        family.solver.solve(*first, keep_error=False)
-
-
-def _solved(setup: _Setup, numbers: np.ndarray, members: Ensemble) -> Block:
+def _solved(
+    setup: tuple[Family, StorePlace | None], numbers: np.ndarray, members: Ensemble
+) -> Block:
     """Solve members, on a worker, and write them to the store if it is reached."""
-    family, store, *_ = setup
+    family, store = setup
     block = BlockSolver(family, members).solved(np.arange(len(members)))
     block = block._replace(members=numbers)
     if store is not None and store.is_reached():

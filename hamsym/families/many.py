@@ -68,7 +68,7 @@ def solve_many(
 ) -> Solutions:
     """Solve from many initial states, or with many parameter values, on all cores or a cluster.
 
-    Each member is solved as by :func:`hamsym.solve` with ``compiled=True``, and the results are
+    Each member is solved as by :func:`hamsym.solve`, and the results are
     the same to the last bit. A member that fails has its own message and leaves the others
     unchanged. Ctrl-C ends the run with the members that are finished.
 
@@ -137,7 +137,7 @@ def solve_many(
     members = ensemble_of(H, z0, parameters, finite=False)
     times = checked_span(span)
     require_whole("seed", seed, 0)
-    options = FeatureOptions(tol=tol, atol=atol, max_window=max_window, compiled=True)
+    options = FeatureOptions(tol=tol, atol=atol, max_window=max_window)
     accuracy = checked_accuracy(options, times, members.H.dim)
     basis = basis_for(int(seed), accuracy.tol)
     family = Family(members.H, times, options, int(seed), members.varied, basis.series)
@@ -192,7 +192,7 @@ class _Run:
         try:
             valid = self._missing(report)
             if len(valid):
-                _ = self._solver.solver  # compiled before the threads need it
+                _ = self._solver.solver  # made before the threads need it
             position, size = 0, _FIRST
             while waiting or position < len(valid):
                 # Nothing follows the first chunk before the memory is known to suffice.

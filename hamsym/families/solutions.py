@@ -72,7 +72,7 @@ class Family:
     series: np.ndarray
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Compiled functions cannot be pickled.
+        # Programs of the library cannot be pickled.
         return Family, tuple(getattr(self, entry.name) for entry in fields(self))
 
     @cached_property
@@ -92,7 +92,7 @@ class Family:
 
     @cached_property
     def solver(self) -> MemberSolver | None:
-        """The compiled solver; None where it does not apply."""
+        """The solver of batches; None where it does not apply."""
         if not MemberSolver.applies(self.H):
             return None
         found = self.accuracy
@@ -116,7 +116,7 @@ class Solutions(Shown):
     Members are arranged in an array; ``...`` below is its shape. Call it with times to get the
     states of all members: times of shape (n,) give (..., n, dim), a scalar gives (..., dim).
     ``many[i]`` (``many[i, j]``) is the :class:`~hamsym.Solution` of one member, the same to the
-    last bit as :func:`hamsym.solve` returns with ``compiled=True``; slices and masks give
+    last bit as :func:`hamsym.solve` returns; slices and masks give
     ``Solutions``. ``len`` and iteration follow the first axis, as those of an array.
 
     Attributes
@@ -252,7 +252,7 @@ class Solutions(Shown):
 
     def _solution(self, member: int) -> Solution:
         family, given = self.family, {}
-        for name in ("tol", "atol", "max_window", "compiled"):
+        for name in ("tol", "atol", "max_window"):
             given[name] = getattr(family.options, name)
         settings = settings_of(
             self.span, family.seed, family.options, given, version=hamsym.__version__
@@ -307,7 +307,7 @@ class Solutions(Shown):
         excess = float(table.excess[member])
         if error is None:  # the windows are from a machine that rounds differently
             basis = basis_of_series(family.seed, family.series)
-            flow = flow_of(H, True)
+            flow = flow_of(H)
             error = estimate_error(march, basis, flow, accuracy.local).error
             excess = error.excess(accuracy.allowed(error.scale))
         solution = accepted_solution(H, z0, self.span, march, basis, error, accuracy.tol, excess)

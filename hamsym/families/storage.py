@@ -357,7 +357,6 @@ def _assembled(
             tol=checked_number("tol", options["tol"]),
             atol=[checked_number("atol", a) for a in checked_list("atol", options["atol"])],
             max_window=checked_type("max_window", options["max_window"], "float | None"),
-            compiled=True,
         ),
         seed=seed,
         varied=tuple(

@@ -122,7 +122,7 @@ class SolvedMotions:
 
     def _solved(self, values: np.ndarray) -> Solution:
         H, start = self.unknowns.hamiltonian(values), self.unknowns.starts(values[None])[0]
-        return solve(H, start, self.span, tol=self.tol, compiled=True)
+        return solve(H, start, self.span, tol=self.tol)
 
     def __call__(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shape = (len(values), len(self.t), self.unknowns.H.dim)

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.bounds.models import DEGREE, NODES, PLACES
-from hamsym.bounds.residual import Parts, Places, excesses, residual_bounds
-from hamsym.bounds.vector_field import model_field
+from hamsym.bounds.residual import Parts, Places, bounds_on_parts, excesses, is_short_polynomial
+from hamsym.codegen.programs import programs_of
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.step_scales import StepScales
 from hamsym.numerics.scales import resolved_sizes
@@ -58,7 +58,7 @@ class HiddenFeatures:
     """
 
     def __init__(self, H: Hamiltonian) -> None:
-        self.field, self.scales = model_field(H), StepScales(H)
+        self.programs, self.scales = programs_of(H.real_equations), StepScales(H)
         self._system = H.compile("numpy")
         self.values = np.array([H.parameters[name] for name in H.parameter_names], dtype=float)
 
@@ -133,7 +133,7 @@ class HiddenFeatures:
 @functools.lru_cache(maxsize=64)
 def hidden_features(H: Hamiltonian) -> HiddenFeatures | None:
     """Make the search for a Hamiltonian; None if its force can hide nothing."""
-    return None if model_field(H).is_short_polynomial else HiddenFeatures(H)
+    return None if is_short_polynomial(H.real_equations) else HiddenFeatures(H)
 
 
 def passed_over(time: float) -> str:
@@ -248,7 +248,7 @@ class _Search:
         """Whether nothing can be hidden in windows of equal numbers of steps."""
         windows = self._windows(starts, length)
         at, parts = windows.whole(), Parts.whole(len(starts))
-        bounds = residual_bounds(self._features.field, at, windows.edges, parts, self._given)
+        bounds = bounds_on_parts(self._features.programs, at, windows.edges, parts, self._given)
         passed = (bounds <= self._rate + _ROUND_OFF * np.abs(at.rates).max(axis=1)).all(axis=1)
         if length > self._shortest:
             passed &= self._is_fitted(windows.curve, starts, length)
@@ -284,7 +284,7 @@ class _Search:
             return self._features.rates(z, t, self._own)
 
         found = excesses(
-            *(self._features.field, rates, windows.at, windows.edges, limits),
+            *(self._features.programs, rates, windows.at, windows.edges, limits),
             self._given,
             noise=_NOISE,
             first_only=True,

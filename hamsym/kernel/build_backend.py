@@ -48,8 +48,8 @@ X86 = platform.machine().lower() in ("x86_64", "amd64")
 LEVELS = ("v2", "v3", "v4") if X86 else ("generic",)
 ZIG = "ziglang>=0.17.1"
 # No operation is contracted, reordered or left out, so that all levels compute the same bits.
-FLAGS = "-std=gnu99 -O3 -shared -ffp-contract=off -fno-fast-math -fvisibility=hidden"
-WARNINGS = "-Wall -Wextra -Wno-psabi"  # vectors are passed inside of a library only
+FLAGS = "-std=gnu99 -O3 -shared -ffp-contract=off -fno-fast-math -fno-math-errno"
+WARNINGS = "-fvisibility=hidden -Wall -Wextra -Wno-psabi"
 
 
 # -- the hooks of the build ------------------------------------------------------------------------
@@ -95,7 +95,7 @@ class BuildKernel(Command):
 class Build(build):
     """A build that compiles the kernel too."""
 
-    sub_commands = [*build.sub_commands, ("build_kernel", None)]  # noqa: RUF012 (of setuptools)
+    sub_commands = [*build.sub_commands, ("build_kernel", None)]
 
 
 class PlatformWheel(bdist_wheel):

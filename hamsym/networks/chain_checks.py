@@ -13,7 +13,7 @@ from hamsym.networks.trial import TrialSolution
 from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.window_checks import Pieces, WindowChecks, times_of
-from hamsym.random_features.window_loop import Windows
+from hamsym.random_features.windows import Windows
 
 
 class ChainChecks(WindowChecks):

@@ -28,7 +28,7 @@ from hamsym.networks.chain_training import (
 )
 from hamsym.networks.trial import TrialSolution
 from hamsym.networks.window_training import Fit, late, train_window
-from hamsym.random_features.error_loop import SLACK
+from hamsym.random_features.window_checks import SLACK
 
 _SAMPLES = 65  # times at which the motion in a given window is looked at
 _WIDEST = 1_000  # neurons of the last layer in a given window

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import elementwise
 
 _ASIDE = (
     1e-3  # of an interval: distance from its ends at which the search for a turning point begins
@@ -116,6 +115,8 @@ def _turning_points(
     def height(share: np.ndarray, k: np.ndarray) -> np.ndarray:
         return side[k] * function(share, index[k])
 
+    from scipy.optimize import elementwise  # slow to import
+
     number, share = np.arange(len(index)), np.full(len(index), _ASIDE)
     with np.errstate(all="ignore"):
         left, right = height(share, number), height(1 - share, number)
@@ -141,6 +142,8 @@ def refine(
     if not len(low):
         return np.empty(0)
     index = np.arange(len(low))
+    from scipy.optimize import elementwise  # slow to import
+
     with np.errstate(all="ignore"):
         result = elementwise.find_root(function, (low, high), args=(index,))
         ends = np.abs([function(low, index), function(high, index)])

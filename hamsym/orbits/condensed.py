@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+import scipy
 from scipy.linalg import lapack
 
 _SINGULAR = 1e-11  # reciprocal condition number of a system without a unique solution

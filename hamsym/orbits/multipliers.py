@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from hamsym.numerics.symplectic import poisson_product
 

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
+import scipy
 import sympy
 
 from hamsym.hamiltonian import Hamiltonian

@@ -25,16 +25,15 @@ import mpmath
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from hamsym.kernel.loops import LANES, Tables
 from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.collocation import chebyshev_points
-from hamsym.random_features import window_loop
 
 _NEURONS = 60
 _TRUNCATION = 1e-14  # of singular values, relative
 DEGREE = 47  # of the Chebyshev series of the columns, which are entire functions
 _BITS = 200  # of the sums that its coefficients are
 _TERMS = 16  # of the series by which rates are extrapolated
-_LANES = 8  # tables have a multiple of these columns
 
 
 class Size(NamedTuple):
@@ -88,25 +87,33 @@ class FeatureBasis:
     series: np.ndarray
 
     @cached_property
-    def tables(self) -> window_loop.Tables:
-        """Tables of :func:`~hamsym.random_features.window_loop.march_windows`."""
+    def tables(self) -> Tables:
+        """Tables of :func:`hamsym.kernel.loops.march`.
+
+        They multiply rows from the right: a table from n values to k has the shape (n, k).
+        ``extrapolation`` fits a Chebyshev series to the rates at the nodes, which is continued into
+        the next window; ``order`` is that at which the residual falls with the length.
+        """
         end = self.end.astype(float)
         extrapolation = np.linalg.pinv(chebyshev.chebvander(2 * self.nodes - 1, _TERMS - 1))
         columns = self.series.shape[1]
-        more = -columns % _LANES  # columns of zeros
-        tables = window_loop.Tables(
-            nodes=self.nodes,
+        more = -columns % LANES  # columns of zeros
+        return Tables(
+            nodes=len(self.nodes),
+            columns=columns + more,
+            between=len(self.between),
+            terms=_TERMS,
+            order=columns - 1.0,
+            node=self.nodes,
             integration=self.integration.T,
             fit=np.pad(self.fit.T, ((0, 0), (0, more))),
-            between=self.between,
+            place=self.between,
             to_between=np.pad(self.to_between.T, ((0, more), (0, 0))),
             rates_between=np.pad(self.rates_between.T, ((0, more), (0, 0))),
             end=np.pad(end, (0, more)),
             end_low=np.pad((self.end - end).astype(float), (0, more)),
             extrapolation=extrapolation.T,
-            order=np.array([columns - 1.0]),
         )
-        return window_loop.Tables(*map(np.ascontiguousarray, tables))
 
     def columns(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate Q and dQ/ds at s of shape (n,), in the precision of s; each of shape (n, m).

@@ -3,7 +3,7 @@
 The error delta = z - z^ obeys delta' = J Hess(z^) delta - r(t) with r the residual (the paper's
 eq. ell), up to terms of second order. Inside a window r oscillates about as often as there are
 columns in the basis, so it is sampled at twice as many nodes as the solution used and at random
-places. The equation is solved window by window (:mod:`hamsym.random_features.error_loop`). The
+places. The equation is solved window by window (:func:`hamsym.kernel.loops.carry_errors`). The
 residual r contains only another sample of the round-off: random perturbations of its size are moved
 with the error, one batch at every joint. Its size is measured as the change of F when the states
 change by half a unit in the last place. Numbers of H that float64 cannot represent, for example pi,
@@ -22,14 +22,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from hamsym.kernel import loops
+from hamsym.kernel.loops import VECTORS, Actions, ErrorSettings, ErrorTables
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import resolved_sizes
-from hamsym.random_features import error_loop
 from hamsym.random_features.basis import FeatureBasis, basis_of_series
-from hamsym.random_features.compiled_loop import PLAIN
-from hamsym.random_features.error_loop import Actions, ErrorSettings, ErrorTables
 from hamsym.random_features.flow import Flow, flow_of
-from hamsym.random_features.window_loop import Windows
 from hamsym.random_features.windows import March
 from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import WindowError
@@ -42,6 +40,7 @@ _USUAL, _LOOSE, _FINE = range(3)
 _LOOSE_TOLERANCE = 1e-8  # local
 _RANDOM, _SETS = 8, 4  # further places of the residual, and how many choices of them
 _PERIOD = 509  # windows after which the signs of the perturbations repeat
+_ACCURACY, _FEWEST = 1e-3, 10.0  # of the vectors after all windows, and the least number of these
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged
 
 
@@ -89,6 +88,7 @@ def estimate_error(
     flow: Flow,
     tolerance: float = 0.0,
     resolution: int | None = None,
+    residuals: np.ndarray | None = None,
 ) -> Estimate:
     """Estimate the error of a march from its residual, with the linear equation of the error.
 
@@ -101,51 +101,55 @@ def estimate_error(
         Local tolerance of the march.
     resolution : int, optional
         Index of :data:`RESOLUTIONS`; by default from the tolerance.
+    residuals : numpy.ndarray, optional
+        In place of those computed in float64, shape (windows, dim, places).
     """
     tables = error_tables(basis, resolution_for(tolerance) if resolution is None else resolution)
     count, _, dim = windows.readouts.shape
     scale = _scales(windows, flow)
-    settings = error_settings(flow, tables, windows.edges, scale, tolerance)
     # Round-off does not move components at rest, of which the formulas give the rate 0.
-    settings.kicks[:, _resting(windows, flow)] = 0.0
-    actions = halves(flow.entries, settings.scale, flow.symmetric)
-    series = np.full((count, tables.lift.shape[1], dim), np.inf)
+    moved = np.ones(dim)
+    moved[_resting(windows, flow)] = 0.0
+    lengths = np.abs(np.diff(windows.edges))
+    settings = ErrorSettings(
+        period=_PERIOD,
+        width=dim,
+        tolerance=tolerance,
+        accuracy=_ACCURACY / max(count, _FEWEST),
+        # The expected length of the window that contains a random time.
+        usual_length=float((lengths**2).sum() / lengths.sum()),
+        rounded=float(flow.rounded),
+        scale=np.where(scale > 0, scale, 1.0),
+        size=scale,
+        sign=disturbances(tables.sets, tables.places, dim),
+        kick=kicks(dim) * moved[:, None],
+        parameters=flow.parameters,
+        residual=residuals,
+    )
+    series = np.full((count, tables.inside, dim), np.inf)
     floors, largest = np.full((count, dim), np.inf), np.zeros(dim)
-    joint, history = np.zeros(dim * (error_loop.PERTURBATIONS + 2)), np.zeros(2)
     marks = np.zeros(count, dtype=np.int64)
-    jumps = _jumps(windows, basis)
-    parts = Windows(windows.edges, windows.states, windows.readouts)
-    first, loops = 0, flow.loops
-    while True:
-        last = min(first + 1, count) if loops is not flow.loops else count
-        first, outcome = loops.carry_errors(
-            *flow.rows,
-            tables,
-            *actions,
-            settings,
-            parts,
-            jumps,
-            joint,
-            history,
-            series,
-            floors,
-            largest,
-            marks,
-            first,
-            last,
-        )
-        if outcome == error_loop.STUCK and loops is not PLAIN:
-            # The plain loop eliminates; compiled code leaves the window to it.
-            loops = PLAIN
-            continue
-        if outcome != error_loop.DONE or first == count:
-            break
-        loops = flow.loops
+    first, outcome = loops.carry_errors(
+        flow.programs,
+        tables,
+        terms_of(flow.entries, flow.symmetric, dim),
+        settings,
+        loops.Windows(windows.edges, windows.states, windows.readouts),
+        basis.tables,
+        loops.ErrorResults(
+            joint=np.zeros(dim * VECTORS),
+            history=np.zeros(2),
+            series=series,
+            floor=floors,
+            largest=largest,
+            mark=marks,
+        ),
+    )
     limit, linear = "", largest
-    bent = np.flatnonzero(marks[:first] & error_loop.BENT)
+    bent = np.flatnonzero(marks[:first] & loops.BENT)
     # Of round-off, what follows shows how far it grows; of the error of the march it shows nothing.
     by_march = len(bent) and (np.abs(series[bent[0]]).sum(axis=0) > floors[bent[0]]).all()
-    if outcome != error_loop.DONE and not by_march:
+    if outcome != loops.DONE and not by_march:
         limit = _reason(windows, flow, first)
         linear = np.full(dim, np.inf)
     elif len(bent):
@@ -161,7 +165,7 @@ def estimate_error(
         MarchError(windows.edges, series, floors, largest, scale, np.array(windows.origin)),
         limit,
         linear,
-        [(ends[w], ends[w + 1]) for w in np.flatnonzero(marks & error_loop.UNRESOLVED)],
+        [(ends[w], ends[w + 1]) for w in np.flatnonzero(marks & loops.UNRESOLVED)],
     )
 
 
@@ -187,27 +191,29 @@ def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
         weights = chebyshev.chebval(2 * s - 1, integrals).T @ fine.to_series
         return np.pad(weights.T, ((0, _RANDOM), (0, 0)))
 
-    end = integral(np.ones(1))[:, 0]
-    tables = ErrorTables(
-        nodes=rule.nodes,
+    return ErrorTables(
+        nodes=nodes,
+        columns=values.shape[1],
+        sets=_SETS,
+        places=inside + _RANDOM,
+        inside=inside,
+        shown=2 * inside,
+        node=rule.nodes,
         at_nodes=basis.columns(rule.nodes.astype(np.longdouble))[0].astype(float).T,
-        places=np.array(places),
-        values=values,
-        values_low=values_low,
-        rates=rates,
-        rates_low=rates_low,
+        place=np.array(places),
+        value=values,
+        value_low=values_low,
+        rate=rates,
+        rate_low=rates_low,
         drift=integral(rule.nodes),
         drift_inside=integral(fine.nodes),
-        drift_end=end,
-        drift_none=np.zeros(len(end)),
+        drift_end=integral(np.ones(1))[:, 0],
         integration=rule.integration[:-1].T,
         lift=rule.interpolation(fine.nodes).T,
         end=rule.integration[-1],
-        none=np.zeros(nodes),
         to_series=fine.to_series.T,
         dense=fine.interpolation(np.linspace(0, 1, 2 * inside)).T,
     )
-    return ErrorTables(*map(np.ascontiguousarray, tables))
 
 
 def _parts(tables: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -217,72 +223,35 @@ def _parts(tables: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return high, (exact - high).astype(float)
 
 
-def error_settings(
-    flow: Flow,
-    tables: ErrorTables,
-    edges: np.ndarray,
-    sizes: np.ndarray,
-    tolerance: float,
-) -> ErrorSettings:
-    """Make the settings of the estimate of a march with these edges."""
-    lengths, dim = np.abs(np.diff(edges)), len(sizes)
-    return ErrorSettings(
-        scale=np.where(sizes > 0, sizes, 1.0),
-        sizes=sizes,
-        tolerance=tolerance,
-        accuracy=error_loop.ACCURACY / max(len(lengths), error_loop.FEWEST),
-        usual_length=float((lengths**2).sum() / lengths.sum()),
-        rounded=float(flow.rounded),
-        signs=disturbances(tables.places.shape, dim),
-        kicks=kicks(dim).copy(),
-        parameters=flow.parameters,
-    )
-
-
 @functools.lru_cache(maxsize=64)
-def disturbances(shape: tuple[int, int], dim: int) -> np.ndarray:
+def disturbances(sets: int, places: int, dim: int) -> np.ndarray:
     """Return the signs with which states are disturbed, shape (sets, dim, places)."""
-    sets, places = shape
     return np.random.default_rng(0).choice((-1.0, 1.0), size=(sets, dim, places))
 
 
 @functools.lru_cache(maxsize=64)
 def kicks(dim: int) -> np.ndarray:
-    """Return the signs of the perturbations, shape (period, dim, perturbations)."""
-    shape = (_PERIOD, dim, error_loop.PERTURBATIONS)
+    """Return the signs of the round-off of each window, shape (period, dim, vectors)."""
+    shape = (_PERIOD, dim, loops.PERTURBATIONS)
     return np.random.default_rng(1).choice((-1.0, 1.0), size=shape)
 
 
-def halves(
-    entries: np.ndarray, scale: np.ndarray, symmetric: bool = True
-) -> tuple[Actions, Actions]:
-    """Return the terms of J C v in units of the scale: those of the momenta, and the others.
+def terms_of(entries: np.ndarray, symmetric: bool, dim: int) -> Actions:
+    """Return the terms of J C v.
 
     Of the matrix C, the Hessian without forces, the entries are given, which are mirrored if it is
     symmetric.
     """
-    half = len(scale) // 2
-    terms: dict[int, list[tuple[int, int, float]]] = {}
+    half = dim // 2
+    terms = []
     for entry, (i, j) in enumerate(entries.tolist()):
         for row, source in {(i, j), (j, i)} if symmetric else [(i, j)]:
             target, sign = (row + half, -1.0) if row < half else (row - half, 1.0)
-            factor = sign * scale[source] / scale[target]
-            terms.setdefault(target, []).append((source, entry, factor))
-
-    def actions(offset: int) -> Actions:
-        rows = [row for row in range(offset, offset + half) if row in terms]
-        listed = [term for row in rows for term in terms[row]]
-        counts = [len(terms[row]) for row in rows]
-        starts = np.cumsum([0, *counts])[:-1] if rows else np.empty(0)
-        return Actions(
-            rows=np.array(rows, dtype=np.int64) - offset,
-            starts=starts.astype(np.int64),
-            sources=np.array([source for source, _, _ in listed], dtype=np.int64),
-            entries=np.array([entry for _, entry, _ in listed], dtype=np.int64),
-            factors=np.array([factor for _, _, factor in listed], dtype=float),
-        )
-
-    return actions(half), actions(0)
+            terms.append((target, source, entry, sign))
+    terms.sort()
+    velocities = sum(target < half for target, *_ in terms)
+    array = np.array(terms, dtype=loops.TERM)
+    return Actions(velocities=velocities, terms=len(terms), term=array)
 
 
 def _resting(windows: March, flow: Flow) -> list[int]:
@@ -291,12 +260,6 @@ def _resting(windows: March, flow: Flow) -> list[int]:
     z = windows.states[0]
     # Numbers that are zero have no round-off.
     return flow.resting(z, still) if flow.resting and z[still].any() else []
-
-
-def _jumps(windows: March, basis: FeatureBasis) -> np.ndarray:
-    """Return the rounding of the state at each joint, which is deterministic; (windows, dim)."""
-    ends = windows.states[:-1] + np.einsum("m,wmd->wd", basis.end, windows.readouts)
-    return np.asarray(ends - windows.states[1:], dtype=float)
 
 
 def _reason(windows: March, flow: Flow, window: int) -> str:

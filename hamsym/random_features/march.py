@@ -2,7 +2,7 @@
 
 Stage 1  On a window, collocation at Chebyshev nodes is the fixed point Z = z_a + h S F(Z) with a
          precomputed integration matrix S; the residual between the nodes decides whether the window
-         is accepted, and the next length (:mod:`hamsym.random_features.window_loop`).
+         is accepted, and the next length (:func:`hamsym.kernel.loops.march`).
 Stage 2  Where that does not contract, or where that keeps the windows short although the residual
          allows longer ones (stiff equations), Newton's method with the generated Hessian solves the
          same equation.
@@ -21,16 +21,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hamsym.kernel import loops
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
-from hamsym.random_features import compiled_loop, window_loop
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import Flow
 from hamsym.random_features.window_checks import Failure, WindowChecks
-from hamsym.random_features.window_loop import Progress, Settings, Windows
-from hamsym.random_features.windows import March
+from hamsym.random_features.windows import March, Windows
 from hamsym.solution.times import shown_time
 
 _NEWTON_ITERATIONS = 12
+_SHRINK = 0.6  # of a window for which Newton's method fails
+_TINY = np.finfo(float).tiny
 _SHORTEST = 1e-13  # window, relative to the times
 _ROOM = 64  # windows for which there is room at first
 _CHUNKS = 32, 1_024  # windows between checks: after a failure, and at most
@@ -118,27 +119,18 @@ class _Marching:
         self._direction = 1.0 if self._end > self._start else -1.0
         self._stops = [*(t - self._origin for t in breakpoints), self._end]
         dim = len(z0)
-        self._settings = Settings(
-            stops=np.array(self._stops),
-            tolerance=tolerance,
-            floors=np.zeros(dim),
-            signs=node_signs(basis, dim),
-            shortest=shortest_window(self._start, self._end),
-            longest=longest,
-            parameters=flow.parameters,
-            separable=flow.separable,
-        )
+        self._tolerance, self._longest = tolerance, longest
+        self._floors = np.zeros(dim)
+        self._shortest = shortest_window(self._start, self._end)
         # Just inside the span: at the start a switch in time has neither of its values.
-        inside = self._start + self._direction * self._settings.shortest
+        inside = self._start + self._direction * self._shortest
         self._rate = flow.vector_field(z0[None], np.array([inside]))[0]
-        self._progress = Progress(
-            clock=np.array([self._start, 0.0, 0.0]),
-            counts=np.array([0, 1, 0, 0]),
-            sizes=np.abs(z0),
-            tail=np.zeros((dim, basis.tables.extrapolation.shape[1])),
-            found=np.empty((dim, len(basis.nodes))),
-        )
-        self._progress.tail[:, 0] = self._rate
+        self._clock = np.array([self._start, 0.0, 0.0])  # time, next length, last slow length
+        self._counts = np.array([0, 1, 0, 0])  # windows, evaluations, stops passed, slow windows
+        self._sizes = np.abs(z0)
+        self._tail = np.zeros((dim, basis.tables.terms))
+        self._found = np.empty((dim, len(basis.nodes)))
+        self._tail[:, 0] = self._rate
         columns = basis.series.shape[1]
         self._windows = _Buffer(self._start, z0, columns, min(_ROOM, max_windows))
         self._checks = WindowChecks(flow, basis, tolerance)
@@ -147,53 +139,50 @@ class _Marching:
         self._returns = 0  # to windows before it
         self._failures: list[str] = []  # that shorter windows did not mend
         self._widen_floors()
-        self._progress.clock[1] = window_loop.first_length(
-            *(flow.rows.velocity, flow.rows.force, z0, self._rate[:, None]),
-            *(self._start, self._end, flow.parameters),
+        self._clock[1] = loops.first_length(
+            *(flow.programs, basis.tables, flow.parameters, z0, self._rate, self._start, self._end)
         )
 
     @property
     def _count(self) -> int:
-        return int(self._progress.counts[0])
+        return int(self._counts[0])
 
     def run(self) -> March:
-        newton_windows, given, status = 0, False, window_loop.FULL
+        newton_windows, given, status = 0, False, loops.FULL
         reason = ""
-        while status != window_loop.FINISHED and not reason:
+        while status != loops.FINISHED and not reason:
             # The loop returns when it has no room: after a chunk its windows are checked.
             room = min(self._windows.room, max(self._checked + self._chunk, self._count))
-            status = self._flow.loops.march(
-                self._flow.rows.velocity,
-                self._flow.rows.force,
+            status = loops.march(
+                self._flow.programs,
                 self._basis.tables,
-                self._settings,
-                self._progress,
-                self._windows.part(0, room),
+                self._settings(),
+                self._progress(),
+                loops.Windows(*self._windows.part(0, room)),
                 given,
             )
-            given = status == window_loop.NEWTON and self._newton()
+            given = status == loops.NEWTON and self._newton()
             newton_windows += given
-            if status == window_loop.NEWTON:
+            if status == loops.NEWTON:
                 continue
             failure = self._check()
             if failure is not None:
                 self._go_back(failure)
-                status = window_loop.FULL
-            elif status == window_loop.TOO_SHORT:
+                status = loops.FULL
+            elif status == loops.TOO_SHORT:
                 reason = self._too_short()
-            elif status == window_loop.FULL and not (reason := self._too_many()):
+            elif status == loops.FULL and not (reason := self._too_many()):
                 self._grow()
         windows = self._windows.part(0, self._count)
         return March(
             edges=windows.edges.copy(),
             states=windows.states.copy(),
             readouts=windows.readouts.copy(),
-            reached=self._origin + float(self._progress.clock[0]),
+            reached=self._origin + float(self._clock[0]),
             reason=reason,
-            evaluations=int(self._progress.counts[1]),
+            evaluations=int(self._counts[1]),
             newton_windows=newton_windows,
-            compiled=self._flow.compiled,
-            scale=self._progress.sizes,
+            scale=self._sizes,
             seconds=time.perf_counter() - self._began,
             cpu_seconds=time.process_time() - self._cpu_began,
             seed=self._basis.seed,
@@ -201,23 +190,46 @@ class _Marching:
             doubt=self._failures[0] if self._failures else "",
         )
 
+    def _settings(self) -> loops.Settings:
+        signs = node_signs(self._basis, len(self._floors))
+        return loops.Settings(
+            stops=len(self._stops),
+            width=signs.shape[1],
+            tolerance=self._tolerance,
+            shortest=self._shortest,
+            longest=self._longest,
+            stop=np.array(self._stops),
+            floor=self._floors,
+            sign=signs,
+            parameters=self._flow.parameters,
+        )
+
+    def _progress(self) -> loops.Progress:
+        return loops.Progress(
+            clock=self._clock,
+            counts=self._counts,
+            size=self._sizes,
+            tail=self._tail,
+            found=self._found,
+        )
+
     def _newton(self) -> bool:
         """Solve the present window by Newton's method; shorten it where that fails."""
-        t, length = self._progress.clock[:2]
+        t, length = self._clock[:2]
         rates, spent = newton(
             self._flow,
             self._basis,
             self._windows.part(0, self._count).states[-1],
             float(t),
             self._direction * float(length),
-            self._settings.tolerance,
-            np.maximum(self._progress.sizes, self._settings.floors),
+            self._tolerance,
+            np.maximum(self._sizes, self._floors),
         )
-        self._progress.counts[1] += spent
+        self._counts[1] += spent
         if rates is None:
-            self._progress.clock[1] *= window_loop.SHRINK
+            self._clock[1] *= _SHRINK
             return False
-        self._progress.found[:] = rates.T
+        self._found[:] = rates.T
         return True
 
     # -- between two calls of the loop -----------------------------------------------------------
@@ -240,7 +252,7 @@ class _Marching:
 
     def _too_many(self) -> str:
         """The reason for ending where more windows than allowed are needed, "" where they fit."""
-        count, done = self._count, abs(float(self._progress.clock[0]) - self._start)
+        count, done = self._count, abs(float(self._clock[0]) - self._start)
         if not done > 0:
             return ""
         needed = count * self._whole / done
@@ -249,14 +261,10 @@ class _Marching:
         return ""
 
     def _grow(self) -> None:
-        """Make room for more windows, and compile where that saves more than it costs."""
+        """Make room for more windows."""
         count = self._count
         if count == self._windows.room:
             self._windows.grow(min(2 * count, self._max_windows))
-        spent = time.perf_counter() - self._began
-        left = self._whole / abs(self._progress.clock[0] - self._start) - 1
-        if self._flow.compile and spent * left > compiled_loop.cost():
-            self._flow = self._flow.compile()
         self._widen_floors()
 
     def _widen_floors(self) -> None:
@@ -266,9 +274,8 @@ class _Marching:
         windows = self._windows.part(0, count)
         z, t = windows.states[places], windows.edges[places]
         coupling = np.abs(self._flow.jacobian(z, t)).mean(axis=0)
-        coupled = coupled_sizes(self._progress.sizes, coupling, self._whole)
-        floors = np.maximum(self._settings.floors, SMALLEST * coupled)
-        self._settings = self._settings._replace(floors=floors)
+        coupled = coupled_sizes(self._sizes, coupling, self._whole)
+        self._floors = np.maximum(self._floors, SMALLEST * coupled)
 
     def _check(self) -> Failure | None:
         """Check the windows since the last check."""
@@ -276,7 +283,7 @@ class _Marching:
         if count == first or len(self._failures) >= _MOST_FAILURES:
             self._checked = count
             return None
-        sizes = np.maximum(self._progress.sizes, self._settings.floors)
+        sizes = np.maximum(self._sizes, self._floors)
         failure = self._checks.first_failure(self._windows.part(first, count), sizes)
         if failure is None:
             self._checked, self._chunk = count, min(2 * self._chunk, _CHUNKS[1])
@@ -291,7 +298,7 @@ class _Marching:
         if self._furthest is None or direction * end > direction * self._furthest:
             self._furthest, self._returns = end, 0
         self._returns += 1
-        shortest = self._settings.shortest
+        shortest = self._shortest
         if self._returns > _RETURNS or abs(end - start) < 100 * shortest:
             # For example at a jump: the march goes on, without success.
             self._failures.append(
@@ -301,14 +308,13 @@ class _Marching:
             )
             self._checked = window + 1
             return
-        clock, counts, tail = self._progress.clock, self._progress.counts, self._progress.tail
+        clock, counts, tail = self._clock, self._counts, self._tail
         counts[0], clock[0] = window, start
         for t in failure.times:
             nearest = min(abs(t - stop) for stop in (*self._stops, start, end))
             if nearest > 10 * shortest:
                 self._stops.append(t)
         self._stops.sort(key=lambda stop: direction * stop)
-        self._settings = self._settings._replace(stops=np.array(self._stops))
         counts[2] = sum(direction * stop <= direction * start for stop in self._stops)
         clock[1] = abs(end - start) / 2
         tail[:, 1:] = 0
@@ -317,7 +323,7 @@ class _Marching:
             last = self._windows.part(window - 1, window)
             _, rates = self._basis.columns(self._basis.nodes)
             found = rates @ last.readouts[0] / (start - last.edges[0])
-            tail[:] = found.T @ self._basis.tables.extrapolation
+            tail[:] = found.T @ self._basis.tables["extrapolation"]
 
 
 def newton(
@@ -365,7 +371,7 @@ def newton(
         except np.linalg.LinAlgError:
             return None, step
         Z = Z + correction
-        scale = np.maximum(np.maximum(sizes, np.abs(Z).max(axis=0)), window_loop.TINY)
+        scale = np.maximum(np.maximum(sizes, np.abs(Z).max(axis=0)), _TINY)
         change = float((np.abs(correction) / scale).max())
         if change <= enough or (change < 1e-11 and change >= last):
             return flow.vector_field(Z, times), step + 1

@@ -1,47 +1,41 @@
-"""Solution of many initial-value problems of one Hamiltonian by compiled code.
+"""Solution of many initial-value problems of one Hamiltonian, each by itself.
 
 Input:  a Hamiltonian, initial states and parameter values, a span, a tolerance.
 Output: :class:`Batch`, the windows of all members that pass every check.
 
-What the compiled loop (:mod:`hamsym.random_features.member_loop`) does not accept is left to
+What the loop over members (:func:`hamsym.kernel.loops.solve_members`) does not accept is left to
 :func:`hamsym.random_features.method.solve_by_march`, which treats one member at a time.
 """
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
 
-from hamsym.bounds.vector_field import model_field
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.random_features import member_loop
+from hamsym.kernel import loops
+from hamsym.kernel.loops import Members, Span
 from hamsym.random_features.basis import FeatureBasis
-from hamsym.random_features.compiled_loop import compiled_loops, compiled_rows
 from hamsym.random_features.error_estimate import (
     MarchError,
     disturbances,
     error_tables,
-    halves,
     kicks,
     resolution_for,
+    terms_of,
 )
-from hamsym.random_features.error_loop import Actions
 from hamsym.random_features.flow import (
     flow_of,
-    has_conserved_values,
-    has_rounded_numbers,
-    stored_entries,
 )
 from hamsym.random_features.march import node_signs, origin_of, shortest_window
-from hamsym.random_features.member_loop import Members, Span
 from hamsym.random_features.window_checks import Pieces, WindowChecks
 from hamsym.random_features.windows import March
 from hamsym.solution.discontinuities import has_switches, has_time_switches
 from hamsym.solution.window_error import relative_tolerance
 
 _ROOM = 64  # windows for each member at first
+_LEAST_ROOM = 1_024  # windows of one call
 _MOST_ROOM = 2**21  # numbers in the readouts of one call
 MAX_WINDOWS = 50_000  # of one member; more are left to the general march
 
@@ -81,7 +75,7 @@ class Batch:
 
 
 class MemberSolver:
-    """Compiled solver of members of one Hamiltonian over one span.
+    """Solver of members of one Hamiltonian over one span.
 
     Parameters
     ----------
@@ -110,35 +104,27 @@ class MemberSolver:
         self.H, self.span, self.basis = H, span, basis
         self.origin = origin_of(H.time is None, span)
         start, end = (time - self.origin for time in span)
-        kernels = H.kernels
-        names = ["velocity", "force", "hessian", "velocity"]
-        conserved = has_conserved_values(H)
-        if conserved:
-            names[3] = "energy"
-        functions = [compiled_rows(kernels, name) for name in names]
-        self._tables = error_tables(basis, resolution_for(local))
+        self._flow = flow_of(H)
+        self._tables, self._local = error_tables(basis, resolution_for(local)), local
         self._constants = (
-            *functions,
+            self._flow.programs,
             basis.tables,
             self._tables,
-            *_terms(H),
-            node_signs(basis, H.dim),
-            disturbances(self._tables.places.shape, H.dim),
-            kicks(H.dim),
+            terms_of(self._flow.entries, self._flow.symmetric, H.dim),
             Span(
-                start,
-                end,
-                relative_tolerance(tol),
-                local,
-                atol,
-                longest,
-                shortest_window(start, end),
-                H.is_separable,
-                conserved,
-                any(map(has_rounded_numbers, H.real_equations.formulas)),
+                start=start,
+                end=end,
+                tolerance=relative_tolerance(tol),
+                local=local,
+                longest=longest,
+                shortest=shortest_window(start, end),
+                rounded=float(self._flow.rounded),
+                absolute=np.array(atol, dtype=float),
             ),
+            node_signs(basis, H.dim),
+            disturbances(self._tables.sets, self._tables.places, H.dim),
+            kicks(H.dim),
         )
-        self._local, self._loop = local, compiled_loops().members
         self._room = _ROOM
 
     @staticmethod
@@ -149,17 +135,16 @@ class MemberSolver:
     def solve(self, states: np.ndarray, parameters: np.ndarray, *, keep_error: bool) -> Batch:
         """Solve members from states of shape (members, dim) with parameters (members, k)."""
         first, parts = 0, []
-        room = max(_ROOM, min(self._room * len(states), _MOST_ROOM // states.shape[1]))
+        room = max(_LEAST_ROOM, min(self._room * len(states), _MOST_ROOM // states.shape[1]))
         states, parameters = (np.ascontiguousarray(array) for array in (states, parameters))
         while first < len(states):
             rest = states[first:], parameters[first:]
             members = self._allocated(len(rest[0]), room, keep_error)
-            assert self._loop is not None
-            done = self._loop(*self._constants, *rest, members)
+            done = loops.solve_members(*self._constants, *rest, members)
             if done == 0:  # one member does not fit
                 if room > MAX_WINDOWS:
-                    members.counts[0], members.verdicts[0] = 0, member_loop.LEFT
-                    members.excess[0], members.evaluations[0] = np.inf, 0
+                    members["count"][0], members["verdict"][0] = 0, loops.LEFT
+                    members["excess"][0], members["evaluations"][0] = np.inf, 0
                     done = 1
                 else:
                     room *= 4
@@ -175,79 +160,75 @@ class MemberSolver:
 
     def _allocated(self, count: int, room: int, keep_error: bool) -> Members:
         dim, columns = self.H.dim, self.basis.series.shape[1]
-        kept = room if keep_error else 0
+        more = {
+            "series": np.empty((room, self._tables.inside, dim)),
+            "floor": np.empty((room, dim)),
+        }
         return Members(
-            counts=np.zeros(count, dtype=np.int64),
-            verdicts=np.zeros(count, dtype=np.int64),
+            members=count,
+            room=room,
+            readout=columns,
+            count=np.zeros(count, dtype=np.int64),
+            verdict=np.zeros(count, dtype=np.int64),
             evaluations=np.zeros(count, dtype=np.int64),
             excess=np.empty(count),
             largest=np.empty((count, dim)),
-            sizes=np.empty((count, dim)),
-            edges=np.empty(room + count + 1),
-            states=np.empty((room + count + 1, dim)),
-            readouts=np.empty((room, columns, dim)),
-            marks=np.zeros(room, dtype=np.int64),
-            series=np.empty((kept, self._tables.lift.shape[1], dim)),
-            floors=np.empty((kept, dim)),
+            size=np.empty((count, dim)),
+            edge=np.empty(room + count + 1),
+            state=np.empty((room + count + 1, dim)),
+            coefficient=np.empty((room, columns, dim)),
+            mark=np.zeros(room, dtype=np.int64),
+            **(more if keep_error else {}),
         )
 
     def _checked(
         self, members: Members, done: int, states: np.ndarray, parameters: np.ndarray
     ) -> Batch:
         """Return the first ``done`` members, after the check between the points of the march."""
-        counts, verdicts = members.counts[:done], members.verdicts[:done]
-        verdicts[self._unresolved(members, counts, parameters)] = member_loop.LEFT
-        accepted = verdicts != member_loop.LEFT
+        counts, verdicts = members["count"][:done], members["verdict"][:done]
+        verdicts[self._unresolved(members, counts, parameters)] = loops.LEFT
+        accepted = verdicts != loops.LEFT
         kept = np.repeat(accepted, counts)
         rows = np.repeat(accepted & (counts > 0), counts + 1)
         total, final = int(counts.sum()), np.where(accepted, counts, 0)
         return Batch(
             accepted=accepted,
             counts=final,
-            evaluations=members.evaluations[:done],
-            excess=members.excess[:done],
-            largest=members.largest[:done],
-            sizes=members.sizes[:done],
-            edges=_selected(members.edges[: total + done], rows),
-            states=_selected(members.states[: total + done], rows),
-            readouts=_selected(members.readouts[:total], kept),
-            series=_selected(members.series[:total], kept[: len(members.series)]),
-            floors=_selected(members.floors[:total], kept[: len(members.floors)]),
+            evaluations=members["evaluations"][:done],
+            excess=members["excess"][:done],
+            largest=members["largest"][:done],
+            sizes=members["size"][:done],
+            edges=_selected(members["edge"][: total + done], rows),
+            states=_selected(members["state"][: total + done], rows),
+            readouts=_selected(members["coefficient"][:total], kept),
+            **{
+                plural: _selected(members[name][:total], kept) if members.has(name) else empty
+                for plural, name, empty in (
+                    ("series", "series", np.empty((0, self._tables.inside, self.H.dim))),
+                    ("floors", "floor", np.empty((0, self.H.dim))),
+                )
+            },
         )
 
     def _unresolved(
         self, members: Members, counts: np.ndarray, parameters: np.ndarray
     ) -> np.ndarray:
         """Return the members that the bound of their residual does not accept."""
-        field = model_field(self.H)
-        if field.is_short_polynomial:
+        if self._flow.is_short_polynomial:
             return np.empty(0, dtype=int)
         owner = np.repeat(np.arange(len(counts)), counts)
         # The loop leaves one edge more for every member, also for one without windows.
         left = np.arange(len(owner)) + owner
         pieces = Pieces(
-            members.edges[left],
-            members.edges[left + 1],
-            members.states[left],
-            members.readouts[: len(left)],
+            members["edge"][left],
+            members["edge"][left + 1],
+            members["state"][left],
+            members["coefficient"][: len(left)],
         )
-        failed: list[np.ndarray] = []
-        fixed = np.delete(parameters[: len(counts)], field.varied, axis=1)
-        # Values in exponents are part of the formula.
-        for row in np.unique(fixed, axis=0):
-            some = np.flatnonzero((fixed == row).all(axis=1)[owner])
-            H = self.H
-            if len(row) and len(some):
-                values = parameters[owner[some[0]]].tolist()
-                H = H.with_parameters(**dict(zip(H.parameter_names, values, strict=True)))
-            checks = WindowChecks(flow_of(H), self.basis, self._local)
-            chosen = Pieces(*(array[some] for array in pieces))
-            with np.errstate(all="ignore"):
-                found = checks.unresolved(
-                    chosen, members.sizes[owner[some]], parameters[owner[some]]
-                )
-            failed.append(owner[some[[excess.window for excess in found]]])
-        return np.unique(np.concatenate([*failed, np.empty(0, dtype=int)]))
+        checks = WindowChecks(self._flow, self.basis, self._local)
+        with np.errstate(all="ignore"):
+            found = checks.unresolved(pieces, members["size"][owner], parameters[owner])
+        return np.unique(owner[[excess.window for excess in found]])
 
     def march_of(self, batch: Batch, seconds: float, cpu_seconds: float) -> March:
         """Return the windows of a batch of one accepted member, and their cost."""
@@ -277,12 +258,6 @@ def _selected(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return array.copy() if rows.all() else array[rows]
 
 
-@functools.lru_cache(maxsize=64)
-def _terms(H: Hamiltonian) -> tuple[Actions, Actions]:
-    """Return the terms of J Hess v in the units of H."""
-    return halves(stored_entries(H.kernels.equations), np.ones(H.dim), not H.forces)
-
-
 def march_of(
     windows: tuple[np.ndarray, np.ndarray, np.ndarray],
     sizes: np.ndarray,
@@ -301,7 +276,6 @@ def march_of(
         reason="",
         evaluations=evaluations,
         newton_windows=0,
-        compiled=True,
         scale=sizes,
         seconds=seconds[0],
         cpu_seconds=seconds[1],

@@ -24,10 +24,8 @@ from hamsym.random_features.error_estimate import (
     MarchError,
     estimate_error,
 )
-from hamsym.random_features.error_loop import TIGHTER
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import MAX_WINDOWS, march
-from hamsym.random_features.member_loop import MARGIN, MOST, SMALLEST, STEP
 from hamsym.random_features.members import MemberSolver
 from hamsym.random_features.options import FEWEST_WINDOWS, FeatureOptions
 from hamsym.random_features.trial import FeatureTrial
@@ -44,6 +42,12 @@ from hamsym.solution.solution import Solution
 from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import allowed_errors, largest_ratio
 
+# Of the local tolerance from one march to the next: share of the allowed error at which it aims,
+# and limits of the step; below the smallest one residuals are round-off.
+_MARGIN, _STEP, _MOST, _SMALLEST = 0.3, 1e-4, 0.3, 1e-13
+_TIGHTER = (
+    3.0  # excess over the tolerance that errors beyond the linear equation count as, at least
+)
 _SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
 _LOCAL = 0.1  # local tolerance of the first march, relative to the tolerance
 _ATTEMPTS = 6
@@ -87,15 +91,10 @@ def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: in
         If one cannot be used.
     """
     tol = checked_tol(options.tol)
-    # 1 equals True, but flow_of distinguishes them.
-    if not (isinstance(options.compiled, bool) or options.compiled == "auto"):
-        raise InputError(
-            f'compiled={options.compiled!r} cannot be used; give True, False or "auto"'
-        )
     return Accuracy(
         tol,
         # The cost grows as a root of the accuracy: a margin is cheaper than a second march.
-        max(_LOCAL * tol, SMALLEST),
+        max(_LOCAL * tol, _SMALLEST),
         checked_atol(options.atol, dim),
         checked_window(
             options.max_window, span, abs(span[1] - span[0]) / FEWEST_WINDOWS, MAX_WINDOWS
@@ -114,7 +113,7 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
     H, span = problem.H, problem.span
     accuracy = checked_accuracy(options, span, H.dim)
     basis = basis_for(problem.seed, accuracy.tol)
-    if options.compiled is True and not accuracy.stops and MemberSolver.applies(H):
+    if not accuracy.stops and MemberSolver.applies(H):
         wall, cpu = time.perf_counter(), time.process_time()
         solver = MemberSolver(
             H, span, accuracy.tol, accuracy.local, accuracy.absolute, accuracy.longest, basis
@@ -177,7 +176,7 @@ def solve_by_march(
     accuracy = checked_accuracy(options, problem.span, H.dim)
     tol, local = accuracy.tol, accuracy.local
     stops = window_ends(H, accuracy.stops, problem.span)
-    flow = flow_of(H, options.compiled)
+    flow = flow_of(H)
     best: _Attempt | None = None
     loosened = tightened = False
     with np.errstate(all="ignore"):
@@ -207,8 +206,8 @@ def solve_by_march(
             # Shorter windows show whether a force that is steep for these jumps, and may resolve
             # what leaves a march in doubt.
             unresolved = bool(windows.doubt) and not (windows.reason or loosened or tightened)
-            if (tried.is_too_steep or unresolved) and local > SMALLEST:
-                local = max(local * STEP, SMALLEST)
+            if (tried.is_too_steep or unresolved) and local > _SMALLEST:
+                local = max(local * _STEP, _SMALLEST)
                 tightened |= unresolved
                 continue
             # A tighter march does not reduce an error that is mostly round-off.
@@ -217,9 +216,9 @@ def solve_by_march(
                 not estimate.limit
                 and (error.largest <= np.maximum(2 * floors, tried.allowed)).all()
             )
-            if tried.excess <= 1 or at_round_off or local <= SMALLEST:
+            if tried.excess <= 1 or at_round_off or local <= _SMALLEST:
                 break
-            local = max(local * min(max(MARGIN / tried.too_large, STEP), MOST), SMALLEST)
+            local = max(local * min(max(_MARGIN / tried.too_large, _STEP), _MOST), _SMALLEST)
     if best is None:
         reached = shown_time(windows.reached, *problem.span)
         raise InputError(f"no solution beyond t = {reached}: {windows.reason}")
@@ -279,7 +278,7 @@ class _Attempt:
     def too_large(self) -> float:
         """Ratio of the error to the allowed one, of which a tighter march has a smaller one."""
         linear = largest_ratio(self.estimate.linear, self.allowed)
-        return max(linear, TIGHTER) if self.estimate.limit else linear
+        return max(linear, _TIGHTER) if self.estimate.limit else linear
 
     @cached_property
     def held(self) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from hamsym.support.option_fields import option
 
@@ -23,7 +22,4 @@ class FeatureOptions:
     breakpoints: Sequence[float] = option((), "Times at which a window ends.", unit="TIMES")
     max_window: float | None = option(
         None, "Longest window.", default_text=f"span/{FEWEST_WINDOWS}", unit="TIME"
-    )
-    compiled: bool | Literal["auto"] = option(
-        "auto", "Compile the march.", choices={"auto": "auto", "yes": True, "no": False}
     )

@@ -15,21 +15,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hamsym.bounds.models import NODES
+from hamsym.bounds.models import NODES, resolved
 from hamsym.bounds.residual import Excess, Parts, Places, excesses
+from hamsym.kernel import loops
 from hamsym.numerics.collocation import collocation
 from hamsym.random_features.basis import FeatureBasis
-from hamsym.random_features.error_loop import SLACK
 from hamsym.random_features.flow import Flow
-from hamsym.random_features.window_loop import (
-    NOISE,
-    ROUND_OFF,
-    TINY,
-    Windows,
-    margin_inside,
-)
+from hamsym.random_features.windows import Windows
 
-_FEW = np.linspace(-1, 1, 9)  # places at which the size of the rates is taken
+SLACK = 10.0  # times the residual that the march allows at its own places
+_ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
+_NOISE = 8.0  # times the typical change of the rates for one unit in the last place of the states
+_TINY = np.finfo(float).tiny
+# Distance of places from the ends of their window, as in the march: units in the last place of the
+# time at least, and at most where that is a small share of the window.
+_LEAST_INSIDE, _INSIDE, _SMALL_INSIDE = 1.0, 4.0, 1e-6
 _NODES, _BISECTIONS = 32, 40  # of the search for the place at which H changes
 
 
@@ -113,25 +113,63 @@ class WindowChecks:
         first_only : bool
             Whether to search for the first of them only.
         """
-        field = self.flow.models
-        if field.is_short_polynomial:
+        if self.flow.is_short_polynomial:
             return []
+        given = self.flow.parameters if parameters is None else parameters
+        left = self._left(pieces, sizes, given)
+        if not len(left):
+            return []
+        pieces = Pieces(*(array[left] for array in pieces))
+        sizes = sizes if sizes.ndim == 1 else sizes[left]
+        given = given if given.ndim == 1 else given[left]
         lengths = np.abs(pieces.end - pieces.start)[:, None]
-        largest = np.abs(self._at(pieces, Parts.whole(len(lengths)), _FEW).rates).max(axis=1)
-        limits = self.tolerance * sizes + ROUND_OFF * lengths * largest
+        largest = np.abs(self._at(pieces, Parts.whole(len(lengths)), NODES).rates).max(axis=1)
+        limits = self.tolerance * sizes + _ROUND_OFF * lengths * largest
 
         def rates(z: np.ndarray, t: np.ndarray, window: np.ndarray) -> np.ndarray:
-            return self.flow.vector_field(z, t, None if parameters is None else parameters[window])
+            return self.flow.vector_field(z, t, given if given.ndim == 1 else given[window])
 
         def trial(parts: Parts) -> Places:
             return self._at(pieces, parts, NODES)
 
-        return excesses(
-            *(field, rates, trial, np.stack((pieces.start, pieces.end)), limits),
-            self.flow.parameters if parameters is None else parameters,
-            noise=SLACK * NOISE,
+        found = excesses(
+            *(
+                self.flow.programs,
+                rates,
+                trial,
+                np.stack((pieces.start, pieces.end)),
+                limits,
+                given,
+            ),
+            noise=SLACK * _NOISE,
             first_only=first_only,
         )
+        return [excess._replace(window=int(left[excess.window])) for excess in found]
+
+    def _left(self, pieces: Pieces, sizes: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """Return the windows that the bound on the whole of each does not accept."""
+        values, rates = _rows(self.basis)
+        found = resolved(
+            self.flow.programs,
+            loops.Pieces(
+                windows=len(pieces.start),
+                readout=pieces.readouts.shape[1],
+                columns=len(values),
+                size_stride=sizes.shape[1] if sizes.ndim == 2 else 0,
+                parameter_stride=parameters.shape[1] if parameters.ndim == 2 else 0,
+                tolerance=self.tolerance,
+                start=pieces.start,
+                end=pieces.end,
+                state=pieces.states,
+                coefficient=pieces.readouts,
+                size=sizes,
+                parameters=parameters,
+                places=(NODES + 1) / 2,
+                values=values,
+                rates=rates,
+            ),
+        )
+        return np.flatnonzero(~found)
 
     def _energy_changes(self, windows: Windows, sizes: np.ndarray) -> np.ndarray:
         """Return the change of H over each window, in units of the limit."""
@@ -143,7 +181,7 @@ class WindowChecks:
         slopes = np.abs(np.roll(self.flow.vector_field(z, t), half, axis=1))
         slopes = np.maximum(slopes[:-1], slopes[1:])
         size = np.maximum(np.abs(z[:-1]), np.abs(z[1:]))
-        rounding = ROUND_OFF * (np.abs(energies[:-1]) + (slopes * size).sum(axis=1))
+        rounding = _ROUND_OFF * (np.abs(energies[:-1]) + (slopes * size).sum(axis=1))
         allowed = self.tolerance * (slopes * sizes).sum(axis=1) + rounding
         return _excess(np.abs(np.diff(energies))[:, None], SLACK * allowed[:, None])
 
@@ -205,10 +243,19 @@ def times_of(pieces: Pieces, parts: Parts, x: np.ndarray) -> np.ndarray:
     They are inside the windows, as those of the march: at their ends a switch has neither value.
     """
     start, end = pieces.start[parts.window], pieces.end[parts.window]
-    margin = np.array([margin_inside(*ends) for ends in zip(start, end, strict=True)])
+    unit = np.finfo(float).eps * np.maximum(np.abs(start), np.abs(end))
+    margin = np.minimum(_INSIDE * unit, _SMALL_INSIDE * np.abs(end - start))
+    margin = np.maximum(_LEAST_INSIDE * unit, margin)
     low, high = np.minimum(start, end) + margin, np.maximum(start, end) - margin
     t = start[:, None] + (end - start)[:, None] * parts.places(x)
     return np.asarray(np.clip(t, low[:, None], high[:, None]))
+
+
+@functools.lru_cache(maxsize=16)
+def _rows(basis: FeatureBasis) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns and their derivatives at the places of models, shape (columns, places)."""
+    found = [np.ascontiguousarray(part.T) for part in _columns(basis, NODES.tobytes())]
+    return found[0], found[1]
 
 
 @functools.lru_cache(maxsize=16)
@@ -220,6 +267,6 @@ def _columns(basis: FeatureBasis, places: bytes) -> tuple[np.ndarray, np.ndarray
 def _excess(values: np.ndarray, allowed: np.ndarray) -> np.ndarray:
     """Return the largest ratio in each row, infinite where it is NaN or a limit is infinite."""
     with np.errstate(all="ignore"):
-        ratios = np.where(allowed < np.inf, values / np.maximum(allowed, TINY), np.inf)
+        ratios = np.where(allowed < np.inf, values / np.maximum(allowed, _TINY), np.inf)
         largest = ratios.max(axis=1)
     return np.where(np.isnan(largest), np.inf, largest)

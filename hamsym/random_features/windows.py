@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hamsym.random_features.basis import size_of
 from hamsym.support.checked_data import require_array, require_counts
+
+
+class Windows(NamedTuple):
+    """Consecutive windows: edges (n + 1,), states (n + 1, dim) and readouts (n, m, dim)."""
+
+    edges: np.ndarray
+    states: np.ndarray
+    readouts: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -31,8 +39,6 @@ class March:
         Calls of the vector field, each at all points of a window.
     newton_windows : int
         Windows for which Newton's method was needed.
-    compiled : bool
-        Whether the loop was compiled.
     scale : numpy.ndarray
         Largest magnitude of each component, shape (dim,).
     seconds, cpu_seconds : float
@@ -52,7 +58,6 @@ class March:
     reason: str
     evaluations: int
     newton_windows: int
-    compiled: bool
     scale: np.ndarray = field(repr=False)
     seconds: float
     cpu_seconds: float

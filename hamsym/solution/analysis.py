@@ -24,7 +24,7 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from hamsym.numerics.roots import refine, sign_changes
 from hamsym.numerics.symplectic import generators

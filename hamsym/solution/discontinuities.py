@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.optimize
+import scipy
 import sympy
 
 from hamsym.codegen.functions import compile_expressions

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import scipy.integrate
+import scipy
 
 from hamsym.numerics.call_limit import TooManyCallsError, limited
 from hamsym.solution.path import Path

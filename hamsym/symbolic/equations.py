@@ -113,6 +113,11 @@ class Equations(Shown):
         """Whether H is constant along trajectories: it does not depend on time, without forces."""
         return self.time is None and not self.forces
 
+    @property
+    def has_conserved_values(self) -> bool:
+        """Whether values of H are constant along trajectories: no cut of an angle is in them."""
+        return self.conserves_energy and not self.has_angle_cut
+
     @cached_property
     def gradient(self) -> list[sympy.Expr]:
         return [self.exact.rounded(entry) for entry in self.exact.gradient]

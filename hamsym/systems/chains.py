@@ -8,7 +8,7 @@ import operator
 from collections.abc import Callable
 
 import numpy as np
-import scipy.special
+import scipy
 import sympy
 from sympy.polys.matrices import DomainMatrix
 

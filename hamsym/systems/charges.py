@@ -6,9 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import scipy.linalg
-import scipy.optimize
-import scipy.special
+import scipy
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian

@@ -6,7 +6,7 @@ import itertools
 import math
 
 import numpy as np
-import scipy.special
+import scipy
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.special
+import scipy
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian

@@ -30,13 +30,8 @@ _FAST = (  # each takes less than a second
 )
 
 
-def _plain(H: hamsym.Hamiltonian, decoy: Decoy, tol: float) -> tuple[bool, np.ndarray]:
-    solution = hamsym.solve(H, decoy.z0, decoy.span, tol=tol, compiled=False)
-    return solution.success, solution(solution.span[1])
-
-
-def _compiled(H: hamsym.Hamiltonian, decoy: Decoy, tol: float) -> tuple[bool, np.ndarray]:
-    solution = hamsym.solve(H, decoy.z0, decoy.span, tol=tol, compiled=True)
+def _march(H: hamsym.Hamiltonian, decoy: Decoy, tol: float) -> tuple[bool, np.ndarray]:
+    solution = hamsym.solve(H, decoy.z0, decoy.span, tol=tol)
     return solution.success, solution(solution.span[1])
 
 
@@ -60,8 +55,7 @@ def _steps(H: hamsym.Hamiltonian, decoy: Decoy, tol: float) -> tuple[bool, np.nd
 
 
 _WAYS: dict[str, Callable[[hamsym.Hamiltonian, Decoy, float], tuple[bool, np.ndarray]]] = {
-    "plain": _plain,
-    "compiled": _compiled,
+    "march": _march,
     "many": _many,
     "integrate": _steps,
     "chain": _chain,
@@ -73,7 +67,7 @@ _CASES = [
         tol,
         way,
         id=f"{decoy.name}-{tol:.0e}-{way}",
-        marks=() if way == "plain" and (decoy.name, tol) in _FAST else pytest.mark.slow,
+        marks=() if way == "march" and (decoy.name, tol) in _FAST else pytest.mark.slow,
     )
     for decoy in DECOYS
     for tol in decoy.tols
@@ -83,7 +77,7 @@ _CASES = [
 
 
 @pytest.mark.slow_cases(
-    "coincidence-1e-04-plain", "sheet_of_friction-1e-06-plain", "sheet_of_friction-1e-04-plain"
+    "coincidence-1e-04-march", "sheet_of_friction-1e-06-march", "sheet_of_friction-1e-04-march"
 )
 @pytest.mark.parametrize(("decoy", "tol", "way"), _CASES)
 def test_success_means_the_feature_was_met(decoy: Decoy, tol: float, way: str) -> None:

@@ -1,8 +1,8 @@
 """Growth of the cost of a march with the dimension: a chain of n coupled oscillators.
 
-The march alone and the whole solve, plain and compiled, at tol 1e-9, and scipy's DOP853 with the
-right-hand side K @ q, vectorised because a scalar one would be slow for many masses. DOP853 runs at
-1e-11, where its true error is below the tolerance of the march, but above its true error.
+The march alone and the whole solve at tol 1e-9, and scipy's DOP853 with the right-hand side K @ q,
+vectorised because a scalar one would be slow for many masses. DOP853 runs at 1e-11, where its true
+error is below the tolerance of the march, but above its true error.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from . import markdown
 from .measuring import cpu, exponent, largest_error, median
 from .results import Section
 
-_COLUMNS = ("march", "solve", "march, compiled", "solve, compiled", "DOP853")
+_COLUMNS = ("march", "solve", "DOP853")
 
 
 def measure(quick: bool) -> Section:
@@ -45,9 +45,9 @@ def _row(n: int, repeats: int) -> dict[str, Any]:
     rates, t = _rates(n), np.linspace(*problem.span, 4_001)
     kept: dict[str, Any] = {}
 
-    def solve(compiled: bool) -> tuple[float, float]:
+    def solve() -> tuple[float, float]:
         seconds, kept["own"] = cpu(
-            lambda: hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9, compiled=compiled)
+            lambda: hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
         )
         return kept["own"].record.cpu_seconds, seconds
 
@@ -65,8 +65,8 @@ def _row(n: int, repeats: int) -> dict[str, Any]:
         )
         return seconds
 
-    solve(True)  # compiles
-    times = [(*solve(False), *solve(True), rival()) for _ in range(repeats)]
+    solve()  # derives
+    times = [(*solve(), rival()) for _ in range(repeats)]
     assert problem.exact is not None
     truth = problem.exact(t)
     return {

@@ -124,9 +124,7 @@ def _row(case: _Case) -> dict[str, Any]:
         "derivative": found.derivative(case.end).width,
         "windows": len(found.windows),
     }
-    row["solve"], solution = _best(
-        lambda: hamsym.solve(case.H, case.z0, span, tol=_TOL, compiled=True)
-    )
+    row["solve"], solution = _best(lambda: hamsym.solve(case.H, case.z0, span, tol=_TOL))
     sizes = np.abs(solution(np.linspace(*span, 4_001))).max(axis=0)
     row["certify"], certificate = _proof(solution)
     if certificate:
@@ -279,7 +277,7 @@ def _longest_proof(H: hamsym.Hamiltonian, z0: np.ndarray, end: float) -> tuple[f
 
 def _on_windows(H: hamsym.Hamiltonian, z0: np.ndarray, end: float) -> WindowBounds | None:
     """What ``certify()`` finds."""
-    solution = hamsym.solve(H, z0, (0.0, end), tol=_TOL, compiled=True)
+    solution = hamsym.solve(H, z0, (0.0, end), tol=_TOL)
     try:
         return WindowProof(solution, Deadline.after(_LIMIT)).bounds(0.02, None)
     except hamsym.CertificationError:
@@ -323,7 +321,7 @@ def _ms_and_width(seconds: float, width: float) -> str:
 
 
 def _proofs(rows: list[dict[str, Any]], tol: float) -> str:
-    head = ["ms", "compiled `solve`", "`certify()`", "largest upper / lower"]
+    head = ["ms", "`solve`", "`certify()`", "largest upper / lower"]
     head += [f"`certify(bound={tol:.0e})`", "over `solve`"]
     lines = [
         [

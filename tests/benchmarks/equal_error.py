@@ -107,7 +107,7 @@ def _solve_runs(case: Case, exponents: range) -> Iterator[Run]:
     for k in exponents:
 
         def call(tol: float = 10.0**-k) -> np.ndarray:
-            solution = hamsym.solve(case.H, case.z0, case.span, tol=tol, compiled=True)
+            solution = hamsym.solve(case.H, case.z0, case.span, tol=tol)
             return np.asarray(solution(case.t))
 
         yield Run("hamsym.solve", 10.0**-k, call, lambda z, t: z)

@@ -46,7 +46,7 @@ def measure(quick: bool) -> Section:
         return hamsym.integrate(H, z0, span, tol=1e-9, saves=1, progress=False)
 
     def looped() -> Any:
-        return [hamsym.solve(H, z, span, tol=1e-9, compiled=True) for z in z0[:_LOOPED]]
+        return [hamsym.solve(H, z, span, tol=1e-9) for z in z0[:_LOOPED]]
 
     calls: dict[str, tuple[Callable[[], Any], Callable[[Any], np.ndarray], int]] = {
         "solve_many": (many, lambda found: found(_END), count),

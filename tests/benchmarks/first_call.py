@@ -15,7 +15,6 @@ from .results import Section
 _HAMSYM = """
 from hamsym import solve
 from hamsym.systems import henon_heiles
-import numba, torch
 began = time.process_time()
 problem = henon_heiles()
 derived = time.process_time()

@@ -109,12 +109,12 @@ def compare(case: Case, runs: Iterable[Run], repeats: int) -> list[dict[str, Any
 # -- hamsym ------------------------------------------------------------------------------------
 
 
-def hamsym_runs(case: Case, name: str, tolerances: Iterable[float], compiled: bool) -> list[Run]:
+def hamsym_runs(case: Case, name: str, tolerances: Iterable[float]) -> list[Run]:
     """Run solve as a whole, and its march alone."""
 
     def made(tol: float) -> Run:
         def call() -> hamsym.Solution:
-            return hamsym.solve(case.H, case.z0, case.span, tol=tol, compiled=compiled)
+            return hamsym.solve(case.H, case.z0, case.span, tol=tol)
 
         return Run(f"{name}: solve", tol, call, lambda found, t: found(t), f"{name}: march")
 

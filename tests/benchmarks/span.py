@@ -23,30 +23,21 @@ _TOL = 1e-8
 def measure(quick: bool) -> Section:
     problem = systems.nonlinear_oscillator()
     counts = (3, 10) if quick else (10, 100, 1_000, 10_000)
-    hamsym.solve(problem.H, problem.z0, problem.span, tol=_TOL, compiled=True)  # compiles
-    rows = [
-        _row(problem, count, compiled, 3 if count <= 1_000 and not quick else 1)
-        for compiled in (False, True)
-        for count in counts
-        if compiled or count < 10_000
-    ]
+    hamsym.solve(problem.H, problem.z0, problem.span, tol=_TOL)  # derives
+    rows = [_row(problem, count, 3 if count <= 1_000 and not quick else 1) for count in counts]
     powers = {
-        name: exponent(
-            [row["periods"] for row in rows if row["compiled"]],
-            [row[name] for row in rows if row["compiled"]],
-        )
+        name: exponent(counts, [row[name] for row in rows])
         for name in ("windows", "march", "solve")
     }
     return {"rows": rows, "powers": powers, "tol": _TOL}
 
 
-def _row(problem: systems.Problem, count: int, compiled: bool, repeats: int) -> dict[str, Any]:
+def _row(problem: systems.Problem, count: int, repeats: int) -> dict[str, Any]:
     assert problem.period is not None
     assert problem.exact is not None
     span = (0.0, count * problem.period)
     runs = [
-        cpu(lambda: hamsym.solve(problem.H, problem.z0, span, tol=_TOL, compiled=compiled))
-        for _ in range(repeats)
+        cpu(lambda: hamsym.solve(problem.H, problem.z0, span, tol=_TOL)) for _ in range(repeats)
     ]
     solution = runs[-1][1]
     t = np.linspace(span[0], solution.span[1], 4_001)
@@ -54,7 +45,6 @@ def _row(problem: systems.Problem, count: int, compiled: bool, repeats: int) -> 
     allowed = _TOL * windows.scale
     return {
         "periods": count,
-        "compiled": compiled,
         "windows": len(windows.readouts),
         "march": median(run.record.cpu_seconds for _, run in runs),
         "solve": median(seconds for seconds, _ in runs),
@@ -79,7 +69,6 @@ def table(section: Section) -> str:
     rows = [
         [
             f"{row['periods']:,}",
-            "yes" if row["compiled"] else "no",
             f"{row['windows']:,}",
             f"{row['march']:.3f}",
             f"{row['solve']:.3f}",
@@ -90,15 +79,15 @@ def table(section: Section) -> str:
         ]
         for row in section["rows"]
     ]
-    head = ["periods", "compiled", "windows", "march s", "solve s", "estimate over allowed"]
+    head = ["periods", "windows", "march s", "solve s", "estimate over allowed"]
     head += ["true error", "MB", "tolerance met"]
     powers = section["powers"]
     text = markdown.table(head, rows)
     text += (
-        f"\n\nCompiled, windows grow with the span as T^{powers['windows']:.2f}, the march as "
+        f"\n\nWindows grow with the span as T^{powers['windows']:.2f}, the march as "
         f"T^{powers['march']:.2f} and the whole solve as T^{powers['solve']:.2f}."
     )
     for row in section["rows"]:
-        if row["message"] and row["compiled"]:
+        if row["message"]:
             text += f"\n{row['periods']:,} periods: {row['message']}."
     return text

@@ -22,8 +22,7 @@ from .problems import PROBLEMS, Case
 from .results import Section
 
 _ASKED = (1e-6, 1e-9, 1e-11)
-_PLAIN, _COMPILED = "features, plain", "features, compiled"
-_POLYNOMIALS = "Chebyshev, plain", "Chebyshev, compiled"
+_OWN, _POLYNOMIALS = "hamsym", "Chebyshev"
 _INTERPRETED = ("DOP853 (scipy)",)
 _FASTEST_DOP853 = ("DOP853 (numbalsoda)", "DOP853 (CyRK)")
 
@@ -37,20 +36,18 @@ def measure(quick: bool) -> Section:
         own = _ASKED[:2] if quick else [10.0**-k for k in range(5, 13)]
         step = 4.0 if quick else 0.5
         tolerances = [float(10.0**-k) for k in np.arange(5, 13.6, step)]
-        plain, compiled = opponent_runs(case, tolerances, missing)
-        plain += hamsym_runs(case, _PLAIN, own, compiled=False)
-        plain += chebyshev_runs(case, _POLYNOMIALS[0], own, compiled=False)
+        slow, fast = opponent_runs(case, tolerances, missing)
         if not quick:
             lean = interpreted(field)
-            plain += scipy_runs(case, "Radau (scipy)", "Radau", lean, _ASKED[:2])
-        compiled += hamsym_runs(case, _COMPILED, own, compiled=True)
-        compiled += chebyshev_runs(case, _POLYNOMIALS[1], own, compiled=True)
-        for run in compiled:
+            slow += scipy_runs(case, "Radau (scipy)", "Radau", lean, _ASKED[:2])
+        fast += hamsym_runs(case, _OWN, own)
+        fast += chebyshev_runs(case, _POLYNOMIALS, own)
+        for run in fast:
             run.call()  # compiles
-        rows += compare(case, plain, repeats)
-        rows += compare(case, compiled, 5 * repeats)
+        rows += compare(case, slow, repeats)
+        rows += compare(case, fast, 5 * repeats)
     return {
-        "repeats": {"plain": repeats, "compiled": 5 * repeats},
+        "repeats": {"interpreted": repeats, "compiled": 5 * repeats},
         "rows": rows,
         "skipped": missing,
     }
@@ -69,11 +66,10 @@ def _ratio(rows: list[dict[str, Any]], name: str, asked: float, rivals: Sequence
 
 
 _COLUMNS = (
-    ("plain / DOP853", _PLAIN, _INTERPRETED),
-    ("compiled / DOP853", _COMPILED, _INTERPRETED),
-    ("compiled / compiled DOP853", _COMPILED, _FASTEST_DOP853),
-    ("compiled / heyoka", _COMPILED, ("heyoka", "heyoka, grid")),
-    ("compiled / diffrax", _COMPILED, ("Dopri8 (diffrax)",)),
+    ("over DOP853", _INTERPRETED),
+    ("over compiled DOP853", _FASTEST_DOP853),
+    ("over heyoka", ("heyoka", "heyoka, grid")),
+    ("over diffrax", ("Dopri8 (diffrax)",)),
 )
 
 
@@ -81,16 +77,16 @@ def table(section: Section) -> str:
     lines = []
     for problem in dict.fromkeys(row["problem"] for row in section["rows"]):
         rows = [row for row in section["rows"] if row["problem"] == problem]
-        known = {row["asked"] for row in rows if row["method"] == f"{_PLAIN}: solve"}
+        known = {row["asked"] for row in rows if row["method"] == f"{_OWN}: solve"}
         for asked in (asked for asked in _ASKED if any(abs(k / asked - 1) < 1e-6 for k in known)):
             cells = [problem, f"{asked:.0e}"]
-            for _, own, rivals in _COLUMNS:
+            for _, rivals in _COLUMNS:
                 march, solve = (
-                    _ratio(rows, f"{own}: {part}", asked, rivals) for part in ("march", "solve")
+                    _ratio(rows, f"{_OWN}: {part}", asked, rivals) for part in ("march", "solve")
                 )
                 cells.append(f"{march}, {solve}" if march != "-" else "-")
             lines.append(cells)
-    head = ["problem", "asked", *(name for name, _, _ in _COLUMNS)]
+    head = ["problem", "asked", *(name for name, _ in _COLUMNS)]
     marked = any("\\*" in cell for cells in lines for cell in cells)
     text = markdown.table(head, lines, left=2)
     if marked:
@@ -100,10 +96,8 @@ def table(section: Section) -> str:
 
 # Colours that the colour-blind can tell apart (Okabe & Ito 2008); dots are marches alone.
 _LINES = {
-    f"{_PLAIN}: solve": ("hamsym, plain", "#0072B2", "o-"),
-    f"{_PLAIN}: march": ("hamsym, plain, march alone", "#0072B2", "o:"),
-    f"{_COMPILED}: solve": ("hamsym, compiled", "#D55E00", "s-"),
-    f"{_COMPILED}: march": ("hamsym, compiled, march alone", "#D55E00", "s:"),
+    f"{_OWN}: solve": ("hamsym", "#D55E00", "s-"),
+    f"{_OWN}: march": ("hamsym, march alone", "#D55E00", "s:"),
     "DOP853 (scipy)": ("DOP853, scipy", "#56B4E9", "^-"),
     "DOP853 (scipy, jitted)": ("DOP853, scipy, jitted equations", "#56B4E9", "^:"),
     "LSODA (odeint)": ("LSODA, odeint", "#009E73", "v-"),

@@ -10,7 +10,7 @@ import pytest
 from hamsym import Hamiltonian
 from hamsym.bounds.models import NODES
 from hamsym.bounds.residual import Excess, Parts, Places, excesses
-from hamsym.bounds.vector_field import model_field
+from hamsym.codegen.programs import programs_of
 
 EDGES = np.arange(11.0)
 
@@ -27,7 +27,7 @@ def found(force: str, limit: float, first_only: bool = False) -> list[Excess]:
 
     with np.errstate(all="ignore"):
         return excesses(
-            model_field(H),
+            programs_of(H.real_equations),
             lambda z, t, window: system.vector_field(*system.arguments(z, t)),
             trial,
             np.stack((EDGES[:-1], EDGES[1:])),

@@ -23,7 +23,7 @@ expect = pytest.importorskip("playwright.sync_api", reason="needs pip install pl
 
 pytestmark = pytest.mark.slow
 
-PATIENCE = 150_000  # milliseconds; the first solution waits for imports and compilers
+PATIENCE = 150_000  # milliseconds; sections and proofs wait for compilers
 COORDINATES = ".chart.coordinates path[stroke='#0072b2']"
 
 
@@ -148,7 +148,7 @@ def test_example_has_a_section(page, address):
 def test_section_of_earlier_values_is_pale_until_it_is_replaced(page):
     server, address = _serve("(p_x**2 + p_y**2)/2 + (x**2 + 2*y**2)/2 + x**2*y**4")
     try:
-        _open(page, address)  # loops are compiled from now on
+        _open(page, address)  # the loops of its section are compiled from now on
         for value in ("0.2", "0.3"):
             field = page.get_by_label("value of x", exact=True)
             field.fill(value)

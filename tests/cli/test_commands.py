@@ -626,7 +626,7 @@ def test_options_of_solve_are_passed_on(capsys: Captured, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "options"),
     [
-        ("--atol 1e-3 --tol 1e-5 --compiled no", {"atol": 1e-3, "tol": 1e-5, "compiled": False}),
+        ("--atol 1e-3 --tol 1e-5", {"atol": 1e-3, "tol": 1e-5}),
         ("--atol 1e-3,1e-2 --max-window 1/8", {"atol": [1e-3, 1e-2], "max_window": 0.125}),
     ],
 )

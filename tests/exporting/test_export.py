@@ -91,9 +91,9 @@ CASES: dict[str, tuple[Any, Any, tuple[float, float], dict[str, Any]]] = {
         " + ".join(f"p{k}**2/2 + (x{k} - x{(k + 1) % 30})**4/4" for k in range(30)),
         [math.sin(k) for k in range(60)],
         (0, 2),
-        {"tol": 1e-6, "compiled": False},
+        {"tol": 1e-6},
     ),
-    "failed": ("p**2/2 - x**4/4", [1, 1], (0, 5), {"compiled": False}),
+    "failed": ("p**2/2 - x**4/4", [1, 1], (0, 5), {}),
     "chain": (
         "p**2/2 + x**4/4",
         [1, 0],

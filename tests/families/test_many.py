@@ -88,7 +88,7 @@ def test_members_are_those_of_solve(
     many = hamsym.solve_many(H, starts, span, **options)
     t = np.linspace(*span, 23)
     for i, z0 in enumerate(starts):
-        alone = hamsym.solve(H, z0, span, compiled=True, **options)
+        alone = hamsym.solve(H, z0, span, **options)
         same_solution(many[i], alone)
         assert (many.success[i], many.message[i]) == (alone.success, alone.message)
         np.testing.assert_array_equal(many.error_estimate[i], alone.largest_error)
@@ -108,7 +108,7 @@ def test_grids_of_starts_and_parameters(mixed: Solutions) -> None:
     for row, k in enumerate((1.0, 2.0)):
         for column in (0, 1, 2, 4):
             H = CUBIC.with_parameters(k=k)
-            alone = hamsym.solve(H, mixed.z0[row, column], (0, 10), compiled=True)
+            alone = hamsym.solve(H, mixed.z0[row, column], (0, 10))
             same_solution(mixed[row, column], alone)
             until = alone.span[1]
             np.testing.assert_array_equal(mixed(until / 2)[row, column], alone(until / 2))
@@ -117,7 +117,7 @@ def test_grids_of_starts_and_parameters(mixed: Solutions) -> None:
 def test_one_start_is_a_family_without_axes() -> None:
     many = hamsym.solve_many(HENON, [0.1, 0.2, 0.0, 0.1], SPAN)
     assert (many.shape, many.success.shape, many(1.0).shape) == ((), (), (4,))
-    same_solution(many[()], hamsym.solve(HENON, [0.1, 0.2, 0.0, 0.1], SPAN, compiled=True))
+    same_solution(many[()], hamsym.solve(HENON, [0.1, 0.2, 0.0, 0.1], SPAN))
     with pytest.raises(TypeError):
         len(many)
 
@@ -211,7 +211,7 @@ def test_collisions_fail_alone() -> None:
     assert many.success.tolist() == [True, False, False, True]
     assert many.message[2] == "H or its gradient is not finite at z0; choose another initial state"
     assert 1.0 < many[1].span[1] <= np.pi / np.sqrt(8) + 1e-6  # the time of the fall
-    same_solution(many[3], hamsym.solve(KEPLER, starts[3], (0, 5), compiled=True))
+    same_solution(many[3], hamsym.solve(KEPLER, starts[3], (0, 5)))
     np.testing.assert_allclose(many(5.0)[0], [np.cos(5), np.sin(5), -np.sin(5), np.cos(5)])
 
 
@@ -249,7 +249,7 @@ def test_narrow_forces_are_checked_in_threads() -> None:
     many = hamsym.solve_many(H, [1.0, 0.3], (0, 5), parameters={"w": w})
     for i in (0, 5, 11):
         own = H.with_parameters(w=float(w[i]))
-        same_solution(many[i], hamsym.solve(own, [1.0, 0.3], (0, 5), compiled=True))
+        same_solution(many[i], hamsym.solve(own, [1.0, 0.3], (0, 5)))
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def test_minimum_and_covariance_are_those_of_scipy(swing: np.ndarray) -> None:
     H = Hamiltonian(PENDULUM, parameters={"m": 1, "l": 1, "g": 1.6})
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        there = hamsym.solve(H.with_parameters(g=x[0]), x[1:], (0, 20), tol=1e-11, compiled=True)
+        there = hamsym.solve(H.with_parameters(g=x[0]), x[1:], (0, 20), tol=1e-11)
         return (there(T)[:, 0] - data) / 0.02
 
     expected = scipy.optimize.least_squares(residuals, [1.6, 0.9, 0.1], "3-point", method="lm")

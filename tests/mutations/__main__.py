@@ -16,6 +16,7 @@ import re
 import resource
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable
@@ -87,9 +88,17 @@ def _caught(folder: Path, mutation: Mutation) -> tuple[int, list[str]]:
     original = path.read_text(encoding="utf-8")
     path.write_text(mutation.applied(original), encoding="utf-8")
     try:
+        _compile(path)
         return _tested(folder, [f"tests/{test}" for test in mutation.tests])
     finally:
         path.write_text(original, encoding="utf-8")
+        _compile(path)
+
+
+def _compile(source: Path) -> None:
+    """Compile the kernel again if a source of it has changed."""
+    if source.suffix in (".c", ".h"):
+        subprocess.run([sys.executable, "-P", source.parent / "build_backend.py"], check=True)
 
 
 def _tested(folder: Path, tests: Iterable[str]) -> tuple[int, list[str]]:

@@ -15,7 +15,8 @@ import torch
 import hamsym
 from hamsym import Hamiltonian, InputError, systems
 from hamsym.integrators.adaptive import reference
-from hamsym.random_features import method, row_products, window_loop
+from hamsym.kernel import loops
+from hamsym.random_features import method
 from hamsym.random_features.basis import feature_basis
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import march, newton
@@ -193,8 +194,18 @@ def test_newton_and_fixed_point_solve_the_same_equation() -> None:
 def test_newton_replaces_failing_fixed_point(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = systems.nonlinear_oscillator()
     usual = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
-    monkeypatch.setattr(window_loop, "ITERATIONS", 3)  # too few for any window
-    newton = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9)
+    usual_march = loops.march
+
+    def march_by_newton(*arguments: Any) -> int:
+        """Ask for the rates of every window, as where the iteration does not converge."""
+        *_, progress, windows, given = arguments
+        windows.room = progress["counts"][0] + given
+        outcome = usual_march(*arguments)
+        return loops.NEWTON if outcome == loops.FULL and not given else outcome
+
+    monkeypatch.setattr(loops, "march", march_by_newton)
+    stop = sum(problem.span) / 2  # members have no breakpoints
+    newton = hamsym.solve(problem.H, problem.z0, problem.span, tol=1e-9, breakpoints=[stop])
     assert usual.history.newton_windows == 0
     assert newton.history.newton_windows >= len(newton.history.readouts) > 10
     assert newton.success
@@ -237,7 +248,8 @@ def test_a_march_in_doubt_is_tried_once_more(
         return windows if arguments[3] <= resolved else replace(windows, doubt="in doubt")
 
     monkeypatch.setattr(method, "march", doubtful)
-    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-3)
+    # Members have no breakpoints.
+    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-3, breakpoints=[2])
     assert solution.success == (resolved > 0)
     assert len(tolerances) == 2
     assert tolerances[1] < tolerances[0]
@@ -260,12 +272,9 @@ def test_strong_damping_needs_few_windows(damping: float, end: float) -> None:
     assert (error <= 1.1 * solution.error.largest + 1e-15 * solution.scale).all()
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_equal_windows_reach_the_end_of_any_span(compiled: bool) -> None:
+def test_equal_windows_reach_the_end_of_any_span() -> None:
     """An eighth of the span, eight times added to the start, may fall short of its end."""
     H = Hamiltonian("p**2/2 + x**2/2")
-    if compiled:
-        H.compile("numba")
     rng = np.random.default_rng(7)
     for start, length in zip([0.0, 1.7, -1e3] * 10, rng.uniform(0.01, 9, 30), strict=True):
         for end in (start + length, start - length):
@@ -412,10 +421,9 @@ def test_kink_of_the_force_succeeds() -> None:
 )
 def test_angle_crosses_its_cut_where_forces_are_smooth(potential: str, smooth: bool) -> None:
     H = Hamiltonian(f"(px**2 + py**2)/2 + (x**2 + y**2)/2 + ({potential})/10")
-    for compiled in (False, True):
-        solution = hamsym.solve(H, [-1.0, 0.5, 0.0, -1.0], (0, 3), tol=1e-9, compiled=compiled)
-        assert solution.success == smooth, solution.message
-        assert smooth or "jumps at t = " in solution.message
+    solution = hamsym.solve(H, [-1.0, 0.5, 0.0, -1.0], (0, 3), tol=1e-9)
+    assert solution.success == smooth, solution.message
+    assert smooth or "jumps at t = " in solution.message
 
 
 def test_brief_pulse_in_long_rest_is_resolved() -> None:
@@ -427,11 +435,10 @@ def test_brief_pulse_in_long_rest_is_resolved() -> None:
     assert np.diff(truth.history.edges).max() <= 0.5 * (1 + 1e-12)
 
 
-@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("force", [1.0, 1e8])
-def test_switch_at_the_start_is_resolved(force: float, compiled: bool) -> None:
+def test_switch_at_the_start_is_resolved(force: float) -> None:
     H = Hamiltonian("p**2/2 + x**2/2 + F*x*sign(sin(t))", parameters={"F": force})
-    solution = hamsym.solve(H, [1.0, 0.0], (0, 5), tol=1e-9, compiled=compiled)
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 5), tol=1e-9)
     assert solution.success, solution.message
     t = np.linspace(0, 5, 101)
     # Around -F until pi, then around F.
@@ -440,19 +447,31 @@ def test_switch_at_the_start_is_resolved(force: float, compiled: bool) -> None:
 
 
 def test_places_of_short_windows_are_inside_them() -> None:
-    places, start, h = feature_basis(0).between, 3.0, 1e-8
-    for stretch in (window_loop.stretch, row_products.stretch):
-        times = np.empty(len(places))
-        for step in (h, -h):
-            stretch(places, step, start, times)
-            assert min(start, start + step) < times.min()
-            assert times.max() < max(start, start + step)
+    met: list[np.ndarray] = []
+
+    def record(z: np.ndarray, times: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
+        met.append(times.copy())
+        out[:] = 0.0
+
+    basis, start = feature_basis(0), 3.0
+    still = loops.Program(2, 0, 1, function=record)
+    for h in (1e-8, -1e-8):
+        flow = replace(flow_of(Hamiltonian("p**2/2 + x*t")), programs=_equations(still))
+        march(flow, np.array([1.0, 0.0]), (start, start + h), 1e-9, basis)
+        times = np.concatenate(met)
+        assert min(start, start + h) < times.min()
+        assert times.max() < max(start, start + h)
+        met.clear()
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_stable_equilibrium_stays_exactly(compiled: bool) -> None:
+def _equations(rows: loops.Program) -> loops.Equations:
+    """One degree of freedom with one function for every row."""
+    return loops.Equations(dim=2, separable=1, velocity=rows, force=rows, hessian=rows)
+
+
+def test_stable_equilibrium_stays_exactly() -> None:
     H = Hamiltonian("p**2/2 + (x**2 - 1)**2/4")
-    solution = hamsym.solve(H, [1.0, 0.0], (0, 10), tol=1e-11, compiled=compiled)
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 10), tol=1e-11)
     assert solution.success, solution.message
     assert (solution(np.linspace(0, 10, 11)) == [1.0, 0.0]).all()
 
@@ -478,11 +497,10 @@ def test_driven_motion_at_large_times() -> None:
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-9])
-@pytest.mark.parametrize("compiled", [False, True])
-def test_steep_force_is_resolved_at_any_tolerance(tol: float, compiled: bool) -> None:
+def test_steep_force_is_resolved_at_any_tolerance(tol: float) -> None:
     # |x| to 1e-18: parabolas, with sqrt(2) from the start to the zero.
     H, t = Hamiltonian("p**2/2 + sqrt(x**2 + 1e-20)"), np.linspace(0, 4, 81)
-    solution = hamsym.solve(H, [1.0, 0.0], (0, 4), tol=tol, compiled=compiled)
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 4), tol=tol)
     assert solution.success, solution.message
     past = np.abs(t - 2 * math.sqrt(2))
     x = np.where(t < math.sqrt(2), 1 - t**2 / 2, past**2 / 2 - 1)
@@ -490,13 +508,10 @@ def test_steep_force_is_resolved_at_any_tolerance(tol: float, compiled: bool) ->
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-7])
-@pytest.mark.parametrize("compiled", [False, True])
-def test_root_of_the_force_is_resolved_at_any_tolerance(tol: float, compiled: bool) -> None:
+def test_root_of_the_force_is_resolved_at_any_tolerance(tol: float) -> None:
     # Half a period is sqrt(2) B(2/3, 1/2) * 2/3.
     half = 2 * math.sqrt(2) / 3 * float(scipy.special.beta(2 / 3, 1 / 2))
-    solution = hamsym.solve(
-        "p**2/2 + (x**2)**0.75", [1.0, 0.0], (0, half), tol=tol, compiled=compiled
-    )
+    solution = hamsym.solve("p**2/2 + (x**2)**0.75", [1.0, 0.0], (0, half), tol=tol)
     assert solution.success, solution.message
     assert np.abs(solution(half) - [-1.0, 0.0]).max() <= tol
 

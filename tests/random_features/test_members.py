@@ -1,21 +1,23 @@
-"""The compiled solver of members, against exact solutions; checks of its members, in plain text."""
+"""The solver of members, against exact solutions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hamsym import Hamiltonian
+from hamsym.kernel.loops import Equations, Program
+from hamsym.random_features import members
 from hamsym.random_features.basis import FeatureBasis
-from hamsym.random_features.member_loop import keeps_energy
+from hamsym.random_features.flow import flow_of
 from hamsym.random_features.members import Batch, MemberSolver
 from hamsym.random_features.method import basis_for, checked_accuracy
 from hamsym.random_features.options import FeatureOptions
 from hamsym.random_features.trial import FeatureTrial
-from hamsym.random_features.window_loop import Windows
 from hamsym.systems import CATALOGUE
 
 HENON_HEILES = CATALOGUE["henon_heiles"]().H
@@ -23,34 +25,41 @@ OSCILLATOR = Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": 1})
 SHARES = np.linspace(0, 1, 13)
 
 
-def _zeros(z: np.ndarray, times: np.ndarray, parameters: np.ndarray, out: np.ndarray) -> None:
-    out[:] = 0.0
-
-
-def _coordinate(z: np.ndarray, times: np.ndarray, parameters: np.ndarray, out: np.ndarray) -> None:
-    out[0] = z[0]
-
-
 @pytest.mark.parametrize(
-    ("slope", "change", "kept"),
+    ("change", "slope", "kept"),
     [
-        (1.0, 1e-9, True),
-        (1.0, 1e-6, False),
-        (np.inf, 1e-9, False),
-        (np.inf, 0.0, False),
-        (np.nan, 0.0, False),
+        (1e-12, 1.0, True),
+        (1e-6, 1.0, False),
+        (0.0, np.inf, False),
+        (0.0, np.nan, False),
+        (np.nan, 1.0, False),
     ],
 )
-def test_energy_is_kept_only_within_a_finite_limit(slope: float, change: float, kept: bool) -> None:
-    def force(z: np.ndarray, times: np.ndarray, parameters: np.ndarray, out: np.ndarray) -> None:
-        out[:] = slope
+def test_energy_is_kept_only_within_a_finite_limit(change: float, slope: float, kept: bool) -> None:
+    """The solver judges by the H, the velocity and the force that it is given."""
+    checking = False
 
-    windows = Windows(
-        np.array([0.0, 1.0]), np.array([[1.0, 0.5], [1.0 + change, 0.5]]), np.zeros((1, 4, 2))
+    def velocity(z: np.ndarray, t: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
+        out[0] = z[1] * (slope if checking else 1.0)
+
+    def energy(z: np.ndarray, t: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
+        nonlocal checking
+        checking = True
+        out[0] = (z**2).sum(axis=0) / 2 + change * t
+
+    flow = flow_of(OSCILLATOR)
+    given = Equations(
+        dim=2,
+        separable=1,
+        velocity=Program(2, 1, 1, function=velocity),
+        force=flow.programs["force"],
+        hessian=flow.programs["hessian"],
+        energy=Program(2, 1, 1, function=energy),
     )
-    # H is the coordinate.
-    rows = _zeros, force, _coordinate
-    assert keeps_energy(*rows, windows, np.empty(0), 1e-9, np.array([1.0, 0.5])) is kept
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(members, "flow_of", lambda H: replace(flow, programs=given))
+        assert _solved(OSCILLATOR, [[1.0, 0.5]], (0, 2)).accepted.tolist() == [kept]
+    assert checking
 
 
 def _random(seed: int, *shape: int) -> np.ndarray:

@@ -20,7 +20,7 @@ START = [1.0, 0.0, 0.0, 1.2]
 
 
 def solved(**options: object) -> hamsym.Solution:
-    return hamsym.solve(KEPLER, START, (0, 10), compiled=False, **options)  # type: ignore[arg-type]
+    return hamsym.solve(KEPLER, START, (0, 10), **options)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-12])
@@ -59,7 +59,7 @@ def test_zero_invariants_and_functions_of_them_are_accepted() -> None:
     H = hamsym.Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)/2")
     names = [MOMENTUM, f"({MOMENTUM})**2", "p_x**2 + x**2", "p_x*p_y + x*y"]
     for start in ([1, 1, 0, 0], [0, 0, 0, 0], [1, 0, 0, 0]):
-        solution = hamsym.solve(H, start, (0, 10), invariants=names, compiled=False)
+        solution = hamsym.solve(H, start, (0, 10), invariants=names)
         assert solution.success, solution.message
 
 

@@ -25,14 +25,7 @@ def exact(times: np.ndarray, start: float = 1.0, force: float = 2.0) -> np.ndarr
     )
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        pytest.param({"compiled": True}, marks=pytest.mark.slow),
-        {"breakpoints": [1.0, 2.5]},
-    ],
-)
+@pytest.mark.parametrize("options", [{}, {"breakpoints": [1.0, 2.5]}])
 def test_switched_force_is_solved_to_the_tolerance(options: dict) -> None:
     H = Hamiltonian(DRIVEN, parameters={"F": 2.0, "t1": 1.0})
     solution = hamsym.solve(H, [1, 0], (0, 10), tol=1e-9, **options)

@@ -223,7 +223,7 @@ def test_usual_state_has_distinct_coordinates():
 
 
 def test_picture_is_the_solution():
-    found = tasks.picture(FIRST, False)
+    found = tasks.picture(FIRST)
     solution = hamsym.solve(FIRST.formula, FIRST.z0, FIRST.span)
     assert found.success
     assert np.array_equal(found.z, solution(found.t))
@@ -233,7 +233,7 @@ def test_picture_is_the_solution():
 
 
 def test_level_sets_are_curves_of_equal_energy():
-    found = tasks.picture(FIRST, False)
+    found = tasks.picture(FIRST)
     energy = hamsym.Hamiltonian(FIRST.formula).observable(FIRST.formula)
     assert len(found.levels) >= 5
     for line in found.levels:
@@ -244,7 +244,7 @@ def test_level_sets_are_curves_of_equal_energy():
 @pytest.mark.slow
 def test_picture_of_a_failure_says_so():
     setting = Setting("p**2/2 - 1/x", z0={"x": 1.0, "p": 0.0}, span=(0.0, 5.0))
-    found = tasks.picture(setting, False)
+    found = tasks.picture(setting)
     assert not found.success
     assert found.message
     options = charts.plane(("x", "p"), 0, 1, found)
@@ -254,7 +254,7 @@ def test_picture_of_a_failure_says_so():
 @pytest.mark.slow
 def test_fast_motion_gets_more_points():
     setting = replace(FIRST, span=(0.0, 400.0))
-    assert len(tasks.picture(setting, False).t) > len(tasks.picture(FIRST, False).t)
+    assert len(tasks.picture(setting).t) > len(tasks.picture(FIRST).t)
 
 
 def test_section_lies_on_the_surface():
@@ -267,7 +267,7 @@ def test_section_lies_on_the_surface():
 
 @pytest.mark.parametrize("scale", [1.0, 1e-24, 1e12])
 def test_charts_are_json_with_readable_numbers(scale):
-    found = tasks.picture(FIRST, False)
+    found = tasks.picture(FIRST)
     found = replace(found, z=found.z * scale)
     drawn = [
         charts.over_time("Coordinates", ("x", "p"), [0], found),
@@ -282,7 +282,7 @@ def test_charts_are_json_with_readable_numbers(scale):
 
 
 def test_axis_of_a_constant_hides_round_off():
-    found = tasks.picture(FIRST, False)
+    found = tasks.picture(FIRST)
     rng = np.random.default_rng(0)
     z = np.column_stack([1 + 1e-15 * rng.standard_normal(len(found.t)), found.z[:, 1]])
     axis = charts.over_time("Coordinates", ("x", "p"), [0], replace(found, z=z))["yAxis"]
@@ -336,13 +336,26 @@ def test_failed_request_does_not_block_later_ones():
 
 
 def test_compiled_loops_belong_to_one_formula(tab, monkeypatch):
-    monkeypatch.setitem(tasks.TASKS, "prepare", lambda setting: None)
+    drawn: list[str] = []
+
+    def section(setting: Setting, surface: str) -> None:
+        drawn.append(setting.formula)
+        if "bad" in surface:
+            raise InputError("no surface")
+
+    monkeypatch.setitem(tasks.TASKS, "section", section)
     asyncio.run(tab.set_formula("p**2/2 + x**2/2"))
     assert not tab.is_compiled
-    assert asyncio.run(tab.compile()) == ""
+    tab.surface = "bad"
+    with pytest.raises(TaskError, match="no surface"):
+        asyncio.run(tab.section())
+    assert not tab.is_compiled
+    tab.surface = "x = 0"
+    asyncio.run(tab.section())
     assert tab.is_compiled
     asyncio.run(tab.set_formula("p**2/2 + x**2/3"))
     assert not tab.is_compiled
+    assert drawn == ["p**2/2 + x**2/2"] * 2
 
 
 def test_second_button_waits_for_none(tab, monkeypatch):

@@ -32,7 +32,7 @@ _Handler: TypeAlias = Callable[[_Event], Awaitable[None]]
 _STYLE = Path(__file__).with_name("page.css")
 _SCRIPT = Path(__file__).with_name("page.js")
 _TYPING = 250  # milliseconds without a key before a formula is read
-_QUIET = 1.0  # seconds without a change before loops are compiled
+_QUIET = 1.0  # seconds without a change before the loops of a section are compiled
 _MOST_CURVES = 6
 
 
@@ -56,7 +56,6 @@ class Page:
         self._drawing = Latest(self._draw)
         self._section_drawing = Latest(self._draw_section)
         self._picture: Picture | None = None
-        self._compiling = Latest(self._compile)
         self._waiting: asyncio.TimerHandle | None = None
         self._example = ""
         self._filling = False  # fields are being filled by the program
@@ -119,7 +118,6 @@ class Page:
     def _build_verdict(self) -> None:
         with ui.element("div").classes("verdict").props("role=status aria-live=polite") as box:
             self._verdict_text = ui.label("Starting…")
-            self._note = ui.label("").classes("note")
             self._stop = ui.button("Stop", on_click=self._session.stop_drawing).props(
                 "dense outline no-caps"
             )
@@ -276,7 +274,7 @@ class Page:
     # -- pictures ------------------------------------------------------------------------------
 
     async def _changed(self) -> None:
-        """Draw the present setting, and compile its loops once nothing changes."""
+        """Draw the present setting; the first section of an H, once nothing changes."""
         self._section_box.classes(add="earlier")
         await self._drawing.request()
         if self._session.is_compiled:
@@ -286,19 +284,8 @@ class Page:
             self._waiting.cancel()
         loop = asyncio.get_running_loop()
         self._waiting = loop.call_later(
-            _QUIET, lambda: asyncio.ensure_future(self._compiling.request())
+            _QUIET, lambda: asyncio.ensure_future(self._section_drawing.request())
         )
-
-    async def _compile(self) -> None:
-        if self._session.is_compiled:  # meanwhile, for earlier values
-            await self._section_drawing.request()
-            return
-        self._note.text = "Compiling for speed…"
-        await self._section_drawing.request()  # takes less than all loops
-        reason = await self._session.compile()
-        self._note.text = reason
-        if self._session.is_compiled:
-            await self._drawing.request()
 
     async def _draw(self) -> None:
         try:

@@ -80,7 +80,6 @@ class Session:
         self.surface = ""
         self._live, self._background, self._button = (Worker(_TASKS) for _ in range(3))
         self._compiled: _Key | None = None
-        self._slow: dict[_Key, str] = {}  # what could not be compiled
         self._proven: Setting | None = None
         self._busy = False
         self._started = False
@@ -103,7 +102,7 @@ class Session:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the loops of this H are compiled."""
+        """Whether the loops of sections of this H are compiled."""
         return self._compiled == self._key
 
     async def _call(self, worker: Worker, task: str, seconds: float, *arguments: Any) -> Any:
@@ -196,25 +195,15 @@ class Session:
 
     async def picture(self) -> Picture:
         """Solve and sample the present setting."""
-        return await self._call_live("picture", self.setting, self.is_compiled)
-
-    async def compile(self) -> str:
-        """Compile the loops of this H in the background; return why not, or nothing."""
-        key = self._key
-        if key in self._slow:
-            return self._slow[key]
-        try:
-            await self._call(self._background, "prepare", _COMPILE_LIMIT, self.setting)
-        except TaskError as error:
-            self._slow[key] = f"Its loops are not compiled: {error}."
-            return self._slow[key]
-        self._compiled = key
-        return ""
+        return await self._call_live("picture", self.setting)
 
     async def section(self) -> SectionPicture:
-        """Compute the section of the present setting."""
-        seconds = _LIVE_LIMIT if self.is_compiled else _COMPILE_LIMIT
-        return await self._call(self._background, "section", seconds, self.setting, self.surface)
+        """Compute the section of the present setting; the first one of an H compiles its loops."""
+        key, seconds = self._key, _LIVE_LIMIT if self.is_compiled else _COMPILE_LIMIT
+        arguments = self.setting, self.surface
+        found: SectionPicture = await self._call(self._background, "section", seconds, *arguments)
+        self._compiled = key
+        return found
 
     async def code(self, backend: str) -> str:
         """Return the generated code of a backend."""

@@ -119,24 +119,14 @@ def example(name: str) -> Setting:
 # -- pictures -------------------------------------------------------------------------------------
 
 
-def _solve(setting: Setting, compiled: bool | str = "auto") -> hamsym.Solution:
-    return hamsym.solve(
-        _bound(setting),
-        setting.z0,
-        setting.span,
-        tol=setting.tol,
-        compiled=compiled,
-        progress=False,
-    )
+def _solve(setting: Setting) -> hamsym.Solution:
+    return hamsym.solve(_bound(setting), setting.z0, setting.span, tol=setting.tol, progress=False)
 
 
-def picture(setting: Setting, compiled: bool) -> Picture:
-    """Solve, and sample what the page draws.
-
-    Compiled loops take seconds for a new H and a millisecond afterwards; see :func:`prepare`.
-    """
+def picture(setting: Setting) -> Picture:
+    """Solve, and sample what the page draws."""
     began = time.perf_counter()
-    solution = _solve(setting, compiled)
+    solution = _solve(setting)
     needed = _POINTS_OF_WINDOW * (len(solution.history.edges) - 1)
     t = np.linspace(*solution.span, min(max(needed, POINTS), _MOST_POINTS) + 1)
     z, rates = solution.evaluate(t)
@@ -193,18 +183,16 @@ def _level_sets(
 
 
 def section(setting: Setting, surface: str) -> SectionPicture:
-    """Compute the section of the trajectory on a longer span."""
+    """Compute the section of the trajectory on a longer span.
+
+    For a new H its loops are compiled, for seconds.
+    """
     start, end = setting.span
     span = start, start + _SPANS_OF_SECTION * (end - start)
     H = _bound(setting)
     found = hamsym.section(H, setting.z0, span, surface, progress=False)
     index = [found.names.index(name) for name in found.axes]
     return SectionPicture(found.z[:, index], found.axes, bool(found.success), found.message)
-
-
-def prepare(setting: Setting) -> None:
-    """Compile the loops of an H, which other processes then load from the cache."""
-    _solve(setting, True)
 
 
 # -- buttons --------------------------------------------------------------------------------------
@@ -310,7 +298,6 @@ TASKS: dict[str, Callable[..., Any]] = {
         example,
         picture,
         section,
-        prepare,
         certify,
         exponents,
         comparison,

@@ -1,0 +1,303 @@
+#include "errors.h"
+#include <stdlib.h>
+
+#define COHERENT 2.0    /* times the round-off of independent places */
+#define RESOLVED 1e-3   /* residual, relative to the rates, that a smooth force leaves at most */
+#define LARGEST 1.0     /* error, in units of the motion, beyond which there is no estimate */
+#define TESTED 1e-6     /* error, in units of the motion, from which the linear equation is tested */
+#define CURVED 1e-3     /* of the error in a window: change by what the linear equation lacks, at most */
+#define PASSING 10.0    /* typical errors: larger ones may pass, so their vectors are solved more accurately */
+#define MISSED 1.1      /* times a peak between two of the values that show it */
+#define ITERATIONS 60
+
+void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_tables *t, const actions *a) {
+  long dim = H->dim, places = t->places, nodes = t->nodes, rows = dim * EACH_VECTOR;
+  m->stride = places > nodes ? places : nodes;
+  take_machine(arena, &m->velocity, H->velocity, m->stride);
+  take_machine(arena, &m->force, H->force, m->stride);
+  take_machine(arena, &m->hessian, H->hessian, m->stride);
+  m->terms = (term *)take(arena, 4 * a->terms + 1);
+  m->changes = (v4 *)take(arena, 4 * rows);
+  m->second = take(arena, H->hessian->results * nodes + 1);
+  m->readout = take(arena, dim * t->columns);
+  double **of_places[] = {&m->z, &m->dz, &m->low, &m->rates, &m->disturbed};
+  for (int k = 0; k < 5; k++) *of_places[k] = take(arena, dim * places);
+  m->times = take(arena, places);
+  m->late = take(arena, places);
+  double **of_nodes[] = {&m->at_nodes, &m->drift, &m->smooth, &m->flow, &m->displaced, &m->lacking};
+  for (int k = 0; k < 6; k++) *of_nodes[k] = take(arena, dim * nodes);
+  m->node_times = take(arena, nodes);
+  double **of_inside[] = {&m->drift_inside, &m->found, &m->coefficients};
+  for (int k = 0; k < 3; k++) *of_inside[k] = take(arena, dim * t->inside);
+  m->shown = take(arena, dim * t->shown);
+  m->base = take(arena, rows * nodes);
+  m->vectors = take(arena, rows * nodes);
+  m->moved = take(arena, rows * nodes);
+  m->before = take(arena, rows);
+  m->weight = take(arena, rows);
+  double **small[] = {&m->left, &m->speeds, &m->tops, &m->noise};
+  for (int k = 0; k < 4; k++) *small[k] = take(arena, dim);
+}
+
+/* -- the tangent equation ---------------------------------------------------------------------- */
+
+/* Write the rows of A V from `row` to before `end`; V has EACH_VECTOR rows for each component. */
+static void apply(const carrying *m, const term *first, const term *end, long row, long count, long n, double *out) {
+  memset(out, 0, count * EACH_VECTOR * n * sizeof(double));
+  for (const term *one = first; one < end; one++) {
+    double *target = out + (one->row - row) * EACH_VECTOR * n;
+    const double *source = m->vectors + one->source * EACH_VECTOR * n, *second = m->second + one->entry * n;
+    for (long c = 0; c < n; c += 4) {
+      v4 weight = spread(one->factor) * load(second + c);
+      for (long k = 0; k < EACH_VECTOR; k++) {
+        double *place = target + k * n + c;
+        store(place, load(place) + weight * load(source + k * n + c));
+      }
+    }
+  }
+}
+
+/* Weights of the changes: the reciprocal of the size of each component over its vectors at three nodes,
+   times a factor. */
+static void weigh(carrying *m, long dim, long n, double factor) {
+  for (long i = 0; i < dim; i++) {
+    double size = TINY;
+    for (long row = i * EACH_VECTOR; row < (i + 1) * EACH_VECTOR; row++) {
+      const double *values = m->vectors + row * n;
+      size = larger(fabs(values[0]), larger(fabs(values[(n - 1) / 2]), larger(fabs(values[n - 1]), size)));
+    }
+    for (long row = i * EACH_VECTOR; row < (i + 1) * EACH_VECTOR; row++) m->weight[row] = 1.0 / (factor * size);
+  }
+}
+
+/* Solve the tangent equation of a window for all vectors; m->moved has the products A V. */
+static int transport(carrying *m, const error_tables *t, const actions *a, long dim, double h, double accuracy) {
+  long n = t->nodes, half = dim / 2, rows = half * EACH_VECTOR;
+  double *slopes = m->moved + rows * n, *kicked = m->vectors + rows * n;
+  const term *middle = m->terms + a->velocities, *end = m->terms + a->terms;
+  memcpy(m->vectors, m->base, 2 * rows * n * sizeof(double));
+  for (int iteration = 1; iteration <= ITERATIONS; iteration++) {
+    apply(m, middle, end, half, half, n, slopes);
+    advance(t->integration, n, slopes, rows, m->base + rows * n, h, kicked, m->changes + rows);
+    apply(m, m->terms, middle, 0, half, n, m->moved);
+    advance(t->integration, n, m->moved, rows, m->base, h, m->vectors, m->changes);
+    if (iteration > 2) {
+      weigh(m, dim, n, accuracy);
+      double largest = weighted_change(m->changes, m->weight, 2 * rows);
+      if (largest <= 1.0) return 1;
+      if (!(largest < 1e100)) return 0;
+    }
+  }
+  return 0;
+}
+
+/* Solve it by elimination with pivots; return whether there is a finite solution. */
+static int eliminate(carrying *m, const error_tables *t, const actions *a, long dim, double h) {
+  long n = t->nodes, size = dim * n, half = dim / 2, wide = size + EACH_VECTOR;
+  double *matrix = calloc(size * wide, sizeof(double));
+  if (!matrix) return 0;
+  for (long row = 0; row < size; row++) {
+    matrix[row * wide + row] = 1.0;
+    for (long k = 0; k < EACH_VECTOR; k++)
+      matrix[row * wide + size + k] = m->base[((row / n) * EACH_VECTOR + k) * n + row % n];
+  }
+  for (const term *one = m->terms; one < m->terms + a->terms; one++)
+    for (long c = 0; c < n; c++)
+      for (long d = 0; d < n; d++)
+        matrix[(one->row * n + c) * wide + one->source * n + d] -=
+            h * one->factor * t->integration[d * n + c] * m->second[one->entry * n + d];
+  int good = 1;
+  for (long k = 0; k < size && good; k++) {
+    long pivot = k;
+    for (long row = k + 1; row < size; row++)
+      if (fabs(matrix[row * wide + k]) > fabs(matrix[pivot * wide + k])) pivot = row;
+    double *first = matrix + k * wide, *other = matrix + pivot * wide;
+    good = fabs(other[k]) > 0.0 && isfinite(other[k]);
+    if (!good) break;
+    for (long c = k; c < wide && pivot != k; c++) {
+      double value = first[c];
+      first[c] = other[c];
+      other[c] = value;
+    }
+    for (long row = k + 1; row < size; row++) {
+      double *line = matrix + row * wide, factor = line[k] / first[k];
+      if (factor == 0.0) continue;
+      for (long c = k + 1; c < wide; c++) line[c] -= factor * first[c];
+    }
+  }
+  for (long row = size - 1; row >= 0 && good; row--)
+    for (long k = 0; k < EACH_VECTOR; k++) {
+      double *line = matrix + row * wide, total = line[size + k];
+      for (long c = row + 1; c < size; c++) total -= line[c] * matrix[c * wide + size + k];
+      line[size + k] = total / line[row];
+      m->vectors[((row / n) * EACH_VECTOR + k) * n + row % n] = line[size + k];
+      good = good && isfinite(line[size + k]);
+    }
+  free(matrix);
+  const term *middle = m->terms + a->velocities;
+  apply(m, middle, m->terms + a->terms, half, half, n, m->moved + half * EACH_VECTOR * n);
+  apply(m, m->terms, middle, 0, half, n, m->moved);
+  return good;
+}
+
+/* -- one window -------------------------------------------------------------------------------- */
+
+/* Write the residual of window w to m->dz, with the rates, the states and the times; return marks. */
+static int residual(carrying *m, const equations *H, const error_tables *t, const error_settings *s,
+                    const windows *w, long k, double h) {
+  long dim = H->dim, places = t->places, which = k % t->sets, table = which * t->columns * places;
+  for (long c = 0; c < w->readout; c++)
+    for (long i = 0; i < dim; i++) m->readout[i * t->columns + c] = w->coefficient[(k * w->readout + c) * dim + i];
+  /* A rounded table would push every window the same way. */
+  products(t->value + table, t->columns, places, m->readout, dim, m->z);
+  products(t->value_low + table, t->columns, places, m->readout, dim, m->low);
+  for (long c = 0; c < dim * places; c++) m->z[c] += m->low[c];
+  shift(m->z, w->state + k * dim, dim, places);
+  stretch(t->place + which * places, h, w->edge[k], places, m->times);
+  products(t->rate + table, t->columns, places, m->readout, dim, m->dz);
+  products(t->rate_low + table, t->columns, places, m->readout, dim, m->low);
+  evaluate(&m->velocity, &m->force, m->z, m->times, places, m->rates);
+  for (long c = 0; c < dim * places; c++) m->dz[c] = (m->dz[c] + m->low[c]) / h - m->rates[c];
+  if (s->residual) memcpy(m->dz, s->residual + k * dim * places, dim * places * sizeof(double));
+  int mark = 0;
+  double length = fabs(h);
+  for (long i = 0; i < dim; i++) {
+    double left = row_size(m->dz + i * places, places);
+    m->speeds[i] = row_size(m->rates + i * places, places);
+    m->tops[i] = row_size(m->z + i * places, places);
+    /* The rates of components that are nothing but round-off are noise. */
+    if (!(left <= RESOLVED * m->speeds[i] || s->usual_length * left <= RESOLVED * s->scale[i])) mark |= UNRESOLVED;
+    double allowed = s->tolerance * s->size[i] + ROUND_OFF * length * m->speeds[i];
+    if (!(length * left <= SLACK * allowed)) mark |= EXCESSIVE;
+  }
+  return mark;
+}
+
+/* Round-off of window k, as the change of the rates for half a unit in the last place, is added to the
+   vectors at its start. */
+static void disturb_vectors(carrying *m, const equations *H, const error_tables *t, const error_settings *s,
+                            const windows *w, double *joint, long k, double length) {
+  long dim = H->dim, places = t->places;
+  const double *signs = s->sign + (k % t->sets) * dim * places, *kicks = s->kick + (k % s->period) * dim * PERTURBATIONS;
+  disturb(m->z, signs, places, EPS / 2, dim, places, m->low);
+  disturb(m->times, signs, places, EPS / 2, 1, places, m->late);
+  evaluate(&m->velocity, &m->force, m->low, m->late, places, m->disturbed);
+  for (long i = 0; i < dim; i++) {
+    double total = 0.0;
+    for (long c = 0; c < places; c++) {
+      double change = m->disturbed[i * places + c] - m->rates[i * places + c];
+      total += change * change;
+    }
+    double noise = __builtin_sqrt(total / places);
+    /* The places average the round-off, but not independently. */
+    double kick = COHERENT * length * (noise + EPS * m->speeds[i]) / __builtin_sqrt(places) / s->scale[i];
+    for (long j = 0; j < PERTURBATIONS; j++) joint[i * EACH_VECTOR + 1 + j] += kick * kicks[i * PERTURBATIONS + j];
+    double push = s->rounded * (EPS / 2) * (w->state[(k + 1) * dim + i] - w->state[k * dim + i]);
+    joint[(i + 1) * EACH_VECTOR - 1] += push / s->scale[i];
+  }
+}
+
+/* Whether what the linear equation lacks changes an error of this size by little. */
+static int is_linear(carrying *m, const equations *H, const error_tables *t, const error_settings *s, double length,
+                     double size) {
+  long dim = H->dim, n = t->nodes;
+  for (long i = 0; i < dim; i++)
+    for (long c = 0; c < n; c++)
+      m->displaced[i * n + c] = m->vectors[i * EACH_VECTOR * n + c] * s->scale[i] + m->at_nodes[i * n + c];
+  evaluate(&m->velocity, &m->force, m->at_nodes, m->node_times, n, m->flow);
+  evaluate(&m->velocity, &m->force, m->displaced, m->node_times, n, m->lacking);
+  for (long i = 0; i < dim; i++)
+    for (long c = 0; c < n; c++)
+      m->lacking[i * n + c] -= m->flow[i * n + c] + m->moved[i * EACH_VECTOR * n + c] * s->scale[i];
+  products(t->integration, n, n, m->lacking, dim, m->flow);
+  int linear = 1;
+  for (long i = 0; i < dim; i++)
+    linear = linear && length * row_size(m->flow + i * n, n) <= CURVED * size * s->scale[i];
+  return linear;
+}
+
+/* Error inside window k: its smooth part, and the integral of the residual. Returns whether it is finite. */
+static int inside(carrying *m, const equations *H, const error_tables *t, const error_settings *s, error_results *r,
+                  long k, double h) {
+  long dim = H->dim, n = t->nodes, count = t->inside;
+  for (long i = 0; i < dim; i++)
+    for (long c = 0; c < n; c++)
+      m->smooth[i * n + c] = m->vectors[i * EACH_VECTOR * n + c] * s->scale[i] + m->drift[i * n + c] * h;
+  products(t->lift, n, count, m->smooth, dim, m->found);
+  products(t->drift_inside, t->places, count, m->dz, dim, m->drift_inside);
+  for (long c = 0; c < dim * count; c++) m->found[c] -= h * m->drift_inside[c];
+  products(t->dense, count, t->shown, m->found, dim, m->shown);
+  for (long i = 0; i < dim; i++) {
+    double largest = 0.0, last = 0.0;
+    for (long c = 0; c < n; c++) {
+      const double *vectors = m->vectors + i * EACH_VECTOR * n + c;
+      double total = 0.0;
+      for (long j = 1; j <= PERTURBATIONS; j++) total += vectors[j * n] * vectors[j * n];
+      largest = larger(total, largest);
+      last = larger(fabs(vectors[(EACH_VECTOR - 1) * n]), last);
+    }
+    /* Three standard deviations, at worst in the window, and the rounding of z^ itself. */
+    double floor = s->scale[i] * (3.0 * __builtin_sqrt(largest / PERTURBATIONS) + last) + EPS / 2 * m->tops[i];
+    double peak = MISSED * row_size(m->shown + i * t->shown, t->shown) + floor;
+    if (!(peak < INFINITY)) return 0;
+    r->largest[i] = larger(peak, r->largest[i]);
+    if (r->floor) r->floor[k * dim + i] = floor;
+  }
+  if (!r->series) return 1;
+  products(t->to_series, count, count, m->found, dim, m->coefficients);
+  for (long c = 0; c < count; c++)
+    for (long i = 0; i < dim; i++) r->series[(k * count + c) * dim + i] = m->coefficients[i * count + c];
+  return 1;
+}
+
+/* Estimate the error of windows from *first to before `end`; *first becomes the first that is not estimated. */
+int carry_errors(carrying *m, const equations *H, const error_tables *t, const actions *a, const error_settings *s,
+                 const windows *w, const double *jumps, error_results *r, long *first, long end) {
+  long dim = H->dim, n = t->nodes, rows = dim * EACH_VECTOR;
+  double *joint = r->joint;
+  set_parameters(&m->velocity, s->parameters, m->stride);
+  set_parameters(&m->force, s->parameters, m->stride);
+  set_parameters(&m->hessian, s->parameters, m->stride);
+  for (long k = 0; k < a->terms; k++) {
+    m->terms[k] = a->term[k];
+    m->terms[k].factor *= s->scale[a->term[k].source] / s->scale[a->term[k].row];
+  }
+  memset(m->readout, 0, dim * t->columns * sizeof(double));
+  for (long k = *first; k < end; k++) {
+    *first = k;
+    double h = w->edge[k + 1] - w->edge[k], length = fabs(h);
+    r->mark[k] = residual(m, H, t, s, w, k, h);
+    memcpy(m->before, joint, rows * sizeof(double));
+    disturb_vectors(m, H, t, s, w, joint, k, length);
+    products(t->at_nodes, t->columns, n, m->readout, dim, m->at_nodes);
+    shift(m->at_nodes, w->state + k * dim, dim, n);
+    stretch(t->node, h, w->edge[k], n, m->node_times);
+    run(&m->hessian, m->at_nodes, m->node_times, n, m->second);
+    products(t->drift, t->places, n, m->dz, dim, m->drift);
+    for (long row = 0; row < rows; row++) fill(m->base + row * n, joint[row], n);
+    for (long i = 0; i < dim; i++)
+      for (long c = 0; c < n; c++) m->base[i * EACH_VECTOR * n + c] -= m->drift[i * n + c] * (h / s->scale[i]);
+    /* The mean root is the typical size of the error, also if it has short peaks beside a pole. */
+    double mean = r->history[0] / greater(fabs(w->edge[k] - w->edge[0]), TINY), typical = PASSING * mean * mean;
+    double accuracy = s->accuracy * (typical < r->history[1] ? typical / r->history[1] : 1.0);
+    if (!transport(m, t, a, dim, h, accuracy) && !eliminate(m, t, a, dim, h)) {
+      memcpy(joint, m->before, rows * sizeof(double));
+      return STUCK;
+    }
+    double size = 0.0;
+    for (long i = 0; i < dim; i++) size = larger(row_size(m->vectors + i * EACH_VECTOR * n, n), size);
+    r->history[0] += length * __builtin_sqrt(size);
+    r->history[1] = size;
+    if (!(size <= TESTED) && !is_linear(m, H, t, s, length, size)) r->mark[k] |= BENT;
+    for (long row = 0; row < rows; row++) joint[row] += h * weighted_sum(m->moved + row * n, t->end, 0, n);
+    for (long i = 0; i < dim; i++) {
+      double through = weighted_sum(m->dz + i * t->places, t->drift_end, 0, t->places);
+      joint[i * EACH_VECTOR] += (jumps[k * dim + i] - h * through) / s->scale[i];
+    }
+    for (long row = 0; row < rows; row++)
+      if (!(fabs(joint[row]) <= LARGEST)) return LOST;
+    if (!inside(m, H, t, s, r, k, h)) return LOST;
+  }
+  *first = end;
+  return DONE;
+}

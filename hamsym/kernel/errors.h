@@ -1,0 +1,71 @@
+/* The error of a march, carried from window to window.
+
+   The linear equation of the error (the paper's eq. ell) is solved for the vectors that are needed: the
+   error itself, driven by the residual, and perturbations of the size of round-off. With rows for component
+   and vector, a window is a fixed point V = V_a + D + h S A V, with A = J Hess at its nodes and D the integral
+   of the residual; it is iterated by halves, as the states were.
+
+   An error e obeys e' = F(z^ + e) - F(z^) - r, of which that equation is the linear part. It is valid as long
+   as what it lacks, F(z^ + e) - F(z^) - A e, changes e by little. */
+
+#ifndef HAMSYM_ERRORS_H
+#define HAMSYM_ERRORS_H
+
+#include "march.h"
+
+/* All windows estimated; errors as large as the motion, or not finite; a window without a solution. */
+enum error_outcome { DONE, LOST, STUCK, NO_ROOM };
+/* Marks of windows: the residual is large relative to the rates, or exceeds its limit; the error is so large
+   that its equation is not linear. */
+enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4 };
+
+#define PERTURBATIONS 4 /* random vectors that represent round-off */
+#define EACH_VECTOR (PERTURBATIONS + 2)
+#define SLACK 10.0      /* times the residual that the march allows at its own places */
+
+/* Tables of the estimate; see hamsym/random_features/error_estimate.py. */
+typedef struct {
+  int64_t nodes, columns, sets, places, inside, shown;
+  const double *node, *at_nodes, *place, *value, *value_low, *rate, *rate_low, *drift, *drift_inside, *drift_end;
+  const double *integration, *lift, *end, *to_series, *dense;
+} error_tables;
+
+/* Terms of A V in the units of H: row += factor * second derivative * source row. Those of the coordinates'
+   rates come first; terms of one row are consecutive. */
+typedef struct { int64_t row, source, entry; double factor; } term;
+typedef struct { int64_t velocities, terms; const term *term; } actions;
+
+typedef struct {
+  int64_t period, width;
+  double tolerance;      /* local tolerance of the march */
+  double accuracy;       /* of the vectors at the end of each window */
+  double usual_length;   /* expected length of the window that contains a random time */
+  double rounded;        /* 1 if H has numbers that float64 cannot represent, else 0 */
+  const double *scale, *size, *sign, *kick, *parameters;
+  const double *residual; /* windows x dim x places, in place of that in float64, or null */
+} error_settings;
+
+typedef struct {
+  double *joint;         /* vectors at the start of a window, by component */
+  double *history;       /* integral of the root of the error, and the error in the last window */
+  double *series;        /* windows x inside x dim, or null: Chebyshev series of the error */
+  double *floor;         /* windows x dim, or null: accumulated round-off */
+  double *largest;       /* dim: error and round-off so far */
+  int64_t *mark;
+} error_results;
+
+typedef struct {
+  long stride;
+  machine velocity, force, hessian;
+  term *terms;           /* in units of the scale */
+  v4 *changes;
+  double *readout, *times, *late, *z, *dz, *low, *rates, *disturbed, *at_nodes, *node_times, *drift, *smooth;
+  double *drift_inside, *found, *coefficients, *shown, *second, *flow, *displaced, *lacking;
+  double *base, *vectors, *moved, *before, *weight, *left, *speeds, *tops, *noise;
+} carrying;
+
+void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_tables *t, const actions *a);
+int carry_errors(carrying *m, const equations *H, const error_tables *t, const actions *a, const error_settings *s,
+                 const windows *w, const double *jumps, error_results *r, long *first, long end);
+
+#endif

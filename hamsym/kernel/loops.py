@@ -1,0 +1,431 @@
+"""The march, the error estimate and the members in the library, as functions of arrays.
+
+Each structure of the library is a class here with the same fields, made from numbers and arrays. A
+march and its estimate write into the arrays that they are given. The meaning of the fields is in
+the headers of the library, ``march.h`` and ``errors.h``.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import math
+from collections.abc import Callable, Sequence
+from ctypes import c_double, c_int64, c_void_p
+from typing import Any
+
+import numpy as np
+
+from hamsym.kernel.library import kernel_library
+
+# Outcomes of a march: at the end of the span, at a window whose equation the fixed-point iteration
+# does not solve, at a window too short for float64, or with its arrays full.
+FINISHED, NEWTON, TOO_SHORT, FULL, _NO_MEMORY = range(5)
+# Outcomes of an estimate: all windows estimated; errors as large as the motion, or not finite; a
+# window whose equation has no solution.
+DONE, LOST, STUCK, _NO_ROOM = range(4)
+# Verdicts on members: the checks of the loop passed; left to the caller.
+ACCEPTED, LEFT = range(2)
+# Marks of windows: the residual is large relative to the rates, or exceeds its limit; the error is
+# so large that its equation is not linear.
+UNRESOLVED, EXCESSIVE, BENT = 1, 2, 4
+
+PERTURBATIONS = 4  # random vectors that represent round-off
+#: Vectors of the error: itself, the perturbations, and one in the direction of the motion.
+VECTORS = PERTURBATIONS + 2
+LANES = 8  # rows have a multiple of these numbers
+
+#: (states (dim, n), times (n,), parameters (k,), out (results, n)), which writes to out.
+RowFunction = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
+_ROW_FUNCTION = ctypes.CFUNCTYPE(None, c_void_p, c_void_p, c_void_p, c_void_p, c_int64)
+
+
+# Result and arguments of each function: p a pointer, i an integer, d a number.
+_SIGNATURES = {
+    "hamsym_check_program": "i p",
+    "hamsym_run": "i ppppip",
+    "hamsym_first_length": "d pppppdd",
+    "hamsym_march": "i pppppi",
+    "hamsym_errors": "i ppppppppi",
+    "hamsym_members": "i ppppppippippp",
+    "hamsym_models": "i ppipppipp",
+    "hamsym_residual_bounds": "i pppipppppip",
+    "hamsym_resolved": "i ppppp",
+    "hamsym_piece": "i pippiip",
+}
+_KINDS = {"p": c_void_p, "i": c_int64, "d": c_double}
+
+
+@functools.cache
+def library() -> ctypes.CDLL:
+    """Return the library with the types of its functions."""
+    found = kernel_library()
+    for name, signature in _SIGNATURES.items():
+        result, arguments = signature.split()
+        function = getattr(found, name)
+        function.restype = _KINDS[result]
+        function.argtypes = [_KINDS[kind] for kind in arguments]
+    return found
+
+
+class Record(ctypes.Structure):
+    """A structure of the library, which keeps the arrays that it points to."""
+
+    def __init__(self, **values: Any) -> None:
+        super().__init__()
+        self._values = values
+        self.arrays: dict[str, Any] = {}
+        for name, value in values.items():
+            if isinstance(value, np.ndarray):
+                if value.dtype.kind == "f":
+                    value = np.ascontiguousarray(value, dtype=float)
+                self.arrays[name] = value
+                value = value.ctypes.data
+            elif isinstance(value, ctypes.Structure):
+                self.arrays[name] = value
+                value = ctypes.addressof(value)
+            setattr(self, name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _made, (type(self), self._values)
+
+    def _require_lanes(self, names: str) -> None:
+        for name in names.split():
+            if getattr(self, name) % LANES:
+                raise ValueError(f"{name}={getattr(self, name)} is not a multiple of {LANES}")
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return an array that the structure points to."""
+        return self.arrays[name]
+
+    def has(self, name: str) -> bool:
+        """Return whether the structure has an array."""
+        return name in self.arrays
+
+
+def _made(kind: type[Record], values: dict[str, Any]) -> Record:
+    """Make a copy of a structure from its values, also in another process."""
+    record = kind.__new__(kind)
+    Record.__init__(record, **values)
+    return record
+
+
+def counts(names: str) -> list[tuple[str, Any]]:
+    """Return fields that are integers."""
+    return [(name, c_int64) for name in names.split()]
+
+
+def _numbers(names: str) -> list[tuple[str, Any]]:
+    return [(name, c_double) for name in names.split()]
+
+
+def arrays(names: str) -> list[tuple[str, Any]]:
+    """Return fields that are pointers to arrays, or to structures."""
+    return [(name, c_void_p) for name in names.split()]
+
+
+class Program(Record):
+    """Formulas as a straight-line program over rows, or as a function of rows.
+
+    Parameters
+    ----------
+    dim, parameters, results : int
+    numbers : sequence of float
+    steps : sequence of (operation, out, first, second)
+        Operations by name, on rows by number; see ``program.h``.
+    function : callable, optional
+        In place of the steps.
+
+    Raises
+    ------
+    ValueError
+        If a step reads a row that is not written before, or a row does not exist.
+    """
+
+    _fields_ = [
+        *counts("dim parameters numbers results intermediates steps"),
+        *arrays("number step"),
+        ("function", _ROW_FUNCTION),
+    ]
+
+    failure: Exception | None = None  # of the function of rows, until the caller raises it
+
+    def __init__(
+        self,
+        dim: int,
+        parameters: int,
+        results: int,
+        *,
+        numbers: Sequence[float] = (),
+        intermediates: int = 0,
+        steps: Sequence[tuple[int, int, int, int]] = (),
+        function: RowFunction | None = None,
+    ) -> None:
+        super().__init__(
+            dim=dim,
+            parameters=parameters,
+            numbers=len(numbers),
+            results=results,
+            intermediates=intermediates,
+            steps=len(steps),
+            number=np.array(numbers, dtype=float),
+            step=np.array(steps, dtype=np.int32).reshape(-1, 4),
+            function=_ROW_FUNCTION() if function is None else _ROW_FUNCTION(self._called(function)),
+        )
+        if not library().hamsym_check_program(ctypes.byref(self)):
+            raise ValueError("the program reads or writes a row that it does not have")
+
+    def _called(self, function: RowFunction) -> Callable[..., None]:
+        """Return a function of addresses; an exception in it is raised by the caller."""
+
+        def array(address: int, *shape: int) -> np.ndarray:
+            if not all(shape):
+                return np.empty(shape)
+            memory = (c_double * math.prod(shape)).from_address(address)
+            return np.ctypeslib.as_array(memory).reshape(shape)
+
+        def call(states: int, times: int, parameters: int, out: int, n: int) -> None:
+            found = array(out, self.results, n)
+            try:
+                with np.errstate(all="ignore"):
+                    function(
+                        array(states, self.dim, n),
+                        array(times, n),
+                        array(parameters, self.parameters),
+                        found,
+                    )
+            except Exception as error:  # a callback cannot raise
+                self.failure = error
+                found[:] = np.nan
+
+        return call
+
+    def __call__(self, states: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """Evaluate at states (dim, n), times (n,), parameters (k,): values, shape (results, n)."""
+        count = len(times)
+        more = -count % LANES
+        states, times = (
+            np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, more)], "edge") for a in (states, times)
+        )
+        out = np.empty((self.results, count + more))
+        given = [np.ascontiguousarray(a, dtype=float) for a in (parameters, states, times)]
+        done = library().hamsym_run(
+            ctypes.byref(self), *(a.ctypes.data for a in given), count + more, out.ctypes.data
+        )
+        require_memory(done)
+        self.check()
+        return out[:, :count]
+
+    def check(self) -> None:
+        """Raise what the function of rows raised."""
+        failure, self.failure = self.failure, None
+        if failure is not None:
+            raise failure
+
+
+class Equations(Record):
+    """Programs of dq/dt, dp/dt, the second derivatives of H, and of H where it is conserved."""
+
+    _fields_ = [*counts("dim separable"), *arrays("velocity force hessian energy")]
+
+    def program(self, name: str) -> Program:
+        """Return the program of a name."""
+        found: Program = self.arrays[name]
+        return found
+
+    def check(self) -> None:
+        """Raise what a function of rows raised."""
+        for name in ("velocity", "force", "hessian", "energy"):
+            if name in self.arrays:
+                self.arrays[name].check()
+
+
+class Tables(Record):
+    """Tables of a basis."""
+
+    _fields_ = [
+        *counts("nodes columns between terms"),
+        *_numbers("order"),
+        *arrays("node integration fit place to_between rates_between end end_low extrapolation"),
+    ]
+
+    def __init__(self, **values: Any) -> None:
+        super().__init__(**values)
+        self._require_lanes("nodes columns between terms")
+
+
+class Settings(Record):
+    """Constants of a march."""
+
+    _fields_ = [
+        *counts("stops width"),
+        *_numbers("tolerance shortest longest"),
+        *arrays("stop floor sign parameters"),
+    ]
+
+
+class Progress(Record):
+    """State of a march between calls, updated in place."""
+
+    _fields_ = arrays("clock counts size tail found")
+
+
+class Windows(Record):
+    """Consecutive windows: edges (room + 1,), states (room + 1, dim), readouts (room, m, dim)."""
+
+    _fields_ = [*counts("room readout"), *arrays("edge state coefficient")]
+
+    def __init__(self, edges: np.ndarray, states: np.ndarray, readouts: np.ndarray) -> None:
+        room, readout = readouts.shape[:2]
+        super().__init__(room=room, readout=readout, edge=edges, state=states, coefficient=readouts)
+
+
+class ErrorTables(Record):
+    """Tables of a basis for the estimate."""
+
+    _fields_ = [
+        *counts("nodes columns sets places inside shown"),
+        *arrays("node at_nodes place value value_low rate rate_low drift drift_inside drift_end"),
+        *arrays("integration lift end to_series dense"),
+    ]
+
+    def __init__(self, **values: Any) -> None:
+        super().__init__(**values)
+        self._require_lanes("nodes places inside shown")
+
+
+#: Term of A V: row += factor * second derivative * source row.
+TERM = np.dtype([("row", "i8"), ("source", "i8"), ("entry", "i8"), ("factor", "f8")])
+
+
+class Actions(Record):
+    """Terms of A V in the units of H, those of the coordinates' rates first."""
+
+    _fields_ = [*counts("velocities terms"), *arrays("term")]
+
+
+class ErrorSettings(Record):
+    """Constants of an estimate."""
+
+    _fields_ = [
+        *counts("period width"),
+        *_numbers("tolerance accuracy usual_length rounded"),
+        *arrays("scale size sign kick parameters residual"),
+    ]
+
+
+class ErrorResults(Record):
+    """Results of an estimate, updated in place."""
+
+    _fields_ = arrays("joint history series floor largest mark")
+
+
+class Span(Record):
+    """Constants of all members."""
+
+    _fields_ = [
+        *_numbers("start end tolerance local longest shortest rounded"),
+        *arrays("absolute"),
+    ]
+
+
+class Members(Record):
+    """Results of members, in consecutive rows."""
+
+    _fields_ = [
+        *counts("members room readout"),
+        *arrays("count verdict evaluations excess largest size edge state coefficient mark"),
+        *arrays("series floor"),
+    ]
+
+
+class Pieces(Record):
+    """Windows, which need not follow each other, with the columns of their basis at places."""
+
+    _fields_ = [
+        *counts("windows readout columns size_stride parameter_stride"),
+        *_numbers("tolerance"),
+        *arrays("start end state coefficient size parameters places values rates"),
+    ]
+
+
+def require_memory(available: Any) -> None:
+    if not available:
+        raise MemoryError("no memory for the rows of a window")
+
+
+def march(
+    H: Equations,
+    tables: Tables,
+    settings: Settings,
+    progress: Progress,
+    windows: Windows,
+    given: bool,
+) -> int:
+    """Fill windows from those of ``progress`` on; return the outcome."""
+    outcome = library().hamsym_march(
+        *map(ctypes.byref, (H, tables, settings, progress, windows)), given
+    )
+    H.check()
+    require_memory(outcome != _NO_MEMORY)
+    return int(outcome)
+
+
+def first_length(
+    H: Equations,
+    tables: Tables,
+    parameters: np.ndarray,
+    z: np.ndarray,
+    rates: np.ndarray,
+    start: float,
+    end: float,
+) -> float:
+    """Return the length of the first window of a march."""
+    arrays = [np.ascontiguousarray(a, dtype=float) for a in (parameters, z, rates)]
+    length = library().hamsym_first_length(
+        *map(ctypes.byref, (H, tables)), *(a.ctypes.data for a in arrays), start, end
+    )
+    H.check()
+    return float(length)
+
+
+def carry_errors(
+    H: Equations,
+    error_tables: ErrorTables,
+    actions: Actions,
+    settings: ErrorSettings,
+    windows: Windows,
+    tables: Tables,
+    results: ErrorResults,
+) -> tuple[int, int]:
+    """Estimate the errors of windows; return the first that is not estimated, and the outcome."""
+    first = c_int64(0)
+    structures = (H, error_tables, actions, settings, windows, tables, results, first)
+    outcome = library().hamsym_errors(*map(ctypes.byref, structures), windows.room)
+    H.check()
+    require_memory(outcome != _NO_ROOM)
+    return first.value, int(outcome)
+
+
+def solve_members(
+    H: Equations,
+    tables: Tables,
+    error_tables: ErrorTables,
+    actions: Actions,
+    span: Span,
+    signs: np.ndarray,
+    disturbances: np.ndarray,
+    kicks: np.ndarray,
+    starts: np.ndarray,
+    parameters: np.ndarray,
+    members: Members,
+) -> int:
+    """Solve members until the room for windows is full; return how many were solved."""
+    done = library().hamsym_members(
+        *map(ctypes.byref, (H, tables, error_tables, actions, span)),
+        *(signs.ctypes.data, signs.shape[1], disturbances.ctypes.data, kicks.ctypes.data),
+        *(len(kicks), starts.ctypes.data, parameters.ctypes.data, ctypes.byref(members)),
+    )
+    H.check()
+    require_memory(done >= 0)
+    return int(done)

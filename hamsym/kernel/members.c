@@ -1,0 +1,263 @@
+/* Members of an ensemble: march, estimate and verdict, one after the other.
+
+   What every check passes is accepted; all other members are left to the caller, who solves them with
+   Newton's method and repeated marches. A member is computed by itself, so that its numbers do not depend
+   on the others. */
+
+#include "errors.h"
+#include <stdlib.h>
+
+#define EXPORTED __attribute__((visibility("default")))
+#define ATTEMPTS 3        /* marches of a member, each to a tighter local tolerance */
+/* Of the local tolerance from one march to the next: share of the allowed error at which it aims, and limits
+   of the step; below the smallest one residuals are round-off. */
+#define MARGIN 0.3
+#define STEP 1e-4
+#define MOST_STEP 0.3
+#define SMALLEST 1e-13
+#define TIGHTER 3.0       /* excess over the tolerance that errors beyond the linear equation count as, at least */
+#define ACCURACY 1e-3     /* of the vectors of the error after all windows */
+#define FEWEST 10.0       /* the least number of these */
+#define SPLITTER 134217729.0 /* 2**27 + 1 */
+
+enum verdict { ACCEPTED, LEFT };
+
+/* Constants of all members; times are relative to the origin. */
+typedef struct {
+  double start, end, tolerance, local, longest, shortest, rounded;
+  const double *absolute; /* absolute tolerance, dim */
+} span;
+
+/* Results in consecutive rows: edges and states of a member begin after those of the members before it. */
+typedef struct {
+  int64_t members, room, readout;
+  int64_t *count, *verdict, *evaluations;
+  double *excess, *largest, *size, *edge, *state, *coefficient;
+  int64_t *mark;
+  double *series, *floor; /* or null */
+} members;
+
+/* The rounding of the state at each joint, with twice the digits. */
+static void joint_errors(const windows *w, const tables *t, long dim, long count, double *out) {
+  for (long k = 0; k < count; k++)
+    for (long i = 0; i < dim; i++) {
+      double total = w->state[k * dim + i], rest = 0.0;
+      for (long m = 0; m < w->readout; m++) {
+        double a = w->coefficient[(k * w->readout + m) * dim + i], b = t->end[m], product = a * b;
+        /* The rounding error of the product (Dekker), and of the sum (Knuth). */
+        double c = SPLITTER * a, high_a = c - (c - a), low_a = a - high_a;
+        c = SPLITTER * b;
+        double high_b = c - (c - b), low_b = b - high_b;
+        double lost = low_a * low_b - (((product - high_a * high_b) - low_a * high_b) - high_a * low_b);
+        double added = total + product, part = added - total;
+        rest += (total - (added - part)) + (product - part) + lost;
+        rest += a * t->end_low[m];
+        total = added;
+      }
+      out[k * dim + i] = (total - w->state[(k + 1) * dim + i]) + rest;
+    }
+}
+
+/* Whether H changes in no window by more than the local tolerance explains. */
+static int keeps_energy(machine *energy, marching *m, const equations *H, const windows *w, long count,
+                        double tolerance, const double *size) {
+  long dim = H->dim;
+  /* Eight edges at a time, the first of which is the last of those before. */
+  for (long first = 0; first < count; first += 7) {
+    double *rows = m->disturbed, *slopes = rows + 8 * dim, times[8], energies[8];
+    for (long c = 0; c < 8; c++) {
+      long k = first + c < count ? first + c : count;
+      times[c] = w->edge[k];
+      for (long i = 0; i < dim; i++) rows[i * 8 + c] = w->state[k * dim + i];
+    }
+    run(energy, rows, times, 8, energies);
+    /* The gradient of H is the vector field with its halves exchanged, up to signs. */
+    run(&m->velocity, rows, times, 8, slopes + dim / 2 * 8);
+    run(&m->force, rows, times, 8, slopes);
+    for (long c = 0; c < 7 && first + c < count; c++) {
+      double allowed = 0.0, rounding = fabs(energies[c]);
+      for (long i = 0; i < dim; i++) {
+        double slope = larger(fabs(slopes[i * 8 + c]), fabs(slopes[i * 8 + c + 1]));
+        allowed += slope * size[i];
+        rounding += slope * larger(fabs(rows[i * 8 + c]), fabs(rows[i * 8 + c + 1]));
+      }
+      allowed = SLACK * (tolerance * allowed + ROUND_OFF * rounding);
+      if (!(fabs(energies[c + 1] - energies[c]) <= allowed && allowed < INFINITY)) return 0;
+    }
+  }
+  return 1;
+}
+
+/* Solve members until the room for windows is full; return how many were solved, -1 without memory. */
+EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error_tables *e, const actions *a,
+                                const span *span, const double *signs, int64_t width, const double *disturbances,
+                                const double *kicks, int64_t period, const double *starts, const double *parameters,
+                                members *r) {
+  long dim = H->dim, many = H->velocity->parameters, vectors = dim * EACH_VECTOR;
+  marching m;
+  carrying c;
+  machine energy;
+  double *found, *tail, *floors, *scale, *joint, *jumps, *rates;
+  arena arena = {0, 0};
+  for (int turn = 0; turn < 2; turn++) { /* count, then lay out */
+    arena.used = 0;
+    lay_out_march(&m, &arena, H, t);
+    lay_out_errors(&c, &arena, H, e, a);
+    if (H->energy) take_machine(&arena, &energy, H->energy, 8);
+    found = take(&arena, dim * t->nodes);
+    tail = take(&arena, dim * t->terms);
+    floors = take(&arena, dim);
+    scale = take(&arena, dim);
+    joint = take(&arena, vectors);
+    rates = take(&arena, 8 * dim);
+    jumps = take(&arena, r->room * dim);
+    if (!arena.memory && !(arena.memory = calloc(arena.used, sizeof(double)))) return -1;
+  }
+  double clock[3], history[2], stop = span->end, whole = fabs(span->end - span->start);
+  int64_t counts[4];
+  long done = 0, member = 0;
+  for (; member < r->members; member++) {
+    const double *z = starts + member * dim, *values = parameters + member * many;
+    long first = done + member;
+    windows w = {r->room - done, r->readout, r->edge + first, r->state + first * dim,
+                 r->coefficient + done * r->readout * dim};
+    double *size = r->size + member * dim, *largest = r->largest + member * dim;
+    settings s = {1, width, span->local, span->shortest, span->longest, &stop, floors, signs, values};
+    progress p = {clock, counts, size, tail, found};
+    set_parameters(&m.velocity, values, m.stride);
+    set_parameters(&m.force, values, m.stride);
+    for (long i = 0; i < dim; i++) fill(m.disturbed + i * 8, z[i], 8);
+    fill(m.late, span->start, 8);
+    evaluate(&m.velocity, &m.force, m.disturbed, m.late, 8, rates);
+    for (long i = 0; i < dim; i++) rates[i] = rates[i * 8];
+    double length = first_length(&m, H, z, rates, span->start, span->end), excess = INFINITY;
+    enum verdict verdict = LEFT;
+    long count = 0, evaluations = 2;
+    int full = 0;
+    for (int attempt = 0; attempt < ATTEMPTS; attempt++) {
+      w.edge[0] = clock[0] = span->start;
+      clock[1] = length;
+      clock[2] = 0.0;
+      counts[0] = counts[2] = 0;
+      counts[1] = evaluations;
+      counts[3] = -PAUSE;
+      memset(tail, 0, dim * t->terms * sizeof(double));
+      for (long i = 0; i < dim; i++) {
+        w.state[i] = z[i];
+        size[i] = fabs(z[i]);
+        tail[i * t->terms] = rates[i];
+      }
+      int outcome = march(&m, H, t, &s, &p, &w, 0);
+      evaluations = counts[1];
+      count = counts[0];
+      full = outcome == FULL;
+      if (outcome != FINISHED) break;
+      double squares = 0.0;
+      for (long k = 0; k < count; k++) squares += (w.edge[k + 1] - w.edge[k]) * (w.edge[k + 1] - w.edge[k]);
+      for (long i = 0; i < dim; i++) scale[i] = size[i] > 0.0 ? size[i] : 1.0;
+      error_settings es = {period, 0, s.tolerance, ACCURACY / greater(count, FEWEST), squares / whole, span->rounded,
+                           scale, size, disturbances, kicks, values, 0};
+      error_results er = {joint, history, r->series ? r->series + done * e->inside * dim : 0,
+                          r->floor ? r->floor + done * dim : 0, largest, r->mark + done};
+      joint_errors(&w, t, dim, count, jumps);
+      memset(joint, 0, vectors * sizeof(double));
+      memset(largest, 0, dim * sizeof(double));
+      history[0] = history[1] = 0.0;
+      long next = 0;
+      if (carry_errors(&c, H, e, a, &es, &w, jumps, &er, &next, count) != DONE) break;
+      excess = 0.0;
+      for (long i = 0; i < dim; i++) {
+        double allowed = greater(span->absolute[i] + span->tolerance * size[i], TINY);
+        if (largest[i] != 0.0) excess = larger(largest[i] / allowed, excess);
+      }
+      int marked = 0;
+      for (long k = 0; k < count; k++) marked |= er.mark[k];
+      if (marked & BENT) excess = larger(TIGHTER, excess);
+      if (excess <= 1.0) {
+        int good = !marked;
+        if (good && H->energy) {
+          set_parameters(&energy, values, 8);
+          good = keeps_energy(&energy, &m, H, &w, count, s.tolerance, size);
+        }
+        if (good) verdict = ACCEPTED;
+        break;
+      }
+      if (s.tolerance <= SMALLEST || !(excess < INFINITY)) break;
+      s.tolerance = greater(s.tolerance * lesser(greater(MARGIN / excess, STEP), MOST_STEP), SMALLEST);
+    }
+    if (full) break;
+    if (verdict == LEFT) count = 0;
+    r->count[member] = count;
+    r->verdict[member] = verdict;
+    r->evaluations[member] = evaluations;
+    r->excess[member] = excess;
+    done += count;
+  }
+  free(arena.memory);
+  return member;
+}
+
+/* -- one march, step by step ------------------------------------------------------------------- */
+
+/* Fill windows; see march.h. */
+EXPORTED int64_t hamsym_march(const equations *H, const tables *t, const settings *s, progress *p, windows *w,
+                              int64_t given) {
+  marching m;
+  arena arena = {0, 0};
+  lay_out_march(&m, &arena, H, t);
+  if (!(arena.memory = calloc(arena.used, sizeof(double)))) return NO_MEMORY;
+  arena.used = 0;
+  lay_out_march(&m, &arena, H, t);
+  int outcome = march(&m, H, t, s, p, w, given);
+  free(arena.memory);
+  return outcome;
+}
+
+/* Estimate the error of windows; `first` becomes the first that is not estimated; see errors.h. */
+EXPORTED int64_t hamsym_errors(const equations *H, const error_tables *e, const actions *a, const error_settings *s,
+                               const windows *w, const tables *t, error_results *r, int64_t *first, int64_t end) {
+  carrying c;
+  arena arena = {0, 0};
+  double *jumps;
+  for (int turn = 0; turn < 2; turn++) {
+    arena.used = 0;
+    lay_out_errors(&c, &arena, H, e, a);
+    jumps = take(&arena, end * H->dim);
+    if (!arena.memory && !(arena.memory = calloc(arena.used, sizeof(double)))) return NO_ROOM;
+  }
+  joint_errors(w, t, H->dim, end, jumps);
+  long next = *first;
+  int outcome = carry_errors(&c, H, e, a, s, w, jumps, r, &next, end);
+  *first = next;
+  free(arena.memory);
+  return outcome;
+}
+
+/* Length of the first window of a march from z. */
+EXPORTED double hamsym_first_length(const equations *H, const tables *t, const double *parameters, const double *z,
+                                    const double *rates, double start, double end) {
+  marching m;
+  arena arena = {0, 0};
+  lay_out_march(&m, &arena, H, t);
+  if (!(arena.memory = calloc(arena.used, sizeof(double)))) return 0.0;
+  arena.used = 0;
+  lay_out_march(&m, &arena, H, t);
+  set_parameters(&m.velocity, parameters, m.stride);
+  set_parameters(&m.force, parameters, m.stride);
+  double found = first_length(&m, H, z, rates, start, end);
+  free(arena.memory);
+  return found;
+}
+
+/* Values of a program at n states, n a multiple of eight. */
+EXPORTED int64_t hamsym_run(const program *p, const double *parameters, const double *states, const double *times,
+                            int64_t n, double *out) {
+  double *memory = calloc(machine_size(p, n), sizeof(double));
+  if (!memory) return 0;
+  machine m;
+  make_machine(&m, p, memory, n);
+  set_parameters(&m, parameters, n);
+  run(&m, states, times, n, out);
+  free(memory);
+  return 1;
+}

@@ -1,0 +1,40 @@
+/* Arithmetic of Chebyshev models, one interval at a time.
+
+   A model of a function on an interval is a polynomial of degree DEGREE at most with a bound on the distance
+   to the function, and a range. A feature of any width inside the interval, for example a pulse between all
+   sampled places, is part of that distance. Roundings are not counted.
+
+   The polynomial is stored by its values at PLACES Chebyshev points, enough for a product of two polynomials:
+   what a product has beyond the degree is truncated, and the truncated coefficients are added to the distance.
+   A function f(g) is guessed at the points and bounded afterwards, by an equation that f satisfies: 1 - q p for
+   a reciprocal, p - q^2 for a root, the differential equations of the others. Where a guess is worse than the
+   range of f(g), a constant takes its place, so that an unresolved function costs its range and nothing more
+   (Makino & Berz 2003 for Taylor models; Brisebarre & Joldes 2010 for Chebyshev models). */
+
+#ifndef HAMSYM_MODELS_H
+#define HAMSYM_MODELS_H
+
+#include "program.h"
+
+#define DEGREE 31
+#define PLACES 64
+#define HIGH 32 /* coefficients beyond the degree */
+
+/* Tables over the places; see hamsym/bounds/models.py. */
+typedef struct {
+  const double *coefficients;      /* values -> coefficients, PLACES x PLACES */
+  const double *low, *high;        /* its first and last columns, PLACES x HIGH each */
+  const double *values_of_high;    /* high coefficients -> values, HIGH x PLACES */
+  const double *slopes_of_low;     /* low coefficients -> values of the derivative, HIGH x PLACES */
+  const double *integrals;         /* values -> coefficients of the integral, PLACES x (PLACES + 8) */
+} model_tables;
+
+typedef struct {
+  double value[PLACES];
+  double error;     /* bound on the distance of function and polynomial */
+  double rounding;  /* of the values, which the distance leaves out */
+  double low, high; /* bounds on the function */
+  int constant;     /* a number, which is `low`, exactly */
+} model;
+
+#endif

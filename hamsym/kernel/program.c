@@ -1,0 +1,122 @@
+#include "program.h"
+#include "functions.h"
+#include <stdlib.h>
+
+static long all_rows(const program *p) {
+  return p->dim + 1 + p->parameters + p->numbers + p->results + p->intermediates;
+}
+
+/* Whether a program reads and writes rows of its own only, each after it was written. */
+__attribute__((visibility("default"))) int64_t hamsym_check_program(const program *p) {
+  const int64_t most = INT32_MAX / 8;
+  const int64_t counts[] = {p->dim, p->parameters, p->numbers, p->results, p->intermediates, p->steps};
+  for (int k = 0; k < 6; k++)
+    if (counts[k] < 0 || counts[k] > most) return 0;
+  const long rows = all_rows(p), first = rows - p->results - p->intermediates;
+  if (rows > most) return 0;
+  if (p->function) return 1;
+  char *written = calloc(rows + 1, 1);
+  if (!written) return 0;
+  memset(written, 1, first);
+  int good = 1;
+  for (long s = 0; s < p->steps && good; s++) {
+    const step *one = p->step + s;
+    good = one->operation >= 0 && one->operation < OPERATIONS && one->out >= first && one->out < rows;
+    good = good && one->first >= 0 && one->first < rows && one->second >= 0 && one->second < rows;
+    good = good && written[one->first] && written[one->second];
+    if (good) written[one->out] = 1;
+  }
+  for (long r = 0; r < p->results && good; r++) good = written[first + r];
+  free(written);
+  return good;
+}
+
+long machine_size(const program *p, long stride) {
+  /* Pointers take as much memory as doubles at most. */
+  return all_rows(p) + 1 + (p->parameters + p->numbers + p->intermediates) * stride;
+}
+
+void make_machine(machine *m, const program *p, double *memory, long stride) {
+  m->program = p;
+  m->row = (double **)memory;
+  double *next = memory + all_rows(p) + 1;
+  long row = p->dim + 1;
+  for (long k = 0; k < p->parameters + p->numbers; k++, next += stride) m->row[row++] = next;
+  row += p->results;
+  for (long k = 0; k < p->intermediates; k++, next += stride) m->row[row++] = next;
+  for (long k = 0; k < p->numbers; k++) fill(m->row[p->dim + 1 + p->parameters + k], p->number[k], stride);
+}
+
+void set_parameters(machine *m, const double *parameters, long stride) {
+  m->parameters = parameters;
+  for (long k = 0; k < m->program->parameters; k++) fill(m->row[m->program->dim + 1 + k], parameters[k], stride);
+}
+
+INLINE v4 sign4(v4 x) {
+  v4 one = spread(1.0), zero = spread(0.0);
+  v4 found = choose(x > zero, one, choose(x < zero, -one, zero));
+  return choose(x != x, x, found);
+}
+
+/* Every operation is a loop of its own over a row, which compilers turn into vector instructions. */
+#define EACH(expression) \
+  for (long c = 0; c < n; c += 4) { \
+    v4 x = load(a + c), y = load(b + c); \
+    (void)y; \
+    store(out + c, expression); \
+  } \
+  break
+
+static inline v4 root4(v4 x) {
+  return (v4){__builtin_sqrt(x[0]), __builtin_sqrt(x[1]), __builtin_sqrt(x[2]), __builtin_sqrt(x[3])};
+}
+
+void perform_rows(enum operation operation, const double *a, const double *b, double *out, long n) {
+  switch (operation) {
+    case COPY: EACH(x);
+    case NEGATIVE: EACH(-x);
+    case ADD: EACH(x + y);
+    case SUBTRACT: EACH(x - y);
+    case MULTIPLY: EACH(x * y);
+    case RECIPROCAL: EACH(1.0 / x);
+    case ROOT: EACH(root4(x));
+    case MAGNITUDE: EACH(size4(x));
+    case SIGN: EACH(sign4(x));
+    /* Of a number and NaN the result is NaN. */
+    case LEAST: EACH(choose((x < y) | (x != x), x, y));
+    case MOST: EACH(choose((x > y) | (x != x), x, y));
+    case SIN: hamsym_sin(a, out, n); break;
+    case COS: hamsym_cos(a, out, n); break;
+    case TAN: hamsym_tan(a, out, n); break;
+    case EXP: hamsym_exp(a, out, n); break;
+    case LOG: hamsym_log(a, out, n); break;
+    case ASIN: hamsym_asin(a, out, n); break;
+    case ACOS: hamsym_acos(a, out, n); break;
+    case ATAN: hamsym_atan(a, out, n); break;
+    case SINH: hamsym_sinh(a, out, n); break;
+    case COSH: hamsym_cosh(a, out, n); break;
+    case TANH: hamsym_tanh(a, out, n); break;
+    case ASINH: hamsym_asinh(a, out, n); break;
+    case ACOSH: hamsym_acosh(a, out, n); break;
+    case ATANH: hamsym_atanh(a, out, n); break;
+    case ERF: hamsym_erf(a, out, n); break;
+    case POWER: hamsym_pow(a, b, out, n); break;
+    case ATAN2: hamsym_atan2(a, b, out, n); break;
+    case OPERATIONS: break;
+  }
+}
+
+void run(machine *m, const double *states, const double *times, long n, double *out) {
+  const program *p = m->program;
+  if (p->function) {
+    p->function(states, times, m->parameters, out, n);
+    return;
+  }
+  double **row = m->row;
+  for (long i = 0; i < p->dim; i++) row[i] = (double *)states + i * n;
+  row[p->dim] = (double *)times;
+  double **result = row + p->dim + 1 + p->parameters + p->numbers;
+  for (long r = 0; r < p->results; r++) result[r] = out + r * n;
+  for (const step *s = p->step, *end = s + p->steps; s < end; s++)
+    perform_rows(s->operation, row[s->first], row[s->second], row[s->out], n);
+}

@@ -1,0 +1,43 @@
+/* Formulas as straight-line programs over rows.
+
+   Row numbers of a program: the state's components, the time, the parameters, its numbers, its
+   results, and rows of intermediate values. Each step writes a result or an intermediate value. */
+
+#ifndef HAMSYM_PROGRAM_H
+#define HAMSYM_PROGRAM_H
+
+#include "rows.h"
+
+enum operation {
+  COPY, NEGATIVE, ADD, SUBTRACT, MULTIPLY, RECIPROCAL, ROOT, MAGNITUDE, SIGN, LEAST, MOST,
+  SIN, COS, TAN, EXP, LOG, ASIN, ACOS, ATAN, SINH, COSH, TANH, ASINH, ACOSH, ATANH, ERF, POWER, ATAN2,
+  OPERATIONS
+};
+
+typedef struct { int32_t operation, out, first, second; } step;
+
+/* Values at rows that a caller computes: states (dim x n), times (n), parameters, out. */
+typedef void rows_function(const double *states, const double *times, const double *parameters, double *out, int64_t n);
+
+typedef struct {
+  int64_t dim, parameters, numbers, results, intermediates, steps;
+  const double *number;
+  const step *step;
+  rows_function *function; /* in place of the steps, or null */
+} program;
+
+/* A program with its rows in memory, each with room for `stride` numbers. */
+typedef struct {
+  const program *program;
+  const double *parameters;
+  double **row;
+} machine;
+
+/* Doubles that a machine needs for rows of at most `stride` numbers. */
+long machine_size(const program *program, long stride);
+void make_machine(machine *machine, const program *program, double *memory, long stride);
+void set_parameters(machine *machine, const double *parameters, long stride);
+void run(machine *machine, const double *states, const double *times, long n, double *out);
+void perform_rows(enum operation operation, const double *first, const double *second, double *out, long n);
+
+#endif

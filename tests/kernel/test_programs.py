@@ -1,0 +1,143 @@
+"""Straight-line programs in the library: values, and what it refuses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import sympy
+
+from hamsym.codegen.programs import program_of, programs_of
+from hamsym.errors import CodeGenerationError
+from hamsym.kernel import loops
+from hamsym.kernel.library import LEVEL_VARIABLE, supported_levels
+from hamsym.systems import CATALOGUE
+
+X, Y = sympy.symbols("x y", real=True)
+
+
+@pytest.mark.slow_cases("argon_crystal")
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_programs_are_the_equations(name: str) -> None:
+    problem = CATALOGUE[name]()
+    H, system = problem.H, problem.H.compile("numpy")
+    programs = programs_of(H.real_equations)
+    noise = np.random.default_rng(0).uniform(0.98, 1.02, (11, H.dim))
+    z, t = np.array(problem.z0) * noise + 1e-3, np.linspace(0.1, 0.9, 11)
+    values = np.array([H.parameters[name] for name in H.parameter_names], dtype=float)
+    for part in ("velocity", "force", "hessian", "energy"):
+        if not programs.has(part):
+            continue
+        found = programs.program(part)(z.T, t, values)
+        wanted = np.empty(found.shape)
+        system.function(f"{part}_rows")(np.ascontiguousarray(z.T), t, values, wanted)
+        np.testing.assert_allclose(found, wanted, rtol=1e-11, atol=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize(
+    "formula",
+    """x*y - 3*x/7; x**5 + y**(-3); x**2.5 - 1/sqrt(y); x**y; pi*x + sqrt(2); atan2(x, y);
+    abs(x - 2); sign(x - 1); Min(x, y, 1); Max(x, y, 2); tan(x) + acot(y); E**x; tanh(x);
+    sinh(x) - cosh(y); asinh(x) + acosh(y + 1); atanh(x/9); erf(x); asin(x/9) - acos(y/9); log(x);
+    sec(x) + csc(y); x; 3; Heaviside(x - 1)""".split(";"),
+)
+def test_formulas_have_the_values_of_sympy(formula: str) -> None:
+    expression = sympy.sympify(formula, {"x": X, "y": Y})
+    z = np.random.default_rng(1).uniform(0.5, 2.5, (2, 13))
+    found = program_of([expression], [X, Y], None, [])(z, np.zeros(13), np.empty(0))
+    wanted = [expression.evalf(20, subs={X: x, Y: y}) for x, y in z.T]
+    np.testing.assert_allclose(found[0], np.array(wanted, dtype=float), rtol=1e-14, atol=1e-15)
+
+
+def test_results_may_repeat_inputs_and_numbers() -> None:
+    program = program_of([X, X, sympy.Integer(3), X * Y, X * Y], [X, Y], None, [])
+    z = np.array([[1.0, 2.0], [5.0, 7.0]])
+    found = program(z, np.zeros(2), np.empty(0))
+    np.testing.assert_array_equal(found, [z[0], z[0], [3, 3], z[0] * z[1], z[0] * z[1]])
+
+
+def test_function_that_the_library_lacks_is_named() -> None:
+    with pytest.raises(CodeGenerationError, match="gamma"):
+        program_of([sympy.gamma(X)], [X, Y], None, [])
+
+
+def test_exception_in_a_function_of_rows_reaches_the_caller() -> None:
+    def failing(z: np.ndarray, t: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
+        raise ZeroDivisionError("no rows")
+
+    program = loops.Program(2, 0, 1, function=failing)
+    with pytest.raises(ZeroDivisionError, match="no rows"):
+        program(np.ones((2, 3)), np.zeros(3), np.empty(0))
+
+
+def _is_sound(inputs: int, results: int, rows: int, steps: np.ndarray) -> bool:
+    written = set(range(inputs))
+    for operation, out, first, second in steps:
+        sound = 0 <= operation < 28 and inputs <= out < rows and {first, second} <= written
+        if not sound:
+            return False
+        written.add(out)
+    return written >= set(range(inputs, inputs + results))
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_random_programs_run_or_are_refused(seed: int) -> None:
+    """A program reads and writes rows of its own only, each after it was written."""
+    random = np.random.default_rng(seed)
+    dim, parameters, results, intermediates = random.integers([1, 0, 1, 0], 5)
+    numbers = random.normal(size=random.integers(0, 3))
+    inputs = int(dim + 1 + parameters + len(numbers))
+    rows = int(inputs + results + intermediates)
+    wild = random.random() < 0.5
+    low, high = (-3, rows + 3) if wild else (0, inputs)
+    steps = np.stack(
+        [
+            random.integers(-2, 31, 12) if wild else random.integers(0, 28, 12),
+            random.integers(*((low, high) if wild else (inputs, rows)), 12),
+            random.integers(low, high, 12),
+            random.integers(low, high, 12),
+        ],
+        axis=1,
+    )
+    steps = steps[: random.integers(0, 13)]
+    given = {"numbers": numbers, "intermediates": int(intermediates), "steps": steps}
+    if not _is_sound(inputs, int(results), rows, steps):
+        with pytest.raises(ValueError, match="row"):
+            loops.Program(int(dim), int(parameters), int(results), **given)
+        return
+    program = loops.Program(int(dim), int(parameters), int(results), **given)
+    found = program(random.normal(size=(dim, 5)), np.arange(5.0), random.normal(size=parameters))
+    assert found.shape == (results, 5)
+
+
+@pytest.mark.parametrize("counts", [(-1, 0, 1), (1, -1, 1), (2**40, 0, 1), (1, 0, 2**62)])
+def test_impossible_numbers_of_rows_are_refused(counts: tuple[int, int, int]) -> None:
+    with pytest.raises(ValueError, match="row"):
+        loops.Program(*counts)
+
+
+_DIGEST = """
+import hashlib, numpy as np, hamsym
+from hamsym.systems import CATALOGUE
+found = hashlib.sha256()
+for name in ("henon_heiles", "pendulum", "kepler", "driven_oscillator", "double_pendulum"):
+    problem = CATALOGUE[name]()
+    for tol in (1e-6, 1e-9, 1e-11):
+        solution = hamsym.solve(problem.H, problem.z0, (0, 7), tol=tol)
+        for array in (solution.history.edges, solution.history.readouts, solution.error.series):
+            found.update(array.tobytes())
+print(found.hexdigest())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(len(supported_levels()) < 2, reason="this processor has one level")
+def test_all_levels_compute_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = set()
+    for level in supported_levels():
+        monkeypatch.setenv(LEVEL_VARIABLE, level)
+        run = [sys.executable, "-c", _DIGEST]
+        found.add(subprocess.run(run, check=True, capture_output=True, text=True).stdout)
+    assert len(found) == 1
