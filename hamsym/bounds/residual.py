@@ -14,6 +14,7 @@ divide any more fails.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -245,6 +246,7 @@ def bounds_on_parts(
     return residual_bounds(programs, *places, np.sort(np.stack(ends, axis=1), axis=1), given)
 
 
+@functools.lru_cache(maxsize=64)
 def is_short_polynomial(form: Equations) -> bool:
     """Return whether the rates are polynomials of low degree, resolved wherever z^ is."""
     variables = [*form.z, *([] if form.time is None else [form.time])]

@@ -110,7 +110,7 @@ class _Marching:
         longest: float,
         max_windows: int,
     ) -> None:
-        self._began, self._cpu_began = time.perf_counter(), time.process_time()
+        self._began, self._cpu_began = time.perf_counter(), time.thread_time()
         self._flow, self._basis = flow, basis
         self._max_windows = max_windows
         self._origin = origin_of(flow.autonomous, span)
@@ -184,7 +184,7 @@ class _Marching:
             newton_windows=newton_windows,
             scale=self._sizes,
             seconds=time.perf_counter() - self._began,
-            cpu_seconds=time.process_time() - self._cpu_began,
+            cpu_seconds=time.thread_time() - self._cpu_began,
             seed=self._basis.seed,
             origin=self._origin,
             doubt=self._failures[0] if self._failures else "",

@@ -114,14 +114,14 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
     accuracy = checked_accuracy(options, span, H.dim)
     basis = basis_for(problem.seed, accuracy.tol)
     if not accuracy.stops and MemberSolver.applies(H):
-        wall, cpu = time.perf_counter(), time.process_time()
+        wall, cpu = time.perf_counter(), time.thread_time()
         solver = MemberSolver(
             H, span, accuracy.tol, accuracy.local, accuracy.absolute, accuracy.longest, basis
         )
         parameters = np.array([[H.parameters[name] for name in H.parameter_names]], dtype=float)
         batch = solver.solve(problem.z0[None], parameters, keep_error=True)
         if batch.accepted[0]:
-            seconds = time.perf_counter() - wall, time.process_time() - cpu
+            seconds = time.perf_counter() - wall, time.thread_time() - cpu
             return accepted_solution(
                 H,
                 problem.z0,

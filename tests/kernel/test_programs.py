@@ -18,7 +18,7 @@ from hamsym.systems import CATALOGUE
 X, Y = sympy.symbols("x y", real=True)
 
 
-@pytest.mark.slow_cases("argon_crystal")
+@pytest.mark.slow_cases("argon_crystal", "pleiades")
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_programs_are_the_equations(name: str) -> None:
     problem = CATALOGUE[name]()
