@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -24,11 +23,12 @@ from hamsym.kernel.loops import (
     library,
     require_memory,
 )
+from hamsym.numerics.collocation import turns
 
 DEGREE = 31  # of the polynomials: the columns of the march have 1e-14 beyond it
 PLACES = 2 * DEGREE + 2  # enough for products
 #: Places in [-1, 1], ascending.
-NODES = -np.cos((2 * np.arange(PLACES) + 1) * math.pi / (2 * PLACES))
+NODES = -turns(PLACES)[1 : 2 * PLACES : 2].astype(float)
 
 
 class ModelTables(Record):
@@ -63,12 +63,12 @@ def model_tables() -> ModelTables:
     """Make the tables of the arithmetic."""
     angles = np.outer(2 * np.arange(PLACES) + 1, np.arange(PLACES)) % (4 * PLACES)
     # Coefficients -> values; the table of the recurrence would be off by tens of roundings.
-    values = np.cos(angles * (math.pi / (2 * PLACES))) * (-1.0) ** np.arange(PLACES)
+    values = turns(PLACES)[angles] * (-1.0) ** np.arange(PLACES)
     weights = np.full(PLACES, 2.0 / PLACES)
     weights[0] = 1.0 / PLACES
     coefficients = values * weights
     low = DEGREE + 1
-    integrals = chebyshev.chebint(np.eye(PLACES), lbnd=NODES[PLACES // 2]).T
+    integrals = chebyshev.chebint(np.eye(PLACES, dtype=values.dtype), lbnd=NODES[PLACES // 2]).T
     return ModelTables(
         coefficients=coefficients,
         low=coefficients[:, :low],

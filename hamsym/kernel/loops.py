@@ -228,6 +228,11 @@ class Equations(Record):
 
     _fields_ = [*counts("dim separable"), *arrays("velocity force hessian energy")]
 
+    def rates(self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """Evaluate dz/dt at states (n, dim), times (n,), parameters (k,): shape (n, dim)."""
+        halves = [self.program(name)(z.T, t, parameters) for name in ("velocity", "force")]
+        return np.concatenate(halves).T
+
     def program(self, name: str) -> Program:
         """Return the program of a name."""
         found: Program = self.arrays[name]

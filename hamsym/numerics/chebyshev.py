@@ -15,7 +15,7 @@ def chebyshev_values(x: np.ndarray, count: int) -> np.ndarray:
            [ 1. ,  1. ,  1. ,  1. ]])
     """
     # The recurrence is as accurate as cosines of multiples of an angle, and 20 times faster.
-    values, twice = np.empty((count, *x.shape)), 2 * x
+    values, twice = np.empty((count, *x.shape), x.dtype), 2 * x
     values[0] = 1.0
     values[1:2] = x
     for k in range(2, count):

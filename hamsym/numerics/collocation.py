@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import functools
-import math
 from dataclasses import dataclass
 
+import mpmath
 import numpy as np
 from numpy.polynomial import chebyshev
 
@@ -33,24 +33,39 @@ class Collocation:
 
     def interpolation(self, s: np.ndarray) -> np.ndarray:
         """Return the matrix from values at the nodes to values at s, shape (len(s), n)."""
-        return chebyshev.chebvander(2 * s - 1, len(self.nodes) - 1) @ self.to_series
+        # Extended precision is multiplied in one order; BLAS has one for each processor.
+        values = chebyshev.chebvander((2 * s - 1).astype(np.longdouble), len(self.nodes) - 1)
+        return np.asarray((values @ self.to_series.astype(np.longdouble)).astype(float))
+
+
+@functools.cache
+def turns(count: int) -> np.ndarray:
+    """Return cos(pi k/(2 count)) for k below 4 count, in extended precision.
+
+    Cosines of libraries differ between processors; these are rounded from more digits.
+    """
+    with mpmath.workdps(40):
+        found = [mpmath.cospi(mpmath.mpf(k) / (2 * count)) for k in range(4 * count)]
+        high = [float(value) for value in found]
+        low = [float(value - part) for value, part in zip(found, high, strict=True)]
+    return np.array(high, dtype=np.longdouble) + np.array(low, dtype=np.longdouble)
 
 
 def chebyshev_points(count: int) -> np.ndarray:
     """Return the Chebyshev points of the first kind in (0, 1), in ascending order."""
-    return (1 - np.cos((2 * np.arange(count) + 1) * math.pi / (2 * count))) / 2
+    return np.asarray(((1 - turns(count)[1 : 2 * count : 2]) / 2).astype(float))
 
 
 @functools.cache
 def collocation(count: int) -> Collocation:
     """Make the collocation tables for ``count`` nodes."""
     exact = np.longdouble
-    angles = (2 * np.arange(count) + 1) * np.arccos(exact(-1)) / (2 * count)
-    degrees = np.arange(count)[:, None]
-    to_series = np.cos(degrees * angles) * np.where(degrees % 2, -2, 2) / exact(count)
+    odd, degrees = 2 * np.arange(count) + 1, np.arange(count)[:, None]
+    to_series = turns(count)[degrees * odd % (4 * count)] * np.where(degrees % 2, -2, 2)
+    to_series /= exact(count)
     to_series[0] /= 2
     integrals = chebyshev.chebint(np.eye(count, dtype=exact), lbnd=-1, scl=exact(0.5))
-    places = np.append(-np.cos(angles), exact(1))
+    places = np.append(-turns(count)[odd], exact(1))
     integration = chebyshev.chebval(places, integrals).T @ to_series
     return Collocation(
         chebyshev_points(count), integration.astype(float), to_series.astype(float), integration

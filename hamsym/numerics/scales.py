@@ -38,7 +38,9 @@ def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.nd
     found = sizes
     for _ in range(len(sizes)):
         found = np.maximum(found, tau * coupling @ found)
-    return found
+    # Eigenvalues and products differ between processors in the last bits, which are left out.
+    mantissa, exponent = np.frexp(found)
+    return np.asarray(np.maximum(sizes, np.ldexp(np.round(mantissa * 2**24) / 2**24, exponent)))
 
 
 def resolved_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:

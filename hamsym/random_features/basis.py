@@ -15,6 +15,7 @@ Stage 3  As a function of time the march is a :class:`~hamsym.random_features.tr
 from __future__ import annotations
 
 import functools
+import importlib.resources
 import math
 from dataclasses import dataclass
 from fractions import Fraction
@@ -27,7 +28,7 @@ from numpy.polynomial import chebyshev
 
 from hamsym.kernel.loops import LANES, Tables
 from hamsym.numerics.chebyshev import chebyshev_values
-from hamsym.numerics.collocation import chebyshev_points
+from hamsym.numerics.collocation import chebyshev_points, collocation
 
 _NEURONS = 60
 _TRUNCATION = 1e-14  # of singular values, relative
@@ -95,7 +96,6 @@ class FeatureBasis:
         the next window; ``order`` is that at which the residual falls with the length.
         """
         end = self.end.astype(float)
-        extrapolation = np.linalg.pinv(chebyshev.chebvander(2 * self.nodes - 1, _TERMS - 1))
         columns = self.series.shape[1]
         more = -columns % LANES  # columns of zeros
         return Tables(
@@ -112,7 +112,8 @@ class FeatureBasis:
             rates_between=np.pad(self.rates_between.T, ((0, more), (0, 0))),
             end=np.pad(end, (0, more)),
             end_low=np.pad((self.end - end).astype(float), (0, more)),
-            extrapolation=extrapolation.T,
+            # The points are orthogonal for polynomials: their coefficients are the best fit.
+            extrapolation=collocation(len(self.nodes)).to_series[:_TERMS].T,
         )
 
     def columns(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -132,6 +133,25 @@ class FeatureBasis:
 def feature_basis(seed: int = 0, nodes: int = 24) -> FeatureBasis:
     """Make the basis of a seed and of a size in :data:`SIZES`, once."""
     size = SIZES[nodes]
+    if seed == 0:
+        return basis_of_series(seed, stored_series(nodes))
+    return basis_of_series(seed, made_series(seed, size))
+
+
+@functools.cache
+def stored_series(nodes: int) -> np.ndarray:
+    """Return the series of seed 0, which are stored: LAPACK has one result for each processor."""
+    with (
+        importlib.resources.files("hamsym.random_features")
+        .joinpath("series.npz")
+        .open("rb") as file,
+        np.load(file) as stored,
+    ):
+        return np.asarray(stored[str(nodes)])
+
+
+def made_series(seed: int, size: Size) -> np.ndarray:
+    """Make the series of a seed, shape (degree + 1, m)."""
     generator = np.random.default_rng(seed)
     inner = generator.uniform(-size.inner_range, size.inner_range, _NEURONS)
     shift = generator.uniform(-math.pi, math.pi, _NEURONS)
@@ -140,7 +160,7 @@ def feature_basis(seed: int = 0, nodes: int = 24) -> FeatureBasis:
     _, sizes, right = np.linalg.svd(np.vstack((values, rates)), full_matrices=False)
     kept = np.flatnonzero(sizes > _TRUNCATION * sizes[0])[: size.columns]
     mixing = right[kept].T / sizes[kept]
-    return basis_of_series(seed, _series(inner, shift, mixing))
+    return _series(inner, shift, mixing)
 
 
 def size_of(columns: int) -> Size:
@@ -166,19 +186,50 @@ def basis_of_series(seed: int, series: np.ndarray) -> FeatureBasis:
         return values.astype(float), rates.astype(float)
 
     at_nodes, rates_at_nodes = columns(nodes)
-    fit = np.linalg.pinv(rates_at_nodes, rcond=1e-14)
+    fit = _left_inverse(rates_at_nodes)
     to_between, rates_between = columns(between)
     return FeatureBasis(
         seed=seed,
         nodes=nodes,
         between=between,
-        fit=fit,
-        integration=at_nodes @ fit,
+        fit=fit.astype(float),
+        integration=(at_nodes.astype(np.longdouble) @ fit).astype(float),
         to_between=to_between,
         rates_between=rates_between,
         end=_columns(series, rate_series(series), np.ones(1, dtype=np.longdouble))[0][0],
         series=series,
     )
+
+
+def _left_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Return (A^T A)^-1 A^T in extended precision, by orthonormal columns.
+
+    Its operations have one order, and so the same bits on every processor that has this precision.
+    """
+    columns = matrix.astype(np.longdouble)
+    count = columns.shape[1]
+    orthonormal, triangle = columns.copy(), np.zeros((count, count), np.longdouble)
+    for k in range(count):
+        for _ in range(2):  # again, for the round-off of the first time
+            for j in range(k):
+                share = _dot(orthonormal[:, j], orthonormal[:, k])
+                triangle[j, k] += share
+                orthonormal[:, k] -= share * orthonormal[:, j]
+        triangle[k, k] = np.sqrt(_dot(orthonormal[:, k], orthonormal[:, k]))
+        orthonormal[:, k] /= triangle[k, k]
+    inverse = orthonormal.T.copy()
+    for k in reversed(range(count)):
+        for j in range(k + 1, count):
+            inverse[k] -= triangle[k, j] * inverse[j]
+        inverse[k] /= triangle[k, k]
+    return inverse
+
+
+def _dot(one: np.ndarray, other: np.ndarray) -> np.longdouble:
+    total = np.longdouble(0)
+    for product in one * other:
+        total += product
+    return total
 
 
 def _series(inner: np.ndarray, shift: np.ndarray, mixing: np.ndarray) -> np.ndarray:
@@ -218,15 +269,19 @@ def _columns(series: np.ndarray, rates: np.ndarray, s: np.ndarray) -> tuple[np.n
     if s.dtype != series.dtype:  # more digits of the derivative of exactly this series
         series = series.astype(s.dtype)
         rates = rate_series(series)
-    if s.dtype == np.float64:
-        polynomials = chebyshev_values(2 * s - 1, len(series))
-    else:
-        angles = np.arccos(np.clip(2 * s - 1, -1, 1))
-        polynomials = np.cos(np.multiply.outer(angles, np.arange(len(series), dtype=s.dtype)))
-    f = -np.expm1(-s)[:, None]
+    polynomials = chebyshev_values(2 * s - 1, len(series))
+    f = (-np.expm1(-s) if s.dtype == np.float64 else _envelope(s))[:, None]
     network = polynomials @ series
     slopes = polynomials @ rates
     return f * network, (1 - f) * network + f * slopes
+
+
+def _envelope(s: np.ndarray) -> np.ndarray:
+    """Return 1 - exp(-s) for s in [0, 1], by its Taylor series: libraries round it differently."""
+    total = np.zeros_like(s)
+    for k in range(26, 0, -1):
+        total = s * (1 - total) / k
+    return total
 
 
 def rate_series(series: np.ndarray) -> np.ndarray:

@@ -185,10 +185,12 @@ def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
     values, values_low = _parts(values for values, _ in columns)
     rates, rates_low = _parts(rates for _, rates in columns)
     # The integral from 0 of the polynomial through the values at the first places.
-    integrals = chebyshev.chebint(np.eye(inside), lbnd=-1, scl=0.5)
+    exact = np.longdouble  # multiplied in one order; BLAS has one for each processor
+    integrals = chebyshev.chebint(np.eye(inside, dtype=exact), lbnd=-1, scl=exact(0.5))
 
     def integral(s: np.ndarray) -> np.ndarray:
-        weights = chebyshev.chebval(2 * s - 1, integrals).T @ fine.to_series
+        weights = chebyshev.chebval(2 * s.astype(exact) - 1, integrals).T
+        weights = (weights @ fine.to_series.astype(exact)).astype(float)
         return np.pad(weights.T, ((0, _RANDOM), (0, 0)))
 
     return ErrorTables(

@@ -124,7 +124,7 @@ class _Marching:
         self._shortest = shortest_window(self._start, self._end)
         # Just inside the span: at the start a switch in time has neither of its values.
         inside = self._start + self._direction * self._shortest
-        self._rate = flow.vector_field(z0[None], np.array([inside]))[0]
+        self._rate = flow.programs.rates(z0[None], np.array([inside]), flow.parameters)[0]
         self._clock = np.array([self._start, 0.0, 0.0])  # time, next length, last slow length
         self._counts = np.array([0, 1, 0, 0])  # windows, evaluations, stops passed, slow windows
         self._sizes = np.abs(z0)
