@@ -88,13 +88,8 @@ _STEP_PARTS = {
     ),
     "doubled phase space": _Part(("gradient", "hessian", "integrators"), ("doubled",)),
 }
-#: Functions of states as rows, which the march calls where H has a function that its library lacks.
-_ROW_PARTS = {
-    f"{name}_rows": _Part(defines=(f"{name}_rows",))
-    for name in ("velocity", "force", "hessian", "energy")
-}
 _BALL_PARTS = {"third_derivatives": _Part(defines=("third_derivatives",))}
-_PARTS = _FUNCTION_PARTS | _STEP_PARTS | _ROW_PARTS | _BALL_PARTS
+_PARTS = _FUNCTION_PARTS | _STEP_PARTS | _BALL_PARTS
 _ONLY_SEPARABLE = frozenset(("compensation", "curvature", "splitting", "tangents"))
 _NOT_SEPARABLE = frozenset(("mixed_derivatives", "symplectic Euler"))
 # Parts that systems with forces lack.

@@ -23,13 +23,18 @@ def test_programs_are_the_equations(name: str) -> None:
     noise = np.random.default_rng(0).uniform(0.98, 1.02, (11, H.dim))
     z, t = np.array(problem.z0) * noise + 1e-3, np.linspace(0.1, 0.9, 11)
     values = np.array([H.parameters[name] for name in H.parameter_names], dtype=float)
-    for part in ("velocity", "force", "hessian", "energy"):
-        if not programs.has(part):
-            continue
-        found = programs.program(part)(z.T, t, values)
-        wanted = np.empty(found.shape)
-        system.function(f"{part}_rows")(np.ascontiguousarray(z.T), t, values, wanted)
-        np.testing.assert_allclose(found, wanted, rtol=1e-11, atol=1e-12 * np.abs(wanted).max())
+    arguments = system.arguments(z, t)
+    second = system.curvature(*arguments) if H.forces else system.hessian(*arguments)
+    wanted = {
+        "velocity": system.vector_field(*arguments)[:, : H.dof],
+        "force": system.vector_field(*arguments)[:, H.dof :],
+        "hessian": second[(slice(None), *np.transpose([*H.real_equations.stored_curvature]))],
+        "energy": system.energy(*arguments)[:, None],
+    }
+    for part, exact in wanted.items():
+        if programs.has(part):
+            found = programs.program(part)(z.T, t, values).T
+            np.testing.assert_allclose(found, exact, rtol=1e-11, atol=1e-12 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize(
