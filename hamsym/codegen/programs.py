@@ -68,7 +68,9 @@ def _programs(formulas: _Formulas) -> Programs:
     if form.has_conserved_values:
         parts["energy"] = [form.expr]
     made = {name: program_of(part, form.z, form.time, parameters) for name, part in parts.items()}
-    return Programs(dim=len(form.z), separable=form.is_separable, **made)
+    return Programs(
+        dim=len(form.z), separable=form.is_separable, linear=form.has_linear_velocity, **made
+    )
 
 
 def program_of(

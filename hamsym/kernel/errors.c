@@ -31,6 +31,7 @@ void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_t
   for (int k = 0; k < 3; k++) *of_inside[k] = take(arena, dim * t->inside);
   m->shown = take(arena, dim * t->shown);
   m->base = take(arena, rows * nodes);
+  m->drifted = take(arena, rows / 2 * nodes);
   m->vectors = take(arena, rows * nodes);
   m->moved = take(arena, rows * nodes);
   m->before = take(arena, rows);
@@ -41,12 +42,13 @@ void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_t
 
 /* -- the tangent equation ---------------------------------------------------------------------- */
 
-/* Write the rows of A V from `row` to before `end`; V has EACH_VECTOR rows for each component. */
-static void apply(const carrying *m, const term *first, const term *end, long row, long count, long n, double *out) {
+/* Write `count` components of A V from the component `row` on; V has EACH_VECTOR rows for each component. */
+static void apply(const carrying *m, const term *first, const term *end, const double *vectors, long row, long count,
+                  long n, double *out) {
   memset(out, 0, count * EACH_VECTOR * n * sizeof(double));
   for (const term *one = first; one < end; one++) {
     double *target = out + (one->row - row) * EACH_VECTOR * n;
-    const double *source = m->vectors + one->source * EACH_VECTOR * n, *second = m->second + one->entry * n;
+    const double *source = vectors + one->source * EACH_VECTOR * n, *second = m->second + one->entry * n;
     for (long c = 0; c < n; c += 4) {
       v4 weight = spread(one->factor) * load(second + c);
       for (long k = 0; k < EACH_VECTOR; k++) {
@@ -70,16 +72,50 @@ static void weigh(carrying *m, long dim, long n, double factor) {
   }
 }
 
+/* Products A V of all components. */
+static void apply_all(carrying *m, const actions *a, long dim, long n) {
+  const term *middle = m->terms + a->velocities, *end = m->terms + a->terms;
+  apply(m, middle, end, m->vectors, dim / 2, dim / 2, n, m->moved + dim / 2 * EACH_VECTOR * n);
+  apply(m, m->terms, middle, m->vectors, 0, dim / 2, n, m->moved);
+}
+
+/* The tangent equation where the coordinates' rates are linear in the momenta alone: the coordinates follow from
+   the forces directly, by one product in each iteration instead of two. */
+static int transport_linear(carrying *m, const error_tables *t, const actions *a, long dim, double h, double accuracy) {
+  long n = t->nodes, half = dim / 2, rows = half * EACH_VECTOR;
+  double *slopes = m->moved + rows * n;
+  const term *middle = m->terms + a->velocities, *end = m->terms + a->terms;
+  apply(m, m->terms, middle, m->base, 0, half, n, m->moved);
+  advance(t->integration, n, m->moved, rows, m->base, h, m->drifted, m->changes);
+  memcpy(m->vectors, m->drifted, rows * n * sizeof(double));
+  for (int iteration = 1; iteration <= ITERATIONS; iteration++) {
+    apply(m, middle, end, m->vectors, half, half, n, slopes);
+    apply(m, m->terms, middle, m->moved, 0, half, n, m->moved);
+    advance(t->twice, n, m->moved, rows, m->drifted, h * h, m->vectors, m->changes);
+    if (iteration < 3) continue;
+    weigh(m, half, n, accuracy);
+    double largest = weighted_change(m->changes, m->weight, rows);
+    if (!(largest < 1e100)) return 0;
+    if (!(largest <= 1.0)) continue;
+    apply(m, middle, end, m->vectors, half, half, n, slopes);
+    advance(t->integration, n, slopes, rows, m->base + rows * n, h, m->vectors + rows * n, m->changes);
+    apply(m, m->terms, middle, m->vectors, 0, half, n, m->moved);
+    return 1;
+  }
+  return 0;
+}
+
 /* Solve the tangent equation of a window for all vectors; m->moved has the products A V. */
 static int transport(carrying *m, const error_tables *t, const actions *a, long dim, double h, double accuracy) {
   long n = t->nodes, half = dim / 2, rows = half * EACH_VECTOR;
   double *slopes = m->moved + rows * n, *kicked = m->vectors + rows * n;
   const term *middle = m->terms + a->velocities, *end = m->terms + a->terms;
+  if (a->linear) return transport_linear(m, t, a, dim, h, accuracy);
   memcpy(m->vectors, m->base, 2 * rows * n * sizeof(double));
   for (int iteration = 1; iteration <= ITERATIONS; iteration++) {
-    apply(m, middle, end, half, half, n, slopes);
+    apply(m, middle, end, m->vectors, half, half, n, slopes);
     advance(t->integration, n, slopes, rows, m->base + rows * n, h, kicked, m->changes + rows);
-    apply(m, m->terms, middle, 0, half, n, m->moved);
+    apply(m, m->terms, middle, m->vectors, 0, half, n, m->moved);
     advance(t->integration, n, m->moved, rows, m->base, h, m->vectors, m->changes);
     if (iteration > 2) {
       weigh(m, dim, n, accuracy);
@@ -93,7 +129,7 @@ static int transport(carrying *m, const error_tables *t, const actions *a, long 
 
 /* Solve it by elimination with pivots; return whether there is a finite solution. */
 static int eliminate(carrying *m, const error_tables *t, const actions *a, long dim, double h) {
-  long n = t->nodes, size = dim * n, half = dim / 2, wide = size + EACH_VECTOR;
+  long n = t->nodes, size = dim * n, wide = size + EACH_VECTOR;
   double *matrix = calloc(size * wide, sizeof(double));
   if (!matrix) return 0;
   for (long row = 0; row < size; row++) {
@@ -134,9 +170,7 @@ static int eliminate(carrying *m, const error_tables *t, const actions *a, long 
       good = good && isfinite(line[size + k]);
     }
   free(matrix);
-  const term *middle = m->terms + a->velocities;
-  apply(m, middle, m->terms + a->terms, half, half, n, m->moved + half * EACH_VECTOR * n);
-  apply(m, m->terms, middle, 0, half, n, m->moved);
+  apply_all(m, a, dim, n);
   return good;
 }
 

@@ -27,13 +27,17 @@ enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4 };
 typedef struct {
   int64_t nodes, columns, sets, places, inside, shown;
   const double *node, *at_nodes, *place, *value, *value_low, *rate, *rate_low, *drift, *drift_inside, *drift_end;
-  const double *integration, *lift, *end, *to_series, *dense;
+  const double *integration, *twice, *lift, *end, *to_series, *dense;
 } error_tables;
 
 /* Terms of A V in the units of H: row += factor * second derivative * source row. Those of the coordinates'
    rates come first; terms of one row are consecutive. */
 typedef struct { int64_t row, source, entry; double factor; } term;
-typedef struct { int64_t velocities, terms; const term *term; } actions;
+typedef struct {
+  int64_t velocities, terms;
+  int64_t linear; /* whether the coordinates' rates are a constant matrix times the momenta, and not the others */
+  const term *term;
+} actions;
 
 typedef struct {
   int64_t period, width;
@@ -61,7 +65,7 @@ typedef struct {
   v4 *changes;
   double *readout, *times, *late, *z, *dz, *low, *rates, *disturbed, *at_nodes, *node_times, *drift, *smooth;
   double *drift_inside, *found, *coefficients, *shown, *second, *flow, *displaced, *lacking;
-  double *base, *vectors, *moved, *before, *weight, *left, *speeds, *tops, *noise;
+  double *base, *drifted, *vectors, *moved, *before, *weight, *left, *speeds, *tops, *noise;
 } carrying;
 
 void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_tables *t, const actions *a);

@@ -226,7 +226,7 @@ class Program(Record):
 class Equations(Record):
     """Programs of dq/dt, dp/dt, the second derivatives of H, and of H where it is conserved."""
 
-    _fields_ = [*counts("dim separable"), *arrays("velocity force hessian energy")]
+    _fields_ = [*counts("dim separable linear"), *arrays("velocity force hessian energy")]
 
     def rates(self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Evaluate dz/dt at states (n, dim), times (n,), parameters (k,): shape (n, dim)."""
@@ -251,7 +251,8 @@ class Tables(Record):
     _fields_ = [
         *counts("nodes columns between terms"),
         *_numbers("order"),
-        *arrays("node integration fit place to_between rates_between end end_low extrapolation"),
+        *arrays("node integration twice fit place to_between rates_between end end_low"),
+        *arrays("extrapolation"),
     ]
 
     def __init__(self, **values: Any) -> None:
@@ -291,7 +292,7 @@ class ErrorTables(Record):
     _fields_ = [
         *counts("nodes columns sets places inside shown"),
         *arrays("node at_nodes place value value_low rate rate_low drift drift_inside drift_end"),
-        *arrays("integration lift end to_series dense"),
+        *arrays("integration twice lift end to_series dense"),
     ]
 
     def __init__(self, **values: Any) -> None:
@@ -306,7 +307,7 @@ TERM = np.dtype([("row", "i8"), ("source", "i8"), ("entry", "i8"), ("factor", "f
 class Actions(Record):
     """Terms of A V in the units of H, those of the coordinates' rates first."""
 
-    _fields_ = [*counts("velocities terms"), *arrays("term")]
+    _fields_ = [*counts("velocities terms linear"), *arrays("term")]
 
 
 class ErrorSettings(Record):

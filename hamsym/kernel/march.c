@@ -51,6 +51,7 @@ void lay_out_march(marching *m, arena *arena, const equations *H, const tables *
   m->times = take(arena, nodes);
   m->basis = take(arena, t->terms * nodes);
   m->base = take(arena, dim * nodes);
+  m->drifted = take(arena, dim / 2 * nodes);
   m->nearby = take(arena, dim * nodes);
   m->readout = take(arena, dim * t->columns);
   m->late = take(arena, m->stride);
@@ -118,10 +119,36 @@ static void polynomials(double ratio, const tables *t, double *out) {
     for (long c = 0; c < n; c++) out[k * n + c] = 2.0 * out[n + c] * out[(k - 1) * n + c] - out[(k - 2) * n + c];
 }
 
-/* Solve the collocation equation of a window of length h from the state z by fixed-point iteration: the
-   momenta with the force at the last coordinates, then the coordinates with the velocity at the new
-   momenta, which needs half as many iterations as both at once. `longer` is the length relative to the
-   last window, 0 for the first. Returns the iterations, 0 without convergence; p->found has the rates. */
+/* One iteration: the momenta with the force at the last coordinates, then the coordinates with the velocity at
+   the new momenta, which needs half as many iterations as both at once. Where the velocity is linear, the
+   coordinates follow from the force directly, by one product instead of two. */
+static void approach(marching *m, const equations *H, const tables *t, progress *p, double h) {
+  long half = H->dim / 2, n = t->nodes;
+  double *slopes = p->found + half * n;
+  run(&m->force, m->nearby, m->times, n, slopes);
+  if (H->linear) {
+    run(&m->velocity, p->found, m->times, n, m->disturbed);
+    advance(t->twice, n, m->disturbed, half, m->drifted, h * h, m->nearby, m->changes);
+    return;
+  }
+  advance(t->integration, n, slopes, half, m->base + half * n, h, m->nearby + half * n, m->changes + half);
+  run(&m->velocity, m->nearby, m->times, n, p->found);
+  advance(t->integration, n, p->found, half, m->base, h, m->nearby, m->changes);
+}
+
+/* The rates at the coordinates that the iteration has found, where it left out the momenta. */
+static void complete(marching *m, const equations *H, const tables *t, progress *p, double h) {
+  long half = H->dim / 2, n = t->nodes;
+  if (!H->linear) return;
+  double *slopes = p->found + half * n;
+  run(&m->force, m->nearby, m->times, n, slopes);
+  advance(t->integration, n, slopes, half, m->base + half * n, h, m->nearby + half * n, m->changes + half);
+  run(&m->velocity, m->nearby, m->times, n, p->found);
+}
+
+/* Solve the collocation equation of a window of length h from the state z by fixed-point iteration. `longer` is
+   the length relative to the last window, 0 for the first. Returns the iterations, 0 without convergence;
+   p->found has the rates. */
 static int iterate(marching *m, const equations *H, const tables *t, const settings *s, progress *p,
                    const double *z, double h, double longer) {
   long dim = H->dim, half = dim / 2, n = t->nodes;
@@ -137,31 +164,36 @@ static int iterate(marching *m, const equations *H, const tables *t, const setti
     m->scale[i] = larger(row_size(m->nearby + i * n, n), size);
     m->weight[i] = 1.0 / m->scale[i];
   }
-  double *slopes = p->found + half * n, *kicked = m->nearby + half * n;
+  if (H->linear) {
+    run(&m->velocity, m->base, m->times, n, m->disturbed);
+    memcpy(m->drifted, m->base, half * n * sizeof(double));
+    advance(t->integration, n, m->disturbed, half, m->base, h, m->drifted, m->changes);
+  }
   double last = INFINITY;
   int tests = 0;
   for (int iteration = 1; iteration <= ITERATIONS; iteration++) {
     p->counts[1]++;
-    run(&m->force, m->nearby, m->times, n, slopes);
-    advance(t->integration, n, slopes, half, m->base + half * n, h, kicked, m->changes + half);
-    run(&m->velocity, m->nearby, m->times, n, p->found);
-    advance(t->integration, n, p->found, half, m->base, h, m->nearby, m->changes);
+    approach(m, H, t, p, h);
     double change = weighted_change(m->changes, m->weight, half);
-    double kick = weighted_change(m->changes + half, m->weight + half, half);
+    double kick = H->linear ? 0.0 : weighted_change(m->changes + half, m->weight + half, half);
     /* The momenta of a separable H follow the coordinates of the last iteration: their next change is
        smaller by as much as that of the coordinates is. */
     if (!(H->separable && change <= last)) change = larger(kick, change);
     else if (iteration > 1) change = larger(kick * (change / last), change);
-    if (change <= enough || (change < 1e-12 && change >= last)) return iteration;
+    if (change <= enough || (change < 1e-12 && change >= last)) {
+      complete(m, H, t, p, h);
+      return iteration;
+    }
     if (change >= last && tests < ROUND_OFF_TESTS) {
       /* A component may stay away from its limit by the round-off of its rate, which is that at the same
          states: where the iteration diverges, those of the last one are far away. */
       tests++;
       p->counts[1] += 2;
+      complete(m, H, t, p, h);
       evaluate(&m->velocity, &m->force, m->nearby, m->times, n, p->found);
       round_off(m, s, dim, n, m->nearby, m->times, p->found, NOISE * fabs(h));
       int settled = 1;
-      for (long i = 0; i < dim; i++) {
+      for (long i = 0; i < (H->linear ? half : dim); i++) {
         double allowed = m->noise[i] + enough * m->scale[i];
         settled = settled && largest4(m->changes[i]) <= allowed;
       }

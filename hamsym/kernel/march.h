@@ -16,6 +16,7 @@ enum march_outcome { FINISHED, NEWTON, TOO_SHORT, FULL, NO_MEMORY };
 /* Hamilton's equations; the components of the state are dim, half of them coordinates. */
 typedef struct {
   int64_t dim, separable;
+  int64_t linear; /* whether H is separable and dq/dt a constant matrix times p */
   const program *velocity, *force, *hessian, *energy; /* dq/dt; dp/dt; second derivatives; H or null */
 } equations;
 
@@ -23,7 +24,8 @@ typedef struct {
 typedef struct {
   int64_t nodes, columns, between, terms;
   double order;
-  const double *node, *integration, *fit, *place, *to_between, *rates_between, *end, *end_low, *extrapolation;
+  const double *node, *integration, *twice; /* twice: the square of integration */
+  const double *fit, *place, *to_between, *rates_between, *end, *end_low, *extrapolation;
 } tables;
 
 typedef struct {
@@ -55,7 +57,7 @@ typedef struct {
   long stride;
   machine velocity, force;
   v4 *changes;
-  double *times, *basis, *base, *nearby, *readout, *late, *middle, *flow, *residual, *disturbed;
+  double *times, *basis, *base, *drifted, *nearby, *readout, *late, *middle, *flow, *residual, *disturbed;
   double *scale, *weight, *sizes, *defects, *speeds, *noise;
 } marching;
 

@@ -38,9 +38,21 @@ def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.nd
     found = sizes
     for _ in range(len(sizes)):
         found = np.maximum(found, tau * coupling @ found)
-    # Eigenvalues and products differ between processors in the last bits, which are left out.
-    mantissa, exponent = np.frexp(found)
-    return np.asarray(np.maximum(sizes, np.ldexp(np.round(mantissa * 2**24) / 2**24, exponent)))
+    return found
+
+
+def smallest_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:
+    """Compute the sizes below which no component is counted: 1e-8 of the coupled ones.
+
+    Eigenvalues and products differ between processors in the last bits, which are left out.
+
+    Parameters
+    ----------
+    sizes, coupling, time
+        As of :func:`coupled_sizes`.
+    """
+    mantissa, exponent = np.frexp(SMALLEST * coupled_sizes(sizes, coupling, time))
+    return np.asarray(np.ldexp(np.round(mantissa * 2**24) / 2**24, exponent))
 
 
 def resolved_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:
@@ -56,7 +68,7 @@ def resolved_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.n
     >>> resolved_sizes(np.array([2.0, 0.0]), np.array([[0.0, 1.0], [9.0, 0.0]]), 100.0)
     array([2.e+00, 6.e-08])
     """
-    return np.asarray(np.maximum(sizes, SMALLEST * coupled_sizes(sizes, coupling, time)))
+    return np.asarray(np.maximum(sizes, smallest_sizes(sizes, coupling, time)))
 
 
 def floored_sizes(sizes: np.ndarray, share: float) -> np.ndarray:

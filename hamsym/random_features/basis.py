@@ -106,6 +106,7 @@ class FeatureBasis:
             order=columns - 1.0,
             node=self.nodes,
             integration=self.integration.T,
+            twice=squared(self.integration).T,
             fit=np.pad(self.fit.T, ((0, 0), (0, more))),
             place=self.between,
             to_between=np.pad(self.to_between.T, ((0, more), (0, 0))),
@@ -199,6 +200,12 @@ def basis_of_series(seed: int, series: np.ndarray) -> FeatureBasis:
         end=_columns(series, rate_series(series), np.ones(1, dtype=np.longdouble))[0][0],
         series=series,
     )
+
+
+def squared(table: np.ndarray) -> np.ndarray:
+    """Return the square of a table, multiplied in one order."""
+    exact = table.astype(np.longdouble)
+    return np.asarray((exact @ exact).astype(float))
 
 
 def _left_inverse(matrix: np.ndarray) -> np.ndarray:

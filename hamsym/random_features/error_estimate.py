@@ -26,7 +26,7 @@ from hamsym.kernel import loops
 from hamsym.kernel.loops import VECTORS, Actions, ErrorSettings, ErrorTables
 from hamsym.numerics.collocation import collocation
 from hamsym.numerics.scales import resolved_sizes
-from hamsym.random_features.basis import FeatureBasis, basis_of_series
+from hamsym.random_features.basis import FeatureBasis, basis_of_series, squared
 from hamsym.random_features.flow import Flow, flow_of
 from hamsym.random_features.windows import March
 from hamsym.solution.times import shown_time
@@ -132,7 +132,7 @@ def estimate_error(
     first, outcome = loops.carry_errors(
         flow.programs,
         tables,
-        terms_of(flow.entries, flow.symmetric, dim),
+        terms_of(flow),
         settings,
         loops.Windows(windows.edges, windows.states, windows.readouts),
         basis.tables,
@@ -211,6 +211,7 @@ def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
         drift_inside=integral(fine.nodes),
         drift_end=integral(np.ones(1))[:, 0],
         integration=rule.integration[:-1].T,
+        twice=squared(rule.integration[:-1]).T,
         lift=rule.interpolation(fine.nodes).T,
         end=rule.integration[-1],
         to_series=fine.to_series.T,
@@ -238,13 +239,9 @@ def kicks(dim: int) -> np.ndarray:
     return np.random.default_rng(1).choice((-1.0, 1.0), size=shape)
 
 
-def terms_of(entries: np.ndarray, symmetric: bool, dim: int) -> Actions:
-    """Return the terms of J C v.
-
-    Of the matrix C, the Hessian without forces, the entries are given, which are mirrored if it is
-    symmetric.
-    """
-    half = dim // 2
+def terms_of(flow: Flow) -> Actions:
+    """Return the terms of J C v, with C the Hessian without forces."""
+    entries, symmetric, half = flow.entries, flow.symmetric, flow.programs.dim // 2
     terms = []
     for entry, (i, j) in enumerate(entries.tolist()):
         for row, source in {(i, j), (j, i)} if symmetric else [(i, j)]:
@@ -253,7 +250,7 @@ def terms_of(entries: np.ndarray, symmetric: bool, dim: int) -> Actions:
     terms.sort()
     velocities = sum(target < half for target, *_ in terms)
     array = np.array(terms, dtype=loops.TERM)
-    return Actions(velocities=velocities, terms=len(terms), term=array)
+    return Actions(velocities=velocities, terms=len(terms), linear=flow.programs.linear, term=array)
 
 
 def _resting(windows: March, flow: Flow) -> list[int]:

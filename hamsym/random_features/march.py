@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hamsym.kernel import loops
-from hamsym.numerics.scales import SMALLEST, coupled_sizes
+from hamsym.numerics.scales import smallest_sizes
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import Flow
 from hamsym.random_features.window_checks import Failure, WindowChecks
@@ -274,8 +274,8 @@ class _Marching:
         windows = self._windows.part(0, count)
         z, t = windows.states[places], windows.edges[places]
         coupling = np.abs(self._flow.jacobian(z, t)).mean(axis=0)
-        coupled = coupled_sizes(self._sizes, coupling, self._whole)
-        self._floors = np.maximum(self._floors, SMALLEST * coupled)
+        smallest = smallest_sizes(self._sizes, coupling, self._whole)
+        self._floors = np.maximum(self._floors, smallest)
 
     def _check(self) -> Failure | None:
         """Check the windows since the last check."""

@@ -110,7 +110,7 @@ class MemberSolver:
             self._flow.programs,
             basis.tables,
             self._tables,
-            terms_of(self._flow.entries, self._flow.symmetric, H.dim),
+            terms_of(self._flow),
             Span(
                 start=start,
                 end=end,

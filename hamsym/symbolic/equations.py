@@ -246,6 +246,22 @@ class Equations(Shown):
         return derivatives.vanishes(rate.xreplace({**at, **numbers}))
 
     @cached_property
+    def has_linear_velocity(self) -> bool:
+        """Whether H is separable and dq/dt is a constant matrix times p."""
+        d, momenta = self.dof, set(self.z[self.dof :])
+        varying = {*self.z, self.time}
+        rates = {k: entry for k, entry in self.curvature.items() if k[0] >= d}
+        constant = all(
+            j >= d and not entry.free_symbols & varying for (_, j), entry in rates.items()
+        )
+        at_rest = dict.fromkeys(momenta, 0)
+        return (
+            self.is_separable
+            and constant
+            and all(slope.xreplace(at_rest) == 0 for slope in self.slopes[d:])
+        )
+
+    @cached_property
     def is_separable(self) -> bool:
         """Whether dq/dt depends on p only, and dp/dt on q only, beside the time."""
         momenta = set(self.z[self.dof :])

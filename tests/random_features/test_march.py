@@ -466,7 +466,7 @@ def test_places_of_short_windows_are_inside_them() -> None:
 
 def _equations(rows: loops.Program) -> loops.Equations:
     """One degree of freedom with one function for every row."""
-    return loops.Equations(dim=2, separable=1, velocity=rows, force=rows, hessian=rows)
+    return loops.Equations(dim=2, separable=1, linear=0, velocity=rows, force=rows, hessian=rows)
 
 
 def test_stable_equilibrium_stays_exactly() -> None:
