@@ -19,7 +19,7 @@ from hamsym.proof.window_proof import WindowProof
 
 @pytest.fixture(scope="module")
 def solution():
-    return hamsym.solve("p**2/2 + x**2/2", [1.0, 0.0], (0.0, 3.0), tol=1e-8)
+    return hamsym.solve("p**2/2 + x**2/2", [1.0, 0.0], (0.0, 3.0), tol=1e-6)
 
 
 @pytest.fixture(scope="module")
