@@ -65,7 +65,7 @@ def resolved_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.n
 
     Examples
     --------
-    >>> resolved_sizes(np.array([2.0, 0.0]), np.array([[0.0, 1.0], [9.0, 0.0]]), 100.0)
+    >>> resolved_sizes(np.array([2.0, 0.0]), np.array([[0, 1.0], [9, 0]]), 100.0).round(12)
     array([2.e+00, 6.e-08])
     """
     return np.asarray(np.maximum(sizes, smallest_sizes(sizes, coupling, time)))
