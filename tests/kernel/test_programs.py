@@ -113,6 +113,13 @@ def test_random_programs_run_or_are_refused(seed: int) -> None:
     assert found.shape == (results, 5)
 
 
+@pytest.mark.parametrize("operands", [(0, 3), (3, 0)])
+def test_rows_are_written_before_they_are_read(operands: tuple[int, int]) -> None:
+    """The state, the time, a result and an intermediate value are rows 0 to 3."""
+    with pytest.raises(ValueError, match="row"):
+        loops.Program(1, 0, 1, intermediates=1, steps=[(2, 2, *operands)])
+
+
 @pytest.mark.parametrize("counts", [(-1, 0, 1), (1, -1, 1), (2**40, 0, 1), (1, 0, 2**62)])
 def test_impossible_numbers_of_rows_are_refused(counts: tuple[int, int, int]) -> None:
     with pytest.raises(ValueError, match="row"):
