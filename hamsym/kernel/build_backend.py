@@ -48,8 +48,10 @@ X86 = platform.machine().lower() in ("x86_64", "amd64")
 LEVELS = ("v2", "v3", "v4") if X86 else ("generic",)
 ZIG = "ziglang>=0.17.1"
 # No operation is contracted, reordered or left out, so that all levels compute the same bits.
-FLAGS = "-std=gnu99 -O3 -shared -ffp-contract=off -fno-fast-math -fno-math-errno"
-WARNINGS = "-fvisibility=hidden -Wall -Wextra -Wno-psabi"
+FLAGS = (
+    "-std=gnu99 -O3 -shared -fvisibility=hidden -ffp-contract=off -fno-fast-math -fno-math-errno"
+)
+WARNINGS = "-Wall -Wextra -Wno-psabi"  # vectors are passed inside of a library only
 
 
 # -- the hooks of the build ------------------------------------------------------------------------

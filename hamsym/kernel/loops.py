@@ -132,7 +132,7 @@ class Program(Record):
     dim, parameters, results : int
     numbers : sequence of float
     steps : sequence of (operation, out, first, second)
-        Operations by name, on rows by number; see ``program.h``.
+        Numbers of operations and of rows; see ``program.h``.
     function : callable, optional
         In place of the steps.
 
@@ -331,6 +331,7 @@ class Span(Record):
 
     _fields_ = [
         *_numbers("start end tolerance local longest shortest rounded"),
+        *_numbers("margin least_step most_step smallest tighter accuracy fewest"),
         *arrays("absolute"),
     ]
 
@@ -356,6 +357,7 @@ class Pieces(Record):
 
 
 def require_memory(available: Any) -> None:
+    """Raise MemoryError unless the library had the memory that it asked for."""
     if not available:
         raise MemoryError("no memory for the rows of a window")
 
@@ -387,9 +389,9 @@ def first_length(
     end: float,
 ) -> float:
     """Return the length of the first window of a march."""
-    arrays = [np.ascontiguousarray(a, dtype=float) for a in (parameters, z, rates)]
+    given = [np.ascontiguousarray(a, dtype=float) for a in (parameters, z, rates)]
     length = library().hamsym_first_length(
-        *map(ctypes.byref, (H, tables)), *(a.ctypes.data for a in arrays), start, end
+        *map(ctypes.byref, (H, tables)), *(a.ctypes.data for a in given), start, end
     )
     H.check()
     return float(length)

@@ -108,17 +108,6 @@ static void round_off(marching *m, const settings *s, long dim, long n, const do
   }
 }
 
-/* Chebyshev polynomials at 1 + 2 ratio nodes, a row for each degree. */
-static void polynomials(double ratio, const tables *t, double *out) {
-  long n = t->nodes;
-  for (long c = 0; c < n; c++) {
-    out[c] = 1.0;
-    out[n + c] = 1.0 + 2.0 * ratio * t->node[c];
-  }
-  for (long k = 2; k < t->terms; k++)
-    for (long c = 0; c < n; c++) out[k * n + c] = 2.0 * out[n + c] * out[(k - 1) * n + c] - out[(k - 2) * n + c];
-}
-
 /* One iteration: the momenta with the force at the last coordinates, then the coordinates with the velocity at
    the new momenta, which needs half as many iterations as both at once. Where the velocity is linear, the
    coordinates follow from the force directly, by one product instead of two. */
@@ -156,7 +145,9 @@ static int iterate(marching *m, const equations *H, const tables *t, const setti
   stretch(t->node, h, p->clock[0], n, m->times);
   for (long i = 0; i < dim; i++) fill(m->base + i * n, z[i], n);
   memcpy(m->nearby, m->base, dim * n * sizeof(double));
-  polynomials(longer, t, m->basis);
+  /* The series of the last window is continued into this one. */
+  for (long c = 0; c < n; c++) m->late[c] = 1.0 + 2.0 * longer * t->node[c];
+  chebyshev_rows(m->late, t->terms, n, m->basis);
   products(m->basis, t->terms, n, p->tail, dim, p->found);
   advance(t->integration, n, p->found, dim, m->base, h, m->nearby, m->changes);
   for (long i = 0; i < dim; i++) {

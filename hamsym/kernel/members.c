@@ -7,17 +7,7 @@
 #include "errors.h"
 #include <stdlib.h>
 
-#define EXPORTED __attribute__((visibility("default")))
 #define ATTEMPTS 3        /* marches of a member, each to a tighter local tolerance */
-/* Of the local tolerance from one march to the next: share of the allowed error at which it aims, and limits
-   of the step; below the smallest one residuals are round-off. */
-#define MARGIN 0.3
-#define STEP 1e-4
-#define MOST_STEP 0.3
-#define SMALLEST 1e-13
-#define TIGHTER 3.0       /* excess over the tolerance that errors beyond the linear equation count as, at least */
-#define ACCURACY 1e-3     /* of the vectors of the error after all windows */
-#define FEWEST 10.0       /* the least number of these */
 #define SPLITTER 134217729.0 /* 2**27 + 1 */
 
 enum verdict { ACCEPTED, LEFT };
@@ -25,6 +15,11 @@ enum verdict { ACCEPTED, LEFT };
 /* Constants of all members; times are relative to the origin. */
 typedef struct {
   double start, end, tolerance, local, longest, shortest, rounded;
+  /* Of the local tolerance from one march to the next: share of the allowed error at which it aims, and limits of
+     the step; below the smallest one residuals are round-off. */
+  double margin, least_step, most_step, smallest;
+  double tighter;           /* excess that errors beyond the linear equation count as, at least */
+  double accuracy, fewest;  /* of the vectors of the error after all windows, and the least number of these */
   const double *absolute; /* absolute tolerance, dim */
 } span;
 
@@ -155,7 +150,7 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
       double squares = 0.0;
       for (long k = 0; k < count; k++) squares += (w.edge[k + 1] - w.edge[k]) * (w.edge[k + 1] - w.edge[k]);
       for (long i = 0; i < dim; i++) scale[i] = size[i] > 0.0 ? size[i] : 1.0;
-      error_settings es = {period, 0, s.tolerance, ACCURACY / greater(count, FEWEST), squares / whole, span->rounded,
+      error_settings es = {period, 0, s.tolerance, span->accuracy / greater(count, span->fewest), squares / whole, span->rounded,
                            scale, size, disturbances, kicks, values, 0};
       error_results er = {joint, history, r->series ? r->series + done * e->inside * dim : 0,
                           r->floor ? r->floor + done * dim : 0, largest, r->mark + done};
@@ -172,7 +167,7 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
       }
       int marked = 0;
       for (long k = 0; k < count; k++) marked |= er.mark[k];
-      if (marked & BENT) excess = larger(TIGHTER, excess);
+      if (marked & BENT) excess = larger(span->tighter, excess);
       if (excess <= 1.0) {
         int good = !marked;
         if (good && H->energy) {
@@ -182,8 +177,9 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
         if (good) verdict = ACCEPTED;
         break;
       }
-      if (s.tolerance <= SMALLEST || !(excess < INFINITY)) break;
-      s.tolerance = greater(s.tolerance * lesser(greater(MARGIN / excess, STEP), MOST_STEP), SMALLEST);
+      if (s.tolerance <= span->smallest || !(excess < INFINITY)) break;
+      double step = lesser(greater(span->margin / excess, span->least_step), span->most_step);
+      s.tolerance = greater(s.tolerance * step, span->smallest);
     }
     if (full) break;
     if (verdict == LEFT) count = 0;
@@ -199,15 +195,21 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
 
 /* -- one march, step by step ------------------------------------------------------------------- */
 
+/* Lay out a march in new memory; return whether there is some. */
+static int set_up(marching *m, arena *arena, const equations *H, const tables *t) {
+  lay_out_march(m, arena, H, t);
+  if (!(arena->memory = calloc(arena->used, sizeof(double)))) return 0;
+  arena->used = 0;
+  lay_out_march(m, arena, H, t);
+  return 1;
+}
+
 /* Fill windows; see march.h. */
 EXPORTED int64_t hamsym_march(const equations *H, const tables *t, const settings *s, progress *p, windows *w,
                               int64_t given) {
   marching m;
   arena arena = {0, 0};
-  lay_out_march(&m, &arena, H, t);
-  if (!(arena.memory = calloc(arena.used, sizeof(double)))) return NO_MEMORY;
-  arena.used = 0;
-  lay_out_march(&m, &arena, H, t);
+  if (!set_up(&m, &arena, H, t)) return NO_MEMORY;
   int outcome = march(&m, H, t, s, p, w, given);
   free(arena.memory);
   return outcome;
@@ -238,10 +240,7 @@ EXPORTED double hamsym_first_length(const equations *H, const tables *t, const d
                                     const double *rates, double start, double end) {
   marching m;
   arena arena = {0, 0};
-  lay_out_march(&m, &arena, H, t);
-  if (!(arena.memory = calloc(arena.used, sizeof(double)))) return 0.0;
-  arena.used = 0;
-  lay_out_march(&m, &arena, H, t);
+  if (!set_up(&m, &arena, H, t)) return 0.0;
   set_parameters(&m.velocity, parameters, m.stride);
   set_parameters(&m.force, parameters, m.stride);
   double found = first_length(&m, H, z, rates, start, end);

@@ -3,7 +3,6 @@
 #include "march.h"
 #include <stdlib.h>
 
-#define EXPORTED __attribute__((visibility("default")))
 #define MIDDLE (PLACES / 2)
 #define UNIT (4 * EPS)             /* rounding of values by one operation, relative to their size */
 #define BETWEEN 1.3807442564004246 /* a polynomial exceeds its values by this factor at most (Ehlich & Zeller 1964) */
@@ -177,11 +176,6 @@ static double value_at(row_function *function, double x) {
   return row[0];
 }
 
-/* exp(x) - 1 for x >= 0, not smaller than its value. */
-static double growth_beyond_one(double x) {
-  return x < 1e-8 ? x * (1 + x) : value_at(hamsym_exp, x) - 1.0;
-}
-
 /* Whether a function leaves a domain; its range may do so although the function does not. */
 static int leaves(const model *g, double lowest, double highest) {
   double slack = g->error + g->rounding;
@@ -241,7 +235,7 @@ static void exponential(const model_tables *t, const model *g, model *out) {
   double defect = defect_of(t, value, slope, rounding), start = fabs(exact - value[MIDDLE]) + SMALLEST;
   double growth = value_at(hamsym_exp, g->high - g->low + 2 * g->error);
   double error = growth * start + defect * (1.0 + 2.0 * BETWEEN * size_of(rate) * growth);
-  error += product(high, growth_beyond_one(g->error));
+  error += product(high, value_at(hamsym_expm1, g->error));
   memcpy(out->value, value, sizeof value);
   tighten(out, error, rounding, low, high);
 }
@@ -434,7 +428,7 @@ static void number_power(const model_tables *t, const model *g, double exponent,
   double ratio[2] = {g->high / g->low, 0.0};
   scalar_power(ratio, size);
   double error = ratio[0] * start + defect * (1.0 + 2.0 * BETWEEN * size_of(rate) * ratio[0]);
-  error += product(high, growth_beyond_one(size * g->error / g->low));
+  error += product(high, value_at(hamsym_expm1, size * g->error / g->low));
   if (!(g->low > 0.0)) error = INFINITY;
   if (leaves(g, 0.0, INFINITY)) high = INFINITY;
   memcpy(out->value, value, sizeof value);
@@ -580,10 +574,6 @@ static void perform_on_numbers(enum operation operation, double a, double b, mod
   fill(y, b, 8);
   perform_rows(operation, x, y, x, 8);
   make_constant(out, x[0]);
-}
-
-static long all_rows(const program *p) {
-  return p->dim + 1 + p->parameters + p->numbers + p->results + p->intermediates;
 }
 
 /* Models of the results of a program in rows of models, of which those of the inputs are given. */

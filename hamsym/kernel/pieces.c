@@ -15,14 +15,7 @@ typedef struct {
   const double *readout, *column;
 } piece;
 
-/* Chebyshev polynomials at x, a row of BLOCK numbers for each degree. */
-static void polynomials(const double *x, long terms, double *out) {
-  for (long n = 0; n < terms; n++, out += BLOCK)
-    for (int b = 0; b < BLOCK; b++)
-      out[b] = n == 0 ? 1.0 : n == 1 ? x[b] : 2 * x[b] * out[b - BLOCK] - out[b - 2 * BLOCK];
-}
-
-/* Their derivatives. */
+/* Derivatives of the Chebyshev polynomials, from a table of these. */
 static void slopes(const double *x, const double *table, long terms, double *out) {
   for (long n = 0; n < terms; n++, table += BLOCK, out += BLOCK)
     for (int b = 0; b < BLOCK; b++)
@@ -31,8 +24,8 @@ static void slopes(const double *x, const double *table, long terms, double *out
 
 /* Values at scaled times (queries) and inputs (queries x inputs), out queries x dim; derivatives in the input
    `slope` unless it is -1, and in the time if `rate`. Returns 0 without memory. */
-__attribute__((visibility("default"))) int64_t hamsym_piece(const piece *p, int64_t queries, const double *times,
-                                                            const double *y, int64_t slope, int64_t rate, double *out) {
+EXPORTED int64_t hamsym_piece(const piece *p, int64_t queries, const double *times, const double *y, int64_t slope,
+                              int64_t rate, double *out) {
   long most = p->terms;
   for (long k = 0; k < p->count * p->inputs; k++) most = p->degree[k] >= most ? p->degree[k] + 1 : most;
   long rows = (p->inputs + 1) * most + p->count + p->rank + p->rank * p->dim;
@@ -45,7 +38,7 @@ __attribute__((visibility("default"))) int64_t hamsym_piece(const piece *p, int6
     for (long k = 0; k < p->inputs; k++) {
       double *table = tables + k * most * BLOCK;
       for (long b = 0; b < size; b++) place[b] = y[(first + b) * p->inputs + k];
-      polynomials(place, most, table);
+      chebyshev_rows(place, most, BLOCK, table);
       if (k != slope) continue;
       slopes(place, table, most, other);
       memcpy(table, other, most * BLOCK * sizeof(double));
@@ -57,7 +50,7 @@ __attribute__((visibility("default"))) int64_t hamsym_piece(const piece *p, int6
       }
     products(terms, p->count, BLOCK, p->readout, p->rank, sums);
     for (long b = 0; b < size; b++) place[b] = times[first + b];
-    polynomials(place, p->terms, tables);
+    chebyshev_rows(place, p->terms, BLOCK, tables);
     if (rate) slopes(place, tables, p->terms, other);
     products(rate ? other : tables, p->terms, BLOCK, p->column, p->rank * p->dim, parts);
     for (long b = 0; b < size; b++)

@@ -2,12 +2,12 @@
 #include "functions.h"
 #include <stdlib.h>
 
-static long all_rows(const program *p) {
+long all_rows(const program *p) {
   return p->dim + 1 + p->parameters + p->numbers + p->results + p->intermediates;
 }
 
 /* Whether a program reads and writes rows of its own only, each after it was written. */
-__attribute__((visibility("default"))) int64_t hamsym_check_program(const program *p) {
+EXPORTED int64_t hamsym_check_program(const program *p) {
   const int64_t most = INT32_MAX / 8;
   const int64_t counts[] = {p->dim, p->parameters, p->numbers, p->results, p->intermediates, p->steps};
   for (int k = 0; k < 6; k++)

@@ -33,6 +33,8 @@ typedef struct {
   double **row;
 } machine;
 
+/* How many rows a program has. */
+long all_rows(const program *program);
 /* Doubles that a machine needs for rows of at most `stride` numbers. */
 long machine_size(const program *program, long stride);
 void make_machine(machine *machine, const program *program, double *memory, long stride);

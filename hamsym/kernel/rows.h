@@ -15,6 +15,7 @@
 #define EPS 0x1p-52
 #define TINY 0x1p-1022
 #define INLINE static inline __attribute__((always_inline))
+#define EXPORTED __attribute__((visibility("default")))
 
 typedef double v4 __attribute__((vector_size(32), aligned(8), may_alias));
 typedef int64_t i4 __attribute__((vector_size(32)));
@@ -118,6 +119,14 @@ static inline double weighted_sum(const double *row, const double *weights, cons
     if (low) rest += row[m] * low[m];
   }
   return total + rest;
+}
+
+/* Chebyshev polynomials at x, a row of n numbers for each degree below `terms`. */
+static inline void chebyshev_rows(const double *x, long terms, long n, double *out) {
+  for (long k = 0; k < terms; k++)
+    for (long c = 0; c < n; c++)
+      out[k * n + c] =
+          k == 0 ? 1.0 : k == 1 ? x[c] : 2.0 * x[c] * out[(k - 1) * n + c] - out[(k - 2) * n + c];
 }
 
 /* -- one row ----------------------------------------------------------------------------------- */

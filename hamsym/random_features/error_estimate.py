@@ -40,7 +40,7 @@ _USUAL, _LOOSE, _FINE = range(3)
 _LOOSE_TOLERANCE = 1e-8  # local
 _RANDOM, _SETS = 8, 4  # further places of the residual, and how many choices of them
 _PERIOD = 509  # windows after which the signs of the perturbations repeat
-_ACCURACY, _FEWEST = 1e-3, 10.0  # of the vectors after all windows, and the least number of these
+ACCURACY, FEWEST = 1e-3, 10.0  # of the vectors after all windows, and the least number of these
 _SCALE_SAMPLES = 256  # windows at which the coupling of the components is averaged
 
 
@@ -115,7 +115,7 @@ def estimate_error(
         period=_PERIOD,
         width=dim,
         tolerance=tolerance,
-        accuracy=_ACCURACY / max(count, _FEWEST),
+        accuracy=ACCURACY / max(count, FEWEST),
         # The expected length of the window that contains a random time.
         usual_length=float((lengths**2).sum() / lengths.sum()),
         rounded=float(flow.rounded),

@@ -13,7 +13,6 @@ from hamsym.bounds.residual import is_short_polynomial
 from hamsym.codegen.programs import programs_of
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel.loops import Equations as Programs
-from hamsym.symbolic.equations import Equations
 
 
 @dataclass(frozen=True)
@@ -30,8 +29,6 @@ class Flow:
         Row and column of each second derivative of H in ``programs``, shape (entries, 2).
     symmetric : bool
         Whether each entry also stands for its mirror image, without forces.
-    separable : bool
-        Whether dq/dt depends on p only, and dp/dt on q only, beside the time.
     vector_field : callable
         (z, t, parameters=None) -> F, shapes (n, dim), (n,), (n, k) -> (n, dim).
     jacobian : callable
@@ -52,7 +49,6 @@ class Flow:
     parameters: np.ndarray
     entries: np.ndarray
     symmetric: bool
-    separable: bool
     is_short_polynomial: bool
     vector_field: Callable[..., np.ndarray]
     jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -64,7 +60,7 @@ class Flow:
 
 def flow_of(H: Hamiltonian) -> Flow:
     """Make the flow of H."""
-    system = H.compile("numpy")
+    system, form = H.compile("numpy"), H.real_equations
 
     def vector_field(
         z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None = None
@@ -79,29 +75,18 @@ def flow_of(H: Hamiltonian) -> Flow:
         return np.asarray(system.energy(*system.arguments(z, t)))
 
     return Flow(
-        programs_of(H.real_equations),
+        programs_of(form),
         np.array([H.parameters[name] for name in H.parameter_names], dtype=float),
-        stored_entries(H.real_equations),
+        np.array([*form.stored_curvature], dtype=np.int64).reshape(-1, 2),
         not H.forces,
-        H.is_separable,
-        is_short_polynomial(H.real_equations),
+        is_short_polynomial(form),
         vector_field,
         jacobian,
-        energy=energy if has_conserved_values(H) else None,
+        energy=energy if form.has_conserved_values else None,
         autonomous=H.time is None,
-        resting=lambda z, candidates: H.real_equations.resting(z.tolist(), candidates.tolist()),
-        rounded=any(map(has_rounded_numbers, H.real_equations.formulas)),
+        resting=lambda z, candidates: form.resting(z.tolist(), candidates.tolist()),
+        rounded=any(map(has_rounded_numbers, form.formulas)),
     )
-
-
-def has_conserved_values(H: Hamiltonian) -> bool:
-    """Return whether values of H are constant along trajectories: no cut of an angle is in them."""
-    return H.real_equations.has_conserved_values
-
-
-def stored_entries(equations: Equations) -> np.ndarray:
-    """Return row and column of the values of ``rows.hessian``, shape (entries, 2)."""
-    return np.array([*equations.stored_curvature], dtype=np.int64).reshape(-1, 2)
 
 
 @functools.lru_cache(maxsize=64)

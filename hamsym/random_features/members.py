@@ -18,6 +18,8 @@ from hamsym.kernel import loops
 from hamsym.kernel.loops import Members, Span
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.error_estimate import (
+    ACCURACY,
+    FEWEST,
     MarchError,
     disturbances,
     error_tables,
@@ -34,6 +36,10 @@ from hamsym.random_features.windows import March
 from hamsym.solution.discontinuities import has_switches, has_time_switches
 from hamsym.solution.window_error import relative_tolerance
 
+# Of the local tolerance from one march to the next: share of the allowed error at which it aims,
+# and limits of the step; below the smallest one residuals are round-off.
+MARGIN, LEAST_STEP, MOST_STEP, SMALLEST = 0.3, 1e-4, 0.3, 1e-13
+TIGHTER = 3.0  # least excess that errors beyond the linear equation count as
 _ROOM = 64  # windows for each member at first
 _LEAST_ROOM = 1_024  # windows of one call
 _MOST_ROOM = 2**21  # numbers in the readouts of one call
@@ -119,6 +125,13 @@ class MemberSolver:
                 longest=longest,
                 shortest=shortest_window(start, end),
                 rounded=float(self._flow.rounded),
+                margin=MARGIN,
+                least_step=LEAST_STEP,
+                most_step=MOST_STEP,
+                smallest=SMALLEST,
+                tighter=TIGHTER,
+                accuracy=ACCURACY,
+                fewest=FEWEST,
                 absolute=np.array(atol, dtype=float),
             ),
             node_signs(basis, H.dim),

@@ -26,7 +26,14 @@ from hamsym.random_features.error_estimate import (
 )
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import MAX_WINDOWS, march
-from hamsym.random_features.members import MemberSolver
+from hamsym.random_features.members import (
+    LEAST_STEP,
+    MARGIN,
+    MOST_STEP,
+    SMALLEST,
+    TIGHTER,
+    MemberSolver,
+)
 from hamsym.random_features.options import FEWEST_WINDOWS, FeatureOptions
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
@@ -42,12 +49,6 @@ from hamsym.solution.solution import Solution
 from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import allowed_errors, largest_ratio
 
-# Of the local tolerance from one march to the next: share of the allowed error at which it aims,
-# and limits of the step; below the smallest one residuals are round-off.
-_MARGIN, _STEP, _MOST, _SMALLEST = 0.3, 1e-4, 0.3, 1e-13
-_TIGHTER = (
-    3.0  # excess over the tolerance that errors beyond the linear equation count as, at least
-)
 _SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
 _LOCAL = 0.1  # local tolerance of the first march, relative to the tolerance
 _ATTEMPTS = 6
@@ -94,7 +95,7 @@ def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: in
     return Accuracy(
         tol,
         # The cost grows as a root of the accuracy: a margin is cheaper than a second march.
-        max(_LOCAL * tol, _SMALLEST),
+        max(_LOCAL * tol, SMALLEST),
         checked_atol(options.atol, dim),
         checked_window(
             options.max_window, span, abs(span[1] - span[0]) / FEWEST_WINDOWS, MAX_WINDOWS
@@ -206,8 +207,8 @@ def solve_by_march(
             # Shorter windows show whether a force that is steep for these jumps, and may resolve
             # what leaves a march in doubt.
             unresolved = bool(windows.doubt) and not (windows.reason or loosened or tightened)
-            if (tried.is_too_steep or unresolved) and local > _SMALLEST:
-                local = max(local * _STEP, _SMALLEST)
+            if (tried.is_too_steep or unresolved) and local > SMALLEST:
+                local = max(local * LEAST_STEP, SMALLEST)
                 tightened |= unresolved
                 continue
             # A tighter march does not reduce an error that is mostly round-off.
@@ -216,9 +217,9 @@ def solve_by_march(
                 not estimate.limit
                 and (error.largest <= np.maximum(2 * floors, tried.allowed)).all()
             )
-            if tried.excess <= 1 or at_round_off or local <= _SMALLEST:
+            if tried.excess <= 1 or at_round_off or local <= SMALLEST:
                 break
-            local = max(local * min(max(_MARGIN / tried.too_large, _STEP), _MOST), _SMALLEST)
+            local = max(local * min(max(MARGIN / tried.too_large, LEAST_STEP), MOST_STEP), SMALLEST)
     if best is None:
         reached = shown_time(windows.reached, *problem.span)
         raise InputError(f"no solution beyond t = {reached}: {windows.reason}")
@@ -278,7 +279,7 @@ class _Attempt:
     def too_large(self) -> float:
         """Ratio of the error to the allowed one, of which a tighter march has a smaller one."""
         linear = largest_ratio(self.estimate.linear, self.allowed)
-        return max(linear, _TIGHTER) if self.estimate.limit else linear
+        return max(linear, TIGHTER) if self.estimate.limit else linear
 
     @cached_property
     def held(self) -> float:
