@@ -115,7 +115,7 @@ def residual_bounds(
     t: np.ndarray,
     ends: np.ndarray,
     parameters: np.ndarray,
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """Bound the residual of each component on parts of windows.
 
     Parameters
@@ -132,19 +132,20 @@ def residual_bounds(
 
     Returns
     -------
-    numpy.ndarray
-        Shape (parts, dim).
+    bounds, rounding : numpy.ndarray
+        Shape (parts, dim). Bounds leave out the round-off of the formula, for which ``rounding``
+        is a bound.
     """
-    bounds = np.empty((len(t), z.shape[2]))
+    bounds, rounding = np.empty((2, len(t), z.shape[2]))
     rows = [np.moveaxis(array, 2, 1) for array in (z, rates)]
     given = [np.ascontiguousarray(a, dtype=float) for a in (*rows, t, ends, parameters)]
     done = library().hamsym_residual_bounds(
         *(ctypes.byref(programs.program(name)) for name in ("velocity", "force")),
         *(ctypes.byref(model_tables()), len(t), *(array.ctypes.data for array in given)),
-        *(_stride(given[-1]), bounds.ctypes.data),
+        *(_stride(given[-1]), bounds.ctypes.data, rounding.ctypes.data),
     )
     require_memory(done)
-    return bounds
+    return bounds, rounding
 
 
 def resolved(programs: Equations, pieces: Pieces) -> np.ndarray:

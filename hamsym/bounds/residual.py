@@ -215,7 +215,7 @@ class _Search:
         """
         places, limits = self._trial(parts), self._limits[parts.window]
         weight = self._lengths[parts.window] * parts.width
-        bounds = bounds_on_parts(self._programs, places, self._edges, parts, self._parameters)
+        bounds, _ = bounds_on_parts(self._programs, places, self._edges, parts, self._parameters)
         upper = _ratios(bounds * weight[:, None], limits)
         lower, times = np.zeros(len(parts)), places.t[:, PLACES // 2].copy()
         large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
@@ -238,8 +238,8 @@ def bounds_on_parts(
     edges: np.ndarray,
     parts: Parts,
     parameters: np.ndarray,
-) -> np.ndarray:
-    """Bound the residual of each component on each part, shape (parts, dim)."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bound the residual on each part, and the round-off in it, shape (parts, dim)."""
     start, end = edges[:, parts.window]
     ends = start + (end - start) * parts.start, start + (end - start) * (parts.start + parts.width)
     given = parameters if parameters.ndim == 1 else parameters[parts.window]

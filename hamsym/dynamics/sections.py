@@ -536,7 +536,7 @@ class _Crossings:
             own = None if values is None else values[index]
             return self._share * (len(times) - 1) * features.sizes(path[index], times, own)
 
-        found = features.times(path, times, values, allowed)
+        found = features.search(path, times, values, allowed).times
         return (
             math.nan if np.isnan(found).all() else float(found[np.nanargmin(abs(found - times[0]))])
         )

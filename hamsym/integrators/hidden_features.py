@@ -19,6 +19,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -49,6 +50,22 @@ _MEAN = np.array([0.0 if k % 2 else 1 / (1 - k**2) for k in range(DEGREE + 1)])
 _FIT = np.ascontiguousarray((_BASIS * np.array([1.0, *[2.0] * DEGREE]) / PLACES).T)
 
 
+class Hidden(NamedTuple):
+    """What the steps of trajectories may not follow.
+
+    Attributes
+    ----------
+    times : numpy.ndarray
+        Of the first feature that steps of each trajectory passed over, shape (n,), nan where there
+        is none.
+    rounding : numpy.ndarray
+        What the round-off of the force may change in each component, shape (n, dim).
+    """
+
+    times: np.ndarray
+    rounding: np.ndarray
+
+
 class HiddenFeatures:
     """The search for features that the steps of a trajectory passed over.
 
@@ -62,15 +79,15 @@ class HiddenFeatures:
         self._system = H.compile("numpy")
         self.values = np.array([H.parameters[name] for name in H.parameter_names], dtype=float)
 
-    def times(
+    def search(
         self,
         z: np.ndarray,
         t: np.ndarray,
         parameters: np.ndarray | None,
         allowed: Callable[[int], np.ndarray],
         share: float = 1.0,
-    ) -> np.ndarray:
-        """Find for each trajectory the time of the first feature that its steps passed over.
+    ) -> Hidden:
+        """Find for each trajectory the first feature that its steps passed over.
 
         Parameters
         ----------
@@ -85,13 +102,8 @@ class HiddenFeatures:
             Number of a trajectory -> what all features together may change in each component.
         share : float
             Of these times in those for which ``allowed`` is.
-
-        Returns
-        -------
-        numpy.ndarray
-            Shape (n,), nan where there is no such feature.
         """
-        found = np.full(len(z), np.nan)
+        found = Hidden(np.full(len(z), np.nan), np.zeros((len(z), z.shape[2])))
         together = max(1, _HELD // z[0].size)
         for first in range(0, len(z), together):
             some = slice(first, first + together)
@@ -103,7 +115,8 @@ class HiddenFeatures:
                         one = None if parameters is None else parameters[index]
                         limits = allowed(int(index))
                         search = _Search(self, z[index, :count], t[:count], one, limits, share)
-                        found[index] = search.run()
+                        found.times[index] = search.run()
+                        found.rounding[index] = np.sqrt(search.rounding)
         return found
 
     def _is_doubtful(
@@ -221,6 +234,9 @@ class _Search:
         self._rate = allowed * share / abs(t[-1] - t[0])
         self._steps = len(t) - 1
         self._given = features.values if parameters is None else parameters
+        #: Squares of what the round-off of the force changes, summed over windows, in which its
+        #: errors may be equal, while those of different windows are independent.
+        self.rounding = np.zeros(z.shape[1])
 
     def run(self) -> float:
         """Return the time of the first feature, or nan."""
@@ -248,10 +264,15 @@ class _Search:
         """Whether nothing can be hidden in windows of equal numbers of steps."""
         windows = self._windows(starts, length)
         at, parts = windows.whole(), Parts.whole(len(starts))
-        bounds = bounds_on_parts(self._features.programs, at, windows.edges, parts, self._given)
+        bounds, rounding = bounds_on_parts(
+            self._features.programs, at, windows.edges, parts, self._given
+        )
         passed = (bounds <= self._rate + _ROUND_OFF * np.abs(at.rates).max(axis=1)).all(axis=1)
         if length > self._shortest:
             passed &= self._is_fitted(windows.curve, starts, length)
+            rounding = rounding[passed]
+        span = abs(float(self._t[length] - self._t[0]))
+        self.rounding += np.square(rounding * span).sum(axis=0)
         return np.asarray(passed)
 
     def _is_fitted(self, curve: np.ndarray, starts: np.ndarray, length: int) -> np.ndarray:

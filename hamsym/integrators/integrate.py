@@ -822,7 +822,7 @@ def _between_steps(
 
     for path, t in _every_step(members, name, z, times, steps, omega):
         part = (len(t) - 1) / steps
-        found = features.times(path, t, values, allowed, part)
+        found = features.search(path, t, values, allowed, part).times
         if not np.isnan(found).all():
             index = int(np.nanargmin(np.abs(found - times[0])))
             which = f"trajectory {index}: " if members.shape else ""

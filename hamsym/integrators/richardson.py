@@ -51,6 +51,11 @@ class Extrapolation:
     errors: np.ndarray
     round_off: np.ndarray
 
+    def add_round_off(self, sizes: np.ndarray) -> None:
+        """Add round-off that all runs share, relative to the sizes of components, shape (n,)."""
+        np.add(self.errors, sizes[:, None], out=self.errors)
+        np.add(self.round_off, sizes, out=self.round_off)
+
 
 def extrapolate(
     coarse: np.ndarray,

@@ -12,9 +12,10 @@ order. Trajectories with equal n are integrated together.
 Three runs can agree on what all of them miss. A trajectory therefore succeeds only if, in addition,
 H is conserved as far as the tolerance requires, no feature at the places that the formula names is
 narrower than the steps (:mod:`hamsym.integrators.narrow_features`), and the force has no other
-feature between them (:mod:`hamsym.integrators.hidden_features`). Everything that is decided about a
-trajectory depends on that trajectory alone, so that a member that fails changes no bit of the
-others.
+feature between them (:mod:`hamsym.integrators.hidden_features`). What the round-off of the force
+may change at its narrow features, where the runs can agree in it, is part of the error. Everything
+that is decided about a trajectory depends on that trajectory alone, so that a member that fails
+changes no bit of the others.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ import numpy as np
 from hamsym.ensemble import Ensemble
 from hamsym.integrators.coefficients import Scheme, Splitting
 from hamsym.integrators.fixed_step import Stepper
-from hamsym.integrators.hidden_features import hidden_features
+from hamsym.integrators.hidden_features import Hidden, hidden_features
 from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
 from hamsym.integrators.table import INTEGRATORS
@@ -106,6 +107,7 @@ class _Round(NamedTuple):
     changes: np.ndarray
     narrow: np.ndarray
     narrow_times: np.ndarray
+    rounding: np.ndarray
     evaluations: int
 
 
@@ -347,20 +349,29 @@ class _Search:
         states = found.states[:, :: self._sampled // self._saves]
         changes = self._energy_changes(rows, states, found.sizes, 4 * coarse)
         good = (found.errors[:, -1] <= self._tol) & (changes <= 1) & (narrow <= 1) & finite
+        rounding = np.zeros(len(rows))
         if good.any() and self._is_searched(coarse):
-            hidden = self._passed_over(rows[good], dense[good], found.sizes[good])
-            narrow[good] = np.where(np.isnan(hidden), narrow[good], _HIDDEN)
-            narrow_times[good] = np.where(np.isnan(hidden), narrow_times[good], hidden)
+            hidden = self._hidden_features(rows[good], dense[good], found.sizes[good])
+            passed_over = ~np.isnan(hidden.times)
+            narrow[good] = np.where(passed_over, _HIDDEN, narrow[good])
+            narrow_times[good] = np.where(passed_over, hidden.times, narrow_times[good])
+            # The runs may agree in what the round-off of the force changes in all of them. It grows
+            # as the perturbations do.
+            unit = self._rounding(rows) * math.sqrt(4 * coarse)
+            growth = np.maximum((found.round_off / _EPS - 4 * coarse) / unit, 1.0)
+            rounding[good] = (hidden.rounding / found.sizes[good]).max(axis=1) * growth[good]
+            found.add_round_off(rounding)
         return _Round(
-            rows, coarse, states, found, finite, changes, narrow, narrow_times, evaluations
+            *(rows, coarse, states, found, finite, changes, narrow, narrow_times, rounding),
+            evaluations,
         )
 
-    def _passed_over(self, rows: np.ndarray, path: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-        """Times of features of the force between all states of members, or nan."""
+    def _hidden_features(self, rows: np.ndarray, path: np.ndarray, sizes: np.ndarray) -> Hidden:
+        """Search for features of the force between all states of members."""
         assert self._hidden is not None
         times = np.linspace(*self._span, path.shape[1])
         allowed = self._tol * sizes
-        return self._hidden.times(path, times, self._parameters(rows), lambda i: allowed[i])
+        return self._hidden.search(path, times, self._parameters(rows), lambda i: allowed[i])
 
     def _rounding(self, rows: np.ndarray) -> float:
         if not isinstance(self._scheme, Splitting):
@@ -472,6 +483,7 @@ class _Search:
         wanted = np.where(narrow > 1, np.clip(1.5 * np.sqrt(narrow), 1.5, 1e3), factor)
         wanted *= result.coarse
         stop = (self._stalled[again] >= _MAX_STALLED) | (self._lost[again] >= _MAX_LOST)
+        stop |= ~(result.rounding[bad] <= tol)  # which no number of steps reduces
         stop |= (4 * wanted > self._most) | (self._limited[again] >= _MAX_LIMITED)
         coarse = self._rounded(np.minimum(wanted, self._most), 2)
         for position in bad[stop].tolist():

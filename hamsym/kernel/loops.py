@@ -49,7 +49,7 @@ _SIGNATURES = {
     "hamsym_errors": "i ppppppppi",
     "hamsym_members": "i ppppppippippp",
     "hamsym_models": "i ppipppipp",
-    "hamsym_residual_bounds": "i pppipppppip",
+    "hamsym_residual_bounds": "i pppipppppipp",
     "hamsym_resolved": "i ppppp",
     "hamsym_piece": "i pippiip",
 }

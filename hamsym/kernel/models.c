@@ -606,10 +606,10 @@ static double extent(const double *value, double *largest) {
 }
 
 /* Bound the residual of each component on one interval from values at the places, dim x PLACES, and times with
-   their range. The inputs are the first rows of both programs. */
+   their range, and the round-off of the formula. The inputs are the first rows of both programs. */
 static void bound_residual(const program *velocity, const program *force, const model_tables *t, const double *z,
                            const double *rates, const double *times, double start, double end,
-                           const double *parameters, model *row, double *bounds) {
+                           const double *parameters, model *row, double *bounds, double *rounding) {
   long dim = velocity->dim, half = dim / 2;
   double largest, late = extent(times, &largest);
   /* A trial solution may be evaluated at times that are rounded. */
@@ -626,6 +626,7 @@ static void bound_residual(const program *velocity, const program *force, const 
     add(&rest, &other, &rest);
     /* What is round-off of the formula itself is no residual. */
     bounds[i] = larger(larger(fabs(rest.low), fabs(rest.high)) - ROUNDED * rest.rounding, 0.0);
+    rounding[i] = found->rounding;
   }
 }
 
@@ -634,19 +635,20 @@ static model *rows_of(const program *one, const program *other) {
   return malloc((rows > more ? rows : more) * sizeof(model));
 }
 
-/* Bound the residual of each component on parts of windows.
+/* Bound the residual of each component on parts of windows, and the round-off of the formula in it.
 
    z, rates: the trial solution and its derivative, parts x dim x PLACES; t: parts x PLACES; ends: the least and
    the largest time of each part; parameters: those of each part are `stride` numbers further. */
 EXPORTED int64_t hamsym_residual_bounds(const program *velocity, const program *force, const model_tables *t,
                                         int64_t parts, const double *z, const double *rates, const double *times,
-                                        const double *ends, const double *parameters, int64_t stride, double *bounds) {
+                                        const double *ends, const double *parameters, int64_t stride, double *bounds,
+                                        double *rounding) {
   long dim = velocity->dim, size = dim * PLACES;
   model *row = rows_of(velocity, force);
   if (!row) return 0;
   for (long k = 0; k < parts; k++)
     bound_residual(velocity, force, t, z + k * size, rates + k * size, times + k * PLACES, ends[2 * k],
-                   ends[2 * k + 1], parameters + k * stride, row, bounds + k * dim);
+                   ends[2 * k + 1], parameters + k * stride, row, bounds + k * dim, rounding + k * dim);
   free(row);
   return 1;
 }
@@ -664,7 +666,7 @@ EXPORTED int64_t hamsym_resolved(const program *velocity, const program *force, 
                                  const pieces *w, int8_t *resolved) {
   long dim = velocity->dim, size = dim * PLACES;
   model *row = rows_of(velocity, force);
-  double *memory = calloc(2 * size + PLACES + dim * w->columns + dim, sizeof(double));
+  double *memory = calloc(2 * size + PLACES + dim * w->columns + 2 * dim, sizeof(double));
   double *z = memory, *rates = z + size, *times = rates + size, *readout = times + PLACES;
   double *bounds = readout + dim * w->columns;
   for (long k = 0; k < w->windows && row && memory; k++) {
@@ -677,7 +679,7 @@ EXPORTED int64_t hamsym_resolved(const program *velocity, const program *force, 
     for (long c = 0; c < size; c++) rates[c] /= h;
     stretch(w->places, h, w->start[k], PLACES, times);
     bound_residual(velocity, force, t, z, rates, times, w->start[k], w->end[k],
-                   w->parameters + k * w->parameter_stride, row, bounds);
+                   w->parameters + k * w->parameter_stride, row, bounds, bounds + dim);
     int good = 1;
     for (long i = 0; i < dim; i++) {
       double speed = row_size(rates + i * PLACES, PLACES);

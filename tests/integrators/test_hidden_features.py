@@ -102,6 +102,17 @@ def test_tolerance_needs_no_place_from_the_formula(monkeypatch: pytest.MonkeyPat
     assert "feature narrower than a step near t = 3.37" in found.message
 
 
+def test_round_off_of_a_pulse_is_part_of_the_error() -> None:
+    """The runs agree in it, since each evaluates the same rounded cosine."""
+    H = OSCILLATOR + "1e4*exp({})"
+    exact = hamsym.integrate(H.format("-2e10*sin(t/16 - 0.2)**2"), [1.0, 0.0], (0, 10), tol=1e-6)
+    assert exact.success is True
+    found = hamsym.integrate(H.format("1e10*(cos(t/8 - 0.4) - 1)"), [1.0, 0.0], (0, 10), tol=1e-6)
+    assert found.success is False
+    assert "limited by float64 round-off" in found.message
+    assert (np.abs(found.z - exact.z) <= found.error_estimate + exact.error_estimate).all()
+
+
 def test_section_does_not_pass_over_a_pulse() -> None:
     for options in ({}, {"steps": 1_000}):
         H = OSCILLATOR + PULSES["away from the zeros of its formula"]
@@ -148,7 +159,7 @@ def test_what_may_change_is_that_of_all_features_together() -> None:
     z = np.stack((np.cos(t), -np.sin(t)), axis=-1)
     for factor, seen in ((1.0, True), (1e-3, False)):
         features = HiddenFeatures(H.with_parameters(a=factor * height))
-        found = features.times(z[None], t, None, lambda _: np.full(2, 0.1))
+        found = features.search(z[None], t, None, lambda _: np.full(2, 0.1)).times
         assert bool(np.isfinite(found[0])) is seen
 
 
