@@ -24,7 +24,6 @@ demo: $(VENV)/installed ## Train the paper's oscillator, compare, draw (two minu
 	$(BIN)/python examples/oscillator.py --out output
 
 test: $(VENV)/installed ## Run the test suite (three minutes; five when nothing is compiled yet)
-	$(BIN)/python -m tests.compile_first
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not page and not browser"
 
 test-docs: $(VENV)/installed ## Run the docstrings, pages and examples of the documentation

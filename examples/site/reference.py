@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from docstrings import prepared
 
 import hamsym
+import hamsym.kernel
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -45,11 +47,9 @@ _MEMBERS = """\
    :inherited-members: Sequence, tuple
    :special-members: __call__, __getitem__
 """
-# Modules whose docstrings state the lemmas of the proofs.
+# Headers of the kernel, whose first comments state lemmas of the proofs, and modules of proofs.
+HEADERS = ("balls.h", "series.h", "enclosures.h")
 LEMMAS = (
-    "ball_arithmetic",
-    "chebyshev_models",
-    "window_steps",
     "windows",
     "trial_models",
     "window_proof",
@@ -121,12 +121,17 @@ def _index(pages: dict[str, list[tuple[str, str]]]) -> str:
 
 
 def _lemmas() -> str:
-    """Return the module docstrings of the proofs as they are: their formulas are plain text."""
+    """Return what headers and modules of the proofs say: their formulas are plain text."""
     text = (
         "# Lemmas of the proofs\n\n"
-        "The docstrings of the modules that prove, word by word. "
+        "The comments and docstrings of the code that proves, word by word. "
         "[How the proofs work](../../how_proofs_work.md) explains them.\n\n"
     )
+    for name in HEADERS:
+        comment = (Path(hamsym.kernel.__path__[0]) / name).read_text("utf-8").split("*/")[0]
+        first, _, rest = textwrap.dedent("  " + comment.strip(" /*\n")).partition("\n")
+        text += f"## {name}\n\n`hamsym/kernel/{name}`: {first.strip()}\n\n"
+        text += f"```text\n{textwrap.dedent(rest).strip()}\n```\n\n"
     for name in LEMMAS:
         path = f"hamsym.proof.{name}"
         first, _, rest = (importlib.import_module(path).__doc__ or "").partition("\n")

@@ -29,4 +29,11 @@ void hamsym_erfc(const double *x, double *out, long n);
 void hamsym_pow(const double *x, const double *y, double *out, long n);
 void hamsym_atan2(const double *y, const double *x, double *out, long n); /* the angle of the point (x, y) */
 
+/* A function of one number. */
+static inline double value_at(void (*function)(const double *, double *, long), double x) {
+    double row[8] = {x, x, x, x, x, x, x, x};
+    function(row, row, 8);
+    return row[0];
+}
+
 #endif

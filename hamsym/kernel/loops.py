@@ -53,7 +53,7 @@ _SIGNATURES = {
     "hamsym_resolved": "i ppppp",
     "hamsym_piece": "i pippiip",
 }
-_KINDS = {"p": c_void_p, "i": c_int64, "d": c_double}
+KINDS = {"p": c_void_p, "i": c_int64, "d": c_double}
 
 
 @functools.cache
@@ -63,8 +63,8 @@ def library() -> ctypes.CDLL:
     for name, signature in _SIGNATURES.items():
         result, arguments = signature.split()
         function = getattr(found, name)
-        function.restype = _KINDS[result]
-        function.argtypes = [_KINDS[kind] for kind in arguments]
+        function.restype = KINDS[result]
+        function.argtypes = [KINDS[kind] for kind in arguments]
     return found
 
 
@@ -115,7 +115,7 @@ def counts(names: str) -> list[tuple[str, Any]]:
     return [(name, c_int64) for name in names.split()]
 
 
-def _numbers(names: str) -> list[tuple[str, Any]]:
+def numbers(names: str) -> list[tuple[str, Any]]:
     return [(name, c_double) for name in names.split()]
 
 
@@ -250,7 +250,7 @@ class Tables(Record):
 
     _fields_ = [
         *counts("nodes columns between terms"),
-        *_numbers("order"),
+        *numbers("order"),
         *arrays("node integration twice fit place to_between rates_between end end_low"),
         *arrays("extrapolation"),
     ]
@@ -265,7 +265,7 @@ class Settings(Record):
 
     _fields_ = [
         *counts("stops width"),
-        *_numbers("tolerance shortest longest"),
+        *numbers("tolerance shortest longest"),
         *arrays("stop floor sign parameters"),
     ]
 
@@ -315,7 +315,7 @@ class ErrorSettings(Record):
 
     _fields_ = [
         *counts("period width"),
-        *_numbers("tolerance accuracy usual_length rounded"),
+        *numbers("tolerance accuracy usual_length rounded"),
         *arrays("scale size sign kick parameters residual"),
     ]
 
@@ -330,8 +330,8 @@ class Span(Record):
     """Constants of all members."""
 
     _fields_ = [
-        *_numbers("start end tolerance local longest shortest rounded"),
-        *_numbers("margin least_step most_step smallest tighter accuracy fewest"),
+        *numbers("start end tolerance local longest shortest rounded"),
+        *numbers("margin least_step most_step smallest tighter accuracy fewest"),
         *arrays("absolute"),
     ]
 
@@ -351,7 +351,7 @@ class Pieces(Record):
 
     _fields_ = [
         *counts("windows readout columns size_stride parameter_stride"),
-        *_numbers("tolerance"),
+        *numbers("tolerance"),
         *arrays("start end state coefficient size parameters places values rates"),
     ]
 

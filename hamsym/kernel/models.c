@@ -169,13 +169,6 @@ static void multiply(const model_tables *t, const model *a, const model *b, mode
 
 /* -- functions --------------------------------------------------------------------------------- */
 
-static double value_at(row_function *function, double x) {
-  double row[8];
-  fill(row, x, 8);
-  function(row, row, 8);
-  return row[0];
-}
-
 /* Whether a function leaves a domain; its range may do so although the function does not. */
 static int leaves(const model *g, double lowest, double highest) {
   double slack = g->error + g->rounding;

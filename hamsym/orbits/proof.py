@@ -38,8 +38,8 @@ from hamsym.orbits.search import vector_field_at
 from hamsym.orbits.symmetry import SignedPermutation, is_unchanged
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import above, working
-from hamsym.proof.compiled import require_compiled_float64
 from hamsym.proof.enclose import Enclosure, enclosed
+from hamsym.proof.float64_arithmetic import require_float64
 from hamsym.proof.functions import BALLS, SingularityError
 from hamsym.proof.generated import GeneratedFunctions
 from hamsym.proof.limits import Deadline
@@ -89,7 +89,7 @@ def prove_orbit(orbit: PeriodicOrbit, *, time_limit: float | None = None) -> Orb
     """
     if time_limit is not None:
         require_positive("time_limit", time_limit)
-    require_compiled_float64()
+    require_float64()
     if not orbit.success:
         raise CertificationError(f"the orbit did not succeed: {orbit.message}")
     arc = orbit.arc

@@ -17,6 +17,7 @@ from fractions import Fraction
 from flint import arb, ctx, fmpq
 
 _LOCK = threading.RLock()
+_BITS = 240  # of distances from two floats
 _DIGITS = 9  # of the decimals in certificates
 SMALLEST = 1e-300  # positive bound; below 1e-307 floats are coarser than nine digits
 _LARGEST = sys.float_info.max
@@ -91,6 +92,23 @@ def float_above(value: Fraction) -> float:
     except OverflowError:
         return math.inf if value > 0 else -_LARGEST
     return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)
+
+
+def number_of(value: arb | Fraction) -> tuple[float, float, float]:
+    """The ball (high, low, radius) of two floats around a ball of Arb or a fraction."""
+    if not isinstance(value, Fraction) and not value.is_finite():
+        return math.nan, math.nan, math.inf
+    middle = value if isinstance(value, Fraction) else exact(value)
+    try:
+        high = float(middle)
+        rest = middle - Fraction(high)
+        low = float(rest)
+    except OverflowError:
+        return math.nan, math.nan, math.inf
+    if not isinstance(value, Fraction):
+        with working(_BITS):
+            return high, low, above(abs(value - arb(high) - arb(low)))
+    return high, low, float_above(abs(rest - Fraction(low)))
 
 
 def decimal_above(value: float) -> str:

@@ -25,7 +25,7 @@ from hamsym.flow_maps.time_order import require_order
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.proof.balls import working
 from hamsym.proof.box_certificate import BoxCertificate, map_digest
-from hamsym.proof.compiled import require_compiled_float64
+from hamsym.proof.float64_arithmetic import require_float64
 from hamsym.proof.functions import SingularityError
 from hamsym.proof.generated import evaluated, require_smooth
 from hamsym.proof.limits import Deadline
@@ -93,7 +93,7 @@ def proven_bound(
     ------
     CertificationError
     """
-    require_compiled_float64()
+    require_float64()
     intervals = _intervals(flow, box)
     if not all(np.isfinite(array).all() for array in flow.map.arrays().values()):
         raise CertificationError("the map has numbers that are not finite; make it again")

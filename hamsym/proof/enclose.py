@@ -15,10 +15,11 @@ import numpy as np
 import hamsym
 from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.kernel.enclosures import enclosures
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.ball import Ball
-from hamsym.proof.ball_arithmetic import number_of
-from hamsym.proof.compiled import loops, require_compiled_float64
+from hamsym.proof.balls import number_of
+from hamsym.proof.float64_arithmetic import require_float64
 from hamsym.proof.limits import Deadline
 from hamsym.proof.public_check import check_enclosure
 from hamsym.proof.windows import ErrorSet, Window, WindowStepper, equation_of
@@ -119,7 +120,7 @@ def enclosed(
     if time_limit is not None:
         require_positive("time_limit", time_limit)
     began, deadline = time.monotonic(), Deadline.after(time_limit)
-    require_compiled_float64()
+    require_float64()
     equation = equation_of(H, tuple(names))
     every = [*start, *(balls[name] for name in names)]
     begin, end = (Fraction(value) for value in times)
@@ -295,7 +296,7 @@ class Enclosure(Shown):
         return hamsym.plot(self, *names, ax=ax)
 
     def _at(self, t: Any, value: Any, shape: tuple[int, ...]) -> Ball:
-        require_compiled_float64()
+        require_float64()
         times = times_in_span(t, self.span, extrapolate=True)
         low, high = min(self.span), max(self.span)
         if not ((times >= low) & (times <= high)).all():
@@ -314,13 +315,13 @@ class Enclosure(Shown):
         k = bisect_right(self.windows, elapsed, key=lambda window: window.start) - 1
         window = self.windows[k]
         x = (elapsed - window.start) / window.half - 1
-        return k, loops().chebyshev_balls(number_of(x), window.high.shape[1])
+        return k, enclosures().chebyshev_balls(number_of(x), window.high.shape[1])
 
     def _state(self, k: int, basis: np.ndarray) -> list[np.ndarray]:
         window, dim = self.windows[k], self.H.dim
-        value = loops().vector_value(window.high, window.low, basis)
-        matrix, error = loops().matrix_value(window.V, basis)
-        radius = loops().set_radius(matrix, error, window.G, window.R[:, None])[:dim, 0]
+        value = enclosures().vector_value(window.high, window.low, basis)
+        matrix, error = enclosures().matrix_value(window.V, basis)
+        radius = enclosures().set_radius(matrix, error, window.G, window.R[:, None])[:dim, 0]
         radius = radius + window.beside + np.abs(value[:, 1]) + value[:, 2]
         return [value[:, 0], radius * (1 + 1e-9)]
 
@@ -328,11 +329,12 @@ class Enclosure(Shown):
         """dz/d(z0, k): the derivative of the window times that of the windows before."""
         window = self.windows[k]
         middle, rest = self._derivative_before(k)
-        matrix, error = loops().matrix_value(window.V, basis)
+        matrix, error = enclosures().matrix_value(window.V, basis)
         error = error + window.derivative
         columns = len(middle)
-        found, rounding = loops().moved_set(matrix, error, middle, np.eye(columns))
-        return [found, (rounding + loops().set_radius(matrix, error, rest.G, rest.R)) * (1 + 1e-9)]
+        found, rounding = enclosures().moved_set(matrix, error, middle, np.eye(columns))
+        beside = enclosures().set_radius(matrix, error, rest.G, rest.R)
+        return [found, (rounding + beside) * (1 + 1e-9)]
 
     def _derivative_before(self, k: int) -> tuple[np.ndarray, ErrorSet]:
         """dz/d(z0, k) at the start of window k: a matrix and the set of its errors."""
@@ -346,6 +348,6 @@ class Enclosure(Shown):
             error = window.J_error.copy()
             error[: self.H.dim] += window.derivative
             error *= 1 + 1e-9
-            fresh, rounding = loops().moved_set(window.J, error, middle, np.eye(len(middle)))
+            fresh, rounding = enclosures().moved_set(window.J, error, middle, np.eye(len(middle)))
             known.append((fresh, rest.moved(window.J, error, rounding, window.units)))
         return known[k]

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from hamsym.errors import CertificationError
+from hamsym.kernel.enclosures import enclosures
 
 
 def _power(exponent: int) -> int:
@@ -52,7 +53,7 @@ _OPERATIONS: tuple[tuple[str, int, int, int, int, str], ...] = (
 _REMEDIES = {
     _NEAREST: "restore rounding to nearest (fesetround)",
     _SUBNORMAL: "call torch.set_flush_denormal(False)",
-    _FUSED: "use another processor or another build of numba",
+    _FUSED: "use another processor, or build hamsym with another compiler",
 }
 _COPIES, _COLUMNS = 8, 96  # of a product of matrices that is large enough for all threads of BLAS
 
@@ -68,12 +69,13 @@ _PLACES = {name: np.array([k for k, own in enumerate(_NAMES) if own == name]) fo
 
 
 def require_float64(basic_operations: Callable[..., Any] | None = None) -> None:
-    """Require IEEE 754 arithmetic in this thread, in numpy and, if given, in compiled code.
+    """Require IEEE 754 arithmetic in this thread, in numpy and in the library of the kernel.
 
     Parameters
     ----------
     basic_operations : callable, optional
-        Compiled: arrays a, b, c -> a + b, a b, a / b, sqrt(|a|) and a b + c with one rounding.
+        In place of that of the library: arrays a, b, c -> a + b, a b, a / b, sqrt(|a|) and a b + c
+        with one rounding.
 
     Raises
     ------
@@ -87,9 +89,8 @@ def require_float64(basic_operations: Callable[..., Any] | None = None) -> None:
         rows, columns = _matrices()  # threads of BLAS may have settings of their own
         products = (rows @ columns).T.reshape(_COLUMNS, _COPIES, -1)
         _require({"sum": products, "product": products}, "products of matrices")
-        if basic_operations is not None:
-            results = basic_operations(a, b, c)
-            _require(dict(zip((*found, "fused"), results, strict=True)), "compiled code")
+        results = (basic_operations or enclosures().basic_operations)(a, b, c)
+        _require(dict(zip((*found, "fused"), results, strict=True)), "compiled code")
 
 
 def _require(found: dict[str, np.ndarray], where: str) -> None:

@@ -2,7 +2,7 @@
 
 A recorder takes the place of the arguments of a formula and notes what is done with them.
 Operations on numbers alone are done in Arb once. Functions become the operations of
-:mod:`hamsym.proof.chebyshev_models` by identities that hold wherever the function is smooth.
+:mod:`hamsym.kernel.enclosures` by identities that hold wherever the function is smooth.
 """
 
 from __future__ import annotations
@@ -17,10 +17,7 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-from hamsym.proof import functions
-from hamsym.proof.ball_arithmetic import number_of
-from hamsym.proof.balls import working
-from hamsym.proof.chebyshev_models import (
+from hamsym.kernel.enclosures import (
     ADD,
     ARCCOSINE,
     ARCOSH,
@@ -38,8 +35,11 @@ from hamsym.proof.chebyshev_models import (
     REDUCED_ANGLE,
     SINE_COSINE,
     SUBTRACT,
+    Models,
+    enclosures,
 )
-from hamsym.proof.compiled import loops
+from hamsym.proof import functions
+from hamsym.proof.balls import number_of, working
 from hamsym.proof.functions import Arithmetic
 
 BITS = 240  # of numbers
@@ -372,6 +372,12 @@ class ModelRows:
         rows = program.registers
         self.high, self.low = np.zeros((rows, terms)), np.zeros((rows, terms))
         self.radius, self.length = np.zeros(rows), np.ones(rows, dtype=np.int64)
+        self.tables = tables(terms)
+        #: The same arrays for the library.
+        self.models = Models(
+            *(self.tables.values, self.tables.series),
+            *(self.high, self.low, self.radius, self.length),
+        )
         self._set_constants()
 
     def _set_constants(self) -> None:
@@ -400,37 +406,26 @@ class ModelRows:
         self.high[part, :terms], self.low[part, :terms] = models.high, models.low
         self.radius[part], self.length[part] = models.radius, models.length
 
-    def run(self, using: Tables, double: bool) -> None:
+    def run(self, *, double: bool) -> None:
         """Run the program, in twice float64 or, but for what is still, in float64."""
-        self.run_still(using)
+        self.run_still()
         if not double:
             self.radius += np.abs(self.low).sum(axis=1) * (1 + 1e-9)
             self.low[:] = 0.0
-        self._run(self.program.steps, using, double)
+        enclosures().run_models(self.program.steps, self.models, double)
 
-    def run_still(self, using: Tables) -> None:
+    def run_still(self) -> None:
         """Run what does not depend on the state, in twice float64."""
         self._set_constants()
         if len(self.program.still):
-            self._run(self.program.still, using, True)
+            enclosures().run_models(self.program.still, self.models, twice=True)
 
-    def still_values(self, using: Tables) -> np.ndarray:
+    def still_values(self) -> np.ndarray:
         """Values of these registers at the points, rounded, shape (still, points)."""
         places = self.program.still_places
         used = np.arange(self.high.shape[1]) < self.length[places, None]
-        return np.asarray(np.where(used, self.high[places] + self.low[places], 0.0) @ using.values)
-
-    def _run(self, steps: np.ndarray, using: Tables, double: bool) -> None:
-        loops().run_models(
-            steps,
-            using.values,
-            using.series,
-            self.high,
-            self.low,
-            self.radius,
-            self.length,
-            double,
-        )
+        values = np.where(used, self.high[places] + self.low[places], 0.0)
+        return np.asarray(values @ self.tables.values)
 
     def taken(self, places: np.ndarray) -> Rows:
         """Some registers."""

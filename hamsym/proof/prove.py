@@ -35,8 +35,8 @@ from hamsym.proof.certificate import (
     rounded_up,
 )
 from hamsym.proof.certificate_files import certificate_from
-from hamsym.proof.compiled import require_compiled_float64
 from hamsym.proof.exact_numbers import require_exact
+from hamsym.proof.float64_arithmetic import require_float64
 from hamsym.proof.limits import Deadline
 from hamsym.proof.public_check import check_solution
 from hamsym.proof.window_proof import WindowBounds, WindowProof
@@ -106,7 +106,7 @@ def certify(
         require_positive("time_limit", time_limit)
     asked = None if bound is None else _asked(bound, solution.H.names)
     began = time.monotonic()
-    require_compiled_float64()
+    require_float64()
     require_exact(solution)
     deadline = Deadline.after(time_limit)
     claims = _on_windows(solution, rtol, asked, deadline, progress)
@@ -260,7 +260,7 @@ def _verify_solution(
     claims: Certificate, solution: Solution, time_limit: float | None, progress: bool | None
 ) -> None:
     """Prove a certificate of a solution again."""
-    require_compiled_float64()
+    require_float64()
     try:
         check(claims)
     except ValueError as error:

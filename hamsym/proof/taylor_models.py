@@ -33,8 +33,8 @@ from typing import Any
 import numpy as np
 from flint import arb, arb_series
 
+from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.balls import above, working
-from hamsym.proof.compiled import loops
 from hamsym.proof.functions import Arithmetic, SingularityError, general_power
 
 BITS = 160  # of constants, tables and elementary functions
@@ -166,7 +166,7 @@ class Space:
     def product(self, first: Model, second: Model) -> Model:
         a, b = first.coefficients, second.coefficients
         found = np.zeros_like(a)
-        loops().add_products(found, a, b, *self._pairs)
+        enclosures().add_products(found, a, b, *self._pairs)
         size, other = np.abs(a), np.abs(b)
         tail = (size * (self._left_out @ other)).sum(axis=0)
         rounding = 2 * (self.most + 4) * _UNIT * first.amount() * second.amount()

@@ -17,10 +17,10 @@ import numpy as np
 from flint import arb
 
 from hamsym.errors import CertificationError
+from hamsym.kernel.enclosures import enclosures
 from hamsym.proof import functions
-from hamsym.proof.ball_arithmetic import number_of
-from hamsym.proof.compiled import loops
-from hamsym.proof.programs import ModelRows, Program, Recorder, Rows, tables
+from hamsym.proof.balls import number_of
+from hamsym.proof.programs import ModelRows, Program, Recorder, Rows
 from hamsym.random_features.trial import FeatureTrial
 
 
@@ -117,18 +117,13 @@ class _FeatureWindow:
     ) -> None:
         self._start, self._length, self._program = start, length, program
         self._state = trial.states[number]
-        high, low, self._error = loops().exact_products(trial.series, trial.readouts[number])
+        high, low, self._error = enclosures().exact_products(trial.series, trial.readouts[number])
         slopes, slopes_low = np.zeros_like(high), np.zeros_like(low)
         self._slope_error = np.zeros(len(self._state))
         for i in range(len(self._state)):
             column, rest = np.zeros(len(high)), np.zeros(len(high))
-            error = loops().differentiate_series(
-                np.ascontiguousarray(high[:, i]),
-                np.ascontiguousarray(low[:, i]),
-                len(high),
-                column,
-                rest,
-                True,
+            error = enclosures().differentiate_series(
+                (high[:, i], low[:, i]), (column, rest), twice=True
             )
             # dN/ds = 2 dN/dx; Markov's inequality for the error of the coefficients
             slopes[:, i], slopes_low[:, i] = 2 * column, 2 * rest
@@ -140,7 +135,7 @@ class _FeatureWindow:
         share = half / self._length
         middle = (start + half - self._start) / self._length  # of s
         rows = ModelRows(self._program, terms)
-        high, low, error, length = loops().clenshaw(
+        high, low, error, length = enclosures().clenshaw(
             *self._both, number_of(2 * middle - 1), number_of(2 * share), terms
         )
         rows.high[:dim, 0] = self._state
@@ -150,7 +145,7 @@ class _FeatureWindow:
         rows.length[dim : 3 * dim] = length
         rows.set_line(3 * dim, number_of(middle), number_of(share))
         rows.set_number(3 * dim + 1, number_of(1 / self._length))
-        rows.run(tables(terms), True)
+        rows.run(double=True)
         found = rows.taken(self._program.results)
         return found[:dim], found[dim:]
 
@@ -198,7 +193,7 @@ class _Network:
             first += len(part.radius)
         rows.set_line(3 * dim, *line)
         rows.set_number(3 * dim + 1, number_of(pace))
-        rows.run(tables(terms), True)
+        rows.run(double=True)
         found = rows.taken(self._program.results)
         return found[:dim], found[dim:]
 
@@ -222,12 +217,12 @@ def _propagated(
             rows = ModelRows(program, terms)
             rows.set_models(0, value)
             rows.set_models(count, slope)
-            rows.run(tables(terms), True)
+            rows.run(double=True)
             found = rows.taken(program.results)
             value, slope = found[:count], found[count:]
         none = np.zeros(len(bias))
         value, slope = (
-            Rows(*loops().dense(matrix, shift, part.high, part.low, part.radius, part.length))
+            Rows(*enclosures().dense(matrix, shift, part.high, part.low, part.radius, part.length))
             for shift, part in ((bias, value), (none, slope))
         )
     return value, slope

@@ -27,11 +27,11 @@ import numpy as np
 from flint import arb
 
 from hamsym.errors import CertificationError
-from hamsym.proof.ball_arithmetic import TINY, UNIT, number_of
-from hamsym.proof.balls import SMALLEST, at_least, at_most, working
+from hamsym.kernel.enclosures import TINY, UNIT
+from hamsym.proof.balls import SMALLEST, at_least, at_most, number_of, working
 from hamsym.proof.certificate import FLOOR, Certificate
 from hamsym.proof.limits import Deadline, TimeLimitError
-from hamsym.proof.programs import BITS, ModelRows, Rows, tables
+from hamsym.proof.programs import BITS, ModelRows, Rows
 from hamsym.proof.trial_models import Piece, trial_pieces, zero_components
 from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of, set_sizes
 from hamsym.random_features.trial import FeatureTrial
@@ -286,7 +286,7 @@ class _Comparison:
             place = ModelRows(equation.energy, 4)
             for i, value in enumerate(z0.tolist()):
                 place.set_number(i, (value, 0.0, 0.0))
-            place.run(tables(4), True)
+            place.run(double=True)
             found = place.taken(equation.energy.results)
             self._start = (
                 float(found.high[0, 0]),
@@ -318,7 +318,7 @@ class _Comparison:
         rows = self._rates
         rows.set_models(0, state)
         rows.set_line(dim, centre, slope)
-        rows.run(tables(_TERMS), True)
+        rows.run(double=True)
         G = rows.taken(equation.rates.results)
         signed = Rows(self._direction * G.high, self._direction * G.low, G.radius, G.length)
         residual, residual_radius = _difference(rate, signed)
@@ -358,7 +358,7 @@ class _Comparison:
             rows.high[: len(state.radius), state.high.shape[1] :] = 0.0
             rows.low[: len(state.radius), state.high.shape[1] :] = 0.0
         rows.set_line(self._equation.dim, centre, slope)
-        rows.run(tables(_TERMS), True)
+        rows.run(double=True)
         return rows.taken(self._equation.energy.results)
 
     def _energy_slack(
@@ -375,7 +375,7 @@ class _Comparison:
         rows.length[:dim] = window.high.shape[1]
         rows.radius[:dim] = window.tube
         rows.set_line(dim, centre, slope)
-        rows.run(tables(window.high.shape[1]), False)
+        rows.run(double=False)
         found = rows.taken(program.results)
         slopes = (np.abs(found.high).sum(axis=1) + found.radius) * _ROOM
         if program is self._equation.rates:

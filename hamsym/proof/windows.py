@@ -27,10 +27,9 @@ import sympy
 from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.kernel.enclosures import MIDDLE, UNDERFLOW, UNIT, enclosures
 from hamsym.numerics.scales import coupled_sizes
-from hamsym.proof.ball_arithmetic import MIDDLE, UNDERFLOW, UNIT, number_of
-from hamsym.proof.balls import working
-from hamsym.proof.compiled import loops
+from hamsym.proof.balls import number_of, working
 from hamsym.proof.generated import GeneratedFunctions, evaluated
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, tables
@@ -204,10 +203,10 @@ class ErrorSet:
         ``units`` are those of the components, powers of two.
         """
         columns, first, R = len(self.G), self.initial, self.R
-        G, rest = loops().moved_set(J, J_error, self.G, R)
+        G, rest = enclosures().moved_set(J, J_error, self.G, R)
         if G.shape[1] - first > columns * min(max(_MOST_COLUMNS // columns, 6), 64):
             later = np.ascontiguousarray(G[:, first:]), np.ascontiguousarray(R[first:])
-            Q, radii = loops().boxed_set(*later, units)
+            Q, radii = enclosures().boxed_set(*later, units)
             G, R = np.hstack([G[:, :first], Q]), np.vstack([R[:first], radii])
         fresh = (rest + extra) * (1 + 1e-9)
         return ErrorSet(np.hstack([G, np.eye(columns)]), np.vstack([R, fresh]), first)
@@ -426,9 +425,9 @@ class WindowStepper:
             models.high[dim:columns, 0] = self._constants
             models.radius[dim : columns + 1] = 0.0
             models.set_line(columns, place.middle, place.slope)
-            models.run_still(tabs)
-            values[models.program.still_places] = models.still_values(tabs)
-        count = loops().collocate(
+            models.run_still()
+            values[models.program.still_places] = models.still_values()
+        count = enclosures().collocate(
             equation.rates.steps,
             equation.rates.results,
             rows,
@@ -439,7 +438,7 @@ class WindowStepper:
         )
         sizes = np.abs(rows[:dim]).max(axis=1)
         more[: columns + 1] = rows[: columns + 1]
-        loops().run_values(equation.jacobian.steps, more)
+        enclosures().run_values(equation.jacobian.steps, more)
         return sizes, rows[:dim] @ tabs.series if count else None
 
     def _completed(
@@ -455,19 +454,14 @@ class WindowStepper:
         arguments = (
             equation.rates.steps,
             equation.rates.results,
-            tabs.values,
-            tabs.series,
-            models.high,
-            models.low,
-            models.radius,
-            models.length,
+            models.models,
             dim,
             place.slope,
         )
-        series, D = loops().defects(*arguments)
+        series, D = enclosures().defects(*arguments)
         for _ in range(_CORRECTIONS):
             before = D
-            found = loops().correct(
+            found = enclosures().correct(
                 self._rows[1],
                 equation.placed,
                 self._signs,
@@ -479,7 +473,7 @@ class WindowStepper:
                 _ITERATIONS,
             )
             self._corrected(models, found @ tabs.series)
-            series, D = loops().defects(*arguments)
+            series, D = enclosures().defects(*arguments)
             if not (0.1 * before > D).any():
                 break
         return models, D
@@ -521,12 +515,11 @@ class WindowStepper:
 
     def _start(self, models: ModelRows) -> None:
         """Shift y so that y(-1) is the centre."""
-        for i in range(self.equation.dim):
-            value, rest, _ = loops().end_value(models.high[i], models.low[i], self._terms, -1)
-            gap = (self._centre[i] - value) + (self._centre_low[i] - rest)
-            total, error = _two_sum(models.high[i, 0], gap)
-            pair = _two_sum(total, models.low[i, 0] + error)
-            models.high[i, 0], models.low[i, 0] = pair
+        high, low = (part[: self.equation.dim] for part in (models.high, models.low))
+        value, rest, _ = enclosures().end_values(high, low, -1)
+        gap = (self._centre - value) + (self._centre_low - rest)
+        total, error = _two_sum(high[:, 0], gap)
+        high[:, 0], low[:, 0] = _two_sum(total, low[:, 0] + error)
 
     def _corrected(self, models: ModelRows, series: np.ndarray) -> None:
         dim = self.equation.dim
@@ -540,7 +533,7 @@ class WindowStepper:
         """The window with the bounds of the lemma, or None; and the factor of the next length."""
         equation, w, tabs = self.equation, place.w, self._tables
         dim = equation.dim
-        values = loops().tangents(
+        values = enclosures().tangents(
             self._rows[1],
             equation.placed,
             self._signs,
@@ -563,7 +556,7 @@ class WindowStepper:
         accepted = None
         for _ in range(_TUBES):
             jacobian = self._over_tube(place, models, tube)
-            found, d, derivative, _ = loops().transport(
+            found, d, derivative, _ = enclosures().transport(
                 *jacobian,
                 equation.entries,
                 self._signs,
@@ -605,13 +598,11 @@ class WindowStepper:
 
     def _offset(self, models: ModelRows) -> np.ndarray:
         """Bounds on the distance of y(-1) from the centre."""
-        found = np.zeros(self.equation.dim)
-        for i in range(len(found)):
-            high, low, radius = loops().end_value(models.high[i], models.low[i], self._terms, -1)
-            gap = (high - self._centre[i]) + (low - self._centre_low[i])
-            rounding = MIDDLE * (abs(high) + abs(self._centre[i]))
-            found[i] = abs(gap) + rounding + radius
-        return np.asarray(found * (1 + 1e-9) + 1e-290)
+        dim = self.equation.dim
+        high, low, radius = enclosures().end_values(models.high[:dim], models.low[:dim], -1)
+        gap = (high - self._centre) + (low - self._centre_low)
+        rounding = MIDDLE * (np.abs(high) + np.abs(self._centre))
+        return np.asarray((np.abs(gap) + rounding + radius) * (1 + 1e-9) + 1e-290)
 
     def _hull(
         self, V: np.ndarray, start: np.ndarray, offset: np.ndarray, width: float
@@ -646,7 +637,7 @@ class WindowStepper:
         own.high[dim:columns, 0] = self._constants
         own.radius[dim:columns] = self._unknown
         own.set_line(columns, place.middle, place.slope)
-        own.run(self._tables, False)
+        own.run(double=False)
 
     def _couplings(self) -> np.ndarray:
         """Sizes of the entries of DG at the points, shape (dim, dim)."""
@@ -706,23 +697,17 @@ class WindowStepper:
         tube: np.ndarray,
         units: np.ndarray,
     ) -> Window:
-        equation, terms = self.equation, self._terms
-        dim, columns = equation.dim, equation.columns
+        dim, columns = self.equation.dim, self.equation.columns
         large = np.abs(V).sum(axis=2)
         beside = (large[:, :dim] @ offset + d + D) * (1 + 1e-9)
         J, J_error = np.eye(columns), np.zeros((columns, columns))
-        none = np.zeros(terms)
-        for i in range(dim):
-            for c in range(columns):
-                value, rest, radius = loops().end_value(V[i, c], none, terms, 1)
-                J[i, c] = value
-                J_error[i, c] = (abs(rest) + radius) * (1 + 1e-9)
+        J[:dim], rest, radius = enclosures().end_values(V, None, 1)
+        J_error[:dim] = (np.abs(rest) + radius) * (1 + 1e-9)
         extra = np.zeros(columns)
-        for i in range(dim):
-            value, rest, radius = loops().end_value(models.high[i], models.low[i], terms, 1)
-            self._centre[i], self._centre_low[i] = value, rest
-            extra[i] = beside[i] + radius
-        extra *= 1 + 1e-9
+        self._centre, self._centre_low, radius = enclosures().end_values(
+            models.high[:dim], models.low[:dim], 1
+        )
+        extra[:dim] = (beside + radius) * (1 + 1e-9)
         window = Window(
             self.elapsed,
             half,

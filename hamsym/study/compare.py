@@ -224,8 +224,7 @@ def compare(
     Errors are 2-norms at up to 4,001 times over the span, against the exact solution if it is
     given. Otherwise they are against DOP853 at tolerance 1e-13, or, where that is not a hundred
     times better than the network, against the middle of an enclosure of the exact solution
-    (:func:`hamsym.enclose`); on a machine where nothing was proven before, its loops are compiled
-    first, which takes half a minute.
+    (:func:`hamsym.enclose`).
 
     The number of steps with which each method reaches the network's error is predicted by its order
     and confirmed by a run, up to ``max_steps`` and two seconds for a method; larger numbers are

@@ -1,4 +1,4 @@
-"""Compiled code of proofs runs only if its digest belongs to the text that is run."""
+"""Compiled code runs only if its digest belongs to the text that is run."""
 
 import pickle
 import stat
@@ -6,9 +6,7 @@ from pathlib import Path
 
 import pytest
 
-import hamsym.proof
-from hamsym.codegen import numba_cache
-from hamsym.proof.compiled import loops, module_of
+from hamsym.codegen import checked_cache, numba_cache
 
 _TEXT = """
 from numba import njit
@@ -32,7 +30,9 @@ def folder(monkeypatch, tmp_path):
 
 def loaded(number: int) -> tuple[float, bool]:
     """The value at 1, and whether its code came from the cache."""
-    module = module_of(_TEXT.format(number=number), "checked")
+    text = _TEXT.format(number=number)
+    module = numba_cache.load_module(text, "checked")
+    checked_cache.cache_functions(module, ["value"], text)
     return module.value(1), bool(module.value.stats.cache_hits)
 
 
@@ -89,13 +89,3 @@ def test_code_of_other_versions_is_refused(folder, monkeypatch):
     loaded(2)
     monkeypatch.setattr(checked_cache, "_VERSIONS", ("another version",))
     assert loaded(2) == (3, False)
-
-
-def test_proofs_use_no_cache_of_numba():
-    names = [path.stem for path in Path(hamsym.proof.__path__[0]).glob("*.py")]
-    modules = [getattr(hamsym.proof, name, None) for name in names]
-    functions = [value for module in modules for value in getattr(module, "__dict__", {}).values()]
-    functions += vars(loops()).values()
-    compiled = [value for value in functions if hasattr(value, "py_func")]
-    caches = {type(value._cache).__name__ for value in compiled}
-    assert caches == {"NullCache", "_CheckedCache"}

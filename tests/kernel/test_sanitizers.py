@@ -13,7 +13,11 @@ import pytest
 import hamsym
 
 ROOT = Path(__file__).parents[2]
-CHOSEN = ["bounds", "kernel/test_programs.py", "random_features/test_members.py"]
+CHOSEN = [
+    *("bounds", "kernel/test_programs.py", "random_features/test_members.py"),
+    *("proof/test_ball_arithmetic.py", "proof/test_chebyshev_models.py"),
+    *("proof/test_window_steps.py", "proof/test_enclosures.py"),
+]
 # The package beside the tests comes before the installed one.
 SCRIPT = """
 import sys

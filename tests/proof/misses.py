@@ -1,7 +1,7 @@
 """Searches for arguments at which a compiled enclosure does not contain the true value.
 
-Each function takes a module ``L`` as :func:`hamsym.proof.compiled.loops` returns it, so that the
-tests of mutations can run the same searches on a weakened text. The truth is computed in Arb with
+Each function takes the functions ``L`` of a library (:mod:`hamsym.kernel.enclosures`), so that the
+tests of mutations can run the same searches on a weakened one. The truth is computed in Arb with
 some hundred bits or in fractions, never by the code under test. A miss is a tuple that shows the
 arguments and the result.
 """
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from flint import arb
 
+from hamsym.kernel.enclosures import Models as Rows
 from hamsym.proof.balls import working
 from hamsym.proof.programs import Program, Recorder, tables
 
@@ -77,11 +78,15 @@ BINARY: dict[str, Callable[[arb, arb], Any]] = {
 }
 
 
-def applied(L: Any, name: str, *balls: Triple) -> Triple:
-    """A function of balls by name; sine and cosine are two results of one function."""
+def all_applied(L: Any, name: str, *balls: np.ndarray) -> list[Triple]:
+    """A function of balls (n, 3) by name; sine and cosine are two results of one function."""
     if name in ("sine", "cosine"):
-        return L.sine_cosine(*balls)[0 if name == "sine" else 1]
-    return getattr(L, name)(*balls)
+        return triples(L.balls("sine_cosine", *balls)[:, 0 if name == "sine" else 1])
+    return triples(L.balls(name, *balls))
+
+
+def applied(L: Any, name: str, *balls: Triple) -> Triple:
+    return all_applied(L, name, *(np.array([ball]) for ball in balls))[0]
 
 
 def drawn_balls(rng: np.random.Generator, middles: np.ndarray) -> np.ndarray:
@@ -120,8 +125,8 @@ def unary_misses(L: Any, name: str, count: int, seed: int) -> tuple[list[Any], l
     with working(BITS):
         balls = drawn_balls(rng, drawn.draw(rng, count))
         shares = rng.choice([-1.0, 1.0, 0.0, *rng.uniform(-1, 1, 3)], count)
-        for x, share in zip(triples(balls), shares.tolist(), strict=True):
-            found = applied(L, name, x)
+        results = all_applied(L, name, balls)
+        for x, share, found in zip(triples(balls), shares.tolist(), results, strict=True):
             if not found[2] < math.inf:
                 if x[2] == 0:
                     refused.append((name, x, found))
@@ -158,9 +163,9 @@ def binary_misses(
 ) -> tuple[list[Any], list[Any]]:
     """As :func:`unary_misses`, at the ends of both balls."""
     missed, refused = [], []
+    results = all_applied(L, name, *(np.array(part) for part in zip(*operands, strict=True)))
     with working(bits):
-        for k, (x, y) in enumerate(operands):
-            found = applied(L, name, x, y)
+        for k, ((x, y), found) in enumerate(zip(operands, results, strict=True)):
             if not found[2] < math.inf:
                 if x[2] == y[2] == 0:
                     refused.append((name, x, y, found))
@@ -303,7 +308,8 @@ def ran(L: Any, program: Program, models: Sequence[Model], double: bool) -> Mode
         count = len(model.high)
         high[k, :count], low[k, :count] = model.high, model.low
         radius[k], length[k] = model.radius, count
-    L.run_models(program.steps, using.values, using.series, high, low, radius, length, double)
+    rows_of = Rows(using.values, using.series, high, low, radius, length)
+    L.run_models(program.steps, rows_of, double)
     place = program.results[0]
     n = length[place]
     return Model(high[place, :n].copy(), low[place, :n].copy(), float(radius[place]))
@@ -439,13 +445,13 @@ def series_misses(L: Any, name: str, double: bool, count: int, seed: int) -> lis
         oh, ol = rng.normal(size=(2, 2 * TERMS + 2))  # what was there before must not matter
         a, b = fractions(ah, al), fractions(bh, bl)
         if name == "multiply_series":
-            bound = L.multiply_series(ah, al, n, bh, bl, m, oh, ol, double)
+            bound = L.multiply_series((ah, al), (bh, bl), (oh, ol), double)
             exact = product_of(a, b)
         elif name == "integrate_series":
-            bound = L.integrate_series(ah, al, n, oh, ol, double)
+            bound = L.integrate_series((ah, al), (oh, ol), double)
             exact = integral_of(a)
         else:
-            bound = L.differentiate_series(ah, al, n, oh, ol, double)
+            bound = L.differentiate_series((ah, al), (oh, ol), double)
             exact = derivative_of(a)
         size = len(exact)
         if not distance(fractions(oh[:size], ol[:size]), exact) <= Fraction(bound):
@@ -454,7 +460,7 @@ def series_misses(L: Any, name: str, double: bool, count: int, seed: int) -> lis
 
 
 def end_misses(L: Any, count: int, seed: int) -> list[Any]:
-    """end_value: balls without the value at -1 or 1."""
+    """end_values: balls without the value at -1 or 1."""
     rng, missed = np.random.default_rng(seed), []
     for k in range(count):
         n = int(rng.choice([1, 2, 3, 7, 20, TERMS]))
@@ -462,7 +468,7 @@ def end_misses(L: Any, count: int, seed: int) -> list[Any]:
         if k % 2 and n > 1:  # a value that nearly vanishes
             high[0] = -high[1:].sum()
         for end in (-1, 1):
-            found = L.end_value(high, low, n, end)
+            found = L.end_values(high, low, end)
             exact = sum(c * end**j for j, c in enumerate(fractions(high, low)))
             if not abs(exact - Fraction(found[0]) - Fraction(found[1])) <= Fraction(found[2]):
                 missed.append((high, end, found))

@@ -13,8 +13,8 @@ from flint import arb
 import hamsym
 from hamsym import Ball, Hamiltonian, enclose
 from hamsym.errors import CertificationError, InputError
+from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.balls import working
-from hamsym.proof.compiled import loops
 from tests.audit.taylor import Equations, integrate
 from tests.proof.misses import enclosure_misses
 
@@ -93,7 +93,7 @@ def test_states_of_the_reference_are_inside(name):
     enclosure = enclose(case.formula, case.z0, case.span)
     times = sampled(case.span)
     states = reference(case, times)
-    assert enclosure_misses(loops(), enclosure, times, states) == []
+    assert enclosure_misses(enclosures(), enclosure, times, states) == []
     with working(200):
         scales = [max(abs(float(state[i])) for state in states) for i in range(len(case.z0))]
     widths = 2 * enclosure(case.span[1]).radius
@@ -108,7 +108,7 @@ def test_oscillator_contains_cosine_and_sine(span):
             elapsed = arb(t) - arb(span[0])
             exact = [elapsed.cos(), -elapsed.sin()]
             slopes = [[elapsed.cos(), elapsed.sin()], [-elapsed.sin(), elapsed.cos()]]
-        assert enclosure_misses(loops(), enclosure, [t], [exact]) == []
+        assert enclosure_misses(enclosures(), enclosure, [t], [exact]) == []
         assert holds(enclosure.derivative(t), slopes)
 
 
@@ -583,7 +583,7 @@ def missed_of(seed, digits):
     enclosure = enclose(case.formula, case.z0, case.span)
     times = sampled(case.span, seed=seed)
     states = reference(case, times, digits=digits)
-    return enclosure_misses(loops(), enclosure, times, states)
+    return enclosure_misses(enclosures(), enclosure, times, states)
 
 
 @pytest.mark.parametrize("seed", [1002, 1003, 1004])

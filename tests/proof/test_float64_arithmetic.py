@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hamsym.errors import CertificationError
+from hamsym.kernel.enclosures import enclosures
 from hamsym.proof import float64_arithmetic
-from hamsym.proof.compiled import loops, require_compiled_float64
 from hamsym.proof.float64_arithmetic import require_float64
 
 # Settings of the processor are changed in processes of their own.
@@ -79,14 +79,13 @@ thread.join()
 
 @_KNOWN
 @pytest.mark.parametrize("missing", _CHANGES)
-@pytest.mark.parametrize("require", [require_float64, require_compiled_float64])
-def test_settings_of_one_thread_are_found(missing, require):
+def test_settings_of_one_thread_are_found(missing):
     messages = []
 
     def change_and_require():
         exec(_CHANGES[missing], {"ctypes": ctypes})  # noqa: S102
         try:
-            require()
+            require_float64()
         except CertificationError as error:
             messages.append(str(error))
 
@@ -95,12 +94,11 @@ def test_settings_of_one_thread_are_found(missing, require):
     thread.join()
     (message,) = messages
     assert f"lacks {missing} in this thread; " in message
-    require()
+    require_float64()
 
 
 def test_arithmetic_of_this_thread_is_accepted():
     require_float64()
-    require_compiled_float64()
 
 
 @pytest.mark.parametrize("place", range(len(float64_arithmetic._NAMES)))
@@ -109,7 +107,7 @@ def test_each_wrong_result_of_compiled_code_is_refused(place, wrong):
     rows = dict(zip(("sum", "product", "quotient", "root", "fused"), range(5), strict=True))
 
     def falsified(a, b, c):
-        found = loops().basic_operations(a, b, c)
+        found = enclosures().basic_operations(a, b, c)
         own = found[rows[float64_arithmetic._NAMES[place]]]
         if np.isnan(wrong):
             own[place] = np.nan
@@ -123,7 +121,7 @@ def test_each_wrong_result_of_compiled_code_is_refused(place, wrong):
 
 def test_separate_product_and_sum_are_no_fused_operation():
     def unfused(a, b, c):
-        found = loops().basic_operations(a, b, c)
+        found = enclosures().basic_operations(a, b, c)
         found[4] = a * b + c
         return found
 

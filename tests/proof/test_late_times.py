@@ -8,8 +8,8 @@ import pytest
 
 import hamsym
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.compiled import loops
-from hamsym.proof.programs import ModelRows, tables
+from hamsym.kernel.enclosures import REDUCED_ANGLE, Models, enclosures
+from hamsym.proof.programs import ModelRows
 from hamsym.proof.windows import Equation
 
 _LATE = 1e8
@@ -76,9 +76,16 @@ def test_functions_of_time_alone_are_not_repeated():
     assert len(rates.steps) == 1  # the sum of -x and the force
     models = ModelRows(rates, 32)
     models.set_line(2, (_LATE, 0.0, 0.0), (0.5, 0.0, 0.0))
-    models.run_still(tables(32))
-    values = models.still_values(tables(32))
+    models.run_still()
+    values = models.still_values()
     assert np.isfinite(values).all()
+
+
+def reduce(high, low, radius, length):
+    """Make the second model that of the reduced angle of the first."""
+    program, none = np.array([[REDUCED_ANGLE, 1, 0, 0]]), np.empty((0, 0))
+    models = Models(none, none, high, low, radius, length)
+    enclosures().run_models(program, models, twice=True)
 
 
 @pytest.mark.parametrize("turns", [0, 1, -7, 10**9, 2**49])
@@ -87,7 +94,7 @@ def test_reduced_angle_contains_the_exact_one(turns):
     radius, length = np.zeros(2), np.array([3, 1])
     high[0, :3] = 2 * np.pi * turns + 0.5, 0.25, 1e-3
     low[0, 0] = 1e-20 * high[0, 0]
-    loops().reduce_angle_model(high, low, radius, length, 1, 0)
+    reduce(high, low, radius, length)
     assert (high[1, 1:], length[1]) == (pytest.approx(high[0, 1:]), 3)
     with mpmath.workdps(60):
         exact = mpmath.mpf(high[0, 0]) + mpmath.mpf(low[0, 0]) - 2 * mpmath.pi * turns
@@ -99,5 +106,5 @@ def test_reduced_angle_contains_the_exact_one(turns):
 @pytest.mark.parametrize("angle", [1e17, np.inf, np.nan])
 def test_angle_of_too_many_turns_has_no_bound(angle):
     high, low, radius = np.array([[angle], [0.0]]), np.zeros((2, 1)), np.zeros(2)
-    loops().reduce_angle_model(high, low, radius, np.array([1, 1]), 1, 0)
+    reduce(high, low, radius, np.array([1, 1]))
     assert not radius[1] < np.inf

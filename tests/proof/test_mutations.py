@@ -1,18 +1,24 @@
 """Each bound of the compiled enclosures is needed: without it a search finds a miss.
 
-The text of the compiled functions is weakened in one place, loaded as another module, and searched
-for arguments at which it does not contain the truth. The same search finds nothing in the text as
-it is. Three bounds are below the roundings of the operation that follows them, so that no argument
+The text of the library is weakened in one place, compiled as another one, and searched for
+arguments at which it does not contain the truth. The same search finds nothing in the text as it
+is. Three bounds are below the roundings of the operation that follows them, so that no argument
 shows them: the remainders of the Taylor series of exp (below 1e-45), of sin and cos (5e-36), and of
 the error function (1e-34).
 """
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import functools
+import math
+import subprocess
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,12 +27,15 @@ import pytest
 import hamsym.proof.enclose
 import hamsym.proof.programs
 import hamsym.proof.windows
-from hamsym.proof import compiled
+from hamsym.kernel import build_backend
+from hamsym.kernel.enclosures import Enclosures, enclosures
+from hamsym.kernel.library import chosen_level
 from hamsym.proof.balls import working
 from tests.proof.misses import (
     FORMULAS,
     Model,
     Transport,
+    all_applied,
     binary_misses,
     clenshaw_misses,
     dense_misses,
@@ -56,16 +65,54 @@ pytestmark = pytest.mark.slow
 Changes = tuple[tuple[str, str], ...]
 
 
+_COMPILER = build_backend._compiler()
+#: Files with bounds; that of the elementary functions, which has none, is compiled once.
+_PARTS = ("balls.h", "series.h", "enclosures.h", "balls.c", "series.c", "enclosures.c", "sets.c")
+
+if _COMPILER is None:
+    pytest.skip("needs a C compiler", allow_module_level=True)
+
+
+@functools.cache
+def _folder() -> Path:
+    """A folder for all libraries, with the compiled elementary functions."""
+    folder = tempfile.TemporaryDirectory()
+    atexit.register(folder.cleanup)
+    _compile(build_backend.FOLDER / "functions.c", "-c", "-o", f"{folder.name}/functions.o")
+    return Path(folder.name)
+
+
+def _compile(*arguments: str | Path) -> None:
+    flags = [flag for flag in build_backend._flags(chosen_level()) if flag != "-shared"]
+    subprocess.run([*_COMPILER, *flags, *arguments], check=True)
+
+
 @functools.cache
 def changed(changes: Changes) -> Any:
-    """The compiled functions with passages of their text replaced."""
+    """The functions of a library with passages of its text replaced."""
     if not changes:
-        return compiled.loops()
-    text = compiled._text()
+        return enclosures()
+    texts = {part: (build_backend.FOLDER / part).read_text("utf-8") for part in _PARTS}
     for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return compiled.module_of(text, "weakened")
+        (place,) = [part for part, text in texts.items() if old in text]
+        assert texts[place].count(old) == 1, old
+        texts[place] = texts[place].replace(old, new)
+    folder = Path(tempfile.mkdtemp(dir=_folder()))
+    for part, text in texts.items():
+        (folder / part).write_text(text, "utf-8")
+    sources = [folder / part for part in _PARTS if part.endswith(".c")]
+    include = f"-I{build_backend.FOLDER}"
+    _compile(
+        "-w",
+        "-shared",
+        include,
+        *sources,
+        _folder() / "functions.o",
+        "-o",
+        folder / "one.so",
+        "-lm",
+    )
+    return Enclosures(ctypes.CDLL(str(folder / "one.so")))
 
 
 @dataclass(frozen=True)
@@ -120,7 +167,8 @@ def halves(L: Any) -> list[Any]:
     found, zero = [], np.zeros(1)
     for a in (5e-324, 1.5e-323):
         oh, ol = np.zeros((2, 4))
-        bound = L.multiply_series(np.array([a]), zero, 1, np.array([1e300]), zero, 1, oh, ol, False)
+        factors = (np.array([a]), zero), (np.array([1e300]), zero)
+        bound = L.multiply_series(*factors, (oh, ol), twice=False)
         if not abs(Fraction(a) * Fraction(1e300) - Fraction(oh[0])) <= Fraction(bound):
             found.append(a)
     return found
@@ -139,7 +187,9 @@ def smallest_exponentials(L: Any) -> list[Any]:
     """Exponentials of numbers below -665 that miss the value."""
     places = [(x, 0.0, 0.0) for x in np.arange(-668.0, -664.0, 0.1).tolist()]
     with working(300):
-        return [x for x in places if not inside(L.exponential(x), point(x, 0.0).exp())]
+        found = all_applied(L, "exponential", np.array(places))
+        pairs = zip(places, found, strict=True)
+        return [x for x, own in pairs if not inside(own, point(x, 0.0).exp())]
 
 
 def _less(old: str, part: str, new: str) -> tuple[str, str]:
@@ -147,19 +197,21 @@ def _less(old: str, part: str, new: str) -> tuple[str, str]:
     return old, old.replace(part, new)
 
 
-_ADD = "_up(x[2] + y[2] + MIDDLE * (abs(x[0]) + abs(y[0])))"
-_MULTIPLY = "_up(a * y[2] + x[2] * (b + y[2]) + MIDDLE * (a * b))"
+_ADD = "outward(x.radius + y.radius + MIDDLE * (fabs(x.high) + fabs(y.high)))"
+_MULTIPLY = "outward(a * y.radius + x.radius * (b + y.radius) + MIDDLE * (a * b))"
 _LIBRARY = "0.0001"  # relative error of a library that a proof must survive
-_POOR_LOG = (("math.log(x[0])", f"(math.log(x[0]) * (1 + {_LIBRARY}))"),)
-_POOR_ATAN = (("math.atan(x[0])", f"math.atan(x[0]) * (1 + {_LIBRARY})"),)
-_POOR_ASIN = (("math.asin(x[0])", f"math.asin(x[0]) * (1 - {_LIBRARY})"),)
+_LOG, _ATAN, _ASIN = (f"value_at(hamsym_{name}, x.high)" for name in ("log", "atan", "asin"))
+_POOR_LOG = ((_LOG, f"({_LOG} * (1 + {_LIBRARY}))"),)
+_POOR_ATAN = ((_ATAN, f"{_ATAN} * (1 + {_LIBRARY})"),)
+_POOR_ASIN = ((_ASIN, f"{_ASIN} * (1 - {_LIBRARY})"),)
 #: A library whose angles are wrong by a whole turn.
-_TURNED_ATAN = (("math.atan(x[0])", "math.atan(x[0]) + 2 * math.pi"),)
-_TURNED_ASIN = (("math.asin(x[0])", "math.asin(x[0]) - 2 * math.pi"),)
+_TURNED_ATAN = ((_ATAN, f"{_ATAN} + {2 * math.pi}"),)
+_TURNED_ASIN = ((_ASIN, f"{_ASIN} - {2 * math.pi}"),)
 _RIPPLE = np.array([[1e-3, -2e-3], [5e-4, 1e-3]])
 _RIPPLED = transport(np.eye(2) * 1e-3, start=np.ones(2), F=-_RIPPLE, ripple=_RIPPLE)
-_POOR_TURN = (("found[i, c] /= length\n", "found[i, c] /= length * 1.001\n"),)
-_SETS = "(abs(product[i, c]) + error[i, c]) * R[c, kind]"
+_POOR_TURN = (("found[i * n + c] /= length;", "found[i * n + c] /= length * 1.001;"),)
+_IN = "dim, 1, s->units"
+_SETS = "(fabs(product[i * count + c]) + error[i * count + c]) * R[c * kinds + kind]"
 _IN_A_TUBE = transport(np.zeros((2, 2)), start=np.ones(2), flat=True, loose=1.0)
 _UNKNOWN = transport(np.zeros((2, 3)), start=np.array([0.0, 0.0, 1.0]), flat=True, loose=0.3)
 _STEEP = transport(
@@ -174,24 +226,26 @@ BEYOND = [((1e200, 0.0, 0.0), (10.0**k, 0.0, 0.0)) for k in range(106, 139, 4)]
 MUTATIONS: dict[str, Mutation] = {
     # operations on balls
     "sum, rounding": Mutation(*_less(_ADD, "MIDDLE", "0.01 * MIDDLE"), binary("add")),
-    "sum, first radius": Mutation(*_less(_ADD, "x[2] + ", ""), binary("add")),
-    "sum, second radius": Mutation(*_less(_ADD, "y[2] + ", ""), binary("add")),
+    "sum, first radius": Mutation(*_less(_ADD, "x.radius + ", ""), binary("add")),
+    "sum, second radius": Mutation(*_less(_ADD, "y.radius + ", ""), binary("add")),
     "product, rounding": Mutation(*_less(_MULTIPLY, "MIDDLE", "0.01 * MIDDLE"), binary("multiply")),
     "product, first radius": Mutation(
-        *_less(_MULTIPLY, "x[2] * (b + y[2])", "x[2] * y[2]"), binary("multiply")
+        *_less(_MULTIPLY, "x.radius * (b + y.radius)", "x.radius * y.radius"), binary("multiply")
     ),
-    "product, second radius": Mutation(*_less(_MULTIPLY, "a * y[2] + ", ""), binary("multiply")),
-    "product, both radii": Mutation(*_less(_MULTIPLY, "(b + y[2])", "b"), binary("multiply")),
+    "product, second radius": Mutation(
+        *_less(_MULTIPLY, "a * y.radius + ", ""), binary("multiply")
+    ),
+    "product, both radii": Mutation(*_less(_MULTIPLY, "(b + y.radius)", "b"), binary("multiply")),
     "quotient": Mutation(
         "absolute(product) * error / (1 - error)", "absolute(product) * error", binary("divide")
     ),
     "root": Mutation(
-        *_less("absolute(rest) / (high - abs(low))", "absolute(rest)", "0.3 * absolute(rest)"),
+        *_less("absolute(rest) / (q.high - fabs(q.low))", "absolute(rest)", "0.3 * absolute(rest)"),
         unary("root"),
     ),
     "ball beyond the range": Mutation(
-        "return radius if abs(value) < math.inf else math.inf",
-        "return radius",
+        "return fabs(value) < INFINITY ? radius : INFINITY;",
+        "return radius;",
         lambda L: binary_misses(L, "multiply", BEYOND, bits=4500)[0],
         ((_MULTIPLY, _MULTIPLY.replace("(a * b)", "a * b")),),
     ),
@@ -200,45 +254,54 @@ MUTATIONS: dict[str, Mutation] = {
         lambda L: binary_misses(L, "multiply", list(special_pairs()), bits=4500)[0],
     ),
     "exponential of very negative numbers": Mutation(
-        "return 0.0, 0.0, 1e-287", "return 0.0, 0.0, 1e-290", smallest_exponentials
+        "(ball){0.0, 0.0, 1e-287}", "(ball){0.0, 0.0, 1e-290}", smallest_exponentials
     ),
     "exponential, radius": Mutation(
-        "absolute(total) * 2 * x[2]", "absolute(total) * 0.99 * x[2]", unary("exponential")
+        "absolute(total) * 2 * x.radius", "absolute(total) * 0.99 * x.radius", unary("exponential")
     ),
     "sine, radius": Mutation(
-        "widened(add(y, multiply(y, sine)), 1e-35 + x[2])",
-        "widened(add(y, multiply(y, sine)), 1e-35 + 0.5 * x[2])",
+        "widened(add(y, multiply(y, s)), 1e-35 + x.radius)",
+        "widened(add(y, multiply(y, s)), 1e-35 + 0.5 * x.radius)",
         unary("sine"),
     ),
     "cosine, radius": Mutation(
-        "widened(add(ball_of(1.0), cosine), 1e-35 + x[2])",
-        "widened(add(ball_of(1.0), cosine), 1e-35 + 0.5 * x[2])",
+        "widened(add(ball_of(1.0), c), 1e-35 + x.radius)",
+        "widened(add(ball_of(1.0), c), 1e-35 + 0.5 * x.radius)",
         unary("cosine"),
     ),
-    "logarithm, series": Mutation("size**4", "0.0", unary("logarithm"), _POOR_LOG),
-    "logarithm, radius": Mutation("x[2] / low * (", "x[2] / x[0] * (", unary("logarithm")),
-    "arctangent, series": Mutation(
-        "size**3 + x[2]", "0.01 * size**3 + x[2]", unary("arctangent"), _POOR_ATAN
+    "logarithm, series": Mutation("power(size, 4)", "0.0", unary("logarithm"), _POOR_LOG),
+    "logarithm, radius": Mutation(
+        "x.radius / low * (", "x.radius / x.high * (", unary("logarithm")
     ),
-    "arctangent, radius": Mutation("size**3 + x[2]", "size**3", unary("arctangent")),
+    "arctangent, series": Mutation(
+        "power(size, 3) + x.radius",
+        "0.01 * power(size, 3) + x.radius",
+        unary("arctangent"),
+        _POOR_ATAN,
+    ),
+    "arctangent, radius": Mutation(
+        "power(size, 3) + x.radius", "power(size, 3)", unary("arctangent")
+    ),
     "arcsine, series": Mutation(
-        "found = widened(add(y, z), size**3)",
-        "found = widened(add(y, z), 0.01 * size**3)",
+        "found = widened(add(y, z), power(size, 3))",
+        "found = widened(add(y, z), 0.01 * power(size, 3))",
         unary("arcsine"),
         _POOR_ASIN,
     ),
     "arctangent, whole turns": Mutation(
-        "value if abs(value) <= 2 else math.nan", "value", unary("arctangent", 50), _TURNED_ATAN
+        "fabs(value) <= 2 ? value : NAN", "value", unary("arctangent", 50), _TURNED_ATAN
     ),
     "arcsine, whole turns": Mutation(
-        "value if abs(value) <= 2 else math.nan", "value", unary("arcsine", 50), _TURNED_ASIN
+        "fabs(value) <= 2 ? value : NAN", "value", unary("arcsine", 50), _TURNED_ASIN
     ),
-    "arcsine, radius": Mutation("x[2] / math.sqrt(room)", "x[2]", unary("arcsine")),
+    "arcsine, radius": Mutation("x.radius / sqrt(room)", "x.radius", unary("arcsine")),
     "error function, radius": Mutation(
-        "_TWO_BY_ROOT_PI), 2 * x[2])", "_TWO_BY_ROOT_PI), x[2])", unary("error_function")
+        "TWO_BY_ROOT_PI), 2 * x.radius)", "TWO_BY_ROOT_PI), x.radius)", unary("error_function")
     ),
     "error function, far away": Mutation(
-        "2.0 ** -min(45 + math.floor(abs(x[0])), 960.0)", "1e-300", unary("error_function")
+        "ldexp(1.0, -(int)lesser(45 + floor(fabs(x.high)), 960.0))",
+        "1e-300",
+        unary("error_function"),
     ),
     # series
     "product of series in float64": Mutation(
@@ -255,26 +318,26 @@ MUTATIONS: dict[str, Mutation] = {
         "count, UNIT * size * other + HALVING * other", "count, UNIT * size * other", halves
     ),
     "product of series beyond the range": Mutation(
-        "return up(error) if total < math.inf else math.inf", "return up(error)", overflows
+        "return total < INFINITY ? up(error) : INFINITY;", "return up(error);", overflows
     ),
     "integral in float64": Mutation(
-        "128 * UNIT * UNIT if double else 10 * UNIT",
-        "128 * UNIT * UNIT if double else 0.1 * UNIT",
+        "twice ? 128 * UNIT * UNIT : 10 * UNIT",
+        "twice ? 128 * UNIT * UNIT : 0.1 * UNIT",
         series("integrate_series", False),
     ),
     "integral in two floats": Mutation(
-        "128 * UNIT * UNIT if double else 10 * UNIT",
-        "0.0 if double else 10 * UNIT",
+        "twice ? 128 * UNIT * UNIT : 10 * UNIT",
+        "twice ? 0.0 : 10 * UNIT",
         series("integrate_series", True),
     ),
     "derivative in float64": Mutation(
-        "64 * UNIT * UNIT if double else 4 * UNIT",
-        "64 * UNIT * UNIT if double else 0.04 * UNIT",
+        "twice ? 64 * UNIT * UNIT : 4 * UNIT",
+        "twice ? 64 * UNIT * UNIT : 0.04 * UNIT",
         series("differentiate_series", False),
     ),
     "derivative in two floats": Mutation(
-        "64 * UNIT * UNIT if double else 4 * UNIT",
-        "0.0 if double else 4 * UNIT",
+        "twice ? 64 * UNIT * UNIT : 4 * UNIT",
+        "twice ? 0.0 : 4 * UNIT",
         series("differentiate_series", True),
     ),
     "value at an end": Mutation(
@@ -284,124 +347,131 @@ MUTATIONS: dict[str, Mutation] = {
     ),
     # windows
     "defect of V": Mutation(
-        "error += abs(value)\n            defect[i, c]",
-        "pass\n            defect[i, c]",
+        "error += fabs(value);\n    }\n    defect[own]",
+        "}\n    defect[own]",
         step(CASES["defect of V"]),
     ),
     "defect of V beside its derivative": Mutation(
-        "up(units[i] * bound + defect[i, c])", "up(units[i] * bound)", step(_RIPPLED)
+        "s->units[i] * most + defect[i * columns + c]", "s->units[i] * most", step(_RIPPLED)
     ),
     "defect of V beside d": Mutation(
         "d[i] = up(d[i] + hidden[i])", "d[i] = up(d[i])", step(_RIPPLED)
     ),
     "defect of V in its derivative": Mutation(
-        "residuals[i, c] += large[e] * defect[j, c]", "pass", step(CASES["defect of V"])
+        "+= large[e] * defect[s->entries[e].j * columns + c]", "+= 0.0", step(CASES["defect of V"])
     ),
     "defect of V in the rest": Mutation(
-        "large[e] * (D[j] + hidden[j])", "large[e] * D[j]", step(CASES["defect of V"])
+        "large[e] * (s->D[j] + hidden[j])", "large[e] * s->D[j]", step(CASES["defect of V"])
     ),
     "radius of A in the derivative": Mutation(
-        "loose[i, c] += loosely[e] * sizes[j, c]",
-        "pass",
+        "loose[own] += loosely[e] * sizes[j * columns + c];",
+        ";",
         step(CASES["matrix in a tube"]),
     ),
     "radius of A in the rest": Mutation(
-        " + loosely[e] * (hull[j] + UNDERFLOW)", "", step(CASES["matrix in a tube"])
+        " + loosely[e] * (s->hull[j] + UNDERFLOW_ERROR)", "", step(CASES["matrix in a tube"])
     ),
     "radius of A by a parameter in the derivative": Mutation(
-        "loose[i, c] += loosely[e]\n", "pass\n", step(_UNKNOWN)
+        "loose[own] += loosely[e];", ";", step(_UNKNOWN)
     ),
     "radius of A by a parameter in the rest": Mutation(
-        "reach[i] += loosely[e] * start[j]", "pass", step(_UNKNOWN)
+        "reach[i] += loosely[e] * s->start[j]", "(void)0", step(_UNKNOWN)
     ),
     "terms of A by a parameter": Mutation(
-        "sums[i, c, k] += p\n                        errors",
-        "errors",
+        "sums[own * width + k] += p;",
+        "if (j < dim) sums[own * width + k] += p;",
         step(CASES["parameter without its column"]),
     ),
     "growth": Mutation(
-        "growth = absolute(exponential(ball_of(up(2 * half * norm))))",
+        "growth = absolute(exponential(ball_of(up(2 * s->half * *norm))))",
         "growth = 1.0",
         step(CASES["growth"]),
     ),
     "growth over half the window": Mutation(
-        "up(2 * half * norm)", "up(half * norm)", step(CASES["growth"])
+        "up(2 * s->half * *norm)", "up(s->half * *norm)", step(CASES["growth"])
     ),
     "circles": Mutation("circle += 0.5 * total", "circle += 0.2 * total", step(CASES["growth"])),
     "circles of a matrix that changes": Mutation(
-        "total += abs(scaled[i, j, k] + scaled[j, i, k])",
-        "total += abs(scaled[i, j, k] + scaled[j, i, k]) if k == 0 else 0.0",
+        "total += fabs(one[k] + other[k]);",
+        "total += k == 0 ? fabs(one[k] + other[k]) : 0.0;",
         step(_STEEP),
     ),
     "radius of A in the growth": Mutation(
-        "jacobian_radius[e] * (ratio + UNDERFLOW) + ", "", step(_IN_A_TUBE)
+        "s->jacobian_radius[e] * (ratio + UNDERFLOW_ERROR)", "0.0", step(_IN_A_TUBE)
     ),
     "start of V": Mutation(
-        "start_error[i, c] = up(", "start_error[i, c] = 0.0 * up(", step(CASES["start error"])
+        "start_error[own] = up(", "start_error[own] = 0.0 * up(", step(CASES["start error"])
     ),
     "lengths of start and rest": Mutation(
-        "up(growth * (length_in(begun, units) + 2 * length_in(reach, units)))",
-        "up(growth * length_in(begun + 2 * reach, units))",
+        f"double bound = up(growth * (length_in(begun, {_IN}) + 2 * length_in(reach, {_IN})));",
+        "for (long i = 0; i < dim; i++) begun[i] += 2 * reach[i];"
+        f"double bound = up(growth * length_in(begun, {_IN}));",
         step(CASES["start error turned onto the defect"]),
     ),
     "length of the window": Mutation(
-        "2 * length_in(reach, units)",
-        "length_in(reach, units)",
+        f"2 * length_in(reach, {_IN})",
+        f"length_in(reach, {_IN})",
         step(CASES["defect of a rotation"]),
     ),
-    "units": Mutation("d = units * bound", "d = 0.0 * units + bound", step(_IN_UNITS)),
+    "units": Mutation("d[i] = s->units[i] * bound", "d[i] = bound", step(_IN_UNITS)),
     "defect in the rest": Mutation(
-        "large[e] * (D[j] + hidden[j])", "large[e] * hidden[j]", step(CASES["defect of a rotation"])
+        "large[e] * (s->D[j] + hidden[j])",
+        "large[e] * hidden[j]",
+        step(CASES["defect of a rotation"]),
     ),
-    "defect in the tube": Mutation("up(hull[i] + D[i] + d[i])", "up(hull[i] + d[i])", step(_STILL)),
+    "defect in the tube": Mutation(
+        "up(s->hull[i] + s->D[i] + d[i])", "up(s->hull[i] + d[i])", step(_STILL)
+    ),
     "hull in the tube": Mutation(
-        "up(hull[i] + D[i] + d[i])", "up(D[i] + d[i])", step(CASES["start error"])
+        "up(s->hull[i] + s->D[i] + d[i])", "up(s->D[i] + d[i])", step(CASES["start error"])
     ),
     "product of matrices": Mutation(
-        "error[i, j] = up((k + 2) * UNIT * error[i, j])", "error[i, j] = 0.0", sets("moved_set")
+        "error[place] = up((k + 2) * UNIT * error[place])", "error[place] = 0.0", sets("moved_set")
     ),
     "error of the map": Mutation(
-        "total += J_error[i, k] * abs(C[k, c])", "pass", sets("moved_set")
+        "total += J_error[i * k + h] * fabs(C[h * columns + c])", "(void)0", sets("moved_set")
     ),
     "error of the map in a radius": Mutation(
-        "total += J_error[i, k] * abs(C[k, c])", "pass", sets("set_radius")
+        "total += J_error[i * k + h] * fabs(C[h * columns + c])", "(void)0", sets("set_radius")
     ),
     "extent of a radius": Mutation(
-        "total += abs(product[i, c]) * R[c, kind]",
-        "total += 0.5 * abs(product[i, c]) * R[c, kind]",
+        "total += fabs(product[i * columns + c]) * R[c * kinds + kind]",
+        "total += 0.5 * fabs(product[i * columns + c]) * R[c * kinds + kind]",
         sets("set_radius"),
     ),
     "frame that is not orthogonal": Mutation(
-        "up(found[i, kind] + f / (1 - f) * largest)",
-        "found[i, kind]",
+        "up(found[i * kinds + kind] + f / (1 - f) * largest)",
+        "found[i * kinds + kind]",
         sets("boxed_set"),
         _POOR_TURN,
     ),
     "units of a box": Mutation(
-        "own[i, c] = G[i, c] / units[i]", "own[i, c] = G[i, c]", sets("boxed_set")
+        "own[i * count + c] = G[i * count + c] / units[i]",
+        "own[i * count + c] = G[i * count + c]",
+        sets("boxed_set"),
     ),
     "extent of a box": Mutation(_SETS, f"0.5 * {_SETS}", sets("boxed_set")),
     "value of a matrix, rounding": Mutation(
-        "UNIT * (abs(p) + abs(found[i, j])) + abs(series[i, j, k]) * gap",
-        "abs(series[i, j, k]) * gap",
+        "UNIT * (fabs(p) + fabs(value)) + fabs(series[k]) * gap",
+        "fabs(series[k]) * gap",
         values("matrix_value"),
     ),
     "value of a matrix, place": Mutation(
-        "UNIT * (abs(p) + abs(found[i, j])) + abs(series[i, j, k]) * gap",
-        "0.01 * UNIT * (abs(p) + abs(found[i, j]))",
+        "UNIT * (fabs(p) + fabs(value)) + fabs(series[k]) * gap",
+        "0.01 * UNIT * (fabs(p) + fabs(value))",
         values("matrix_value"),
     ),
     "dense layer, rounding": Mutation(
         "(inputs + 8) * (inputs + 8) * 8 * UNIT * UNIT * size",
-        "0.0",
+        "0.0 * size",
         lambda L: dense_misses(L, 100, seed=1),
     ),
     "series of lines": Mutation(
-        "total += (k + 1) * made", "pass", lambda L: clenshaw_misses(L, 20, seed=1)
+        "total += (k + 1) * made", "(void)made", lambda L: clenshaw_misses(L, 20, seed=1)
     ),
     "products of a readout": Mutation(
         "error[i] += (inner + 8) * (inner + 8) * 2 * UNIT * UNIT * size",
-        "pass",
+        "(void)size",
         lambda L: product_misses(L, 100, seed=1),
     ),
 }
@@ -409,16 +479,16 @@ MUTATIONS: dict[str, Mutation] = {
 #: Bounds in branches of run_models that do not use each other, weakened in one text.
 BRANCHES: dict[str, Mutation] = {
     "sum of models": Mutation(
-        "total += (abs(a) + abs(b)) * MIDDLE", "total += 0.0", model("sum", True, narrow=True)
+        "total += (fabs(x) + fabs(y)) * MIDDLE", "total += 0.0", model("sum", True, narrow=True)
     ),
-    "sum of models in float64": Mutation("total += abs(e)\n", "pass\n", model("sum", False, True)),
+    "sum of models in float64": Mutation("total += fabs(sum.low);", ";", model("sum", False, True)),
     "product of models, radii": Mutation(
-        "radius[i] * (more_size + radius[j]) + size * radius[j]",
-        "radius[i] * more_size",
+        "first * (other + second) + size * second",
+        "first * other",
         model("product", True),
     ),
     "product of models, terms beyond": Mutation(
-        "error += cut(wide, rest, n + m - 1, terms)", "pass", model("product", True, narrow=True)
+        "error += cut(wide, rest, count, terms)", "(void)0", model("product", True, narrow=True)
     ),
     "reciprocal": Mutation(
         "up(size * error / (1 - error))", "up(0.01 * size * error)", model("reciprocal", False)
@@ -429,18 +499,18 @@ BRANCHES: dict[str, Mutation] = {
         model("reciprocal_root", False),
     ),
     "exponential": Mutation(
-        "error = up(defect + grown * (absolute(apart) + 2 * steep * defect))",
+        "error = up(defect + grown * (absolute(apart) + 2 * rate.size * defect))",
         "error = up(0.01 * defect)",
         model("exp", False, narrow=True),
     ),
     "sine and cosine": Mutation(
-        "error = up(defect + distance + 2 * steep * defect + radius[i])",
-        "error = up(radius[i])",
+        "error = up(defect + distance + 2 * rate.size * defect + radius)",
+        "error = up(radius)",
         model("sin", True, narrow=True),
     ),
     "functions by their slope": Mutation(
-        "error += total[2] + cut(other, other_low, product + 1, terms) + radius[i] * size",
-        "error += total[2] + radius[i] * size",
+        "error += total.radius + cut(other, other_low, product + 1, terms) + *f.radius * size",
+        "error += total.radius + *f.radius * size",
         model("atan", True, narrow=True),
     ),
 }
@@ -475,7 +545,7 @@ _NO_POLYNOMIAL = ("sizes[i] = up(error + total)", "sizes[i] = up(error)")
 
 def enclosed_misses(L: Any, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     for module in (hamsym.proof.windows, hamsym.proof.enclose, hamsym.proof.programs):
-        monkeypatch.setattr(module, "loops", lambda: L)
+        monkeypatch.setattr(module, "enclosures", lambda: L)
     found = []
     for name in ("pendulum", "morse", "henon_heiles"):
         case = PROBLEMS[name]

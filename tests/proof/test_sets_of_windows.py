@@ -8,8 +8,8 @@ import pytest
 from flint import arb
 
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.balls import working
-from hamsym.proof.compiled import loops
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import ModelRows
 from hamsym.proof.windows import Equation, ErrorSet, WindowStepper, set_sizes
@@ -112,7 +112,7 @@ def test_bounds_that_are_not_finite_give_no_finite_set(part, value):
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_boxed_set_without_an_orthogonal_matrix_is_infinite(value):
     G, R = np.array([[1.0, 0.3, 0.1], [0.2, 1.0, 0.4]]), np.ones((3, 1))
-    _, radii = loops().boxed_set(G, R, np.array([value, 1.0]))
+    _, radii = enclosures().boxed_set(G, R, np.array([value, 1.0]))
     assert not (radii < np.inf).any()
 
 

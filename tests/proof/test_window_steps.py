@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from hamsym.proof.compiled import loops
+from hamsym.kernel.enclosures import enclosures
 from tests.proof.misses import (
     Transport,
     clenshaw_misses,
@@ -78,7 +78,7 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def L():
-    return loops()
+    return enclosures()
 
 
 @pytest.mark.parametrize("name", CASES)
