@@ -31,7 +31,7 @@ from hamsym.proof.generated import evaluated, require_smooth
 from hamsym.proof.limits import Deadline
 from hamsym.proof.map_models import Cells, LegModels, Step, affine_models
 from hamsym.proof.public_check import check_map
-from hamsym.proof.taylor_models import BITS, MODELS, Model, Space
+from hamsym.proof.taylor_models import BITS, MODELS, Model, Space, space_of
 from hamsym.proof.tube import Flow, StepModels, Stepper, Tube
 from hamsym.support.validation import require_positive, require_whole
 
@@ -185,7 +185,7 @@ class _Proof:
         self._map, self._region, self._deadline, self._most = flow, flow.region, deadline, most
         self._flow = Flow(flow.region)
         d = len(flow.inputs)
-        self._space = Space(d, *_DEGREES.get(d, _MANY_INPUTS))
+        self._space = space_of(d, *_DEGREES.get(d, _MANY_INPUTS))
         self._stepper = Stepper(self._flow, self._space)
         estimate = np.asarray(flow.error_estimate, dtype=float)
         self._goal = np.where(np.isfinite(estimate), estimate, 0.0)

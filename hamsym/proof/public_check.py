@@ -22,7 +22,7 @@ from hamsym.flow_maps.expansion import Leg
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.proof.map_models import LegModels, Step, affine_models
-from hamsym.proof.taylor_models import Model, Space
+from hamsym.proof.taylor_models import Model, Space, space_of
 from hamsym.proof.trial_models import trial_pieces
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
@@ -273,7 +273,7 @@ def _along(
     random: np.random.Generator,
 ) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
     """Times in pieces of legs, with the states there and bounds on roundings, (2, n, dim)."""
-    space = Space(starts.shape[1], 1, 1)
+    space = space_of(starts.shape[1], 1, 1)
     points = [tuple((Fraction(v), Fraction(v)) for v in row) for row in starts.tolist()]
     given = affine_models(space, points)
     columns = list(kept)

@@ -25,6 +25,7 @@ References: Makino & Berz 2003 (Taylor models); Revol, Makino & Berz 2005 (their
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -67,6 +68,12 @@ def float_with_radius(number: arb) -> tuple[float, float]:
 
 def _known(number: arb | int) -> tuple[float, float]:
     return float_with_radius(number if isinstance(number, arb) else arb(number))
+
+
+@functools.lru_cache(maxsize=16)
+def space_of(inputs: int, time_degree: int, degree: int) -> Space:
+    """The terms of Taylor models, whose tables are made once."""
+    return Space(inputs, time_degree, degree)
 
 
 class Space:
