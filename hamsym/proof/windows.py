@@ -642,11 +642,10 @@ class WindowStepper:
     def _couplings(self) -> np.ndarray:
         """Sizes of the entries of DG at the points, shape (dim, dim)."""
         dim = self.equation.dim
-        found = np.zeros((dim, dim))
-        for i, j, place in self.equation.placed:
-            if j < dim:
-                found[i, j] += np.abs(self._rows[1][place]).max()
-        return found
+        i, j, place = self.equation.placed.T
+        found = np.zeros((dim, self.equation.columns))
+        np.add.at(found, (i, j), np.abs(self._rows[1][place]).max(axis=1))
+        return found[:, :dim]
 
     def _units(
         self, w: float, couplings: np.ndarray, sizes: np.ndarray, least: np.ndarray | float = 0.0
