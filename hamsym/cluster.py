@@ -97,7 +97,6 @@ def members_on_cluster(
         As in :func:`cluster_results`.
     function : callable
         ``function(setup, numbers, members)`` for a chunk.
-    members : Ensemble
     chosen : numpy.ndarray, optional
         Numbers of the members to work on; by default all.
     """
@@ -130,9 +129,10 @@ def cluster_results(
 
     Closing the iterator cancels what is not finished.
 
+    Raise HamsymError if a task fails, or kills its workers even when it runs alone.
+
     Parameters
     ----------
-    client : dask.distributed.Client
     function : callable
         ``function(setup, *arguments)``, importable on the workers.
     setup : object
@@ -142,11 +142,6 @@ def cluster_results(
     retries : int
         Times that a task is repeated after an error on a worker that is not of hamsym. A task
         whose worker dies is repeated by the scheduler (``distributed.scheduler.allowed-failures``).
-
-    Raises
-    ------
-    HamsymError
-        If a task fails, or kills its workers even when it runs alone.
     """
     run = _Tasks(client, function, setup, retries)
     pending, threads = iter(tasks), _Threads(client)

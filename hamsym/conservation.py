@@ -28,10 +28,11 @@ _ROWS = 65_536  # states that are evaluated at once
 class KnownInvariants:
     """Functions that are conserved by a Hamiltonian.
 
+    Raise InputError if one is not a function of the state, or is not conserved; the message names
+    it.
+
     Parameters
     ----------
-    H : Hamiltonian
-    given : sequence of str, sympy.Expr or Invariant
     varied : sequence of str
         Parameters that have several values, for all of which the functions must be conserved.
 
@@ -41,11 +42,6 @@ class KnownInvariants:
         The functions as text; texts as they were given.
     functions : tuple of Hamiltonian
         Each function as a Hamiltonian of its own, whose generated code evaluates it.
-
-    Raises
-    ------
-    InputError
-        If one is not a function of the state, or is not conserved; the message names it.
 
     Examples
     --------
@@ -113,7 +109,6 @@ class KnownInvariants:
         ----------
         starts : numpy.ndarray
             Initial states, shape (n, dim) or (1, dim).
-        start : float
         states : numpy.ndarray
             Shape (n, dim).
         times : numpy.ndarray or float

@@ -39,10 +39,7 @@ def described(H: Hamiltonian) -> dict[str, Any]:
     The formula is text; its binary fractions are listed separately, since numbers in text
     are parsed as decimals.
 
-    Raises
-    ------
-    FileError
-        If it has a constant that is written as a rounded decimal.
+    Raise FileError if it has a constant that is written as a rounded decimal.
     """
     values = {
         **_marked(H.expr, H.names),
@@ -86,7 +83,6 @@ def attributes_of(H: Hamiltonian, without: Collection[str] = ()) -> dict[str, An
 
     Parameters
     ----------
-    H : Hamiltonian
     without : collection of str
         Parameters that are left out, because they vary.
 
@@ -141,10 +137,7 @@ def settings_text(
 def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
     """Return the Hamiltonian of the values of :func:`described`.
 
-    Raises
-    ------
-    ValueError, HamsymError
-        If the values are invalid.
+    Raise ValueError, HamsymError if the values are invalid.
     """
     optional = {"forces", "units"} & values.keys()  # absent without any
     require_names("H", values, {"formula", "floats", "q", "p", "parameters"} | optional)

@@ -50,11 +50,8 @@ class InitialValueProblem:
     ) -> InitialValueProblem:
         """Make a problem from checked arguments.
 
-        Raises
-        ------
-        InputError
-            If H is not a Hamiltonian, a parameter has no value, or the state, the span or the seed
-            is invalid.
+        Raise InputError if H is not a Hamiltonian, a parameter has no value, or the state, the span
+        or the seed is invalid.
         """
         H = Hamiltonian.of(H)
         state = H.state_from(z0)
@@ -77,10 +74,7 @@ def _initial_energy(H: Hamiltonian, state: np.ndarray, start: float) -> float:
 def checked_span(span: tuple[float, float]) -> tuple[float, float]:
     """Return start and end of a time span as floats.
 
-    Raises
-    ------
-    InputError
-        If the span is not two finite numbers with a finite distance.
+    Raise InputError if the span is not two finite numbers with a finite distance.
     """
     try:
         start, end = (float(value) for value in span)
@@ -98,10 +92,7 @@ def checked_span(span: tuple[float, float]) -> tuple[float, float]:
 def checked_steps(length: float, steps: int | None, dt: float | None, default: int = 20_000) -> int:
     """Return the number of equal steps in a span of this length.
 
-    Raises
-    ------
-    InputError
-        If both are given, one is invalid, or the step is longer than the span.
+    Raise InputError if both are given, one is invalid, or the step is longer than the span.
     """
     if dt is None:
         steps = default if steps is None else steps

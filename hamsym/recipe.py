@@ -65,7 +65,6 @@ def command_line(solution: Solution, output: str | None = None) -> str:
 
     Parameters
     ----------
-    solution : Solution
     output : str, optional
         File to which the command writes.
 

@@ -71,8 +71,6 @@ def unknown(name: object, names: Iterable[str], kind: str, remedy: str = "choose
 
     Parameters
     ----------
-    name : object
-    names : iterable of str
     kind : str
         What the names are, with its article.
     remedy : str
@@ -148,7 +146,6 @@ def checked_keywords(function: Callable[P, R], title: str | None = None) -> Call
 
     Parameters
     ----------
-    function : callable
     title : str, optional
         Name of the method that calls this function with its object.
 

@@ -67,12 +67,9 @@ class Surface:
 def parse_surface(H: Hamiltonian, text: str) -> Surface:
     """Parse an equation and any number of inequalities, separated by commas.
 
-    Raises
-    ------
-    InputError
-        If there is not exactly one equation, or a comparison other than ``=``, ``<`` and ``>``.
-    ParseError, VariableError
-        If a side is not a formula, or has a symbol that H does not have.
+    Raise InputError if there is not exactly one equation, or a comparison other than ``=``, ``<``
+    and ``>``. Raise ParseError, VariableError if a side is not a formula, or has a symbol that H
+    does not have.
 
     Examples
     --------

@@ -87,7 +87,6 @@ def models_of(
 
     Parameters
     ----------
-    program : Program
     values : numpy.ndarray
         Of polynomials that the state and the time are, shape (n, dim + 1, PLACES).
     ranges : numpy.ndarray
@@ -120,7 +119,6 @@ def residual_bounds(
 
     Parameters
     ----------
-    programs : hamsym.kernel.loops.Equations
     z, rates : numpy.ndarray
         Trial solution and its derivative, shape (parts, PLACES, dim).
     t : numpy.ndarray

@@ -106,7 +106,6 @@ def excesses(
 
     Parameters
     ----------
-    programs : hamsym.kernel.loops.Equations
     rates : callable
         (z, t, window) -> F at points, shapes (n, dim), (n,), (n,) -> (n, dim).
     trial : callable

@@ -103,10 +103,7 @@ def fit(
 def read_columns(path: str) -> dict[str, list[float]]:
     """Return the columns of a .csv file with a header, nan for empty cells.
 
-    Raises
-    ------
-    InputError
-        If it is not such a file.
+    Raise InputError if it is not such a file.
     """
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as lines:

@@ -94,15 +94,8 @@ def described(filename: str, line: int) -> str:
 class StraightLines:
     """The straight-line functions of a Hamiltonian, each derived on first access.
 
-    Parameters
-    ----------
-    form : Equations
-    names : Names
-
-    Raises
-    ------
-    CodeGenerationError
-        If no arithmetic has a function of H or of a force; the message names it.
+    Raise CodeGenerationError if no arithmetic has a function of H or of a force; the message names
+    it.
     """
 
     def __init__(self, form: Equations, names: Names) -> None:
@@ -215,9 +208,11 @@ def straight_line(
 ) -> StraightLine:
     """Write expressions as straight-line text.
 
+    Raise CodeGenerationError if arithmetics lack a function of an expression, or a symbol has
+    neither name nor value.
+
     Parameters
     ----------
-    expressions : sequence of sympy.Expr
     names : mapping of sympy.Symbol to str
         Identifiers of the symbols.
     temporaries : iterator of sympy.Symbol
@@ -228,11 +223,6 @@ def straight_line(
         Symbols that are numbers in the text.
     indices : sequence of tuple of int
         Positions of the expressions in a matrix or a tensor.
-
-    Raises
-    ------
-    CodeGenerationError
-        If arithmetics lack a function of an expression, or a symbol has neither name nor value.
 
     Examples
     --------

@@ -84,6 +84,8 @@ def tangent_map(
 ) -> TangentMap:
     """Compute the derivative of the numerical flow by the variational equations.
 
+    Raise InputError if an option cannot be used, or the trajectory does not reach the end.
+
     Parameters
     ----------
     H, z0, span, dt, progress
@@ -93,15 +95,6 @@ def tangent_map(
     method : str, optional
         A fixed-step method, not ``tao2`` or ``tao4``; by default ``blanes_moan6`` for a separable
         H, otherwise ``gauss6``.
-
-    Returns
-    -------
-    TangentMap
-
-    Raises
-    ------
-    InputError
-        If an option cannot be used, or the trajectory does not reach the end.
 
     Examples
     --------

@@ -24,7 +24,6 @@ class Candidates:
 
     Parameters
     ----------
-    H : Hamiltonian
     sizes : numpy.ndarray
         Sizes of the components, shape (dim,), to which steps are compared.
     """

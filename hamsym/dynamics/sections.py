@@ -582,7 +582,6 @@ def _crossings(
     -------
     crossings : tuple of numpy.ndarray
         Times, states and trajectories.
-    doubts : _Doubts
     """
     at, parameters = np.broadcast_to(times, path.shape[:2]), _varied(members)
     with np.errstate(all="ignore"):  # where a trajectory has escaped

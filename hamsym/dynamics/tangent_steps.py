@@ -68,10 +68,7 @@ class TangentSteps:
     ) -> TangentSteps:
         """Choose the steps where neither their number nor their largest size is given.
 
-        Raises
-        ------
-        InputError
-            If the Hessian is not finite at the state, or steps or dt cannot be used.
+        Raise InputError if the Hessian is not finite at the state, or steps or dt cannot be used.
         """
         rate, path, times = _fastest_rate(H, method, state, span)
         chosen = steps is None and dt is None

@@ -184,11 +184,8 @@ def checked_certificate(
 ) -> hamsym.Certificate | None:
     """Return the certificate of a solution: the one that was given, else its own.
 
-    Raises
-    ------
-    InputError
-        If it is not a certificate, has numbers that certify does not return, or is that of
-        another solution.
+    Raise InputError if it is not a certificate, has numbers that certify does not return, or is
+    that of another solution.
     """
     if certificate is None:
         certificate = solution.certificate

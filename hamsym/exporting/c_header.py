@@ -37,8 +37,6 @@ def c_header(about: About, form: ClosedForm, stem: str) -> bytes:
 
     Parameters
     ----------
-    about : About
-    form : FeatureForm or NetworkForm
     stem : str
         Name of the file without its ending, of which the prefix of all names is made.
     """

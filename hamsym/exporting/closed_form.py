@@ -150,10 +150,8 @@ ClosedForm = FeatureForm | NetworkForm
 def closed_form(solution: Solution) -> ClosedForm:
     """Return the numbers that define a solution; float32 weights are widened.
 
-    Raises
-    ------
-    InputError
-        If its network is a module of the caller's, or its windows have networks of several kinds.
+    Raise InputError if its network is a module of the caller's, or its windows have networks of
+    several kinds.
     """
     trial: Any = solution.trial
     if isinstance(trial, FeatureTrial):

@@ -28,16 +28,12 @@ def torch_program(about: About, form: ClosedForm | None) -> bytes:
 
     The program maps times of shape (n,) to states of shape (n, dim) in float64.
 
+    Raise InputError if torch cannot export the caller's network.
+
     Parameters
     ----------
-    about : About
     form : FeatureForm, NetworkForm or None
         None for a network of the caller's own.
-
-    Raises
-    ------
-    InputError
-        If torch cannot export the caller's network.
     """
     solution = about.solution
     trial: Any = solution.trial

@@ -46,8 +46,6 @@ class BlockSolver:
 
     Parameters
     ----------
-    family : Family
-    members : Ensemble
     known : KnownInvariants, optional
         Invariants whose drift a member must explain by its allowed errors.
     """

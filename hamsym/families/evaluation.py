@@ -45,7 +45,6 @@ def states_in_groups(
     ------
     places : numpy.ndarray
         Shape (g,).
-    part : slice
     states : numpy.ndarray
         Shape (g, k, dim); nan after the time that a member reached.
     """

@@ -43,10 +43,7 @@ class Part(NamedTuple):
 def zarr_of() -> Any:
     """Return the module zarr.
 
-    Raises
-    ------
-    InputError
-        If it is not installed.
+    Raise InputError if it is not installed.
     """
     try:
         import zarr
@@ -93,10 +90,7 @@ def write_part(path: Path, block: Block) -> Part:
 
     A part with the same members is the same part, and is left as it is.
 
-    Raises
-    ------
-    FileError
-        If the store cannot be written.
+    Raise FileError if the store cannot be written.
     """
     assert block.windows is not None
     arrays, part = block.windows._asdict(), part_of(block)
@@ -128,10 +122,7 @@ def read_parts(path: Path) -> list[Block]:
 
     A part with members of an earlier one is left out: a task of an interrupted call ended late.
 
-    Raises
-    ------
-    FileError
-        If a part is damaged.
+    Raise FileError if a part is damaged.
     """
     names = sorted(entry.name for entry in os.scandir(path / FOLDER) if NAME.fullmatch(entry.name))
     found, seen = [], set[int]()
@@ -161,10 +152,7 @@ def _array(path: Path, part: str, name: str) -> Any:
 def windows_of(path: Path, parts: Sequence[Part], shapes: Mapping[str, tuple[int, ...]]) -> Windows:
     """Return the windows of consecutive parts, which are read when they are needed.
 
-    Raises
-    ------
-    ValueError
-        If an array of a part is missing.
+    Raise ValueError if an array of a part is missing.
     """
     for part in parts:
         for name in shapes:
@@ -195,10 +183,7 @@ class _PartRows:
     def rows(self, start: int, stop: int) -> np.ndarray:
         """Rows of a range.
 
-        Raises
-        ------
-        FileError
-            If the store is damaged.
+        Raise FileError if the store is damaged.
         """
         first = max(0, int(np.searchsorted(self._ends, start, side="right")) - 1)
         found = [np.empty((0, *self._shape))]

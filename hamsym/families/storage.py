@@ -106,13 +106,8 @@ def read_solutions(path: str | os.PathLike[str]) -> Solutions:
 class WindowStore:
     """A store of zarr to which members are written in parts.
 
-    Raises
-    ------
-    InputError
-        If zarr is not installed.
-    FileError
-        If the path exists and is not a store that was begun with the same arguments, or it cannot
-        be written.
+    Raise InputError if zarr is not installed. Raise FileError if the path exists and is not a store
+    that was begun with the same arguments, or it cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str], family: Family, members: Ensemble) -> None:
@@ -226,10 +221,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
 def open_store(path: str | os.PathLike[str]) -> Solutions:
     """Open the solutions of a store of zarr; their windows are read when they are needed.
 
-    Raises
-    ------
-    FileError
-        If it is damaged, is not a store of solutions, or was not finished.
+    Raise FileError if it is damaged, is not a store of solutions, or was not finished.
     """
     zarr = zarr_of()
     try:

@@ -110,10 +110,7 @@ class SolvedMotions:
     def solution(self, values: np.ndarray) -> Solution:
         """Return the solution with values of shape (k,); the last one is kept.
 
-        Raises
-        ------
-        InputError
-            If there is none.
+        Raise InputError if there is none.
         """
         key = values.tobytes()
         if key not in self._last:
@@ -202,13 +199,6 @@ class LiftedMotions:
     With a direction (dz, dk) the Hamiltonian K = dz . grad H + dk . dH/dk, with pairs (q, dp) and
     (dq, p), has the equations of z and the variational equations of dz: all rows and directions
     are members of one ensemble. Forces F of H act on p, and their changes dF on dp.
-
-    Parameters
-    ----------
-    unknowns : Unknowns
-    t : numpy.ndarray
-    span : (float, float)
-    tol : float
     """
 
     def __init__(

@@ -140,11 +140,8 @@ def checked_observations(
 ) -> Observations:
     """Check observables, their data and their standard deviations.
 
-    Raises
-    ------
-    InputError
-        If they are not a mapping of functions of the state to arrays of real numbers with the
-        length of t, or a standard deviation is not a number above 0.
+    Raise InputError if they are not a mapping of functions of the state to arrays of real numbers
+    with the length of t, or a standard deviation is not a number above 0.
     """
     if not isinstance(observations, Mapping) or not observations:
         raise InputError(

@@ -156,10 +156,7 @@ class Model:
 def search(model: Model, starts: int, seed: int) -> Found:
     """Minimise chi-square of every set from the best of some starts.
 
-    Raises
-    ------
-    InputError
-        If the motion cannot be solved from any start.
+    Raise InputError if the motion cannot be solved from any start.
     """
     unknowns, sets = model.unknowns, len(model.observed.data)
     guesses = unknowns.draw(starts, seed)

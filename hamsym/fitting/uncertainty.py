@@ -157,7 +157,6 @@ def _covariance(
 
     Returns
     -------
-    covariance : numpy.ndarray
     texts : list of str
         What the data determine only in combination.
     lost, unknown : numpy.ndarray

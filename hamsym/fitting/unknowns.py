@@ -92,11 +92,8 @@ class Unknowns:
 def checked_unknowns(H: Hamiltonian, free: Any, z0: Any, parameters: Any, bounds: Any) -> Unknowns:
     """Assign a fixed value or a first guess to every parameter and component of the start.
 
-    Raises
-    ------
-    InputError
-        If a name is unknown, is missing, or is both free and fixed, or a value is not a finite
-        number.
+    Raise InputError if a name is unknown, is missing, or is both free and fixed, or a value is not
+    a finite number.
     """
     state = {canonical_name(name): name for name in H.names}
     known = state | {canonical_name(name): name for name in H.parameter_names}

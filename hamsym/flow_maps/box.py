@@ -157,10 +157,8 @@ class Box:
     def inputs_of(self, z0: Any, parameters: Mapping[Any, Any] | None) -> dict[str, Any]:
         """Return the given values of all inputs by name, as they were given.
 
-        Raises
-        ------
-        InputError
-            If one is missing or unknown, or a component that does not vary has another value.
+        Raise InputError if one is missing or unknown, or a component that does not vary has another
+        value.
         """
         given = self._components_of(z0)
         found = {}
@@ -243,19 +241,15 @@ def compiled_in(
 def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | None) -> Box:
     """Return the box of intervals in z0 and parameters.
 
+    Raise InputError if a value is not usable, or nothing varies.
+
     Parameters
     ----------
-    H : Hamiltonian, str or sympy.Expr
     z0 : mapping or sequence
         For each component of z an interval (low, high), a number, or an expression of parameters as
         text.
     parameters : mapping, optional
         For parameters of H, and for symbols in the expressions of z0, an interval or a number.
-
-    Raises
-    ------
-    InputError
-        If a value is not usable, or nothing varies.
 
     Examples
     --------

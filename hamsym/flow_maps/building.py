@@ -52,13 +52,10 @@ class Builder:
 
     Parameters
     ----------
-    box : Box
-    span : (float, float)
     solve : callable
         (initial states, parameter values, span) -> Solutions.
     allowed, scale : numpy.ndarray
         Allowed error and size of each component, shape (dim,).
-    random : numpy.random.Generator
     note : callable
         Takes a line of text about the progress.
     """
@@ -79,10 +76,8 @@ class Builder:
     def build(self) -> Built:
         """Return the expansion.
 
-        Raises
-        ------
-        InputError
-            If a solution fails at the start of the span, or too many solutions would be needed.
+        Raise InputError if a solution fails at the start of the span, or too many solutions would
+        be needed.
         """
         try:
             return self._over(box_domain(self._box), self._span[0])
@@ -178,14 +173,10 @@ def image_of(
 
     Parameters
     ----------
-    map : Leg
     domain : Domain
         All components of the state are inputs of it.
-    time : float
-    box : Box
     scale : numpy.ndarray
         Sizes of the components, shape (dim,).
-    random : numpy.random.Generator
     """
     d, dim = len(domain), box.H.dim
     y = random_places(random, _IMAGE, d, _AT_END)

@@ -83,6 +83,8 @@ def interpolated(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return degrees and values with which a function of [-1, 1]^d is interpolated.
 
+    Raise ValueError if the function is not finite or needs more points.
+
     Parameters
     ----------
     function : callable
@@ -91,11 +93,6 @@ def interpolated(
         Size of surpluses that are negligible, shape (m,).
     most : int
         Largest number of points.
-
-    Raises
-    ------
-    ValueError
-        If the function is not finite or needs more points.
     """
     degrees = axis_degrees(d, 4)
     values = function(points(degrees))

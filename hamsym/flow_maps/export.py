@@ -21,15 +21,7 @@ _WIDTH = 100  # characters of a line of numbers
 def export_flow_map(flow: Any, path: str | os.PathLike[str]) -> None:
     """Write a module with ``state(t, inputs)`` and ``jacobian(t, inputs)``; see FlowMap.export.
 
-    Parameters
-    ----------
-    flow : FlowMap
-    path : path-like
-
-    Raises
-    ------
-    FileError
-        If the file cannot be written.
+    Raise FileError if the file cannot be written.
     """
     text = module_text(flow)
     try:

@@ -90,16 +90,12 @@ def judged(
 
     Parameters
     ----------
-    map : Leg, Chain or Split
-    box : Box
-    span : (float, float)
     edges : numpy.ndarray
         Times at which the map may have a kink, in order, with both ends of the span.
     solve : callable
         (initial states, parameter values, span) -> Solutions.
     allowed, scale : numpy.ndarray
         Allowed error and size of each component, shape (dim,).
-    random : numpy.random.Generator
     points : int
         Number of random points.
     """
@@ -203,8 +199,6 @@ def linear_error(
 
     Parameters
     ----------
-    map : Leg, Chain or Split
-    H : Hamiltonian
     box : Box or Domain
         Where the inputs are; it gives the parameters that vary.
     edges : numpy.ndarray

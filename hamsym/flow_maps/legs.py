@@ -68,16 +68,16 @@ class _SplitError(Exception):
 class LegBuilder:
     """Construction of one leg.
 
+    Raise FailedError if a solution fails at the beginning.
+
     Parameters
     ----------
-    domain : Domain
     span : (float, float)
         From its start to the time at which it has to end at the latest.
     solve : callable
         (domain, scaled inputs, span) -> Solutions.
     allowed : numpy.ndarray
         Allowed error of each component, shape (dim,).
-    random : numpy.random.Generator
     may_end : bool
         Whether the leg may end early because of its degrees.
     note : callable
@@ -92,11 +92,6 @@ class LegBuilder:
         Why the leg ends before the span; empty if it does not, or ends because of its degrees.
     is_complete : bool
         Whether the leg has the whole span.
-
-    Raises
-    ------
-    FailedError
-        If a solution fails at the beginning.
     """
 
     def __init__(
@@ -216,7 +211,6 @@ class LegBuilder:
 
         Parameters
         ----------
-        pieces : int
         terms : float
             Terms that the whole leg would need: about as many solutions, if the domain is split.
         """

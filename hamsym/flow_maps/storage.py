@@ -40,10 +40,7 @@ _PIECES = 1_000_000
 def write_flow_map(flow: FlowMap, path: str | os.PathLike[str]) -> None:
     """Write a flow map to one file.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be written, or the map cannot be described.
+    Raise FileError if the file cannot be written, or the map cannot be described.
     """
     box, judgement = flow.region, flow.judgement
     arrays = {f"map.{name}": _stored(array) for name, array in flow.map.arrays().items()}
@@ -75,10 +72,7 @@ _PLAIN = {
 def read_flow_map(path: str | os.PathLike[str]) -> FlowMap:
     """Read a file of a flow map.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be read, is damaged or not valid.
+    Raise FileError if the file cannot be read, is damaged or not valid.
     """
     arrays, values = read_tensors(path, KIND)
     try:

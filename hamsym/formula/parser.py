@@ -85,10 +85,7 @@ _NAME = re.compile(rf"[A-Za-z{GREEK}][A-Za-z{GREEK}0-9_]*")
 def check_name(name: str) -> None:
     """Raise unless a symbol name is a plain identifier in Latin and Greek letters.
 
-    Raises
-    ------
-    VariableError
-        If the name cannot be used in generated source.
+    Raise VariableError if the name cannot be used in generated source.
 
     Examples
     --------
@@ -166,10 +163,7 @@ def parse_expression(text: str) -> sympy.Expr:
 def parse_number(text: str) -> float:
     """Evaluate a formula without variables, for example ``"4*pi"``.
 
-    Raises
-    ------
-    ParseError
-        If the text is not a formula or contains a variable.
+    Raise ParseError if the text is not a formula or contains a variable.
 
     Examples
     --------

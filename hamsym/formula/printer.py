@@ -96,10 +96,7 @@ class Printer:
     def lower(self, expr: sympy.Expr) -> sympy.Expr:
         """Rewrite functions that the backend lacks.
 
-        Raises
-        ------
-        CodeGenerationError
-            If a function cannot be rewritten; the message names it.
+        Raise CodeGenerationError if a function cannot be rewritten; the message names it.
         """
         for _ in range(10):  # a rewritten argument can turn f(-u) into f(u) again
             present = {type(node) for node in expr.atoms(sympy.Function)} & _REWRITES.keys()

@@ -36,15 +36,12 @@ def reference(
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Integrate with DOP853 and return its dense output, a reference for other solutions.
 
+    Raise InputError if the integration stops before the end of the span.
+
     Returns
     -------
     callable
         t of shape (n,) -> states of shape (n, dim).
-
-    Raises
-    ------
-    InputError
-        If the integration stops before the end of the span.
     """
     H = Hamiltonian.of(H)
     result = _dop853(H, H.state_from(z0), span, tolerance, None, dense_output=True)

@@ -230,24 +230,18 @@ def choose(
     steps must also resolve the fastest linear motion along the trajectories. For a trajectory that
     ends early, the first nine tenths are tested, and two successive runs must end at the same time.
 
+    Raise InputError if resolving the motion at the start needs more steps than the limit.
+
     Parameters
     ----------
-    H : Hamiltonian
-    scheme : Scheme
     states : numpy.ndarray
         Starts, shape (batch, dim).
-    span : (float, float)
     run : callable
         (steps) -> :class:`Attempt`.
     fewest : int
         Initial number of steps.
     parameters : numpy.ndarray, optional
         Values of each trajectory, shape (batch, k); by default those of H.
-
-    Raises
-    ------
-    InputError
-        If resolving the motion at the start needs more steps than the limit.
     """
     length, batch = abs(span[1] - span[0]), len(states)
     most = _MAX_UPDATES / (batch * _cost(scheme, H.dim))

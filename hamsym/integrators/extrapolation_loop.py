@@ -62,7 +62,6 @@ def extrapolate_rows(
         Every ``every``-th state is that of the run with 2n steps at these times.
     least, sizes : numpy.ndarray
         Least and resulting sizes of the components, shape (count, dim).
-    order, next_order, steps : int
     errors : numpy.ndarray
         Shape (count, times).
     round_off : numpy.ndarray

@@ -65,8 +65,6 @@ class Stepper:
 
     Parameters
     ----------
-    H : Hamiltonian
-    scheme : Scheme
     name : str
         Name of the method; for a non-separable H a splitting scheme must be one of
         :data:`NOT_ONLY_SEPARABLE`.

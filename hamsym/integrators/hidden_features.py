@@ -67,12 +67,7 @@ class Hidden(NamedTuple):
 
 
 class HiddenFeatures:
-    """The search for features that the steps of a trajectory passed over.
-
-    Parameters
-    ----------
-    H : Hamiltonian
-    """
+    """The search for features that the steps of a trajectory passed over."""
 
     def __init__(self, H: Hamiltonian) -> None:
         self.programs, self.scales = programs_of(H.real_equations), StepScales(H)

@@ -987,10 +987,7 @@ def fixed_step(
 
     Without parameters every trajectory has the values of H.
 
-    Raises
-    ------
-    InputError
-        If the method is unknown, adaptive, or does not apply to this H.
+    Raise InputError if the method is unknown, adaptive, or does not apply to this H.
     """
     name = usable_method(H, method)
     scheme = INTEGRATORS[name].scheme
@@ -1020,12 +1017,8 @@ def fixed_step(
 def usable_method(H: Hamiltonian, method: str) -> str:
     """Resolve aliases of a method and check that it applies to this H.
 
-    Raises
-    ------
-    InputError
-        If the table has no such method.
-    SeparabilityError
-        If it is a splitting method, and H is not separable or a force depends on momenta.
+    Raise InputError if the table has no such method. Raise SeparabilityError if it is a splitting
+    method, and H is not separable or a force depends on momenta.
     """
     name = ALIASES.get(method, method) if isinstance(method, str) else ""
     if name not in INTEGRATORS:

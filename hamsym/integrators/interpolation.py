@@ -68,11 +68,8 @@ class Interpolant:
     def states(self, t: Any) -> np.ndarray:
         """States at times t, shape (*shape, n, dim), or (*shape, dim) for a scalar.
 
-        Raises
-        ------
-        InputError
-            If a time is outside the saved ones, or the estimated error there is above 1 % of the
-            size of a component.
+        Raise InputError if a time is outside the saved ones, or the estimated error there is above
+        1 % of the size of a component.
         """
         times, found, errors, limits = self._evaluated(t)
         with np.errstate(invalid="ignore"):

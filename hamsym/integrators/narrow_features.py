@@ -26,12 +26,7 @@ _FORCE_JUMP, _ENERGY_JUMP = 1e-3, 1e-12  # smallest jumps that count, relative t
 
 
 class NarrowFeatures:
-    """Places on trajectories where H may have a feature narrower than a step.
-
-    Parameters
-    ----------
-    H : Hamiltonian
-    """
+    """Places on trajectories where H may have a feature narrower than a step."""
 
     def __init__(self, H: Hamiltonian) -> None:
         equations = H.real_equations

@@ -78,7 +78,6 @@ def extrapolate(
         further states at equal distances between those times. The finest run is overwritten.
     perturbed : numpy.ndarray
         The same for a run with n steps and ``count`` calls of :func:`perturb` at equal intervals.
-    count : int
     order, next_order : int
         Order of the method, and the next power of the step in its error.
     steps : int

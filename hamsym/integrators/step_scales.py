@@ -43,12 +43,7 @@ _SCALES = {
 
 
 class StepScales:
-    """Tests of blocks of steps.
-
-    Parameters
-    ----------
-    H : Hamiltonian
-    """
+    """Tests of blocks of steps."""
 
     def __init__(self, H: Hamiltonian) -> None:
         equations = H.real_equations

@@ -45,10 +45,7 @@ _MOST_MEMBERS = 2**40
 def write_trajectory(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
     """Write a trajectory, or those of an ensemble, to one file; see :func:`hamsym.save`.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be written, or the trajectory is not valid.
+    Raise FileError if the file cannot be written, or the trajectory is not valid.
     """
     try:
         _check(trajectory)
@@ -91,10 +88,7 @@ def _json(value: Any) -> Any:
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     """Read a file that :func:`write_trajectory` wrote.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be read, is damaged or not valid.
+    Raise FileError if the file cannot be read, is damaged or not valid.
     """
     arrays, values = read_tensors(path, KIND)
     try:

@@ -132,12 +132,8 @@ def integrate_to_tolerance(
         States that are not finite are refused by themselves.
     method : str
         A splitting or implicit Runge-Kutta method.
-    span : (float, float)
-    tol : float
     saves : int
         Number of equal intervals between the times at which states are returned.
-    compensated : bool
-    progress : bool, optional
     """
     return _Search(members, method, span, tol, saves, compensated).run(progress)
 

@@ -102,10 +102,7 @@ class Chain:
     ) -> Chain:
         """Build a chain from the results of :meth:`describe` and :meth:`arrays`.
 
-        Raises
-        ------
-        ValueError
-            If they do not describe a chain with ``dim`` components.
+        Raise ValueError if they do not describe a chain with ``dim`` components.
         """
         require_names("trial solution", values, {"form", "end", "pieces"})
         forms = checked_list("pieces", values["pieces"], most=MAX_WINDOWS)

@@ -21,7 +21,6 @@ class ChainChecks(WindowChecks):
 
     Parameters
     ----------
-    H : Hamiltonian
     seed : int
         Of the basis, whose tables are not used.
     """
@@ -41,7 +40,6 @@ class ChainChecks(WindowChecks):
 
         Parameters
         ----------
-        piece : TrialSolution
         end : float
             End of its window.
         sizes : numpy.ndarray

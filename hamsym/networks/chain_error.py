@@ -70,9 +70,6 @@ def estimate_chain_error(
 
     Parameters
     ----------
-    H : Hamiltonian
-    chain : Chain
-    training : ChainTraining
     nodes : int
         Of each part of a window.
     """

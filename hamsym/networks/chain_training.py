@@ -174,12 +174,8 @@ def train_chain(
 
     Parameters
     ----------
-    H : Hamiltonian
     z0 : numpy.ndarray
         Shape (dim,).
-    span : (float, float)
-    layout : Layout
-    settings : ChainSettings
     generator : torch.Generator
         Source of the initial weights.
     advance : callable
@@ -368,7 +364,6 @@ def assembled(
 
     Parameters
     ----------
-    pieces : sequence of TrialSolution
     end : float
         End of the last one.
     counts : sequence of (int, int, float)

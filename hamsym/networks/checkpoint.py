@@ -36,10 +36,7 @@ class Checkpoint:
     def read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
         """Return the tensors and values of the file, or None if it does not exist.
 
-        Raises
-        ------
-        FileError
-            If the file cannot be read, or belongs to a training with other settings.
+        Raise FileError if the file cannot be read, or belongs to a training with other settings.
         """
         if not isinstance(self.path, (str, os.PathLike)):
             raise InputError(f"checkpoint={self.path!r} is not a path; give a str or path-like")
@@ -65,10 +62,7 @@ class Checkpoint:
     def write(self, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
         """Replace the file.
 
-        Raises
-        ------
-        FileError
-            If the file cannot be written.
+        Raise FileError if the file cannot be written.
         """
         arrays = {name: tensor.detach().cpu().numpy() for name, tensor in tensors.items()}
         write_tensors(self.path, "checkpoint", arrays, {"settings": dict(self.settings), **values})

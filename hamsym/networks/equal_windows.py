@@ -47,22 +47,14 @@ def train_windows(
 ) -> TrainedChain:
     """Train networks on a given number of equal windows; a chain gives the first guess.
 
+    Raise InputError if the motion in a window needs too large a network.
+
     Parameters
     ----------
-    H : Hamiltonian
     guess : Chain
         A chain over the whole span.
-    count : int
-    layout : Layout
-    settings : ChainSettings
-    generator : torch.Generator
     widen : bool
         Make the last layer as wide as the motion in a window needs.
-
-    Raises
-    ------
-    InputError
-        If the motion in a window needs too large a network.
     """
     began = time.perf_counter(), time.process_time()
     flow = Flow(H, layout.device)

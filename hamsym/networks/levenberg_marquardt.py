@@ -43,17 +43,14 @@ _PROBE = 0.1  # fraction of the step over which its curvature is measured
 class LevenbergMarquardt:
     """Levenberg-Marquardt with new random points in every iteration.
 
+    Raise InputError if a trial solution has no known derivative in its weights, or the objective
+    has regularizers, which have no least-squares form.
+
     Parameters
     ----------
     points : int or numpy.ndarray
         Collocation points K on the whole span; short spans of sequential training have fewer. Or
         times, from the start of the span on, in place of random ones.
-
-    Raises
-    ------
-    InputError
-        If a trial solution has no known derivative in its weights, or the objective has
-        regularizers, which have no least-squares form.
     """
 
     check_every = 5

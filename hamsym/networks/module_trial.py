@@ -131,21 +131,17 @@ def checked_copy(
 ) -> torch.nn.Module:
     """Return a copy of a module on the CPU that has passed the tests of a trial network.
 
+    Raise InputError if the module cannot be copied or evaluated, its outputs have another shape or
+    type, are not finite, random, or dependent on other rows, or they have no derivative.
+
     Parameters
     ----------
-    module : torch.nn.Module
     dim : int
         Number of outputs.
     longest : float
         Largest input s; the smallest is 0.
     dtype : torch.dtype
         Type of the copy's weights.
-
-    Raises
-    ------
-    InputError
-        If the module cannot be copied or evaluated, its outputs have another shape or type, are
-        not finite, random, or dependent on other rows, or they have no derivative.
     """
     if not isinstance(module, torch.nn.Module):
         raise InputError(

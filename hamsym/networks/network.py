@@ -116,7 +116,6 @@ class Network(torch.nn.Module):
 
     Parameters
     ----------
-    outputs : int
     hidden : sequence of int
         Neurons of each hidden layer, at least one layer.
     activation : {"sin", "sigmoid", "tanh"}

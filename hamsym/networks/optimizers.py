@@ -40,7 +40,6 @@ class Adam(GradientOptimizer):
 
     Parameters
     ----------
-    learning_rate : float
     betas : (float, float)
         Decay rates of the moment estimates.
     schedule : {"constant", "cosine"}

@@ -113,17 +113,14 @@ class SelfScaledBroyden(QuasiNewton):
     The points are constant for ``refresh`` iterations. The matrix is kept when new ones are drawn,
     and begins again where the line search fails.
 
+    Raise InputError if the trial solution has more than 20,000 weights.
+
     Parameters
     ----------
     points : int or numpy.ndarray
         Collocation points K; or times, from the start of the span on.
     refresh : int
         Iterations after which new points are drawn.
-
-    Raises
-    ------
-    InputError
-        If the trial solution has more than 20,000 weights.
     """
 
     def __init__(self, *, points: int | np.ndarray = 200, refresh: int = 200) -> None:

@@ -42,14 +42,7 @@ class Layer:
 def forward(
     layers: Sequence[tuple[Tensor, Tensor]], activation: str, x: Tensor, xd: Tensor
 ) -> list[Layer]:
-    """Return the layers at inputs x of the network, with their derivative xd; shapes (K, inputs).
-
-    Parameters
-    ----------
-    layers : sequence of (matrix, bias)
-    activation : str
-    x, xd : Tensor
-    """
+    """Return the layers at inputs x of the network, with their rates xd; shapes (K, inputs)."""
     function = ACTIVATIONS[activation]
     *hidden, (last, _) = layers
     found = []
@@ -67,7 +60,6 @@ def backward(layers: Sequence[Layer], u: Tensor, v: Tensor) -> list[tuple[Layer,
 
     Parameters
     ----------
-    layers : sequence of Layer
     u, v : Tensor
         Those to the outputs and to their derivatives, shape (..., K, outputs).
     """

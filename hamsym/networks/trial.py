@@ -265,10 +265,7 @@ class TrialSolution(EnvelopedNetwork):
 
         Sizes are compared with the arrays before anything is built from them.
 
-        Raises
-        ------
-        ValueError
-            If they do not describe a trial solution with ``dim`` components.
+        Raise ValueError if they do not describe a trial solution with ``dim`` components.
         """
         names = {"form", "shared", "sizes", "activation", "frequency", "t0", "tau", "envelope"}
         require_names("trial solution", values, names)

@@ -384,14 +384,11 @@ def train_window(
 
     Parameters
     ----------
-    equations : Equations
-    network : Network
     reach : float
         Largest input R of the network.
     points : int
         Collocation points, Chebyshev points of the window. With a guess more are used if the
         residual between them is larger.
-    settings : Settings
     guess : callable, optional
         u -> y from which the search starts, (K,) -> (K, dim); by default a state that rests.
     """

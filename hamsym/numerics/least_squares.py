@@ -80,7 +80,6 @@ def minimize_squares(
         (sums of squares, rows) -> variance of one residual, shape (n,), the unit in which the
         convergence is judged: the projection of the residuals on the columns of J, which is the
         distance to the minimum in standard errors of the unknowns.
-    iterations : int
     close : float
         Part of the variance by which a converged row may be above the minimum.
     sizes : numpy.ndarray, optional

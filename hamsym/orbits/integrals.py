@@ -28,7 +28,6 @@ def gradients_of_integrals(
 
     Parameters
     ----------
-    H : Hamiltonian
     state : numpy.ndarray
         Shape (dim,).
     shift : SignedPermutation

@@ -63,8 +63,6 @@ class NewtonSystem:
 
     Parameters
     ----------
-    problem : Problem
-    arc : Arc
     anchor : (numpy.ndarray, numpy.ndarray)
         A state and the vector field there: the orbit starts in the plane normal to the field.
 

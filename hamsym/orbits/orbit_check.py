@@ -27,7 +27,6 @@ def check_orbit(orbit: PeriodicOrbit, states: np.ndarray) -> None:
 
     Parameters
     ----------
-    orbit : PeriodicOrbit
     states : numpy.ndarray
         What the proof is about, at equal parts of the arc from its start, shape (n, dim).
 

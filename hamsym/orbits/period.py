@@ -32,10 +32,7 @@ class Period:
 def period_of(H: Hamiltonian, period: Any) -> Period | None:
     """Convert the argument ``period`` of :func:`hamsym.periodic_orbit`.
 
-    Raises
-    ------
-    InputError
-        If it is not a positive number, nor a formula of one in the parameters of H.
+    Raise InputError if it is not a positive number, nor a formula of one in the parameters of H.
     """
     if period is None:
         return None

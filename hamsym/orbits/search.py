@@ -79,10 +79,7 @@ def _most_windows(H: Hamiltonian) -> int:
 def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
     """Integrate an arc from a guess, to its nearest return where the period is unknown.
 
-    Raises
-    ------
-    InputError
-        If the trajectory does not reach the end of the arc.
+    Raise InputError if the trajectory does not reach the end of the arc.
     """
     duration = period / problem.closing.parts
     free = problem.autonomous and problem.period is None
@@ -144,10 +141,7 @@ def _nearest_return(found: OdeSolution, closing: Closing, duration: float) -> fl
 def first_return(H: Hamiltonian, closing: Closing, state: np.ndarray) -> float:
     """Return the period for which the trajectory of a guess nearly closes first.
 
-    Raises
-    ------
-    InputError
-        If there is none.
+    Raise InputError if there is none.
     """
     rates = _rates(H)
     rate, sizes = _sizes(H, state, 0.0)

@@ -138,10 +138,7 @@ class Closing:
 def closing_of(H: Hamiltonian, symmetry: Any) -> Closing:
     """Convert the argument ``symmetry`` of :func:`hamsym.periodic_orbit`.
 
-    Raises
-    ------
-    InputError
-        If it is not a symmetry of H, or does not close an orbit.
+    Raise InputError if it is not a symmetry of H, or does not close an orbit.
     """
     if symmetry is None:
         return Closing(SignedPermutation.identity(H.dim))

@@ -100,7 +100,6 @@ def caption_words(
 
     Parameters
     ----------
-    H : Hamiltonian
     *sentences : str or sequence of str
         Plain text, or words.
     parameters : mapping, optional

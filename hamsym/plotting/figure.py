@@ -49,7 +49,6 @@ class Figure(matplotlib.figure.Figure):
 
         Parameters
         ----------
-        width, height : float
         caption : sequence of str
             Words, between which lines may be broken; drawn below the axes.
         warning : str
@@ -190,10 +189,7 @@ def one_panel(
 ) -> Iterator[Axes]:
     """Give axes for one panel: the user's, in the user's style, or those of a new figure.
 
-    Raises
-    ------
-    InputError
-        If ``ax`` is not axes of matplotlib.
+    Raise InputError if ``ax`` is not axes of matplotlib.
     """
     if ax is not None:
         if not isinstance(ax, Axes):

@@ -477,10 +477,7 @@ def decades_and_lines(
 def draw_motion(motion: Motion, names: Sequence[Any], ax: Any) -> Any:
     """Draw one component over time, two in their plane or three in their space.
 
-    Raises
-    ------
-    InputError
-        If a name is no component, or there are more than three.
+    Raise InputError if a name is no component, or there are more than three.
     """
     H = motion.H
     if len(names) == 2 and str(names[0]) == time_name(H):
@@ -534,10 +531,7 @@ def _draw_space(motion: Motion, names: Sequence[str], ax: Any) -> Any:
 def component_of(H: Hamiltonian, name: Any, *others: str) -> str:
     """Return the name of a component.
 
-    Raises
-    ------
-    InputError
-        If there is none of this name. ``others`` are names of what is drawn alone.
+    Raise InputError if there is none of this name. ``others`` are names of what is drawn alone.
     """
     found = known_name(name, [*H.names, *others, time_name(H)], "a component of z")
     if found in others and found not in H.names:
@@ -550,7 +544,6 @@ class MotionPanels:
 
     Parameters
     ----------
-    motion : Motion
     lower : int
         Number of panels below; of one degree of freedom the first two stand beside the phase
         portrait.

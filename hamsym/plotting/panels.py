@@ -51,6 +51,9 @@ def draw_panels(
 ) -> Any:
     """Draw the panels of an overview side by side, or the one that is named.
 
+    Raise InputError if a name is unknown, there is more than one, or ``ax`` is given for several
+    panels.
+
     Parameters
     ----------
     panels : mapping
@@ -61,11 +64,6 @@ def draw_panels(
         The panel that was asked for, or none.
     ax : Axes or None
         The axes of the user for one panel.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, there is more than one, or ``ax`` is given for several panels.
     """
     if len(names) > 1:
         raise InputError(f"{len(names)} panels cannot be drawn in one; give one name, or none")

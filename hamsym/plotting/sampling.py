@@ -33,7 +33,6 @@ def resolved(
 
     Returns
     -------
-    t, z : numpy.ndarray
     apart : str
         The sentence for the caption if so many are too few, else "".
 

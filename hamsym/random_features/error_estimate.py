@@ -94,9 +94,6 @@ def estimate_error(
 
     Parameters
     ----------
-    windows : March
-    basis : FeatureBasis
-    flow : Flow
     tolerance : float
         Local tolerance of the march.
     resolution : int, optional

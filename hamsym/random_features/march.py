@@ -56,12 +56,8 @@ def march(
 
     Parameters
     ----------
-    flow : Flow
     z0 : numpy.ndarray
         Shape (dim,).
-    span : (float, float)
-    tolerance : float
-    basis : FeatureBasis
     breakpoints : sequence of float
         Times inside the span, in its direction, at which a window must end.
     longest : float
@@ -339,13 +335,10 @@ def newton(
 
     Parameters
     ----------
-    flow : Flow
-    basis : FeatureBasis
     z : numpy.ndarray
         State at the start of the window, shape (dim,).
     start, length : float
         Start and length of the window, negative backwards in time.
-    tolerance : float
     sizes : numpy.ndarray
         Sizes of the components, shape (dim,).
 
@@ -353,7 +346,6 @@ def newton(
     -------
     rates : numpy.ndarray or None
         F at the nodes, shape (nodes, dim); None without convergence.
-    evaluations : int
     """
     times, integration = start + length * basis.nodes, length * basis.integration
     count, dim = len(times), len(z)

@@ -87,14 +87,12 @@ class MemberSolver:
     ----------
     H : Hamiltonian
         With a value for every parameter; members may have others.
-    span : (float, float)
     tol, local : float
         Relative tolerance, and the local one of the first march.
     atol : numpy.ndarray
         Absolute tolerance, shape (dim,).
     longest : float
         Length that no window exceeds.
-    basis : FeatureBasis
     """
 
     def __init__(

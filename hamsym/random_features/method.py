@@ -86,10 +86,7 @@ class Accuracy:
 def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: int) -> Accuracy:
     """Check the options of the method "features".
 
-    Raises
-    ------
-    InputError
-        If one cannot be used.
+    Raise InputError if one cannot be used.
     """
     tol = checked_tol(options.tol)
     return Accuracy(

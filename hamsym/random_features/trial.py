@@ -58,10 +58,7 @@ class FeatureTrial:
     ) -> FeatureTrial:
         """Make the trial solution from its :meth:`describe` and :meth:`arrays`.
 
-        Raises
-        ------
-        ValueError
-            If they do not define a trial solution with ``dim`` components.
+        Raise ValueError if they do not define a trial solution with ``dim`` components.
         """
         require_names("trial solution", values, {"form"})
         require_names("windows", arrays, {entry.name for entry in fields(cls)})

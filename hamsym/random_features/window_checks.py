@@ -105,7 +105,6 @@ class WindowChecks:
 
         Parameters
         ----------
-        pieces : Pieces
         sizes : numpy.ndarray
             Of the components, shape (dim,) or (windows, dim).
         parameters : numpy.ndarray, optional

@@ -38,7 +38,6 @@ def first_jump(
 
     Parameters
     ----------
-    solution : Path
     times : numpy.ndarray
         Times at which the arguments of abs, sign, Min and Max are evaluated; a jump lies where one
         of them changes its sign.

@@ -29,7 +29,6 @@ def integrated_error(
 
     Parameters
     ----------
-    solution : Path
     linear : bool
         Solve the linearised equation.
     resolution : int

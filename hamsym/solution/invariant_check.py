@@ -17,8 +17,6 @@ def judged_by_invariants(
 
     Parameters
     ----------
-    solution : Solution
-    known : KnownInvariants
     allowed : numpy.ndarray
         Allowed errors of the components, shape (dim,).
     """

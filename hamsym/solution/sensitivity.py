@@ -48,13 +48,11 @@ class Sensitivity:
 
     Parameters
     ----------
-    path : Path
     units : numpy.ndarray
         Size of each component, positive, shape (dim,).
     edges : numpy.ndarray, optional
         Ends of windows, counted from ``origin``; by default windows short enough for polynomials
         are chosen by the size of J Hess.
-    origin : float
     forcing : callable, optional
         That of the parameters; by default there are none.
     """

@@ -85,16 +85,12 @@ class Settings:
     def from_description(cls, given: Any, dim: int) -> Settings:
         """Make it from its :meth:`described`.
 
+        Raise ValueError if the values are not what ``described`` returns.
+
         Parameters
         ----------
-        given : mapping
         dim : int
             Number of components.
-
-        Raises
-        ------
-        ValueError
-            If the values are not what ``described`` returns.
         """
         values = checked_mapping("settings", given)
         require_names("settings", values, set(cls.__dataclass_fields__))
@@ -153,7 +149,6 @@ def settings_of(
         The dataclass of all options, with their defaults.
     options : mapping
         The options that were given.
-    version : str
     """
     plain: dict[str, Any] = {}
     for name, value in options.items():
@@ -179,10 +174,7 @@ def settings_of(
 def _plain(value: Any) -> Any:
     """Return a value as JSON has it, lists for tuples and arrays.
 
-    Raises
-    ------
-    ValueError
-        If it is not data.
+    Raise ValueError if it is not data.
     """
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()

@@ -18,10 +18,8 @@ class Work:
 
     Parameters
     ----------
-    path : Path
     edges : numpy.ndarray, optional
         Ends of windows, counted from ``origin``; by default equal windows.
-    origin : float
     """
 
     def __init__(self, path: Path, edges: np.ndarray | None = None, origin: float = 0.0) -> None:

@@ -84,10 +84,7 @@ class GridStore:
     def opened(self) -> GridStore:
         """Return the store with the boxes and the token of the one at its path, if there is one.
 
-        Raises
-        ------
-        FileError
-            If the path holds anything else, or the store of another request.
+        Raise FileError if the path holds anything else, or the store of another request.
         """
         if not self.path.exists():
             return self
@@ -112,10 +109,7 @@ class GridStore:
     def begun(self, columns: Columns) -> GridStore:
         """Create the store for columns like these, and return it.
 
-        Raises
-        ------
-        FileError
-            If it cannot be written.
+        Raise FileError if it cannot be written.
         """
         store = replace(self, token=uuid.uuid4().hex)
         head = {**self.attributes, "box": list(self.box), "token": store.token}
@@ -202,10 +196,7 @@ class GridStore:
     def open(self) -> Any:
         """Open the store as a dataset of xarray.
 
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
+        Raise InputError if xarray is not installed.
         """
         try:
             import xarray
@@ -239,10 +230,7 @@ class GridStore:
 def store_at(path: str | os.PathLike[str], **values: Any) -> GridStore:
     """Return the store at a path.
 
-    Raises
-    ------
-    InputError
-        If the path does not end with ``.zarr``, or zarr is not installed.
+    Raise InputError if the path does not end with ``.zarr``, or zarr is not installed.
     """
     try:
         place = Path(os.path.abspath(path))

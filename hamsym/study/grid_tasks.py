@@ -37,10 +37,7 @@ def checked_options(
 ) -> dict[str, Any]:
     """Return the options of a task with their defaults.
 
-    Raises
-    ------
-    InputError
-        If there is no such task or option.
+    Raise InputError if there is no such task or option.
     """
     found = dict(options)
     if callable(task):

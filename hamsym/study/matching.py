@@ -116,14 +116,10 @@ def find_match(
 
     Parameters
     ----------
-    solution : Solution
-    name : str
     target : float
         The error, measured against the same reference.
     paths : sequence of Trajectory
         With numbers of steps that rise, or with the first three powers of 1e-3 as tolerances.
-    truth : ReferenceSolution
-    max_steps : int
     """
     if not target < math.inf:
         return Match(None, 0, target, 0.0, reason="unknown: the network's error is not finite")

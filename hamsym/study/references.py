@@ -73,10 +73,7 @@ def reference_for(
 ) -> ReferenceSolution:
     """Return a reference that is a hundred times better than the states it judges, if it can.
 
-    Raises
-    ------
-    InputError
-        If DOP853 stops before the end of the span.
+    Raise InputError if DOP853 stops before the end of the span.
 
     Examples
     --------

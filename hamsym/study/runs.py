@@ -154,10 +154,7 @@ def planned_run(
 ) -> Run:
     """Return the run of some settings with a seed, its files named after a digest of them all.
 
-    Raises
-    ------
-    InputError
-        If a setting is invalid.
+    Raise InputError if a setting is invalid.
     """
     for reserved in ("seed", "progress", "checkpoint"):
         if reserved in options:

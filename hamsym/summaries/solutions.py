@@ -20,7 +20,6 @@ def solution_summary(
 
     Parameters
     ----------
-    solution : Solution
     rows : int, optional
         Most components in the table; None for all.
     analysis : bool

@@ -20,7 +20,6 @@ def trajectory_summary(
 
     Parameters
     ----------
-    trajectory : Trajectory
     rows : int, optional
         Most components in the table; None for all.
     number : int

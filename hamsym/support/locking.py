@@ -19,16 +19,12 @@ LOCK = ".lock"
 def exclusive(directory: str | os.PathLike[str], file: Path | None = None) -> Iterator[None]:
     """Lock a directory against other processes; the system releases the lock of a dead process.
 
+    Raise FileError if another process has the lock, or the directory cannot be written.
+
     Parameters
     ----------
-    directory : path-like
     file : pathlib.Path, optional
         The lock file, where it is not to be in the directory.
-
-    Raises
-    ------
-    FileError
-        If another process has the lock, or the directory cannot be written.
     """
     lock = FileLock(Path(directory) / LOCK if file is None else file)
     try:

@@ -22,8 +22,6 @@ def option(
 
     Parameters
     ----------
-    default : object
-    help : str
     default_text : str, optional
         The default in words, where it is computed.
     unit : str, optional

@@ -44,18 +44,14 @@ def data_frame(
 ) -> Any:
     """Make a ``pandas.DataFrame`` of columns of one length.
 
+    Raise InputError if pandas is not installed.
+
     Parameters
     ----------
-    columns : mapping of str to array
     index : mapping of str to array, optional
         Levels of the index.
     attributes : mapping, optional
         Of its ``attrs``.
-
-    Raises
-    ------
-    InputError
-        If pandas is not installed.
     """
     pandas = _package("pandas", "to_dataframe")
     levels = dict(index or {})
@@ -75,10 +71,7 @@ def data_set(
 ) -> Any:
     """Make an ``xarray.Dataset``.
 
-    Raises
-    ------
-    InputError
-        If xarray is not installed.
+    Raise InputError if xarray is not installed.
     """
     xarray = _package("xarray", "to_xarray")
     return xarray.Dataset(dict(variables), coords=dict(coordinates), attrs=dict(attributes))

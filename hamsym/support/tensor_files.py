@@ -39,10 +39,7 @@ def write_tensors(
 ) -> None:
     """Write named arrays and JSON values as a file of the given kind.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be written; an existing file is left unchanged.
+    Raise FileError if the file cannot be written; an existing file is left unchanged.
     """
     # The checksum comes first, so that the first run of zeros of its length is its place.
     text = json.dumps({"sha256": _NO_CHECKSUM, "version": _VERSION, "kind": kind, **values})
@@ -69,10 +66,7 @@ def read_tensors(
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return the arrays and values of a file that :func:`write_tensors` wrote.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be read, is damaged, of another kind or of another version.
+    Raise FileError if the file cannot be read, is damaged, of another kind or of another version.
     """
     try:
         size = _size(Path(path))

@@ -16,16 +16,12 @@ from hamsym.symbolic.checks import checked_expression
 def phase_function(f: str | sympy.Expr, names: Iterable[str]) -> sympy.Expr:
     """Convert a function on phase space to real symbols.
 
+    Raise VariableError if f has a symbol with another name.
+
     Parameters
     ----------
-    f : str or sympy.Expr
     names : iterable of str
         Names of the state, the parameters and the time.
-
-    Raises
-    ------
-    VariableError
-        If f has a symbol with another name.
 
     Examples
     --------
@@ -89,7 +85,6 @@ def variational_equations(
         The derivatives A of the rates, J Hess(z) without forces, dim x dim.
     names : sequence of str
         Names of the state; the deviations are named ``delta_x`` or similar.
-    time : sympy.Symbol
     taken : iterable of str
         Names that the deviations must avoid.
     """

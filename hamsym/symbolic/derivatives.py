@@ -122,10 +122,7 @@ class Effort:
     def spend(self, derivative: sympy.Expr) -> None:
         """Add a derivative to the count.
 
-        Raises
-        ------
-        CodeGenerationError
-            If the count exceeds the limit.
+        Raise CodeGenerationError if the count exceeds the limit.
         """
         self._left -= self._size(derivative)
         if self._left < 0:

@@ -26,20 +26,16 @@ PRIME = 2147483579
 class DifferentialRing:
     """Polynomials in generators that represent given formulas, with the derivative along H.
 
+    Raise UnsupportedFunctionError if a formula has a function without exact rules.
+
     Parameters
     ----------
-    H : sympy.Expr
     z : sequence of sympy.Symbol
         The state (q, p).
     time : sympy.Symbol or None
         The time, whose derivative is 1.
     formulas : iterable of sympy.Expr
         Further formulas to represent.
-
-    Raises
-    ------
-    UnsupportedFunctionError
-        If a formula has a function without exact rules.
 
     Examples
     --------
@@ -256,15 +252,12 @@ class DifferentialRing:
 
         Constants have the same values at all points.
 
+        Raise UnsupportedFunctionError if too many roots make such points rare.
+
         Returns
         -------
         numpy.ndarray
             Shape (count, generators), int64.
-
-        Raises
-        ------
-        UnsupportedFunctionError
-            If too many roots make such points rare.
         """
         if self._fixed is None:
             self._fixed = {}

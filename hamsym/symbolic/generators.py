@@ -46,12 +46,12 @@ class Generator:
 class Generators:
     """The generators of given formulas, and the formulas in terms of them.
 
+    Raise UnsupportedFunctionError if a formula has a function without exact rules.
+
     Parameters
     ----------
     z : sequence of sympy.Symbol
         The state, which has the first generators.
-    time : sympy.Symbol or None
-    formulas : iterable of sympy.Expr
 
     Attributes
     ----------
@@ -59,11 +59,6 @@ class Generators:
         In an order in which relations contain earlier generators only.
     formulas : list of sympy.Expr
         The formulas, with a symbol for each generator.
-
-    Raises
-    ------
-    UnsupportedFunctionError
-        If a formula has a function without exact rules.
 
     Examples
     --------

@@ -105,26 +105,22 @@ def find_invariants(
 ) -> list[Invariant]:
     """Return a reduced list of invariants of H, each with its proof done.
 
+    Raise InputError if there are too many monomials, the time is over, or H has a function without
+    exact rules.
+
     Parameters
     ----------
     H : sympy.Expr
         In real symbols.
-    z : sequence of sympy.Symbol
     time_symbol : sympy.Symbol or None
         The time, whether H contains it or not; None if its name is taken.
     values : mapping
         Values of parameters: invariants for all values are searched first, then those for these
         values.
-    degree : int
     basis : sequence of sympy.Expr
         Functions that count as variables beside the state.
     seconds : float
         Limit of time.
-
-    Raises
-    ------
-    InputError
-        If there are too many monomials, the time is over, or H has a function without exact rules.
     """
     limit = (time.monotonic() + seconds, seconds)
     bound = {symbol: value for symbol, value in values.items() if symbol in H.free_symbols}

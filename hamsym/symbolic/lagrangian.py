@@ -70,6 +70,8 @@ def find_velocities(names: Sequence[str]) -> list[tuple[str, str]]:
     or is a usual name of a coordinate, with or without an index. Greek letters and their names are
     equivalent.
 
+    Raise VariableError if there is no velocity, or a coordinate has two.
+
     Parameters
     ----------
     names : sequence of str
@@ -79,11 +81,6 @@ def find_velocities(names: Sequence[str]) -> list[tuple[str, str]]:
     -------
     list of (str, str)
         Pairs (coordinate, velocity) in natural order of the coordinate.
-
-    Raises
-    ------
-    VariableError
-        If there is no velocity, or a coordinate has two.
 
     Examples
     --------
@@ -181,14 +178,10 @@ def read_lagrangian(
 ) -> Lagrangian:
     """Assign a role to each symbol of a Lagrangian and compute its Legendre transform.
 
-    Raises
-    ------
-    ParseError, InputError
-        If the expression is not a formula, or the transform does not exist or is not found.
-    VariableError
-        If velocities are ambiguous or missing, or names do not fit the expression.
-    ParameterError
-        If a value is not a finite real number or belongs to no symbol.
+    Raise ParseError, InputError if the expression is not a formula, or the transform does not exist
+    or is not found. Raise VariableError if velocities are ambiguous or missing, or names do not fit
+    the expression. Raise ParameterError if a value is not a finite real number or belongs to no
+    symbol.
 
     Examples
     --------
@@ -312,10 +305,7 @@ def lagrangian_of(
 ) -> tuple[sympy.Expr, tuple[sympy.Symbol, ...]]:
     """Compute L(q, v, t) of a Hamiltonian in real symbols, and the velocities named as xdot.
 
-    Raises
-    ------
-    InputError
-        If H has no Lagrangian, or none is found.
+    Raise InputError if H has no Lagrangian, or none is found.
     """
     rates = tuple(sympy.Symbol(f"{symbol.name}dot", real=True) for symbol in q)
     taken = {symbol.name for symbol in expr.free_symbols | {*q, *p}}

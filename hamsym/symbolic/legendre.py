@@ -48,6 +48,8 @@ def legendre_transform(
 
     It takes L to H, with velocities s and momenta w, and H to L, with momenta s and velocities w.
 
+    Raise InputError if w does not determine s, or s is not found; the message names variables.
+
     Parameters
     ----------
     expr : sympy.Expr
@@ -60,11 +62,6 @@ def legendre_transform(
         Values, for the comparison at random points.
     name : {"L", "H"}
         What F is, for messages.
-
-    Raises
-    ------
-    InputError
-        If w does not determine s, or s is not found; the message names variables.
 
     Examples
     --------

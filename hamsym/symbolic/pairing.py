@@ -53,6 +53,9 @@ def find_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     with ``x``, ``p1`` with ``q1`` or ``x1``, ``p_theta`` with ``theta``. Greek letters and their
     names are equivalent. A cyclic coordinate need not occur: ``p_phi`` adds ``phi``.
 
+    Raise VariableError if there is no pair, or the pairs are ambiguous; the message lists the
+    candidates and the remedy.
+
     Parameters
     ----------
     names : iterable of str
@@ -62,12 +65,6 @@ def find_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     -------
     list of (str, str)
         Pairs (coordinate, momentum) in natural order of the coordinate.
-
-    Raises
-    ------
-    VariableError
-        If there is no pair, or the pairs are ambiguous; the message lists the candidates and the
-        remedy.
 
     Examples
     --------

@@ -52,10 +52,6 @@ def exact_gradient(form: Equations) -> list[sympy.Expr]:
 def stationary_points(form: Equations) -> list[Solution] | None:
     """Real zeros of the gradient, in closed form.
 
-    Parameters
-    ----------
-    form : Equations
-
     Returns
     -------
     list of dict, or None

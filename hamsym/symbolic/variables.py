@@ -66,15 +66,9 @@ def assign_variables(
 ) -> Variables:
     """Check the arguments of a Hamiltonian and assign a role to each symbol.
 
-    Raises
-    ------
-    ParseError, InputError
-        If the expression or a force is not a formula.
-    VariableError
-        If the pairs are ambiguous, missing, or do not fit the expression, or a force belongs to no
-        momentum.
-    ParameterError
-        If a value is not a finite real number or belongs to no symbol.
+    Raise ParseError, InputError if the expression or a force is not a formula. Raise VariableError
+    if the pairs are ambiguous, missing, or do not fit the expression, or a force belongs to no
+    momentum. Raise ParameterError if a value is not a finite real number or belongs to no symbol.
     """
     text = isinstance(expression, str)
     expression = with_plain_symbols(expression)
@@ -152,10 +146,7 @@ def _by_momentum(
 ) -> dict[str, sympy.Expr]:
     """Forces that do not vanish, by the names of their momenta and in the order of the state.
 
-    Raises
-    ------
-    VariableError
-        If a name is not that of a momentum, or occurs twice.
+    Raise VariableError if a name is not that of a momentum, or occurs twice.
     """
     momenta = {canonical_name(symbol.name): symbol.name for symbol in state[half:]}
     coordinates = {canonical_name(symbol.name) for symbol in state[:half]}

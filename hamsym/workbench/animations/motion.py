@@ -53,10 +53,7 @@ class Motion:
 def motion_of(result: Any) -> Motion:
     """Return the motion of a solution, of solutions, a trajectory or a periodic orbit.
 
-    Raises
-    ------
-    InputError
-        If the result is of another type, or ends where it begins.
+    Raise InputError if the result is of another type, or ends where it begins.
     """
     if isinstance(result, Solution):
         found = _of_solution(result)

@@ -83,10 +83,7 @@ def scene_of(
 ) -> Scene:
     """Return the picture that was asked for, or the one that the names of coordinates suggest.
 
-    Raises
-    ------
-    InputError
-        If a name is unknown, options do not fit together, or no picture is suggested.
+    Raise InputError if a name is unknown, options do not fit together, or no picture is suggested.
     """
     H = motion.H
     if points is not None:

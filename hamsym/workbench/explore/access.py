@@ -43,8 +43,6 @@ class Guard:
 
     Parameters
     ----------
-    app : ASGI application
-    token : str
     port : int
         That the server is bound to.
     """

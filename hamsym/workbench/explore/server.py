@@ -23,6 +23,8 @@ def explore(
 ) -> None:
     """Serve the page until Ctrl-C.
 
+    Raise InputError if the packages of the page are missing, or the port is taken.
+
     Parameters
     ----------
     formula : str
@@ -33,11 +35,6 @@ def explore(
         Open the page in the browser.
     announce : callable
         Takes the address, once the port is bound.
-
-    Raises
-    ------
-    InputError
-        If the packages of the page are missing, or the port is taken.
     """
     try:
         import nicegui

@@ -152,10 +152,7 @@ class Session:
     def set_value(self, name: str, value: float) -> None:
         """Set a component of the initial state, a parameter, or the end of the span, ``t``.
 
-        Raises
-        ------
-        InputError
-            If the value is not finite or the name is unknown.
+        Raise InputError if the value is not finite or the name is unknown.
         """
         if not math.isfinite(value):
             raise InputError(f"{name} = {value} is not finite; give a number such as 1.3")
@@ -260,10 +257,7 @@ class Sessions:
     def open(self) -> Session:
         """Return a new session; the first one has started its process already.
 
-        Raises
-        ------
-        InputError
-            If too many tabs are open: each has three processes.
+        Raise InputError if too many tabs are open: each has three processes.
         """
         if len(self._open) >= MOST_TABS:
             raise InputError(

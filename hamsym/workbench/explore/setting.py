@@ -41,18 +41,14 @@ class SliderRange:
     def around(cls, value: float, size: float = 0.0, *, positive: bool = False) -> SliderRange:
         """Make a range with round ends that contains a value and as much again.
 
+        Raise InputError if the value is not finite.
+
         Parameters
         ----------
-        value : float
         size : float
             Usual size of such values, for a value of zero.
         positive : bool
             Begin above zero, at a hundredth of the largest value.
-
-        Raises
-        ------
-        InputError
-            If the value is not finite.
         """
         if not math.isfinite(value):
             raise InputError(f"{value} is not a finite number; give one such as 1.3")

@@ -38,7 +38,6 @@ class ValuesPanel:
 
     Parameters
     ----------
-    session : Session
     changed : callable
         Awaited after a change of a value.
     complain : callable

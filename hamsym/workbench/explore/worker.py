@@ -79,22 +79,15 @@ class Worker:
     def run(self, task: str, seconds: float, *arguments: Any) -> Any:
         """Carry out a task and return its result.
 
+        Raise TimeLimitError if the task took longer. Raise CancelledError if :meth:`cancel` was
+        called meanwhile. Raise TaskError if the task raised an error.
+
         Parameters
         ----------
-        task : str
         seconds : float
             Time limit, which includes the start of a new process.
         *arguments
             Of the task; they are pickled.
-
-        Raises
-        ------
-        TimeLimitError
-            If the task took longer.
-        CancelledError
-            If :meth:`cancel` was called meanwhile.
-        TaskError
-            If the task raised an error.
         """
         with self._lock:
             with self._state:

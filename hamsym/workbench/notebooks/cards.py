@@ -89,10 +89,7 @@ CARDS: dict[str, Callable[[Any], Card]] = {}
 def card_of(result: Any) -> Card:
     """Return the card of a result.
 
-    Raises
-    ------
-    TypeError
-        If there is none for results of this type.
+    Raise TypeError if there is none for results of this type.
     """
     for kind in type(result).__mro__:
         if kind.__module__.startswith("hamsym.") and kind.__name__ in CARDS:

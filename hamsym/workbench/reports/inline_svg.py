@@ -22,7 +22,6 @@ def inline_svg(figure: Figure, prefix: str, label: str) -> str:
 
     Parameters
     ----------
-    figure : matplotlib.figure.Figure
     prefix : str
         Beginning of all identifiers; different for each figure of a page.
     label : str
