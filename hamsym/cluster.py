@@ -38,17 +38,11 @@ _WAITING = 2  # tasks for each thread of the cluster, so that no worker waits fo
 
 
 class Task(NamedTuple):
-    """Arguments of a task.
+    """Arguments of a task."""
 
-    Attributes
-    ----------
-    members : numpy.ndarray
-        Numbers of the members on which it works, by which an error names it.
-    arguments : tuple
-        Of the function, after the set-up; picklable.
-    """
-
+    #: Numbers of the members on which it works, by which an error names it.
     members: np.ndarray
+    #: Of the function, after the set-up; picklable.
     arguments: tuple[Any, ...]
 
 

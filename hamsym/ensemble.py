@@ -15,26 +15,17 @@ from hamsym.symbolic.states import parameter_arrays, states_array
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Initial states and parameter values of many trajectories of one Hamiltonian.
+    """Initial states and parameter values of many trajectories of one Hamiltonian."""
 
-    Attributes
-    ----------
-    H : Hamiltonian
-        With a value for every parameter; those of the first member where they differ.
-    states : numpy.ndarray
-        Initial states, shape (count, dim).
-    parameters : numpy.ndarray
-        Values in the order of ``H.parameter_names``, shape (count, parameters).
-    shape : tuple of int
-        Shape in which the caller arranged the members, of ``count`` entries; () for one start.
-    varied : tuple of str
-        Names of the parameters that were given as arguments.
-    """
-
+    #: With a value for every parameter; those of the first member where they differ.
     H: Hamiltonian
+    #: Initial states, shape (count, dim).
     states: np.ndarray
+    #: Values in the order of ``H.parameter_names``, shape (count, parameters).
     parameters: np.ndarray
+    #: Shape in which the caller arranged the members, of ``count`` entries; () for one start.
     shape: tuple[int, ...]
+    #: Names of the parameters that were given as arguments.
     varied: tuple[str, ...] = ()
 
     def __len__(self) -> int:

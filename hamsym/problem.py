@@ -18,23 +18,13 @@ MAX_STEPS = 2**53
 
 @dataclass(frozen=True)
 class InitialValueProblem:
-    """Hamilton's equations with an initial state and a time span.
-
-    Attributes
-    ----------
-    H : Hamiltonian
-    z0 : numpy.ndarray
-        Shape (dim,).
-    span : (float, float)
-    energy_0 : float
-        H at z0 and the start of the span.
-    seed : int
-    progress : bool or callable, optional
-    """
+    """Hamilton's equations with an initial state and a time span."""
 
     H: Hamiltonian
+    #: Shape (dim,).
     z0: np.ndarray
     span: tuple[float, float]
+    #: H at z0 and the start of the span.
     energy_0: float
     seed: int
     progress: bool | Callable[[Any], None] | None

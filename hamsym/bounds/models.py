@@ -38,22 +38,15 @@ class ModelTables(Record):
 
 
 class Models(NamedTuple):
-    """Models of results on intervals.
+    """Models of results on intervals."""
 
-    Attributes
-    ----------
-    values : numpy.ndarray
-        Of the polynomials at the places, shape (n, results, PLACES).
-    error, rounding : numpy.ndarray
-        Bound on the distance of function and polynomial, and the rounding errors of the values,
-        which it leaves out, shape (n, results).
-    low, high : numpy.ndarray
-        Bounds on the functions, shape (n, results).
-    """
-
+    #: Of the polynomials at the places, shape (n, results, PLACES).
     values: np.ndarray
+    #: error, rounding: Bound on the distance of function and polynomial, and the rounding errors of
+    #: the values, which it leaves out, shape (n, results).
     error: np.ndarray
     rounding: np.ndarray
+    #: low, high: Bounds on the functions, shape (n, results).
     low: np.ndarray
     high: np.ndarray
 

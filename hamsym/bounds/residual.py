@@ -38,18 +38,12 @@ _EPS = 2.0**-52
 
 
 class Places(NamedTuple):
-    """A trial solution at the places of parts of windows.
+    """A trial solution at the places of parts of windows."""
 
-    Attributes
-    ----------
-    z, rates : numpy.ndarray
-        z^ and dz^/dt, shape (parts, PLACES, dim).
-    t : numpy.ndarray
-        Shape (parts, PLACES).
-    """
-
+    #: z, rates: z^ and dz^/dt, shape (parts, PLACES, dim).
     z: np.ndarray
     rates: np.ndarray
+    #: Shape (parts, PLACES).
     t: np.ndarray
 
 

@@ -41,23 +41,15 @@ class ClosedPipeError(Exception):
 
 @dataclass(frozen=True)
 class Report:
-    """What a command prints, and the exit status.
+    """What a command prints, and the exit status."""
 
-    Attributes
-    ----------
-    text : str
-        For a terminal.
-    values : mapping
-        The same as data, for ``--json``.
-    success : bool
-        Whether the exit status is 0.
-    files : list of str
-        Files that were written.
-    """
-
+    #: For a terminal.
     text: str
+    #: The same as data, for ``--json``.
     values: Mapping[str, Any]
+    #: Whether the exit status is 0.
     success: bool = True
+    #: Files that were written.
     files: list[str] = field(default_factory=list)
 
 

@@ -55,19 +55,12 @@ _SHOWN_NODES = 40  # of a subexpression in a comment
 
 @dataclass(frozen=True)
 class StraightLine:
-    """Assignments and results.
+    """Assignments and results."""
 
-    Attributes
-    ----------
-    lines : list of (str, str, str)
-        Name, text and comment, which may be empty, of each assignment.
-    results : list of str
-    indices : list of tuple of int
-        Positions of the results that are entries of a matrix or a tensor.
-    """
-
+    #: Name, text and comment, which may be empty, of each assignment.
     lines: list[tuple[str, str, str]]
     results: list[str]
+    #: Positions of the results that are entries of a matrix or a tensor.
     indices: list[tuple[int, ...]]
 
     @property
@@ -251,20 +244,13 @@ def _shared_symbols() -> Iterator[sympy.Symbol]:
 
 @dataclass(frozen=True)
 class _Node:
-    """An operation on earlier nodes.
+    """An operation on earlier nodes."""
 
-    Attributes
-    ----------
-    kind : str
-        ``"+"``, ``"-"``, ``"*"``, ``"negative"``, the name of a function, ``"integer"`` or
-        ``"atom"``.
-    arguments : tuple of int
-    text : str
-        Of an atom or an integer.
-    """
-
+    #: ``"+"``, ``"-"``, ``"*"``, ``"negative"``, the name of a function, ``"integer"`` or
+    #: ``"atom"``.
     kind: str
     arguments: tuple[int, ...] = ()
+    #: Of an atom or an integer.
     text: str = ""
 
 

@@ -29,31 +29,19 @@ _PILOT_STEPS, _PILOTS = 1_000, 8
 
 @dataclass(frozen=True)
 class TangentSteps:
-    """Equal steps of one trajectory.
-
-    Attributes
-    ----------
-    H : Hamiltonian
-    method : str
-    span : (float, float)
-    number : int
-    size : float
-        Negative where time runs backward.
-    rate : float
-        Fastest rate of the linear motion at the beginning of the trajectory, per unit of time.
-    chosen : bool
-        Whether the steps follow from the rate, not from the user.
-    scales : numpy.ndarray
-        Units of tangent vectors, by :func:`hamsym.dynamics.growth.tangent_scales`, shape (dim, 1).
-    """
+    """Equal steps of one trajectory."""
 
     H: Hamiltonian
     method: str
     span: tuple[float, float]
     number: int
+    #: Negative where time runs backward.
     size: float
+    #: Fastest rate of the linear motion at the beginning of the trajectory, per unit of time.
     rate: float
+    #: Whether the steps follow from the rate, not from the user.
     chosen: bool
+    #: Units of tangent vectors, by :func:`hamsym.dynamics.growth.tangent_scales`, shape (dim, 1).
     scales: np.ndarray = field(repr=False)
 
     @classmethod

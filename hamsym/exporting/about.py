@@ -20,16 +20,10 @@ _WIDTH = 96  # characters of a line
 
 @dataclass(frozen=True)
 class About:
-    """A solution, its certificate, and the statements about them.
-
-    Attributes
-    ----------
-    solution : Solution
-    certificate : Certificate or None
-        Of this very solution.
-    """
+    """A solution, its certificate, and the statements about them."""
 
     solution: Solution
+    #: Of this very solution.
     certificate: hamsym.Certificate | None
 
     @property

@@ -19,19 +19,12 @@ from hamsym.support.atomic import write_atomically
 
 @dataclass(frozen=True)
 class Format:
-    """A format of exported files.
-
-    Attributes
-    ----------
-    summary : str
-    content : callable
-        (About, stem of the file's name) -> its bytes.
-    most : int
-        Largest number of float64 numbers in a file.
-    """
+    """A format of exported files."""
 
     summary: str
+    #: (About, stem of the file's name) -> its bytes.
     content: Callable[[About, str], bytes]
+    #: Largest number of float64 numbers in a file.
     most: int
 
 

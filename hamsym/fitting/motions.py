@@ -91,15 +91,7 @@ class Motions(Protocol):
 
 @dataclass
 class SolvedMotions:
-    """Motions of one solution for each row.
-
-    Attributes
-    ----------
-    unknowns : Unknowns
-    t : numpy.ndarray
-    span : (float, float)
-    tol : float
-    """
+    """Motions of one solution for each row."""
 
     unknowns: Unknowns
     t: np.ndarray
@@ -353,14 +345,7 @@ def _lift_of(H: Hamiltonian, free: tuple[str, ...]) -> tuple[Hamiltonian, Mappin
 
 @dataclass(frozen=True)
 class MappedMotions:
-    """Motions of a flow map.
-
-    Attributes
-    ----------
-    flow : FlowLike
-    unknowns : Unknowns
-    t : numpy.ndarray
-    """
+    """Motions of a flow map."""
 
     flow: FlowLike
     unknowns: Unknowns

@@ -76,29 +76,19 @@ class Observables:
 
 @dataclass(frozen=True)
 class Observations:
-    """Measured values of observables.
+    """Measured values of observables."""
 
-    Attributes
-    ----------
-    expressions : dict of str to sympy.Expr
-        The observables in real symbols, by label.
-    t : numpy.ndarray
-        Times, shape (times,).
-    data : numpy.ndarray
-        Shape (sets, observables, times); nan where a value is missing.
-    sigma : numpy.ndarray
-        Standard deviations of the data, in their shape; ones if they are unknown.
-    known : bool
-        Whether they were given.
-    single : bool
-        Whether there is one set, given without an axis of sets.
-    """
-
+    #: The observables in real symbols, by label.
     expressions: dict[str, sympy.Expr]
+    #: Times, shape (times,).
     t: np.ndarray
+    #: Shape (sets, observables, times); nan where a value is missing.
     data: np.ndarray
+    #: Standard deviations of the data, in their shape; ones if they are unknown.
     sigma: np.ndarray
+    #: Whether they were given.
     known: bool
+    #: Whether there is one set, given without an axis of sets.
     single: bool
 
     @property

@@ -23,17 +23,11 @@ _BETTER = 1e-3  # of the variance: decrease that shows a better minimum
 
 @dataclass(frozen=True)
 class Profiles:
-    """Ends of the intervals of some quantities.
+    """Ends of the intervals of some quantities."""
 
-    Attributes
-    ----------
-    ends : numpy.ndarray
-        Shape (n,); infinite where the rise stays below its level.
-    better : dict of int to numpy.ndarray
-        Values of the free quantities with a smaller chi-square than the minimum, by set.
-    """
-
+    #: Shape (n,); infinite where the rise stays below its level.
     ends: np.ndarray
+    #: Values of the free quantities with a smaller chi-square than the minimum, by set.
     better: dict[int, np.ndarray]
 
 

@@ -20,30 +20,22 @@ _BATCH = 4_000_000  # numbers in the derivatives of states that are computed tog
 
 @dataclass(frozen=True)
 class Found:
-    """The best minimum of each set.
+    """The best minimum of each set."""
 
-    Attributes
-    ----------
-    unknowns, residuals, jacobian : numpy.ndarray
-        Shapes (sets, k), (sets, m), (sets, m, k), with m = observables times; (model - data)/sigma,
-        zero where data are missing.
-    converged : numpy.ndarray
-        Shape (sets,).
-    iterations : numpy.ndarray
-        Shape (sets,).
-    reached, refined : numpy.ndarray, int
-        Number of starts that reached it, shape (sets,), and of those that were refined.
-    minima : tuple of (unknowns, chi-square, starts)
-        Of one set: the different minima, the best one first.
-    """
-
+    #: unknowns, residuals, jacobian: Shapes (sets, k), (sets, m), (sets, m, k), with m =
+    #: observables times; (model - data)/sigma, zero where data are missing.
     unknowns: np.ndarray
     residuals: np.ndarray
     jacobian: np.ndarray
+    #: Shape (sets,).
     converged: np.ndarray
+    #: Shape (sets,).
     iterations: np.ndarray
+    #: reached, refined: Number of starts that reached it, shape (sets,), and of those that were
+    #: refined.
     reached: np.ndarray
     refined: int
+    #: Of one set: the different minima, the best one first.
     minima: tuple[tuple[np.ndarray, float, int], ...]
 
     @property

@@ -22,30 +22,20 @@ _NO_EFFECT = 1e-6  # of the variance: rise of chi-square
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of the estimates of each set.
+    """Uncertainty of the estimates of each set."""
 
-    Attributes
-    ----------
-    covariance : numpy.ndarray
-        Shape (sets, k, k).
-    undetermined : list of str
-        What the data do not determine, or an empty text.
-    low, high : numpy.ndarray
-        Ends of the confidence intervals, shape (sets, k).
-    profiled : numpy.ndarray
-        Whether they are those of the profile likelihood, shape (sets,).
-    variance : numpy.ndarray
-        Of the data in units of sigma^2, given or estimated, shape (sets,).
-    better : dict of int to numpy.ndarray
-        Free quantities that fit better than the minimum found, by set.
-    """
-
+    #: Shape (sets, k, k).
     covariance: np.ndarray
+    #: What the data do not determine, or an empty text.
     undetermined: list[str]
+    #: low, high: Ends of the confidence intervals, shape (sets, k).
     low: np.ndarray
     high: np.ndarray
+    #: Whether they are those of the profile likelihood, shape (sets,).
     profiled: np.ndarray
+    #: Of the data in units of sigma^2, given or estimated, shape (sets,).
     variance: np.ndarray
+    #: Free quantities that fit better than the minimum found, by set.
     better: dict[int, np.ndarray]
 
 

@@ -17,23 +17,16 @@ from hamsym.symbolic.checks import name_of
 
 @dataclass(frozen=True)
 class Unknowns:
-    """The free quantities, and the values of all others.
+    """The free quantities, and the values of all others."""
 
-    Attributes
-    ----------
-    H : Hamiltonian
-        With a value for every parameter: fixed, or the first guess.
-    start : numpy.ndarray
-        Components of the start, shape (dim,): fixed, or first guesses.
-    names : tuple of str
-        The free quantities.
-    guesses, low, high : numpy.ndarray
-        Their first guesses and bounds, shape (k,); infinite where there are none.
-    """
-
+    #: With a value for every parameter: fixed, or the first guess.
     H: Hamiltonian
+    #: Components of the start, shape (dim,): fixed, or first guesses.
     start: np.ndarray
+    #: The free quantities.
     names: tuple[str, ...]
+    #: guesses, low, high: Their first guesses and bounds, shape (k,); infinite where there are
+    #: none.
     guesses: np.ndarray
     low: np.ndarray
     high: np.ndarray

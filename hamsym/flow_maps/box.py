@@ -30,26 +30,18 @@ class Box:
     """Initial states and parameters, of which some vary in intervals.
 
     The quantities that vary are called inputs: components of z0, then parameters.
-
-    Attributes
-    ----------
-    H : Hamiltonian
-        With a value for every parameter; those that vary have the centre of their interval.
-    names : tuple of str
-        The inputs.
-    low, high : numpy.ndarray
-        Ends of their intervals, shape (d,).
-    fixed : dict of str to float
-        Components of z0 that do not vary.
-    expressions : dict of str to str
-        Components of z0 that are functions of parameters.
     """
 
+    #: With a value for every parameter; those that vary have the centre of their interval.
     H: Hamiltonian
+    #: The inputs.
     names: tuple[str, ...]
+    #: low, high: Ends of their intervals, shape (d,).
     low: np.ndarray
     high: np.ndarray
+    #: Components of z0 that do not vary.
     fixed: Mapping[str, float]
+    #: Components of z0 that are functions of parameters.
     expressions: Mapping[str, str]
 
     def __len__(self) -> int:

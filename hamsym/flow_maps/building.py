@@ -28,22 +28,14 @@ _AT_END = 0.3  # probability that an input of a sample is an end of its interval
 
 @dataclass(frozen=True)
 class Built:
-    """An expansion over a box.
-
-    Attributes
-    ----------
-    map : Leg, Chain or Split
-    reached : float
-        Time up to which it holds.
-    failure : str
-        Why it does not reach the end of the span; empty if it does.
-    edges : numpy.ndarray
-        Ends of the pieces of all its legs, from the start to ``reached``.
-    """
+    """An expansion over a box."""
 
     map: Any
+    #: Time up to which it holds.
     reached: float
+    #: Why it does not reach the end of the span; empty if it does.
     failure: str
+    #: Ends of the pieces of all its legs, from the start to ``reached``.
     edges: np.ndarray
 
 

@@ -43,35 +43,24 @@ _INSIDE = 5e-9  # of a piece; the square is round-off
 
 @dataclass(frozen=True)
 class Judgement:
-    """Estimated error of a map over its box.
+    """Estimated error of a map over its box."""
 
-    Attributes
-    ----------
-    error : numpy.ndarray
-        Estimated largest error of each component, shape (dim,).
-    linear : numpy.ndarray
-        Largest error by the linear equation at the places where it was solved, shape (dim,).
-    worst_time : float
-    worst_inputs : numpy.ndarray
-        Where the largest error was found, shape (d,).
-    points, share : int, float
-        Number of random points, and the share of the box for which these bound the error, with a
-        confidence of 95 %.
-    symplecticity : float or None
-        Largest entry of M^T J M - J in units of the components, M = dz^/dz0; None unless all
-        components vary.
-    failure : str
-        A solution that could not be compared, or a narrow feature that the map misses; empty if
-        there is none.
-    """
-
+    #: Estimated largest error of each component, shape (dim,).
     error: np.ndarray
+    #: Largest error by the linear equation at the places where it was solved, shape (dim,).
     linear: np.ndarray
     worst_time: float
+    #: Where the largest error was found, shape (d,).
     worst_inputs: np.ndarray
+    #: points, share: Number of random points, and the share of the box for which these bound the
+    #: error, with a confidence of 95 %.
     points: int
     share: float
+    #: Largest entry of M^T J M - J in units of the components, M = dz^/dz0; None unless all
+    #: components vary.
     symplecticity: float | None
+    #: A solution that could not be compared, or a narrow feature that the map misses; empty if
+    #: there is none.
     failure: str
 
 

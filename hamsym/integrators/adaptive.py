@@ -16,16 +16,11 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 
 @dataclass(frozen=True)
 class Adaptive:
-    """An integrator with adaptive step size.
+    """An integrator with adaptive step size."""
 
-    Attributes
-    ----------
-    run : callable
-        (H, z0, times, rtol, atol) -> (states, evaluations, message). After an early stop there are
-        fewer states than times, and the message gives the reason; otherwise it is empty. If atol is
-        None it is 0.01 rtol times the magnitude of the motion.
-    """
-
+    #: (H, z0, times, rtol, atol) -> (states, evaluations, message). After an early stop there are
+    #: fewer states than times, and the message gives the reason; otherwise it is empty. If atol is
+    #: None it is 0.01 rtol times the magnitude of the motion.
     run: Callable[..., tuple[np.ndarray, int, str]]
     is_symplectic = False
     is_symmetric = False

@@ -174,18 +174,11 @@ def work_of(t: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Attempt:
-    """Result of a run over the whole span with a given number of steps.
+    """Result of a run over the whole span with a given number of steps."""
 
-    Attributes
-    ----------
-    times : numpy.ndarray
-        Equally spaced, shape (n,); a run with twice the steps has these times among its own.
-    z : numpy.ndarray
-        States, shape (batch, n, dim); nan after the end of a trajectory.
-    interrupted : bool
-    """
-
+    #: Equally spaced, shape (n,); a run with twice the steps has these times among its own.
     times: np.ndarray
+    #: States, shape (batch, n, dim); nan after the end of a trajectory.
     z: np.ndarray
     interrupted: bool
 
@@ -195,22 +188,14 @@ AttemptT = TypeVar("AttemptT", bound=Attempt)
 
 @dataclass(frozen=True)
 class Choice(Generic[AttemptT]):
-    """The last attempt, with its drift and whether the target is met.
-
-    Attributes
-    ----------
-    attempt : Attempt
-    steps : int
-    found : float
-        Largest energy drift of a trajectory; for H that is not conserved, change by
-        halving the step.
-    met : bool
-        Whether ``found`` is at most :data:`AIM` and the steps resolve the fastest linear motion.
-    """
+    """The last attempt, with its drift and whether the target is met."""
 
     attempt: AttemptT = field(repr=False)
     steps: int
+    #: Largest energy drift of a trajectory; for H that is not conserved, change by halving the
+    #: step.
     found: float
+    #: Whether ``found`` is at most :data:`AIM` and the steps resolve the fastest linear motion.
     met: bool
 
 

@@ -34,24 +34,16 @@ _MIN_ENSEMBLE = 4
 
 @dataclass
 class Stepping:
-    """Result of :meth:`Stepper.advance`.
+    """Result of :meth:`Stepper.advance`."""
 
-    Attributes
-    ----------
-    path : numpy.ndarray
-        States before the steps and after every save_every of them, shape (n, 1 + saves, dim); nan
-        after the last completed step.
-    steps : numpy.ndarray
-        Completed steps of each trajectory, shape (n,).
-    evaluations : int
-        Evaluations of the force, the gradient or the vector field, summed over trajectories.
-    interrupted : bool
-        Whether Ctrl-C ended the run.
-    """
-
+    #: States before the steps and after every save_every of them, shape (n, 1 + saves, dim); nan
+    #: after the last completed step.
     path: np.ndarray = field(repr=False)
+    #: Completed steps of each trajectory, shape (n,).
     steps: np.ndarray
+    #: Evaluations of the force, the gradient or the vector field, summed over trajectories.
     evaluations: int
+    #: Whether Ctrl-C ended the run.
     interrupted: bool = False
 
     @property

@@ -51,18 +51,12 @@ _FIT = np.ascontiguousarray((_BASIS * np.array([1.0, *[2.0] * DEGREE]) / PLACES)
 
 
 class Hidden(NamedTuple):
-    """What the steps of trajectories may not follow.
+    """What the steps of trajectories may not follow."""
 
-    Attributes
-    ----------
-    times : numpy.ndarray
-        Of the first feature that steps of each trajectory passed over, shape (n,), nan where there
-        is none.
-    rounding : numpy.ndarray
-        What the round-off of the force may change in each component, shape (n, dim).
-    """
-
+    #: Of the first feature that steps of each trajectory passed over, shape (n,), nan where there
+    #: is none.
     times: np.ndarray
+    #: What the round-off of the force may change in each component, shape (n, dim).
     rounding: np.ndarray
 
 
@@ -179,17 +173,11 @@ def _hermite_fit(length: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows with the polynomials of curve and force.
+    """Windows with the polynomials of curve and force."""
 
-    Attributes
-    ----------
-    edges : numpy.ndarray
-        Times of start and end, shape (2, windows).
-    curve, force : numpy.ndarray
-        Coefficients, shape (windows, DEGREE + 1, dim).
-    """
-
+    #: Times of start and end, shape (2, windows).
     edges: np.ndarray
+    #: curve, force: Coefficients, shape (windows, DEGREE + 1, dim).
     curve: np.ndarray
     force: np.ndarray
 

@@ -31,24 +31,16 @@ _PERTURBATION = 1e-11  # of a component, above its round-off and below all nonli
 
 @dataclass(frozen=True)
 class Extrapolation:
-    """Extrapolated states of trajectories and their estimated errors.
+    """Extrapolated states of trajectories and their estimated errors."""
 
-    Attributes
-    ----------
-    states : numpy.ndarray
-        Shape (n, times, dim); those of the finest run where another run is not finite.
-    sizes : numpy.ndarray
-        Largest magnitude of each component in the middle run, shape (n, dim).
-    errors : numpy.ndarray
-        Estimated largest error of a component, relative to its size, up to each time, shape
-        (n, times); infinite where a run is not finite.
-    round_off : numpy.ndarray
-        The part of the last errors that is round-off, shape (n,).
-    """
-
+    #: Shape (n, times, dim); those of the finest run where another run is not finite.
     states: np.ndarray
+    #: Largest magnitude of each component in the middle run, shape (n, dim).
     sizes: np.ndarray
+    #: Estimated largest error of a component, relative to its size, up to each time, shape (n,
+    #: times); infinite where a run is not finite.
     errors: np.ndarray
+    #: The part of the last errors that is round-off, shape (n,).
     round_off: np.ndarray
 
     def add_round_off(self, sizes: np.ndarray) -> None:

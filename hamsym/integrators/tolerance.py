@@ -64,32 +64,19 @@ _EPS = float(np.finfo(float).eps)
 
 @dataclass
 class Tolerated:
-    """Trajectories of an ensemble, and how far each of them meets the tolerance.
+    """Trajectories of an ensemble, and how far each of them meets the tolerance."""
 
-    Attributes
-    ----------
-    z : numpy.ndarray
-        States, shape (count, 1 + saves, dim); nan after the end of a trajectory.
-    errors : numpy.ndarray
-        Estimated errors in the units of the components, shape of z; infinite where unknown.
-    success : numpy.ndarray
-        Shape (count,).
-    steps : numpy.ndarray
-        Steps of the finest run of each trajectory, shape (count,).
-    largest : numpy.ndarray
-        Largest estimated error of each trajectory relative to the sizes of its components.
-    problems : dict
-        Reason for each trajectory that did not succeed, by its index.
-    evaluations : int
-    interrupted : bool
-    tol : float
-    """
-
+    #: States, shape (count, 1 + saves, dim); nan after the end of a trajectory.
     z: np.ndarray = field(repr=False)
+    #: Estimated errors in the units of the components, shape of z; infinite where unknown.
     errors: np.ndarray = field(repr=False)
+    #: Shape (count,).
     success: np.ndarray
+    #: Steps of the finest run of each trajectory, shape (count,).
     steps: np.ndarray
+    #: Largest estimated error of each trajectory relative to the sizes of its components.
     largest: np.ndarray
+    #: Reason for each trajectory that did not succeed, by its index.
     problems: dict[int, str]
     evaluations: int = 0
     interrupted: bool = False

@@ -43,15 +43,7 @@ _QUICK = 40  # fixed-point passes of readouts that converge quickly
 
 @dataclass(frozen=True)
 class Layout:
-    """Form of the networks of a chain.
-
-    Attributes
-    ----------
-    hidden : sequence of int
-    activation, envelope : str
-    frequency : float or None
-    device : torch.device
-    """
+    """Form of the networks of a chain."""
 
     hidden: Sequence[int]
     activation: str
@@ -71,30 +63,20 @@ class Layout:
 
 @dataclass(frozen=True)
 class ChainSettings:
-    """Settings of the training of a chain.
+    """Settings of the training of a chain."""
 
-    Attributes
-    ----------
-    tolerance : float
-        Largest residual in a window, relative to the size of the motion.
-    hidden_steps : int
-        Largest number of steps of the hidden layers in a window.
-    stops : sequence of float
-        Times at which a window must end, in the order of the span.
-    longest : float
-        Length of the longest window.
-    deadline : float, optional
-        Of :func:`time.perf_counter`.
-    limit : float, optional
-        Residual of what a window of given length may miss between its points; its own residual is
-        at most ten times that.
-    """
-
+    #: Largest residual in a window, relative to the size of the motion.
     tolerance: float
+    #: Largest number of steps of the hidden layers in a window.
     hidden_steps: int
+    #: Times at which a window must end, in the order of the span.
     stops: Sequence[float]
+    #: Length of the longest window.
     longest: float
+    #: Of :func:`time.perf_counter`.
     deadline: float | None = None
+    #: Residual of what a window of given length may miss between its points; its own residual is at
+    #: most ten times that.
     limit: float = math.inf
 
     def of_window(self, layout: Layout, hidden_steps: int) -> Settings:
@@ -104,24 +86,15 @@ class ChainSettings:
 
 @dataclass(frozen=True)
 class TrainedChain:
-    """A chain and its record.
-
-    Attributes
-    ----------
-    chain : Chain or None
-    training : ChainTraining or None
-    reason : str
-        Why it ends before the span does, "" if not.
-    reached : float
-        End of its last window.
-    doubt : str
-        What a window misses between its points, "" if nothing is known.
-    """
+    """A chain and its record."""
 
     chain: Chain | None
     training: ChainTraining | None
+    #: Why it ends before the span does, "" if not.
     reason: str
+    #: End of its last window.
     reached: float
+    #: What a window misses between its points, "" if nothing is known.
     doubt: str = ""
 
 

@@ -17,20 +17,13 @@ from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A file from which a training is resumed, to the same bits as without an interruption.
+    """A file from which a training is resumed, to the same bits as without an interruption."""
 
-    Attributes
-    ----------
-    path : path-like
-        Replaced in one step, periodically and at the end; read if it exists.
-    settings : mapping
-        Settings that determine the training; a file with other settings is refused.
-    every : float
-        Seconds between two writes.
-    """
-
+    #: Replaced in one step, periodically and at the end; read if it exists.
     path: str | os.PathLike[str]
+    #: Settings that determine the training; a file with other settings is refused.
     settings: Mapping[str, Any]
+    #: Seconds between two writes.
     every: float = 10.0
 
     def read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:

@@ -34,25 +34,17 @@ Residuals = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Minima:
-    """Results of all rows.
+    """Results of all rows."""
 
-    Attributes
-    ----------
-    unknowns : numpy.ndarray
-        Shape (n, k).
-    residuals, jacobian : numpy.ndarray
-        At the unknowns, shapes (n, m) and (n, m, k); not finite in rows without values at the
-        start.
-    converged : numpy.ndarray
-        Whether no step of first or second order improves the row, shape (n,).
-    iterations : numpy.ndarray
-        Steps that were tried, shape (n,).
-    """
-
+    #: Shape (n, k).
     unknowns: np.ndarray
+    #: residuals, jacobian: At the unknowns, shapes (n, m) and (n, m, k); not finite in rows without
+    #: values at the start.
     residuals: np.ndarray
     jacobian: np.ndarray
+    #: Whether no step of first or second order improves the row, shape (n,).
     converged: np.ndarray
+    #: Steps that were tried, shape (n,).
     iterations: np.ndarray
 
 

@@ -23,29 +23,20 @@ from hamsym.orbits.window_maps import WindowMaps
 
 @dataclass(frozen=True)
 class Step:
-    """The solution of Newton's linear system at an arc.
+    """The solution of Newton's linear system at an arc."""
 
-    Attributes
-    ----------
-    ends, values : numpy.ndarray
-        Corrections of the states, shaped as those of the arc.
-    period, parameter : float
-        Corrections of the period and of the parameter.
-    residual, size : float
-        Largest residual and correction, relative to the scales.
-    singular : bool
-        Whether the system has no unique solution.
-    maps : numpy.ndarray
-        Derivatives of the windows' flows, shape (k, dim, dim).
-    """
-
+    #: ends, values: Corrections of the states, shaped as those of the arc.
     ends: np.ndarray
     values: np.ndarray
+    #: period, parameter: Corrections of the period and of the parameter.
     period: float
     parameter: float
+    #: residual, size: Largest residual and correction, relative to the scales.
     residual: float
     size: float
+    #: Whether the system has no unique solution.
     singular: bool
+    #: Derivatives of the windows' flows, shape (k, dim, dim).
     maps: np.ndarray
 
     def applied(self, arc: Arc, share: float = 1.0) -> Arc:

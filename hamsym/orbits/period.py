@@ -16,16 +16,10 @@ from hamsym.symbolic.exact import rational
 
 @dataclass(frozen=True)
 class Period:
-    """A period, in the units of H.
-
-    Attributes
-    ----------
-    value : float
-    formula : sympy.Expr
-        The exact value, in the parameters of H.
-    """
+    """A period, in the units of H."""
 
     value: float
+    #: The exact value, in the parameters of H.
     formula: sympy.Expr
 
 

@@ -40,19 +40,12 @@ _FAR = 0.5  # distance of a return from which Newton's method has no chance
 
 @dataclass(frozen=True)
 class Found:
-    """Result of Newton's method.
-
-    Attributes
-    ----------
-    arc : Arc
-    step : Step
-        The last linear system.
-    failure : str
-        Reason of a failure, or an empty text.
-    """
+    """Result of Newton's method."""
 
     arc: Arc
+    #: The last linear system.
     step: Step
+    #: Reason of a failure, or an empty text.
     failure: str = ""
 
 

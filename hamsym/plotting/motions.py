@@ -58,40 +58,26 @@ _CARTESIAN = re.compile(r"([xyzXYZ])_?([0-9]*|[A-Za-z]?)\Z")
 
 @dataclass(frozen=True)
 class Motion:
-    """One trajectory, or those of an ensemble that are drawn.
-
-    Attributes
-    ----------
-    H : Hamiltonian
-    t : numpy.ndarray
-        Times, shape (n,).
-    z : numpy.ndarray
-        States, shape (members, n, dim).
-    total : int
-        Trajectories of the result; ``z`` has these or a choice.
-    sentences : sequence
-        Of the caption, as text or words.
-    warning : str
-        In red, "" for none.
-    what : str
-        What the motions are, in the plural.
-    varied : (str, str, numpy.ndarray)
-        Label, unit and value of each trajectory by which it is named or coloured.
-    parameters : mapping, optional
-        Values for the caption, by default those of H.
-    apart : str
-        Sentence about states that are too far apart for lines between them, and drawn as dots.
-    """
+    """One trajectory, or those of an ensemble that are drawn."""
 
     H: Hamiltonian
+    #: Times, shape (n,).
     t: np.ndarray
+    #: States, shape (members, n, dim).
     z: np.ndarray
+    #: Trajectories of the result; ``z`` has these or a choice.
     total: int = 1
+    #: Of the caption, as text or words.
     sentences: Sequence[Any] = ()
+    #: In red, "" for none.
     warning: str = ""
+    #: What the motions are, in the plural.
     what: str = "trajectories"
+    #: Label, unit and value of each trajectory by which it is named or coloured.
     varied: tuple[str, str, np.ndarray] = ("", "", np.zeros(1))
+    #: Values for the caption, by default those of H.
     parameters: dict[str, float] | None = None
+    #: Sentence about states that are too far apart for lines between them, and drawn as dots.
     apart: str = ""
     styles: list[dict[str, Any]] = field(init=False)
 

@@ -17,17 +17,11 @@ from hamsym.plotting.style import COLUMN, GREY, PAGE, style_for, styled
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel of a figure.
+    """A panel of a figure."""
 
-    Attributes
-    ----------
-    draw : callable
-        Draws into axes.
-    height : float
-        Of the panel, in centimetres.
-    """
-
+    #: Draws into axes.
     draw: Callable[[Axes], Any]
+    #: Of the panel, in centimetres.
     height: float = 6.5
 
 

@@ -58,24 +58,16 @@ _JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Checked options of a march.
+    """Checked options of a march."""
 
-    Attributes
-    ----------
-    tol, local : float
-        Tolerance, and local tolerance of the first march.
-    absolute : numpy.ndarray
-        Absolute tolerance, shape (dim,).
-    longest : float
-        Longest window.
-    stops : list of float
-        Times at which a window ends.
-    """
-
+    #: tol, local: Tolerance, and local tolerance of the first march.
     tol: float
     local: float
+    #: Absolute tolerance, shape (dim,).
     absolute: np.ndarray
+    #: Longest window.
     longest: float
+    #: Times at which a window ends.
     stops: list[float]
 
     def allowed(self, sizes: np.ndarray) -> np.ndarray:

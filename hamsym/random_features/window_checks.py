@@ -43,38 +43,24 @@ class Failure(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Windows that need not follow each other.
+    """Windows that need not follow each other."""
 
-    Attributes
-    ----------
-    start, end : numpy.ndarray
-        Shape (windows,).
-    states : numpy.ndarray
-        At the starts, shape (windows, dim).
-    readouts : numpy.ndarray
-        Shape (windows, columns, dim).
-    """
-
+    #: start, end: Shape (windows,).
     start: np.ndarray
     end: np.ndarray
+    #: At the starts, shape (windows, dim).
     states: np.ndarray
+    #: Shape (windows, columns, dim).
     readouts: np.ndarray
 
 
 @dataclass
 class WindowChecks:
-    """The checks of one march.
-
-    Attributes
-    ----------
-    flow : Flow
-    basis : FeatureBasis
-    tolerance : float
-        Local tolerance of the march.
-    """
+    """The checks of one march."""
 
     flow: Flow
     basis: FeatureBasis
+    #: Local tolerance of the march.
     tolerance: float
 
     def first_failure(self, windows: Windows, sizes: np.ndarray) -> Failure | None:

@@ -170,17 +170,11 @@ def has_time_switches(H: Hamiltonian) -> bool:
 
 
 class _Switch(NamedTuple):
-    """A function of (z, t) at whose zeros the gradient or H may jump.
+    """A function of (z, t) at whose zeros the gradient or H may jump."""
 
-    Attributes
-    ----------
-    argument : callable
-        Shapes (..., dim), (...) -> (..., 1); for H = p**2/2 + abs(x) it is x.
-    jumps : callable
-        Jumps of the gradient, then of H, at a zero: (..., dim), (...) -> (..., dim + 1).
-    """
-
+    #: Shapes (..., dim), (...) -> (..., 1); for H = p**2/2 + abs(x) it is x.
     argument: Callable[..., np.ndarray]
+    #: Jumps of the gradient, then of H, at a zero: (..., dim), (...) -> (..., dim + 1).
     jumps: Callable[..., np.ndarray]
 
 

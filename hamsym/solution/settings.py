@@ -24,35 +24,22 @@ _LONGEST_TEXT = 10_000
 
 @dataclass(frozen=True)
 class Settings:
-    """Arguments with which :func:`hamsym.solve` was called, beside H, z0 and the method.
+    """Arguments with which :func:`hamsym.solve` was called, beside H, z0 and the method."""
 
-    Attributes
-    ----------
-    span : (float, float)
-        The times that were asked for; a solution that had to stop spans fewer.
-    seed : int
-    tol : float or None
-        Relative tolerance, given or by default; None for a method without one.
-    atol : tuple of float
-        Absolute tolerance, one, or one for each component, in the units of the components.
-    prove : bool
-    invariants : tuple of str
-    options : mapping of str to plain values
-        The options that were given: numbers, texts, None, and lists of them.
-    missing : tuple of str
-        Names of further options, with values that are not data, for example a network of one's own.
-    version : str
-        Version of hamsym that solved.
-    """
-
+    #: The times that were asked for; a solution that had to stop spans fewer.
     span: tuple[float, float]
     seed: int
+    #: Relative tolerance, given or by default; None for a method without one.
     tol: float | None
+    #: Absolute tolerance, one, or one for each component, in the units of the components.
     atol: tuple[float, ...]
     prove: bool = False
     invariants: tuple[str, ...] = ()
+    #: The options that were given: numbers, texts, None, and lists of them.
     options: Mapping[str, Any] = field(default_factory=dict)
+    #: Names of further options, with values that are not data, for example a network of one's own.
     missing: tuple[str, ...] = ()
+    #: Version of hamsym that solved.
     version: str = ""
 
     def allowed(self, scale: np.ndarray) -> np.ndarray | None:

@@ -43,28 +43,18 @@ def box_shape(shape: Sequence[int], most: int) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class GridStore:
-    """A group of zarr with named axes, a dataset of xarray; workers of a cluster write to it too.
-
-    Attributes
-    ----------
-    path : pathlib.Path
-    axes : dict of str to numpy.ndarray
-        Names of the axes of the grid, with their values.
-    coordinates : dict of str to list
-        Values of other axes.
-    attributes : dict
-        What was asked for, with ``request``, its SHA-256.
-    box : tuple of int
-        Shape of the boxes.
-    token : str
-        Text by which a worker recognises the store.
-    """
+    """A group of zarr that xarray opens as a dataset; workers of a cluster write to it too."""
 
     path: Path
+    #: Names of the axes of the grid, with their values.
     axes: Mapping[str, np.ndarray] = field(repr=False)
+    #: Values of other axes.
     coordinates: Mapping[str, list[Any]] = field(repr=False)
+    #: What was asked for, with ``request``, its SHA-256.
     attributes: Mapping[str, Any] = field(repr=False)
+    #: Shape of the boxes.
     box: tuple[int, ...]
+    #: Text by which a worker recognises the store.
     token: str = ""
 
     @property

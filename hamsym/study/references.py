@@ -32,20 +32,13 @@ _TESTED = 256  # times at which the error of an enclosure's middle is measured
 
 @dataclass(frozen=True)
 class ReferenceSolution:
-    """States of a motion at any times of its span, which stand for the exact ones.
+    """States of a motion at any times of its span, which stand for the exact ones."""
 
-    Attributes
-    ----------
-    states : callable
-        t of shape (n,) -> states of shape (n, dim).
-    error : float
-        About the largest 2-norm of its error; 0 for an exact solution.
-    text : str
-        What it is, with its error.
-    """
-
+    #: t of shape (n,) -> states of shape (n, dim).
     states: Callable[[np.ndarray], np.ndarray] = field(repr=False)
+    #: About the largest 2-norm of its error; 0 for an exact solution.
     error: float
+    #: What it is, with its error.
     text: str
 
     def __call__(self, t: np.ndarray) -> np.ndarray:

@@ -209,22 +209,14 @@ def poisson_rows(
 
 @dataclass(frozen=True)
 class Alike:
-    """Terms of a sum that are one expression, the template, in different variables.
+    """Terms of a sum that are one expression, the template, in different variables."""
 
-    Attributes
-    ----------
-    template : sympy.Expr
-        The common expression, in the symbols ``places``.
-    places : list of sympy.Symbol
-    rows : list of tuple of sympy.Symbol
-        Variables of each term, in the order of ``places``.
-    factors : list of sympy.Number
-        Factor of the template in each term.
-    """
-
+    #: The common expression, in the symbols ``places``.
     template: sympy.Expr
     places: list[sympy.Symbol]
+    #: Variables of each term, in the order of ``places``.
     rows: list[tuple[sympy.Symbol, ...]]
+    #: Factor of the template in each term.
     factors: list[sympy.Expr]
 
 

@@ -34,28 +34,19 @@ _REMEDY = "name them with q=[...] and velocities=[...], or give parameters their
 
 
 class Lagrangian(NamedTuple):
-    """A Lagrangian with the roles of its symbols, and its Legendre transform.
+    """A Lagrangian with the roles of its symbols, and its Legendre transform."""
 
-    Attributes
-    ----------
-    expr : sympy.Expr
-        L, in coordinates, velocities, parameters and the time.
-    q, velocities, p : tuple of sympy.Symbol
-        Of one length, in one order.
-    momenta : tuple of sympy.Expr
-        p_i = dL/dv_i.
-    hamiltonian : sympy.Expr
-        H in q and p.
-    parameters : dict of str to float
-        Values of the parameters that H contains.
-    """
-
+    #: L, in coordinates, velocities, parameters and the time.
     expr: sympy.Expr
+    #: q, velocities, p: Of one length, in one order.
     q: tuple[sympy.Symbol, ...]
     velocities: tuple[sympy.Symbol, ...]
     p: tuple[sympy.Symbol, ...]
+    #: p_i = dL/dv_i.
     momenta: tuple[sympy.Expr, ...]
+    #: H in q and p.
     hamiltonian: sympy.Expr
+    #: Values of the parameters that H contains.
     parameters: dict[str, float]
 
 

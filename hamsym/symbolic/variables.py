@@ -33,27 +33,18 @@ _TWICE = "the force of '{}' is given twice; give their sum once"
 
 
 class Variables(NamedTuple):
-    """An expression and the roles of its symbols.
-
-    Attributes
-    ----------
-    expr : sympy.Expr
-    q, p, z : tuple of sympy.Symbol
-        Coordinates, momenta, and the state (q, p).
-    parameters : mapping of str to float
-        Values of the parameters that have a value.
-    time : sympy.Symbol or None
-        The time, if the expression or a force depends on it.
-    forces : mapping of str to sympy.Expr
-        Forces that do not vanish, by the names of their momenta.
-    """
+    """An expression and the roles of its symbols."""
 
     expr: sympy.Expr
+    #: q, p, z: Coordinates, momenta, and the state (q, p).
     q: tuple[sympy.Symbol, ...]
     p: tuple[sympy.Symbol, ...]
     z: tuple[sympy.Symbol, ...]
+    #: Values of the parameters that have a value.
     parameters: Mapping[str, float]
+    #: The time, if the expression or a force depends on it.
     time: sympy.Symbol | None
+    #: Forces that do not vanish, by the names of their momenta.
     forces: Mapping[str, sympy.Expr]
 
 

@@ -22,31 +22,20 @@ MOST_MEMBERS = 50
 
 @dataclass(frozen=True)
 class Motion:
-    """States of one or several trajectories over a time span.
-
-    Attributes
-    ----------
-    H : Hamiltonian
-    span : (float, float)
-        From where states are finite to where they are.
-    at : callable
-        Times of shape (n,) to states of shape (n, members, dim).
-    closed : bool
-        Whether it repeats after the span.
-    varied : tuple of str
-        Parameters that differ between the members.
-    notes : tuple of str
-        What is not drawn, in words.
-    failure : str
-        What did not succeed, in words; empty if all did.
-    """
+    """States of one or several trajectories over a time span."""
 
     H: Hamiltonian
+    #: From where states are finite to where they are.
     span: tuple[float, float]
+    #: Times of shape (n,) to states of shape (n, members, dim).
     at: Callable[[np.ndarray], np.ndarray]
+    #: Whether it repeats after the span.
     closed: bool = False
+    #: Parameters that differ between the members.
     varied: tuple[str, ...] = ()
+    #: What is not drawn, in words.
     notes: tuple[str, ...] = ()
+    #: What did not succeed, in words; empty if all did.
     failure: str = ""
 
 

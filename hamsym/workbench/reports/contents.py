@@ -65,18 +65,11 @@ def _in_unit(value: str, unit: str) -> str:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a solution is what was asked for, in sentences.
-
-    Attributes
-    ----------
-    success : bool
-    headline : str
-    asked, error : str
-        What was asked, and the largest estimated error against it.
-    """
+    """Whether a solution is what was asked for, in sentences."""
 
     success: bool
     headline: str
+    #: asked, error: What was asked, and the largest estimated error against it.
     asked: str
     error: str
 
@@ -369,19 +362,12 @@ def windows(solution: Solution) -> dict[str, Any] | None:
 
 @dataclass(frozen=True)
 class Proof:
-    """A certificate that was verified, or the reason why there is none.
-
-    Attributes
-    ----------
-    certificate : Certificate or None
-    sentence : str
-        The outcome in one sentence.
-    how : str
-        Where the certificate is from.
-    """
+    """A certificate that was verified, or the reason why there is none."""
 
     certificate: Certificate | None
+    #: The outcome in one sentence.
     sentence: str
+    #: Where the certificate is from.
     how: str = ""
 
     @property
