@@ -1,10 +1,11 @@
-"""Conversion of a Hamiltonian to JSON values and back."""
+"""Conversion of a Hamiltonian to JSON values and back, and files of results of one."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import os
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import sympy
@@ -22,7 +23,10 @@ from hamsym.support.checked_data import (
     checked_type,
     require_names,
 )
+from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 from hamsym.support.validation import plain
+
+R = TypeVar("R")
 
 _TAKEN = {"H", "confidence", "dt", "hamsym", "method", "reference_error", "span", "steps", "tol"}
 _LARGEST_POWER = 1_100  # of two, in a number of the formula; float64 ends at 1,024
@@ -76,6 +80,55 @@ def _marked(expr: sympy.Expr, names_of_state: Collection[str]) -> dict[str, Any]
             for name, number in zip(names, floats, strict=True)
         },
     }
+
+
+def write_result(
+    path: str | os.PathLike[str],
+    kind: str,
+    H: Hamiltonian,
+    check: Callable[[], None],
+    parts: Callable[[], tuple[Mapping[str, np.ndarray], dict[str, Any]]],
+) -> None:
+    """Write the arrays and values of a result to a file of its kind, if it passes its check.
+
+    Raise FileError if it does not, H has no formula that is read back as it is, or the file cannot
+    be written.
+    """
+    try:
+        check()
+    except MALFORMED as error:
+        verb = "are" if kind.endswith("s") else "is"
+        raise FileError(
+            f"'{path}' was not written, because the {kind} {verb} not valid: {one_line(error)}"
+        ) from None
+    require_formula(path, H)
+    write_tensors(path, kind, *parts())
+
+
+def read_result(
+    path: str | os.PathLike[str], kind: str, assembled: Callable[[dict[str, Any], Any], R]
+) -> R:
+    """Return what a function makes of the arrays and values of a file of this kind.
+
+    Raise FileError if the file cannot be read, is damaged or not valid.
+    """
+    arrays, values = read_tensors(path, kind)
+    try:
+        return assembled(arrays, values)
+    except MALFORMED as error:
+        noun = kind if kind.endswith("s") else f"a {kind}"
+        raise FileError(f"'{path}' is not a valid file of {noun}: {one_line(error)}") from None
+
+
+def require_formula(path: str | os.PathLike[str], H: Hamiltonian) -> None:
+    """Raise FileError unless the formula of H is read back as it is."""
+    values = described(H)
+    try:
+        same = hamiltonian_from(values) == H
+    except MALFORMED:
+        same = False
+    if not same:
+        raise FileError(f"'{path}' is not written: H has no formula that is read back as it is")
 
 
 def attributes_of(H: Hamiltonian, without: Collection[str] = ()) -> dict[str, Any]:

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from hamsym.solution.window_error import allowed_errors
-from hamsym.support.checked_data import (
-    checked_list,
-    checked_mapping,
-    checked_number,
-    checked_type,
-    require_names,
-)
+from hamsym.support.checked_data import checked_list, checked_record
 
 _MOST_OPTIONS = 100
 _LONGEST_TEXT = 10_000
@@ -56,17 +50,7 @@ class Settings:
 
     def described(self) -> dict[str, Any]:
         """Return it as JSON values."""
-        return {
-            "span": list(self.span),
-            "seed": self.seed,
-            "tol": self.tol,
-            "atol": list(self.atol),
-            "prove": self.prove,
-            "invariants": list(self.invariants),
-            "options": dict(self.options),
-            "missing": list(self.missing),
-            "version": self.version,
-        }
+        return {**vars(self), "options": dict(self.options)}
 
     @classmethod
     def from_description(cls, given: Any, dim: int) -> Settings:
@@ -79,31 +63,18 @@ class Settings:
         dim : int
             Number of components.
         """
-        values = checked_mapping("settings", given)
-        require_names("settings", values, set(cls.__dataclass_fields__))
-        start, end = (checked_number("span", t) for t in checked_list("span", values["span"], 2))
-        tol = values["tol"]
-        atol = tuple(checked_number("atol", part) for part in checked_list("atol", values["atol"]))
-        if tol is not None and not 0 < (tol := checked_number("tol", tol)) < 1:
+        found: Settings = checked_record(cls, given, {})
+        if found.tol is not None and not 0 < found.tol < 1:
             raise ValueError("its tol is out of range")
-        if len(atol) not in (1, dim) or not all(part >= 0 for part in atol):
+        if len(found.atol) not in (1, dim) or not all(part >= 0 for part in found.atol):
             raise ValueError("its atol is not one tolerance, or one for each component")
-        options = checked_mapping("options", values["options"])
-        missing = _texts("missing", values["missing"])
-        found = cls(
-            span=(start, end),
-            seed=checked_type("seed", values["seed"], "int"),
-            tol=tol,
-            atol=atol,
-            prove=checked_type("prove", values["prove"], "bool"),
-            invariants=_texts("invariants", values["invariants"]),
-            options={name: _plain(value) for name, value in options.items()},
-            missing=missing,
-            version=_text("version", values["version"]),
-        )
         if not found.seed >= 0:
             raise ValueError("its seed is negative")
-        return found
+        for texts in (found.invariants, found.missing, (found.version,)):
+            checked_list(
+                "settings", [_text("settings", text) for text in texts], most=_MOST_OPTIONS
+            )
+        return replace(found, options={name: _plain(v) for name, v in found.options.items()})
 
     def check(self, names: set[str], span: tuple[float, float]) -> None:
         """Raise ValueError unless it belongs to a method with these options and to this span."""
@@ -190,7 +161,3 @@ def _text(name: str, value: Any) -> str:
     if not isinstance(value, str) or len(value) > _LONGEST_TEXT:
         raise ValueError(f"'{name}' is not a text of at most {_LONGEST_TEXT:,} characters")
     return value
-
-
-def _texts(name: str, value: Any) -> tuple[str, ...]:
-    return tuple(_text(name, part) for part in checked_list(name, value, most=_MOST_OPTIONS))
