@@ -85,14 +85,9 @@ def members_on_cluster(
 
     Chunks are sized by the time that they take.
 
-    Parameters
-    ----------
-    client, setup, retries
-        As in :func:`cluster_results`.
-    function : callable
-        ``function(setup, numbers, members)`` for a chunk.
-    chosen : numpy.ndarray, optional
-        Numbers of the members to work on; by default all.
+    - client, setup, retries: As in :func:`cluster_results`.
+    - function: ``function(setup, numbers, members)`` for a chunk.
+    - chosen: Numbers of the members to work on; by default all.
     """
     left = np.arange(len(members)) if chosen is None else chosen
     threads, size = _Threads(client), _FIRST
@@ -125,17 +120,12 @@ def cluster_results(
 
     Raise HamsymError if a task fails, or kills its workers even when it runs alone.
 
-    Parameters
-    ----------
-    function : callable
-        ``function(setup, *arguments)``, importable on the workers.
-    setup : object
-        Picklable.
-    tasks : iterable of Task
-        Read when workers are free, so that tasks may depend on earlier results.
-    retries : int
-        Times that a task is repeated after an error on a worker that is not of hamsym. A task
-        whose worker dies is repeated by the scheduler (``distributed.scheduler.allowed-failures``).
+    - function: ``function(setup, *arguments)``, importable on the workers.
+    - setup: Picklable.
+    - tasks: Read when workers are free, so that tasks may depend on earlier results.
+    - retries: Times that a task is repeated after an error on a worker that is not of hamsym. A
+      task whose worker dies is repeated by the scheduler
+      (``distributed.scheduler.allowed-failures``).
     """
     run = _Tasks(client, function, setup, retries)
     pending, threads = iter(tasks), _Threads(client)

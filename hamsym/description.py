@@ -134,10 +134,7 @@ def require_formula(path: str | os.PathLike[str], H: Hamiltonian) -> None:
 def attributes_of(H: Hamiltonian, without: Collection[str] = ()) -> dict[str, Any]:
     """Return H, its parameters and units as flat attributes of a table, with the version of hamsym.
 
-    Parameters
-    ----------
-    without : collection of str
-        Parameters that are left out, because they vary.
+    - without: Parameters that are left out, because they vary.
 
     Examples
     --------
@@ -165,14 +162,9 @@ def settings_text(
 ) -> dict[str, str]:
     """Return all settings that determine a solution, as text with all digits.
 
-    Parameters
-    ----------
-    H, z0, span, seed
-        Arguments of :func:`hamsym.solve`.
-    options : object
-        The dataclass of the method's options.
-    without : collection of str
-        Options that are left out.
+    - H, z0, span, seed: Arguments of :func:`hamsym.solve`.
+    - options: The dataclass of the method's options.
+    - without: Options that are left out.
     """
     values = {
         field.name: repr(plain(getattr(options, field.name)))

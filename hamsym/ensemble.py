@@ -51,14 +51,9 @@ def ensemble_of(
     Raise InputError if H is not a Hamiltonian, a parameter is unknown or has no value, a value is
     not a finite number, or the shapes do not broadcast.
 
-    Parameters
-    ----------
-    z0 : sequence, mapping or array
-        States of shape (..., dim) in the order of H.z, or a mapping to numbers and arrays.
-    parameters : mapping of name to number or array, optional
-        Values that replace those of H, broadcast with the states.
-    finite : bool
-        Require finite states.
+    - z0: States of shape (..., dim) in the order of H.z, or a mapping to numbers and arrays.
+    - parameters: Values that replace those of H, broadcast with the states.
+    - finite: Require finite states.
 
     Examples
     --------

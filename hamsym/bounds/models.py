@@ -78,14 +78,9 @@ def models_of(
 ) -> Models:
     """Compute models of the results of a program.
 
-    Parameters
-    ----------
-    values : numpy.ndarray
-        Of polynomials that the state and the time are, shape (n, dim + 1, PLACES).
-    ranges : numpy.ndarray
-        Bounds on them, which may be infinite, shape (n, dim + 1, 2).
-    parameters : numpy.ndarray
-        Shape (k,) or (n, k).
+    - values: Of polynomials that the state and the time are, shape (n, dim + 1, PLACES).
+    - ranges: Bounds on them, which may be infinite, shape (n, dim + 1, 2).
+    - parameters: Shape (k,) or (n, k).
     """
     count = len(values)
     found = np.empty((count, program.results, PLACES))
@@ -110,22 +105,12 @@ def residual_bounds(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bound the residual of each component on parts of windows.
 
-    Parameters
-    ----------
-    z, rates : numpy.ndarray
-        Trial solution and its derivative, shape (parts, PLACES, dim).
-    t : numpy.ndarray
-        Shape (parts, PLACES).
-    ends : numpy.ndarray
-        The least and the largest time of each part, shape (parts, 2).
-    parameters : numpy.ndarray
-        Shape (k,) or (parts, k).
-
-    Returns
-    -------
-    bounds, rounding : numpy.ndarray
-        Shape (parts, dim). Bounds leave out the round-off of the formula, for which ``rounding``
-        is a bound.
+    - z, rates: Trial solution and its derivative, shape (parts, PLACES, dim).
+    - t: Shape (parts, PLACES).
+    - ends: The least and the largest time of each part, shape (parts, 2).
+    - parameters: Shape (k,) or (parts, k).
+    - returns bounds, rounding: Shape (parts, dim). Bounds leave out the round-off of the formula,
+      for which ``rounding`` is a bound.
     """
     bounds, rounding = np.empty((2, len(t), z.shape[2]))
     rows = [np.moveaxis(array, 2, 1) for array in (z, rates)]

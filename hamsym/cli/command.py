@@ -92,10 +92,7 @@ def _echo(report: Report, as_json: bool) -> None:
 class Command(click.Command):
     """A command that returns a :class:`Report`, with ``--json`` and examples in its help.
 
-    Parameters
-    ----------
-    examples : sequence of str
-        Command lines.
+    - examples: Command lines.
     """
 
     def __init__(self, *arguments: Any, examples: Sequence[str] = (), **settings: Any) -> None:
@@ -175,10 +172,7 @@ def _own_errors() -> Iterator[None]:
 class Group(click.Group):
     """A group that lists its commands by subject and suggests similar ones.
 
-    Parameters
-    ----------
-    subjects : mapping of str to str
-        Titles of the parts of the list, and the names of their commands.
+    - subjects: Titles of the parts of the list, and the names of their commands.
     """
 
     def __init__(

@@ -26,17 +26,9 @@ def compile_expressions(
 ) -> Callable[..., np.ndarray]:
     """Compile expressions to a numpy function of states and times.
 
-    Parameters
-    ----------
-    expressions : sequence of sympy.Expr
-        In the real symbols of the equations and the time.
-    equations : Equations
-        Every parameter in the expressions must have a value.
-
-    Returns
-    -------
-    callable
-        (z, t=0.0) of shapes (..., dim) and (...) -> (..., k).
+    - expressions: In the real symbols of the equations and the time.
+    - equations: Every parameter in the expressions must have a value.
+    - returns: (z, t=0.0) of shapes (..., dim) and (...) -> (..., k).
 
     Examples
     --------
@@ -56,10 +48,7 @@ def compile_straight_line(
     Raise CodeGenerationError if arithmetics lack a function of an expression, or a symbol is not
     given.
 
-    Returns
-    -------
-    callable
-        (a, *values) -> list of results; see :mod:`hamsym.codegen.straight_line`.
+    - returns: (a, *values) -> list of results; see :mod:`hamsym.codegen.straight_line`.
     """
     names = {symbol: f"x{k}" for k, symbol in enumerate(symbols)}
     temporaries = (sympy.Symbol(f"u{k}") for k in itertools.count())

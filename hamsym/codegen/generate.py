@@ -100,12 +100,6 @@ class Source:
     """The generated module of one Hamiltonian and backend, in parts.
 
     Each part is derived and rendered on first access.
-
-    Attributes
-    ----------
-    form : Equations
-    backend : str
-    names : Names
     """
 
     def __init__(self, form: Equations, backend: str) -> None:

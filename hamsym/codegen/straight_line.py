@@ -204,18 +204,11 @@ def straight_line(
     Raise CodeGenerationError if arithmetics lack a function of an expression, or a symbol has
     neither name nor value.
 
-    Parameters
-    ----------
-    names : mapping of sympy.Symbol to str
-        Identifiers of the symbols.
-    temporaries : iterator of sympy.Symbol
-        Names of the assignments.
-    arithmetic : str
-        Identifier of the arithmetic.
-    values : mapping of sympy.Symbol to sympy.Rational, optional
-        Symbols that are numbers in the text.
-    indices : sequence of tuple of int
-        Positions of the expressions in a matrix or a tensor.
+    - names: Identifiers of the symbols.
+    - temporaries: Names of the assignments.
+    - arithmetic: Identifier of the arithmetic.
+    - values: Symbols that are numbers in the text.
+    - indices: Positions of the expressions in a matrix or a tensor.
 
     Examples
     --------

@@ -407,12 +407,9 @@ def _hermite(
 ) -> np.ndarray:
     """Return the integrals of cubic Hermite interpolants over successive intervals.
 
-    Parameters
-    ----------
-    widths, values, slopes : numpy.ndarray
-        Width of each interval, and what the function and its derivative are at its end.
-    value, slope : float
-        At the beginning of the first.
+    - widths, values, slopes: Width of each interval, and what the function and its derivative are
+      at its end.
+    - value, slope: At the beginning of the first.
     """
     before, steeper = np.append(value, values[:-1]), np.append(slope, slopes[:-1])
     return widths / 2 * (before + values) + widths**2 / 12 * (steeper - slopes)

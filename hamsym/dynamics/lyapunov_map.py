@@ -201,10 +201,7 @@ def lyapunov_map(
 ) -> LyapunovMap:
     """Compute the exponents of each member; see :func:`hamsym.lyapunov`.
 
-    Parameters
-    ----------
-    steps : int, optional
-        Number of steps of every member; by default it is chosen for each.
+    - steps: Number of steps of every member; by default it is chosen for each.
     """
     began = time.perf_counter()
     run = _Run(members, span, method, steps, count, seed)

@@ -578,10 +578,7 @@ def _crossings(
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], _Doubts]:
     """Locate crossings on paths of shape (n, steps + 1, dim).
 
-    Returns
-    -------
-    crossings : tuple of numpy.ndarray
-        Times, states and trajectories.
+    - returns crossings: Times, states and trajectories.
     """
     at, parameters = np.broadcast_to(times, path.shape[:2]), _varied(members)
     with np.errstate(all="ignore"):  # where a trajectory has escaped

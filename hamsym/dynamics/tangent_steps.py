@@ -83,14 +83,9 @@ class TangentSteps:
     ) -> tuple[float, str]:
         """Return the largest change of H, and why the run failed, empty if it did not.
 
-        Parameters
-        ----------
-        times : sequence
-            Times after the start, shape (n,).
-        path : numpy.ndarray
-            States at the start and at these times, shape (n + 1, dim).
-        problem : str
-            What ended the run early, or an empty text.
+        - times: Times after the start, shape (n,).
+        - path: States at the start and at these times, shape (n + 1, dim).
+        - problem: What ended the run early, or an empty text.
         """
         H = self.H
         drift = EnergyDrift(H, 1)

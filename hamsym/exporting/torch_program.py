@@ -30,10 +30,7 @@ def torch_program(about: About, form: ClosedForm | None) -> bytes:
 
     Raise InputError if torch cannot export the caller's network.
 
-    Parameters
-    ----------
-    form : FeatureForm, NetworkForm or None
-        None for a network of the caller's own.
+    - form: None for a network of the caller's own.
     """
     solution = about.solution
     trial: Any = solution.trial

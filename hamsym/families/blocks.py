@@ -44,10 +44,7 @@ class Block(NamedTuple):
 class BlockSolver:
     """Solver of chunks of the members of an ensemble.
 
-    Parameters
-    ----------
-    known : KnownInvariants, optional
-        Invariants whose drift a member must explain by its allowed errors.
+    - known: Invariants whose drift a member must explain by its allowed errors.
     """
 
     def __init__(

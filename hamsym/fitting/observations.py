@@ -21,14 +21,9 @@ from hamsym.symbolic.variables import TIME
 class Observables:
     """Functions of state, time and parameters, with their derivatives.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-        With a value for every parameter.
-    expressions : mapping of str to sympy.Expr
-        In real symbols, by label.
-    parameters : sequence of str
-        Parameters in which they are differentiated.
+    - H: With a value for every parameter.
+    - expressions: In real symbols, by label.
+    - parameters: Parameters in which they are differentiated.
     """
 
     def __init__(
@@ -58,12 +53,9 @@ class Observables:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Evaluate at states (n, times, dim) with parameters (n,).
 
-        Returns
-        -------
-        values : numpy.ndarray
-            Shape (n, observables, times).
-        in_state, in_parameters : numpy.ndarray
-            Derivatives, shapes (n, observables, times, dim) and (n, observables, times, k).
+        - returns values: Shape (n, observables, times).
+        - returns in_state, in_parameters: Derivatives, shapes (n, observables, times, dim) and (n,
+          observables, times, k).
         """
         of = {keyword: parameters[name][:, None] for name, keyword in self._keywords.items()}
         with np.errstate(all="ignore"):

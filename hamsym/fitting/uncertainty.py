@@ -116,11 +116,8 @@ def _curvature(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compare chi-square at the ends of linear intervals with what the linear model predicts.
 
-    Returns
-    -------
-    curved, rises : numpy.ndarray
-        Whether it is another one, or an end is out of bounds, shape (sets,); the larger rise,
-        shape (sets, k).
+    - returns curved, rises: Whether it is another one, or an end is out of bounds, shape (sets,);
+      the larger rise, shape (sets, k).
     """
     unknowns, count = model.unknowns, len(model.unknowns.names)
     curved = np.zeros(len(widths), dtype=bool)
@@ -145,13 +142,9 @@ def _covariance(
 ) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
     """Compute (J^T J)^-1 of each set.
 
-    Returns
-    -------
-    texts : list of str
-        What the data determine only in combination.
-    lost, unknown : numpy.ndarray
-        Quantities of which the linear model is independent, and those in such combinations, shape
-        (sets, k).
+    - returns texts: What the data determine only in combination.
+    - returns lost, unknown: Quantities of which the linear model is independent, and those in such
+      combinations, shape (sets, k).
     """
     sets, _, count = found.jacobian.shape
     covariance, texts = np.full((sets, count, count), np.nan), [""] * sets

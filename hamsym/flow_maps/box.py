@@ -235,13 +235,10 @@ def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | Non
 
     Raise InputError if a value is not usable, or nothing varies.
 
-    Parameters
-    ----------
-    z0 : mapping or sequence
-        For each component of z an interval (low, high), a number, or an expression of parameters as
-        text.
-    parameters : mapping, optional
-        For parameters of H, and for symbols in the expressions of z0, an interval or a number.
+    - z0: For each component of z an interval (low, high), a number, or an expression of parameters
+      as text.
+    - parameters: For parameters of H, and for symbols in the expressions of z0, an interval or a
+      number.
 
     Examples
     --------

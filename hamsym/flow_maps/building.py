@@ -42,14 +42,9 @@ class Built:
 class Builder:
     """Construction of the expansion of one box over one span.
 
-    Parameters
-    ----------
-    solve : callable
-        (initial states, parameter values, span) -> Solutions.
-    allowed, scale : numpy.ndarray
-        Allowed error and size of each component, shape (dim,).
-    note : callable
-        Takes a line of text about the progress.
+    - solve: (initial states, parameter values, span) -> Solutions.
+    - allowed, scale: Allowed error and size of each component, shape (dim,).
+    - note: Takes a line of text about the progress.
     """
 
     def __init__(
@@ -163,12 +158,8 @@ def image_of(
 ) -> Domain:
     """Return a domain around the states of a map over a domain at a time.
 
-    Parameters
-    ----------
-    domain : Domain
-        All components of the state are inputs of it.
-    scale : numpy.ndarray
-        Sizes of the components, shape (dim,).
+    - domain: All components of the state are inputs of it.
+    - scale: Sizes of the components, shape (dim,).
     """
     d, dim = len(domain), box.H.dim
     y = random_places(random, _IMAGE, d, _AT_END)

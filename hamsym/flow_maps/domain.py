@@ -133,14 +133,9 @@ def image_domain(samples: np.ndarray, names: tuple[str, ...], scale: np.ndarray)
     It is a parallelepiped along the principal axes of the states, after the part that is linear in
     the parameters is subtracted.
 
-    Parameters
-    ----------
-    samples : numpy.ndarray
-        States and parameters in the image, shape (n, dim + k).
-    names : tuple of str
-        Names of these parameters that H has, with "" for the others.
-    scale : numpy.ndarray
-        Sizes of the components, shape (dim,).
+    - samples: States and parameters in the image, shape (n, dim + k).
+    - names: Names of these parameters that H has, with "" for the others.
+    - scale: Sizes of the components, shape (dim,).
     """
     count, dim = len(samples), len(scale)
     states, kept = samples[:, :dim], samples[:, dim:]

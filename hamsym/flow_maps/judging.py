@@ -77,16 +77,10 @@ def judged(
 ) -> Judgement:
     """Estimate the error of a map over a box and a span.
 
-    Parameters
-    ----------
-    edges : numpy.ndarray
-        Times at which the map may have a kink, in order, with both ends of the span.
-    solve : callable
-        (initial states, parameter values, span) -> Solutions.
-    allowed, scale : numpy.ndarray
-        Allowed error and size of each component, shape (dim,).
-    points : int
-        Number of random points.
+    - edges: Times at which the map may have a kink, in order, with both ends of the span.
+    - solve: (initial states, parameter values, span) -> Solutions.
+    - allowed, scale: Allowed error and size of each component, shape (dim,).
+    - points: Number of random points.
     """
     search = _Search(map, box, span, solve, allowed, random)
     d = len(box)
@@ -186,14 +180,9 @@ def linear_error(
     With the residual r = dz^/dt - J grad H(z^), the error obeys delta' = J Hess(z^) delta - r, by
     collocation at Chebyshev points in each piece; where z^ jumps between two pieces, so does delta.
 
-    Parameters
-    ----------
-    box : Box or Domain
-        Where the inputs are; it gives the parameters that vary.
-    edges : numpy.ndarray
-        Ends of the pieces, in order.
-    inputs : numpy.ndarray
-        Shape (n, d).
+    - box: Where the inputs are; it gives the parameters that vary.
+    - edges: Ends of the pieces, in order.
+    - inputs: Shape (n, d).
     """
     dim, count = H.dim, len(inputs)
     system = H.compile("numpy")

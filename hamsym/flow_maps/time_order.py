@@ -57,10 +57,7 @@ def _require_pieces(leg: Leg, direction: float) -> None:
 def ended(map: Any, end: float) -> Any:
     """Return a map that ends earlier: the same function up to this time, without what follows.
 
-    Parameters
-    ----------
-    end : float
-        After the start of the map, and not after its end.
+    - end: After the start of the map, and not after its end.
     """
     if isinstance(map, Split):
         return Split(map.normal, map.threshold, ended(map.low, end), ended(map.high, end))

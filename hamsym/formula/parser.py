@@ -128,16 +128,9 @@ def _spell_out(letter: str) -> str:
 def parse_expression(text: str) -> sympy.Expr:
     """Parse a formula into a sympy expression.
 
-    Parameters
-    ----------
-    text : str
-        Numbers, ``pi``, names, ``+ - * / **``, parentheses, the functions in :data:`FUNCTIONS`,
-        and sums ``sum(i, 1, 8, p[i]**2/2)`` over integers, in which ``p[i]`` is p1, ..., p8.
-
-    Returns
-    -------
-    sympy.Expr
-        In symbols with ``real=True``, with sympy's automatic simplification only.
+    - text: Numbers, ``pi``, names, ``+ - * / **``, parentheses, the functions in :data:`FUNCTIONS`,
+      and sums ``sum(i, 1, 8, p[i]**2/2)`` over integers, in which ``p[i]`` is p1, ..., p8.
+    - returns: In symbols with ``real=True``, with sympy's automatic simplification only.
 
     Raises
     ------

@@ -62,14 +62,9 @@ def _table(form: str, **special: str) -> dict[type, str]:
 class Printer:
     """Text of an expression; subclasses define how functions, numbers and powers are written.
 
-    Parameters
-    ----------
-    names : mapping of sympy.Symbol to str
-        The identifier of each symbol.
-    state : frozenset of sympy.Symbol
-        Symbols that depend on the state.
-    like : str
-        Identifier of a component of the state, whose shape is that of the batch.
+    - names: The identifier of each symbol.
+    - state: Symbols that depend on the state.
+    - like: Identifier of a component of the state, whose shape is that of the batch.
     """
 
     backend = ""

@@ -33,10 +33,7 @@ def reference(
 
     Raise InputError if the integration stops before the end of the span.
 
-    Returns
-    -------
-    callable
-        t of shape (n,) -> states of shape (n, dim).
+    - returns: t of shape (n,) -> states of shape (n, dim).
     """
     H = Hamiltonian.of(H)
     result = _dop853(H, H.state_from(z0), span, tolerance, None, dense_output=True)

@@ -44,14 +44,9 @@ _SAMPLES = 4_000  # components of the states at which the Hessian is evaluated
 class EnergyDrift:
     """Accumulator of the change of H along trajectories, given in pieces.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-        If it is not conserved, by explicit time or forces, the drift is nan.
-    count : int
-        Number of trajectories.
-    parameters : numpy.ndarray, optional
-        Values of each trajectory, shape (count, k); by default those of H.
+    - H: If it is not conserved, by explicit time or forces, the drift is nan.
+    - count: Number of trajectories.
+    - parameters: Values of each trajectory, shape (count, k); by default those of H.
     """
 
     def __init__(self, H: Hamiltonian, count: int, parameters: np.ndarray | None = None) -> None:
@@ -111,10 +106,7 @@ class EnergyDrift:
 
         Infinite where the quotient is not finite, nan if H is not conserved.
 
-        Parameters
-        ----------
-        steps : int
-            Steps of the run, from which the round-off is estimated.
+        - steps: Steps of the run, from which the round-off is estimated.
         """
         if not self._H.conserves_energy:
             return np.full(self._count, np.nan)
@@ -137,17 +129,9 @@ def _round_off(steps: int) -> float:
 def work_of(t: np.ndarray, power: np.ndarray) -> np.ndarray:
     """Integrate power over time by splines, from the first time to each.
 
-    Parameters
-    ----------
-    t : numpy.ndarray
-        Times in order, shape (n,).
-    power : numpy.ndarray
-        Shape (..., n); nan from the end of a trajectory on.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (..., n); nan where the power is.
+    - t: Times in order, shape (n,).
+    - power: Shape (..., n); nan from the end of a trajectory on.
+    - returns: Shape (..., n); nan where the power is.
 
     Examples
     --------
@@ -217,16 +201,10 @@ def choose(
 
     Raise InputError if resolving the motion at the start needs more steps than the limit.
 
-    Parameters
-    ----------
-    states : numpy.ndarray
-        Starts, shape (batch, dim).
-    run : callable
-        (steps) -> :class:`Attempt`.
-    fewest : int
-        Initial number of steps.
-    parameters : numpy.ndarray, optional
-        Values of each trajectory, shape (batch, k); by default those of H.
+    - states: Starts, shape (batch, dim).
+    - run: (steps) -> :class:`Attempt`.
+    - fewest: Initial number of steps.
+    - parameters: Values of each trajectory, shape (batch, k); by default those of H.
     """
     length, batch = abs(span[1] - span[0]), len(states)
     most = _MAX_UPDATES / (batch * _cost(scheme, H.dim))

@@ -78,19 +78,13 @@ class HiddenFeatures:
     ) -> Hidden:
         """Find for each trajectory the first feature that its steps passed over.
 
-        Parameters
-        ----------
-        z : numpy.ndarray
-            States after successive steps, shape (n, steps + 1, dim); nan after the end of a
-            trajectory.
-        t : numpy.ndarray
-            Equally spaced, shape (steps + 1,).
-        parameters : numpy.ndarray, optional
-            Values of each trajectory, shape (n, k), by default those of H.
-        allowed : callable
-            Number of a trajectory -> what all features together may change in each component.
-        share : float
-            Of these times in those for which ``allowed`` is.
+        - z: States after successive steps, shape (n, steps + 1, dim); nan after the end of a
+          trajectory.
+        - t: Equally spaced, shape (steps + 1,).
+        - parameters: Values of each trajectory, shape (n, k), by default those of H.
+        - allowed: Number of a trajectory -> what all features together may change in each
+          component.
+        - share: Of these times in those for which ``allowed`` is.
         """
         found = Hidden(np.full(len(z), np.nan), np.zeros((len(z), z.shape[2])))
         together = max(1, _HELD // z[0].size)

@@ -803,14 +803,9 @@ def _between_steps(
 ) -> str:
     """Describe the first feature of the force between the steps that matters, or return "".
 
-    Parameters
-    ----------
-    z, times : numpy.ndarray
-        Saved states and their times.
-    steps : int
-        Of the whole trajectories, the same number between two saved states.
-    share : float
-        Of the sizes of the components, that such features may change.
+    - z, times: Saved states and their times.
+    - steps: Of the whole trajectories, the same number between two saved states.
+    - share: Of the sizes of the components, that such features may change.
     """
     features = hidden_features(members.H)
     if features is None:

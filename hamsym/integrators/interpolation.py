@@ -41,14 +41,9 @@ _CUBIC = np.array([[1, 0, -3, 2], [0, 0, 3, -2], [0, 1, -2, 1], [0, 0, -1, 1]], 
 class Interpolant:
     """A function of time through the saved states of each trajectory of an ensemble.
 
-    Parameters
-    ----------
-    t : numpy.ndarray
-        Times, strictly monotone, shape (n,).
-    z : numpy.ndarray
-        States, shape (*shape, n, dim); nan after the end of a trajectory.
-    ensemble : Ensemble
-        H and the values of the parameters, of shape ``shape``.
+    - t: Times, strictly monotone, shape (n,).
+    - z: States, shape (*shape, n, dim); nan after the end of a trajectory.
+    - ensemble: H and the values of the parameters, of shape ``shape``.
     """
 
     def __init__(self, t: np.ndarray, z: np.ndarray, ensemble: Ensemble) -> None:

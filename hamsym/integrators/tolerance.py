@@ -113,14 +113,9 @@ def integrate_to_tolerance(
     The error of each component is relative to its largest magnitude at the compared times, or, for
     a component that is zero or tiny, to 1e-8 of the size that the terms of its equation give it.
 
-    Parameters
-    ----------
-    members : Ensemble
-        States that are not finite are refused by themselves.
-    method : str
-        A splitting or implicit Runge-Kutta method.
-    saves : int
-        Number of equal intervals between the times at which states are returned.
+    - members: States that are not finite are refused by themselves.
+    - method: A splitting or implicit Runge-Kutta method.
+    - saves: Number of equal intervals between the times at which states are returned.
     """
     return _Search(members, method, span, tol, saves, compensated).run(progress)
 

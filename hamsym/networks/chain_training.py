@@ -145,14 +145,9 @@ def train_chain(
 ) -> TrainedChain:
     """Train a chain of networks whose windows follow the motion.
 
-    Parameters
-    ----------
-    z0 : numpy.ndarray
-        Shape (dim,).
-    generator : torch.Generator
-        Source of the initial weights.
-    advance : callable
-        Called with the share of the span that each window adds.
+    - z0: Shape (dim,).
+    - generator: Source of the initial weights.
+    - advance: Called with the share of the span that each window adds.
     """
     run = _Run(H, z0, span, layout, settings, generator)
     with np.errstate(all="ignore"):
@@ -335,18 +330,11 @@ def assembled(
 ) -> TrainedChain:
     """Return a chain of pieces with its record.
 
-    Parameters
-    ----------
-    end : float
-        End of the last one.
-    counts : sequence of (int, int, float)
-        Steps, those of hidden layers, and residual of each piece.
-    totals : (int, int, int)
-        Points, evaluations and rejected windows.
-    began : (float, float)
-        Wall and processor time of the beginning.
-    reason, doubt : str
-        As in :class:`TrainedChain`.
+    - end: End of the last one.
+    - counts: Steps, those of hidden layers, and residual of each piece.
+    - totals: Points, evaluations and rejected windows.
+    - began: Wall and processor time of the beginning.
+    - reason, doubt: As in :class:`TrainedChain`.
     """
     if not pieces:
         return TrainedChain(None, None, reason, end)

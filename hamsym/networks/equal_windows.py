@@ -49,12 +49,8 @@ def train_windows(
 
     Raise InputError if the motion in a window needs too large a network.
 
-    Parameters
-    ----------
-    guess : Chain
-        A chain over the whole span.
-    widen : bool
-        Make the last layer as wide as the motion in a window needs.
+    - guess: A chain over the whole span.
+    - widen: Make the last layer as wide as the motion in a window needs.
     """
     began = time.perf_counter(), time.process_time()
     flow = Flow(H, layout.device)

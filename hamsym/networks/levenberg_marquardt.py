@@ -46,11 +46,8 @@ class LevenbergMarquardt:
     Raise InputError if a trial solution has no known derivative in its weights, or the objective
     has regularizers, which have no least-squares form.
 
-    Parameters
-    ----------
-    points : int or numpy.ndarray
-        Collocation points K on the whole span; short spans of sequential training have fewer. Or
-        times, from the start of the span on, in place of random ones.
+    - points: Collocation points K on the whole span; short spans of sequential training have fewer.
+      Or times, from the start of the span on, in place of random ones.
     """
 
     check_every = 5

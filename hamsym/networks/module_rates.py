@@ -21,12 +21,8 @@ class ModuleRates:
 
     Raise InputError if J is too large, or a layer cannot be differentiated in batches.
 
-    Parameters
-    ----------
-    t : Tensor
-        Times, shape (K,).
-    in_z, in_dz : Tensor
-        Derivatives of the rows in z and in dz, each of shape (K, m, dim).
+    - t: Times, shape (K,).
+    - in_z, in_dz: Derivatives of the rows in z and in dz, each of shape (K, m, dim).
     """
 
     def __init__(self, trial: ModuleTrial, t: Tensor, in_z: Tensor, in_dz: Tensor) -> None:

@@ -51,10 +51,7 @@ def checked_points(points: Any, span: tuple[float, float]) -> int | np.ndarray:
 class Collocation:
     """The collocation points of an optimizer.
 
-    Parameters
-    ----------
-    points : int or numpy.ndarray
-        Their number K, or the times themselves, from the start of the span on.
+    - points: Their number K, or the times themselves, from the start of the span on.
     """
 
     def __init__(self, points: int | np.ndarray) -> None:

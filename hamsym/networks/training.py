@@ -57,19 +57,11 @@ class Optimizer(Protocol):
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         """Perform one iteration.
 
-        Parameters
-        ----------
-        span : (float, float)
-            Span of the current stage.
-        share : float
-            Its fraction of the whole span.
-        done : float
-            Fraction of all iterations that are done.
-
-        Returns
-        -------
-        (float, float)
-            The loss at the optimizer's points before the step, and the mean square of dz/dt there.
+        - span: Span of the current stage.
+        - share: Its fraction of the whole span.
+        - done: Fraction of all iterations that are done.
+        - returns: The loss at the optimizer's points before the step, and the mean square of dz/dt
+          there.
         """
 
     @property
@@ -104,20 +96,12 @@ def train(
 
     Raise FileError if the checkpoint cannot be read or written, or belongs to another training.
 
-    Parameters
-    ----------
-    trial : torch.nn.Module
-        t of shape (K,) -> (z, dz/dt), each (K, dim).
-    span : (float, float)
-        Start and end time; the end may be the smaller.
-    optimizer : Optimizer
-        An optimizer that was not used before.
-    generator : torch.Generator
-        Source of all random numbers.
-    stages : Stages, optional
-        By default the whole span from the beginning.
-    callbacks : sequence of callable
-        Each is called with a :class:`TrainingState` after evaluations at the fixed points.
+    - trial: t of shape (K,) -> (z, dz/dt), each (K, dim).
+    - span: Start and end time; the end may be the smaller.
+    - optimizer: An optimizer that was not used before.
+    - generator: Source of all random numbers.
+    - stages: By default the whole span from the beginning.
+    - callbacks: Each is called with a :class:`TrainingState` after evaluations at the fixed points.
     """
     optimizer.bind(trial, objective, generator)
     run = _Run(trial, objective, span, optimizer, stopping, stages or Stages(), generator)

@@ -65,18 +65,11 @@ class _Envelope(torch.autograd.Function):
 class EnvelopedNetwork(torch.nn.Module):
     """z^(t) = z0 + f(s) N(s) with s = (t - t0) / tau, for a network N of any kind.
 
-    Parameters
-    ----------
-    network : torch.nn.Module
-        Its outputs are the components of z0.
-    z0 : Tensor
-        Initial state, shape (dim,).
-    t0 : float
-        Initial time, in the units of the Hamiltonian.
-    tau : float
-        Unit of the network's input; negative for a span that runs backwards.
-    envelope : {"exponential", "linear"}
-        f(s) = 1 - exp(-s) or f(s) = s.
+    - network: Its outputs are the components of z0.
+    - z0: Initial state, shape (dim,).
+    - t0: Initial time, in the units of the Hamiltonian.
+    - tau: Unit of the network's input; negative for a span that runs backwards.
+    - envelope: {"exponential", "linear"}. f(s) = 1 - exp(-s) or f(s) = s.
     """
 
     z0: Tensor
@@ -133,12 +126,8 @@ class EnvelopedNetwork(torch.nn.Module):
     def to_network(self, t: Tensor, in_z: Tensor, in_dz: Tensor) -> tuple[Tensor, Tensor]:
         """Return derivatives of rows in N and in dN/ds from those in z and in dz.
 
-        Parameters
-        ----------
-        t : Tensor
-            Times, shape (K,).
-        in_z, in_dz : Tensor
-            Shape (K, m, dim); the results have shape (m, K, dim).
+        - t: Times, shape (K,).
+        - in_z, in_dz: Shape (K, m, dim); the results have shape (m, K, dim).
         """
         _, f, f_dot = (part.unsqueeze(1) for part in self.envelope_at(t))
         # z = z0 + f N and dz = (f' N + f dN/ds) / tau.
@@ -207,12 +196,8 @@ class EnvelopedNetwork(torch.nn.Module):
 class TrialSolution(EnvelopedNetwork):
     """z^(t) = z0 + f(s) N(s) with a fully connected network N of hamsym.
 
-    Parameters
-    ----------
-    network : Network or ComponentNetworks
-        Its outputs are the components of z0.
-    z0, t0, tau, envelope
-        As of :class:`EnvelopedNetwork`.
+    - network: Its outputs are the components of z0.
+    - z0, t0, tau, envelope: As of :class:`EnvelopedNetwork`.
     """
 
     network: Network | ComponentNetworks

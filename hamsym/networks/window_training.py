@@ -367,15 +367,10 @@ def train_window(
 ) -> Fit:
     """Train a network on a window; its weights are changed in place.
 
-    Parameters
-    ----------
-    reach : float
-        Largest input R of the network.
-    points : int
-        Collocation points, Chebyshev points of the window. With a guess more are used if the
-        residual between them is larger.
-    guess : callable, optional
-        u -> y from which the search starts, (K,) -> (K, dim); by default a state that rests.
+    - reach: Largest input R of the network.
+    - points: Collocation points, Chebyshev points of the window. With a guess more are used if the
+      residual between them is larger.
+    - guess: u -> y from which the search starts, (K,) -> (K, dim); by default a state that rests.
     """
     training = _Training(equations, network, reach, settings)
     training.long = guess is not None

@@ -149,19 +149,13 @@ def isolated_zeros(
 ) -> Isolated:
     """Locate all zeros with a change of sign.
 
-    Parameters
-    ----------
-    cells : Cells
-        Whole ones.
-    enclosed : callable
-        Parts of cells -> the function over them.
-    sample : callable
-        (share, index) -> values of the function, states and rates of the path, shape (n, dim).
-    value : callable
-        (share, index) -> values of the function alone.
-    direction : float
-        Above zero, only zeros at which the function rises in the order of the samples; below zero,
-        falls.
+    - cells: Whole ones.
+    - enclosed: Parts of cells -> the function over them.
+    - sample: (share, index) -> values of the function, states and rates of the path, shape (n,
+      dim).
+    - value: (share, index) -> values of the function alone.
+    - direction: Above zero, only zeros at which the function rises in the order of the samples;
+      below zero, falls.
     """
     touched: list[tuple[float, int]] = []
     monotonic, slopes, undecided, most = [], [], 0, _MOST + len(cells)

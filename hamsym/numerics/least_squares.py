@@ -60,22 +60,15 @@ def minimize_squares(
 ) -> Minima:
     """Minimise the sums of squares of all rows.
 
-    Parameters
-    ----------
-    function : callable
-        Residuals and their derivatives for some rows; not finite where they have no values.
-    starts : numpy.ndarray
-        First unknowns, shape (n, k).
-    low, high : numpy.ndarray
-        Bounds, shape (k,) or (n, k); infinite where there are none.
-    variance : callable
-        (sums of squares, rows) -> variance of one residual, shape (n,), the unit in which the
-        convergence is judged: the projection of the residuals on the columns of J, which is the
-        distance to the minimum in standard errors of the unknowns.
-    close : float
-        Part of the variance by which a converged row may be above the minimum.
-    sizes : numpy.ndarray, optional
-        Sizes of the unknowns, shape (n, k); by default those of the starts, 1 where one is zero.
+    - function: Residuals and their derivatives for some rows; not finite where they have no values.
+    - starts: First unknowns, shape (n, k).
+    - low, high: Bounds, shape (k,) or (n, k); infinite where there are none.
+    - variance: (sums of squares, rows) -> variance of one residual, shape (n,), the unit in which
+      the convergence is judged: the projection of the residuals on the columns of J, which is the
+      distance to the minimum in standard errors of the unknowns.
+    - close: Part of the variance by which a converged row may be above the minimum.
+    - sizes: Sizes of the unknowns, shape (n, k); by default those of the starts, 1 where one is
+      zero.
 
     Examples
     --------

@@ -17,14 +17,9 @@ def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.nd
     tau sum_j |A_ij| s_j. This is repeated dim times, to reach components that are coupled through
     others. Components of different units are never compared.
 
-    Parameters
-    ----------
-    sizes : numpy.ndarray
-        Largest |z_i|, shape (dim,).
-    coupling : numpy.ndarray
-        |A|, its mean along the trajectory, shape (dim, dim).
-    time : float
-        The longest tau: the span, beyond which no weak coupling acts.
+    - sizes: Largest |z_i|, shape (dim,).
+    - coupling: |A|, its mean along the trajectory, shape (dim, dim).
+    - time: The longest tau: the span, beyond which no weak coupling acts.
 
     Examples
     --------
@@ -46,10 +41,7 @@ def smallest_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.n
 
     Eigenvalues and products differ between processors in the last bits, which are left out.
 
-    Parameters
-    ----------
-    sizes, coupling, time
-        As of :func:`coupled_sizes`.
+    - sizes, coupling, time: As of :func:`coupled_sizes`.
     """
     mantissa, exponent = np.frexp(SMALLEST * coupled_sizes(sizes, coupling, time))
     return np.asarray(np.ldexp(np.round(mantissa * 2**24) / 2**24, exponent))
@@ -58,10 +50,7 @@ def smallest_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.n
 def resolved_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:
     """Compute the sizes to which tolerances are relative: at least 1e-8 of the coupled ones.
 
-    Parameters
-    ----------
-    sizes, coupling, time
-        As of :func:`coupled_sizes`.
+    - sizes, coupling, time: As of :func:`coupled_sizes`.
 
     Examples
     --------

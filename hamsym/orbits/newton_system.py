@@ -52,15 +52,8 @@ class Step:
 class NewtonSystem:
     """Newton's linear system at an arc, of its first and last state, the period and a parameter.
 
-    Parameters
-    ----------
-    anchor : (numpy.ndarray, numpy.ndarray)
-        A state and the vector field there: the orbit starts in the plane normal to the field.
-
-    Attributes
-    ----------
-    units : numpy.ndarray
-        Of all unknowns: states at the ends of windows, period, alpha, parameter.
+    - anchor: A state and the vector field there: the orbit starts in the plane normal to the field.
+    - units: Of all unknowns: states at the ends of windows, period, alpha, parameter.
     """
 
     def __init__(self, problem: Problem, arc: Arc, anchor: tuple[np.ndarray, np.ndarray]) -> None:
@@ -153,11 +146,8 @@ class NewtonSystem:
     def solved(self, across: np.ndarray | None = None) -> Step:
         """Solve for the corrections.
 
-        Parameters
-        ----------
-        across : numpy.ndarray, optional
-            A direction of all scaled unknowns, to which the correction is orthogonal: the one more
-            equation of a family.
+        - across: A direction of all scaled unknowns, to which the correction is orthogonal: the one
+          more equation of a family.
         """
         solution, singular = solved(self._matrix, self._small_right)
         whole = self._whole(solution)

@@ -290,10 +290,8 @@ def refined(problem: Problem, arc: Arc) -> Found:
 def check(problem: Problem, arc: Arc) -> tuple[Arc, Step, float]:
     """Correct an arc with more points in each window.
 
-    Returns
-    -------
-    Arc, Step, float
-        The corrected arc, the linear system, and the size of the correction: the estimated error.
+    - returns: The corrected arc, the linear system, and the size of the correction: the estimated
+      error.
     """
     finer = arc.on(arc.edges, arc.values.shape[1] + _EXTRA_NODES)
     anchor = anchor_of(problem, arc)

@@ -47,12 +47,8 @@ class Figure(matplotlib.figure.Figure):
     ) -> Figure:
         """Return an empty figure with room for axes of this size in centimetres, and a caption.
 
-        Parameters
-        ----------
-        caption : sequence of str
-            Words, between which lines may be broken; drawn below the axes.
-        warning : str
-            Drawn in red above the axes.
+        - caption: Words, between which lines may be broken; drawn below the axes.
+        - warning: Drawn in red above the axes.
         """
         figure = cls(figsize=(width * _CM, height * _CM), layout="constrained")
         FigureCanvasAgg(figure)

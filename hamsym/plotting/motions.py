@@ -528,11 +528,8 @@ def component_of(H: Hamiltonian, name: Any, *others: str) -> str:
 class MotionPanels:
     """The upper part of an overview: components over time, planes; then free panels below.
 
-    Parameters
-    ----------
-    lower : int
-        Number of panels below; of one degree of freedom the first two stand beside the phase
-        portrait.
+    - lower: Number of panels below; of one degree of freedom the first two stand beside the phase
+      portrait.
     """
 
     def __init__(self, motion: Motion, lower: int) -> None:

@@ -48,16 +48,10 @@ def draw_panels(
     Raise InputError if a name is unknown, there is more than one, or ``ax`` is given for several
     panels.
 
-    Parameters
-    ----------
-    panels : mapping
-        All panels, by name.
-    shown : sequence of str
-        Those of the overview.
-    names : sequence
-        The panel that was asked for, or none.
-    ax : Axes or None
-        The axes of the user for one panel.
+    - panels: All panels, by name.
+    - shown: Those of the overview.
+    - names: The panel that was asked for, or none.
+    - ax: The axes of the user for one panel.
     """
     if len(names) > 1:
         raise InputError(f"{len(names)} panels cannot be drawn in one; give one name, or none")

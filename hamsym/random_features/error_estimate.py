@@ -84,14 +84,9 @@ def estimate_error(
 ) -> Estimate:
     """Estimate the error of a march from its residual, with the linear equation of the error.
 
-    Parameters
-    ----------
-    tolerance : float
-        Local tolerance of the march.
-    resolution : int, optional
-        Index of :data:`RESOLUTIONS`; by default from the tolerance.
-    residuals : numpy.ndarray, optional
-        In place of those computed in float64, shape (windows, dim, places).
+    - tolerance: Local tolerance of the march.
+    - resolution: Index of :data:`RESOLUTIONS`; by default from the tolerance.
+    - residuals: In place of those computed in float64, shape (windows, dim, places).
     """
     tables = error_tables(basis, resolution_for(tolerance) if resolution is None else resolution)
     count, _, dim = windows.readouts.shape

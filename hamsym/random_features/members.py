@@ -74,16 +74,10 @@ class Batch:
 class MemberSolver:
     """Solver of members of one Hamiltonian over one span.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-        With a value for every parameter; members may have others.
-    tol, local : float
-        Relative tolerance, and the local one of the first march.
-    atol : numpy.ndarray
-        Absolute tolerance, shape (dim,).
-    longest : float
-        Length that no window exceeds.
+    - H: With a value for every parameter; members may have others.
+    - tol, local: Relative tolerance, and the local one of the first march.
+    - atol: Absolute tolerance, shape (dim,).
+    - longest: Length that no window exceeds.
     """
 
     def __init__(

@@ -89,14 +89,9 @@ class WindowChecks:
     ) -> list[Excess]:
         """Find windows whose residual may be larger between the points of the march.
 
-        Parameters
-        ----------
-        sizes : numpy.ndarray
-            Of the components, shape (dim,) or (windows, dim).
-        parameters : numpy.ndarray, optional
-            Values for each window, shape (windows, k), by default those of H.
-        first_only : bool
-            Whether to search for the first of them only.
+        - sizes: Of the components, shape (dim,) or (windows, dim).
+        - parameters: Values for each window, shape (windows, k), by default those of H.
+        - first_only: Whether to search for the first of them only.
         """
         if self.flow.is_short_polynomial:
             return []

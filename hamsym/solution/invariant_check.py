@@ -15,10 +15,7 @@ def judged_by_invariants(
 ) -> Solution:
     """Return the solution with the drifts of known invariants, which may refuse it.
 
-    Parameters
-    ----------
-    allowed : numpy.ndarray
-        Allowed errors of the components, shape (dim,).
+    - allowed: Allowed errors of the components, shape (dim,).
     """
     times = solution.scan_times
     change, explained = known.drifts(

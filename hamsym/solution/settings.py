@@ -58,10 +58,7 @@ class Settings:
 
         Raise ValueError if the values are not what ``described`` returns.
 
-        Parameters
-        ----------
-        dim : int
-            Number of components.
+        - dim: Number of components.
         """
         found: Settings = checked_record(cls, given, {})
         if found.tol is not None and not 0 < found.tol < 1:
@@ -99,14 +96,9 @@ def settings_of(
 ) -> Settings:
     """Record the arguments of a call.
 
-    Parameters
-    ----------
-    span, seed, prove, invariants
-        As checked.
-    chosen : object
-        The dataclass of all options, with their defaults.
-    options : mapping
-        The options that were given.
+    - span, seed, prove, invariants: As checked.
+    - chosen: The dataclass of all options, with their defaults.
+    - options: The options that were given.
     """
     plain: dict[str, Any] = {}
     for name, value in options.items():

@@ -332,10 +332,7 @@ def measure(
 ) -> Row:
     """Return the errors of a solution against an exact one or a reference, at 4,001 times.
 
-    Parameters
-    ----------
-    truth : callable
-        t -> states of shape (len(t), dim).
+    - truth: t -> states of shape (len(t), dim).
 
     Examples
     --------

@@ -103,12 +103,8 @@ def find_match(
     reference. Where u is more than a tenth of it, the number of steps is unknown by far more than
     1 %. Certain is only that steps with a measured error above target + 2 u are too few.
 
-    Parameters
-    ----------
-    target : float
-        The error, measured against the same reference.
-    paths : sequence of Trajectory
-        With numbers of steps that rise, or with the first three powers of 1e-3 as tolerances.
+    - target: The error, measured against the same reference.
+    - paths: With numbers of steps that rise, or with the first three powers of 1e-3 as tolerances.
     """
     if not target < math.inf:
         return Match(None, 0, target, 0.0, reason="unknown: the network's error is not finite")

@@ -41,12 +41,8 @@ def carry_out(runs: Sequence[Run], workers: int, progress: bool | None) -> None:
 
     Raise HamsymError if a process ended before its run.
 
-    Parameters
-    ----------
-    workers : int
-        Processes; 1 for this process.
-    progress : bool, optional
-        As in :func:`hamsym.study.display.display`.
+    - workers: Processes; 1 for this process.
+    - progress: As in :func:`hamsym.study.display.display`.
     """
     with display(len(runs), progress) as board:
         if workers == 1:

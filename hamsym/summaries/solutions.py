@@ -18,12 +18,8 @@ def solution_summary(
 ) -> str:
     """Return what :meth:`hamsym.Solution.summary` describes.
 
-    Parameters
-    ----------
-    rows : int, optional
-        Most components in the table; None for all.
-    analysis : bool
-        Whether the paper's bound is given also where it is infinite or says nothing.
+    - rows: Most components in the table; None for all.
+    - analysis: Whether the paper's bound is given also where it is infinite or says nothing.
     """
     lines = [wrapped(text) for text in _verdict(solution)]
     lines += ["", *_components(solution, rows), ""]

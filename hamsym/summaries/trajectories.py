@@ -18,12 +18,8 @@ def trajectory_summary(
 ) -> str:
     """Return what :meth:`hamsym.Trajectory.summary` describes.
 
-    Parameters
-    ----------
-    rows : int, optional
-        Most components in the table; None for all.
-    number : int
-        Of the trajectory in the table.
+    - rows: Most components in the table; None for all.
+    - number: Of the trajectory in the table.
     """
     verdict = [trajectory.message]
     if (error := _error(trajectory)) is not None:

@@ -44,12 +44,8 @@ def write_atomically(path: Path, content: bytes) -> None:
 def create_atomically(path: Path, fill: Callable[[Path], None]) -> None:
     """Create a directory so that it has either all of its first content or does not exist.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Must not exist.
-    fill : callable
-        Creates the directory at the path that it is given.
+    - path: Must not exist.
+    - fill: Creates the directory at the path that it is given.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_leftovers(path.parent)

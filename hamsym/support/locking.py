@@ -21,10 +21,7 @@ def exclusive(directory: str | os.PathLike[str], file: Path | None = None) -> It
 
     Raise FileError if another process has the lock, or the directory cannot be written.
 
-    Parameters
-    ----------
-    file : pathlib.Path, optional
-        The lock file, where it is not to be in the directory.
+    - file: The lock file, where it is not to be in the directory.
     """
     lock = FileLock(Path(directory) / LOCK if file is None else file)
     try:

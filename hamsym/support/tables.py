@@ -46,12 +46,8 @@ def data_frame(
 
     Raise InputError if pandas is not installed.
 
-    Parameters
-    ----------
-    index : mapping of str to array, optional
-        Levels of the index.
-    attributes : mapping, optional
-        Of its ``attrs``.
+    - index: Levels of the index.
+    - attributes: Of its ``attrs``.
     """
     pandas = _package("pandas", "to_dataframe")
     levels = dict(index or {})

@@ -109,10 +109,7 @@ def _partial_derivatives(
 class Effort:
     """Counter of operations and symbols in derivatives, with a limit proportional to H.
 
-    Parameters
-    ----------
-    expr : sympy.Expr
-        H.
+    - expr: H.
     """
 
     def __init__(self, expr: sympy.Expr) -> None:

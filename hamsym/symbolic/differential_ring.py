@@ -28,14 +28,9 @@ class DifferentialRing:
 
     Raise UnsupportedFunctionError if a formula has a function without exact rules.
 
-    Parameters
-    ----------
-    z : sequence of sympy.Symbol
-        The state (q, p).
-    time : sympy.Symbol or None
-        The time, whose derivative is 1.
-    formulas : iterable of sympy.Expr
-        Further formulas to represent.
+    - z: The state (q, p).
+    - time: The time, whose derivative is 1.
+    - formulas: Further formulas to represent.
 
     Examples
     --------
@@ -254,10 +249,7 @@ class DifferentialRing:
 
         Raise UnsupportedFunctionError if too many roots make such points rare.
 
-        Returns
-        -------
-        numpy.ndarray
-            Shape (count, generators), int64.
+        - returns: Shape (count, generators), int64.
         """
         if self._fixed is None:
             self._fixed = {}

@@ -48,17 +48,9 @@ class Generators:
 
     Raise UnsupportedFunctionError if a formula has a function without exact rules.
 
-    Parameters
-    ----------
-    z : sequence of sympy.Symbol
-        The state, which has the first generators.
-
-    Attributes
-    ----------
-    of : dict of sympy.Symbol to Generator
-        In an order in which relations contain earlier generators only.
-    formulas : list of sympy.Expr
-        The formulas, with a symbol for each generator.
+    - z: The state, which has the first generators.
+    - of: In an order in which relations contain earlier generators only.
+    - formulas: The formulas, with a symbol for each generator.
 
     Examples
     --------

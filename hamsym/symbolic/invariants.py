@@ -108,19 +108,12 @@ def find_invariants(
     Raise InputError if there are too many monomials, the time is over, or H has a function without
     exact rules.
 
-    Parameters
-    ----------
-    H : sympy.Expr
-        In real symbols.
-    time_symbol : sympy.Symbol or None
-        The time, whether H contains it or not; None if its name is taken.
-    values : mapping
-        Values of parameters: invariants for all values are searched first, then those for these
-        values.
-    basis : sequence of sympy.Expr
-        Functions that count as variables beside the state.
-    seconds : float
-        Limit of time.
+    - H: In real symbols.
+    - time_symbol: The time, whether H contains it or not; None if its name is taken.
+    - values: Values of parameters: invariants for all values are searched first, then those for
+      these values.
+    - basis: Functions that count as variables beside the state.
+    - seconds: Limit of time.
     """
     limit = (time.monotonic() + seconds, seconds)
     bound = {symbol: value for symbol, value in values.items() if symbol in H.free_symbols}

@@ -63,15 +63,8 @@ def find_velocities(names: Sequence[str]) -> list[tuple[str, str]]:
 
     Raise VariableError if there is no velocity, or a coordinate has two.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The symbols of a Lagrangian without its parameters and without the time.
-
-    Returns
-    -------
-    list of (str, str)
-        Pairs (coordinate, velocity) in natural order of the coordinate.
+    - names: The symbols of a Lagrangian without its parameters and without the time.
+    - returns: Pairs (coordinate, velocity) in natural order of the coordinate.
 
     Examples
     --------

@@ -50,18 +50,11 @@ def legendre_transform(
 
     Raise InputError if w does not determine s, or s is not found; the message names variables.
 
-    Parameters
-    ----------
-    expr : sympy.Expr
-        F, in real symbols.
-    slots, duals : sequence of sympy.Symbol
-        s and w.
-    state : collection of sympy.Symbol
-        Coordinates and the time; other symbols are constants.
-    parameters : mapping of sympy.Symbol to float, optional
-        Values, for the comparison at random points.
-    name : {"L", "H"}
-        What F is, for messages.
+    - expr: F, in real symbols.
+    - slots, duals: s and w.
+    - state: Coordinates and the time; other symbols are constants.
+    - parameters: Values, for the comparison at random points.
+    - name: {"L", "H"}. What F is, for messages.
 
     Examples
     --------

@@ -56,15 +56,8 @@ def find_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     Raise VariableError if there is no pair, or the pairs are ambiguous; the message lists the
     candidates and the remedy.
 
-    Parameters
-    ----------
-    names : iterable of str
-        The symbols of a Hamiltonian without its parameters and without the time.
-
-    Returns
-    -------
-    list of (str, str)
-        Pairs (coordinate, momentum) in natural order of the coordinate.
+    - names: The symbols of a Hamiltonian without its parameters and without the time.
+    - returns: Pairs (coordinate, momentum) in natural order of the coordinate.
 
     Examples
     --------

@@ -79,10 +79,7 @@ def switch_times(equations: Equations, span: tuple[float, float]) -> list[float]
 
     Raise InputError if there are more than 5000.
 
-    Parameters
-    ----------
-    equations : Equations
-        With a value for every parameter.
+    - equations: With a value for every parameter.
 
     Examples
     --------

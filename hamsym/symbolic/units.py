@@ -134,15 +134,10 @@ def checked_units(
     if a unit is not known, terms of different units are added, a function has an argument with a
     unit, or pairs have different units of action.
 
-    Parameters
-    ----------
-    units : mapping of name to str
-        Of all components, and of parameters; parameters without one are plain numbers. That of the
-        time follows from the others.
-    expr : sympy.Expr
-        H.
-    time : str
-        Name of the time.
+    - units: Of all components, and of parameters; parameters without one are plain numbers. That of
+      the time follows from the others.
+    - expr: H.
+    - time: Name of the time.
 
     Examples
     --------

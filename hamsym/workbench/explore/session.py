@@ -32,10 +32,7 @@ class Latest:
     A request that comes while the action runs makes it run once more at its end; those in between
     are dropped, as the positions that a slider passes.
 
-    Parameters
-    ----------
-    action : callable
-        () -> awaitable.
+    - action: () -> awaitable.
     """
 
     def __init__(self, action: Callable[[], Awaitable[None]]) -> None:
@@ -63,15 +60,9 @@ MOST_TABS = 8
 class Session:
     """The setting of one tab, with three processes: what is live, the background, and the buttons.
 
-    Attributes
-    ----------
-    setting : Setting
-    derivation : Derivation or None
-        Of the formula; None before the first one.
-    surface : str
-        Of the section.
-    closed : bool
-        Whether the tab was closed, which ended its processes.
+    - derivation: Of the formula; None before the first one.
+    - surface: Of the section.
+    - closed: Whether the tab was closed, which ended its processes.
     """
 
     def __init__(self, setting: Setting = FIRST) -> None:
@@ -242,10 +233,7 @@ class Session:
 class Sessions:
     """The sessions of all tabs.
 
-    Parameters
-    ----------
-    setting : Setting
-        With which each begins.
+    - setting: With which each begins.
     """
 
     def __init__(self, setting: Setting = FIRST) -> None:

@@ -38,12 +38,8 @@ class SliderRange:
 
         Raise InputError if the value is not finite.
 
-        Parameters
-        ----------
-        size : float
-            Usual size of such values, for a value of zero.
-        positive : bool
-            Begin above zero, at a hundredth of the largest value.
+        - size: Usual size of such values, for a value of zero.
+        - positive: Begin above zero, at a hundredth of the largest value.
         """
         if not math.isfinite(value):
             raise InputError(f"{value} is not a finite number; give one such as 1.3")
