@@ -31,6 +31,16 @@ class Ensemble:
     def __len__(self) -> int:
         return len(self.states)
 
+    def own_parameters(self, rows: Any = slice(None)) -> np.ndarray | None:
+        """Return the parameters of some members, or None where all have those of H."""
+        return self.parameters[rows] if self.varied else None
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Values of the parameters that vary, each of shape (count,)."""
+        names = self.H.parameter_names
+        return {name: self.parameters[:, names.index(name)] for name in self.varied}
+
     def hamiltonian(self, index: int) -> Hamiltonian:
         """Return H with the parameter values of one member."""
         if not self.varied:

@@ -69,7 +69,7 @@ class BlockSolver:
         system, good = members.H.compile("numpy"), np.empty(len(members), dtype=bool)
         for first in range(0, len(members), _CHECKED):
             part = slice(first, first + _CHECKED)
-            values = members.parameters[part] if members.varied else None
+            values = members.own_parameters(part)
             arguments = system.arguments(members.states[part], family.span[0])
             with np.errstate(all="ignore"):
                 energies = system.energy(*arguments, **system.keywords(values))

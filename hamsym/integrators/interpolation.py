@@ -183,8 +183,7 @@ class Interpolant:
 
     @property
     def _keywords(self) -> dict[str, np.ndarray]:
-        values = self._members.parameters if self._members.varied else None
-        return self._system.keywords(None if values is None else values[:, None])
+        return self._system.keywords(self._members.own_parameters(np.s_[:, None]))
 
     def _polynomial(
         self, ends: np.ndarray, share: np.ndarray, derivative: bool = False

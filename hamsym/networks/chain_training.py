@@ -133,36 +133,12 @@ class Flow:
         return np.asarray(self.numpy.jacobian(*self.numpy.arguments(z, t)), dtype=float)
 
 
-def train_chain(
-    H: Hamiltonian,
-    z0: np.ndarray,
-    span: tuple[float, float],
-    layout: Layout,
-    settings: ChainSettings,
-    generator: torch.Generator,
-    *,
-    advance: Callable[[float], None] = lambda _: None,
-) -> TrainedChain:
-    """Train a chain of networks whose windows follow the motion.
+class ChainRun:
+    """The training of a chain of networks whose windows follow the motion.
 
     - z0: Shape (dim,).
     - generator: Source of the initial weights.
-    - advance: Called with the share of the span that each window adds.
     """
-    run = _Run(H, z0, span, layout, settings, generator)
-    with np.errstate(all="ignore"):
-        try:
-            while run.time != span[1] and not run.reason:
-                before = run.time
-                run.step()
-                advance(abs(run.time - before) / abs(span[1] - span[0]))
-        except KeyboardInterrupt:
-            run.reason = "interrupted"
-    return run.result()
-
-
-class _Run:
-    """The state of a chain in training."""
 
     def __init__(
         self,
@@ -190,6 +166,19 @@ class _Run:
         self.reason = ""
         self.longest = settings.longest
         self.length = self._first_length()
+
+    def trained(self, advance: Callable[[float], None] = lambda _: None) -> TrainedChain:
+        """Train all windows; ``advance`` is called with the share of the span that each adds."""
+        start, end = self.span
+        with np.errstate(all="ignore"):
+            try:
+                while self.time != end and not self.reason:
+                    before = self.time
+                    self.step()
+                    advance(abs(self.time - before) / abs(end - start))
+            except KeyboardInterrupt:
+                self.reason = "interrupted"
+        return self.result()
 
     def _first_length(self) -> float:
         matrix = self.flow.generator(self.z, self.time)

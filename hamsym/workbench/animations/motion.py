@@ -84,7 +84,7 @@ def _of_trajectory(trajectory: Trajectory) -> Motion:
     z = trajectory.z.reshape(-1, *trajectory.z.shape[-2:])
     count, z = len(z), z[:MOST_MEMBERS]
     system, members = trajectory.ensemble.H.compile("numpy"), trajectory.ensemble
-    values = members.parameters[:MOST_MEMBERS, None] if members.varied else None
+    values = members.own_parameters(np.s_[:MOST_MEMBERS, None])
     with np.errstate(all="ignore"):  # beyond the last finite state of a member
         arguments = system.arguments(z, trajectory.t)
         rates = np.asarray(system.vector_field(*arguments, **system.keywords(values)))

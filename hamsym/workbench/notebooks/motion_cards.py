@@ -143,8 +143,7 @@ def _trajectory(trajectory: Trajectory) -> Card:
     ]
     if members.shape:
         card.facts.insert(1, ("members", " x ".join(map(str, members.shape))))
-        for name in members.varied:
-            own = members.parameters[:, H.parameter_names.index(name)]
+        for name, own in members.columns.items():
             card.facts.append((name, f"{number(own.min())} to {number(own.max())}"))
     card.numbers_drawn = z.size
     if members.shape:
