@@ -25,6 +25,7 @@ import hamsym
 from hamsym.ensemble import Ensemble
 from hamsym.errors import HamsymError, InputError
 from hamsym.support.cores import one_core
+from hamsym.support.tables import optional_package
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:  # an optional package
@@ -240,11 +241,4 @@ def _unpickled(content: bytes) -> Any:
 
 
 def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError:
-        raise InputError(
-            "a client needs the package distributed, which is not installed; install it with "
-            'pip install "hamsym[distributed]"'
-        ) from None
-    return distributed
+    return optional_package("distributed", "a client", '"hamsym[distributed]"')

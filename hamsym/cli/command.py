@@ -53,6 +53,11 @@ class Report:
     files: list[str] = field(default_factory=list)
 
 
+def picked(result: Any, names: str) -> dict[str, Any]:
+    """Return attributes of a result by their names, which spaces separate."""
+    return {name: getattr(result, name) for name in names.split()}
+
+
 def strict(value: Any) -> Any:
     """Return a value as strict JSON has it: nan is null, infinities are "inf" and "-inf".
 

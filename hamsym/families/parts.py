@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import safetensors.numpy
 
-from hamsym.errors import FileError, InputError
+from hamsym.errors import FileError
 from hamsym.families.blocks import Block
 from hamsym.families.windows import MARCHED, Table, Windows
+from hamsym.support.tables import optional_package
 from hamsym.support.tensor_files import one_line
 
 FOLDER = "parts"
@@ -41,18 +42,8 @@ class Part(NamedTuple):
 
 
 def zarr_of() -> Any:
-    """Return the module zarr.
-
-    Raise InputError if it is not installed.
-    """
-    try:
-        import zarr
-    except ImportError:
-        raise InputError(
-            "a store needs the package zarr, which is not installed; install it with "
-            'pip install "zarr>=3"'
-        ) from None
-    return zarr
+    """Return the module zarr."""
+    return optional_package("zarr", "a store", '"zarr>=3"')
 
 
 def create_array(

@@ -9,6 +9,19 @@ import numpy as np
 SMALLEST = 1e-8
 
 
+def ratios(errors: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """Return the ratios of errors to limits: 0 without an error, infinite where one is unknown.
+
+    Examples
+    --------
+    >>> ratios(np.array([0.0, 1.0, np.nan]), np.array([0.0, 4.0, 1.0]))
+    array([0.  , 0.25,  inf])
+    """
+    with np.errstate(all="ignore"):
+        found = np.where(errors == 0, 0.0, errors / limits)
+    return np.nan_to_num(found, nan=np.inf, posinf=np.inf)
+
+
 def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:
     """Compute the size that the terms of its own equation give each component, at least its own.
 

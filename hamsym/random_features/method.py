@@ -17,6 +17,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.scales import ratios
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.basis import FeatureBasis, feature_basis
 from hamsym.random_features.error_estimate import (
@@ -47,7 +48,7 @@ from hamsym.solution.accuracy import (
 from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import shown_time
-from hamsym.solution.window_error import allowed_errors, largest_ratio
+from hamsym.solution.window_error import allowed_errors
 
 _SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
 _LOCAL = 0.1  # local tolerance of the first march, relative to the tolerance
@@ -267,7 +268,7 @@ class _Attempt:
     @property
     def too_large(self) -> float:
         """Ratio of the error to the allowed one, of which a tighter march has a smaller one."""
-        linear = largest_ratio(self.estimate.linear, self.allowed)
+        linear = float(ratios(self.estimate.linear, self.allowed).max())
         return max(linear, TIGHTER) if self.estimate.limit else linear
 
     @cached_property

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.numerics.chebyshev import chebyshev_values
+from hamsym.numerics.scales import ratios
 from hamsym.numerics.windows import locate
 from hamsym.support.checked_data import require_array
 
@@ -68,14 +69,7 @@ class WindowError:
 
     def excess(self, allowed: np.ndarray) -> float:
         """Return the largest ratio of estimate and floor to the allowed error, or infinity."""
-        return largest_ratio(self.largest, allowed)
-
-
-def largest_ratio(errors: np.ndarray, allowed: np.ndarray) -> float:
-    """Return the largest ratio of errors to the allowed ones, or infinity; without error 0."""
-    with np.errstate(all="ignore"):
-        ratios = np.where(errors == 0, 0.0, errors / allowed)
-    return float(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf).max())
+        return float(ratios(self.largest, allowed).max())
 
 
 def relative_tolerance(tol: float) -> float:

@@ -26,6 +26,7 @@ from hamsym.errors import FileError, InputError
 from hamsym.families.parts import zarr_of
 from hamsym.study.grid_tasks import Columns
 from hamsym.support.atomic import create_atomically
+from hamsym.support.tables import optional_package
 
 Box = tuple[slice, ...]
 
@@ -188,13 +189,7 @@ class GridStore:
 
         Raise InputError if xarray is not installed.
         """
-        try:
-            import xarray
-        except ImportError:
-            raise InputError(
-                "this store needs the package xarray, which is not installed; install it with "
-                "pip install xarray"
-            ) from None
+        xarray = optional_package("xarray", "this store")
         return xarray.open_zarr(self.path, consolidated=None if self._is_complete() else False)
 
     def values(self) -> dict[str, np.ndarray]:
