@@ -268,22 +268,12 @@ def chaos_indicators(
     if not run.times:
         raise InputError(f"integration failed at the first steps: {run.problem}")
     times, history = np.concatenate(run.times), np.concatenate(run.history)
-    energy_error, problem = plan.judged(times, np.concatenate(run.path), run.problem)
     return ChaosIndicators(
         t=times,
         megno=history[:, 0],
         mean_megno=history[:, 1],
         sali=history[:, 2],
-        start=span[0],
-        energy_error=energy_error,
-        method=method,
-        dt=plan.size,
-        seconds=time.perf_counter() - began,
-        success=not problem,
-        message=problem or plan.description,
-        title=H.formulas,
-        is_integrable=H.dof == 1 and H.time is None,
-        H=H,
+        **plan.outcome(times, np.concatenate(run.path), run.problem, began),
     )
 
 

@@ -7,8 +7,10 @@ Output: the number and size of the steps; the change of H, and what makes the ru
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -78,7 +80,30 @@ class TangentSteps:
         fits = int(growth / max(self.rate * abs(self.size), 1e-3))
         return max(1, min(self.number // KEPT, fits))
 
-    def judged(
+    def outcome(
+        self, times: Sequence[float] | np.ndarray, path: np.ndarray, problem: str, began: float
+    ) -> dict[str, Any]:
+        """Return what every result of such steps tells, by the names of its fields.
+
+        - times, path, problem: As of :meth:`_judged`.
+        - began: Time of the start, of :func:`time.perf_counter`.
+        """
+        energy_error, problem = self._judged(times, path, problem)
+        done = f"{self.method}: {self.number:,} steps to t = {self.span[1]:.6g}"
+        return {
+            "start": self.span[0],
+            "energy_error": energy_error,
+            "method": self.method,
+            "dt": self.size,
+            "seconds": time.perf_counter() - began,
+            "success": not problem,
+            "message": problem or done,
+            "title": self.H.formulas,
+            "is_integrable": self.H.dof == 1 and self.H.time is None,
+            "H": self.H,
+        }
+
+    def _judged(
         self, times: Sequence[float] | np.ndarray, path: np.ndarray, problem: str
     ) -> tuple[float, str]:
         """Return the largest change of H, and why the run failed, empty if it did not.
@@ -103,11 +128,6 @@ class TangentSteps:
                     f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
                 )
         return change, ""
-
-    @property
-    def description(self) -> str:
-        """Method, number of steps and end of the span."""
-        return f"{self.method}: {self.number:,} steps to t = {self.span[1]:.6g}"
 
 
 def _fastest_rate(
