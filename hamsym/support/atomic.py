@@ -8,6 +8,7 @@ import stat
 from collections.abc import Callable
 from pathlib import Path
 
+from hamsym.errors import FileError
 from hamsym.support.leftovers import remove_leftovers, temporary_name
 
 
@@ -39,6 +40,15 @@ def write_atomically(path: Path, content: bytes) -> None:
     except BaseException:
         os.unlink(temporary)
         raise
+
+
+def write_file(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file as :func:`write_atomically` does; raise FileError if that fails."""
+    try:
+        write_atomically(Path(path), content)
+    except (OSError, ValueError, TypeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(f"'{path}' cannot be written: {reason}") from None
 
 
 def create_atomically(path: Path, fill: Callable[[Path], None]) -> None:
