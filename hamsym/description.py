@@ -19,9 +19,8 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.checked_data import (
     checked_list,
     checked_mapping,
-    checked_number,
     checked_type,
-    require_names,
+    checked_values,
 )
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 from hamsym.support.validation import plain
@@ -30,6 +29,11 @@ R = TypeVar("R")
 
 _TAKEN = {"H", "confidence", "dt", "hamsym", "method", "reference_error", "span", "steps", "tol"}
 _LARGEST_POWER = 1_100  # of two, in a number of the formula; float64 ends at 1,024
+_FORMULA = {"formula": "str", "floats": "Mapping[str, Any]"}
+_TYPES = _FORMULA | {
+    **dict.fromkeys(("q", "p"), "tuple[str, ...]"),
+    "parameters": "Mapping[str, float]",
+}
 #: Errors that parts of the package raise for values that are not those of a solution.
 MALFORMED = (
     *(ArithmeticError, AssertionError, AttributeError, HamsymError, LookupError, RuntimeError),
@@ -185,28 +189,19 @@ def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
     Raise ValueError, HamsymError if the values are invalid.
     """
     optional = {"forces", "units"} & values.keys()  # absent without any
-    require_names("H", values, {"formula", "floats", "q", "p", "parameters"} | optional)
-    parameters = checked_mapping("parameters", values["parameters"])
-    expr = _expression(values)
-    names = [
-        [checked_type("name", name, "str") for name in checked_list(of, values[of])]
-        for of in ("q", "p")
-    ]
-    numbers_of = {name: checked_number(name, value) for name, value in parameters.items()}
-    forces = {}
-    for name, force in checked_mapping("forces", values.get("forces", {})).items():
-        parts = checked_mapping("force", force)
-        require_names("force", parts, {"formula", "floats"})
-        forces[name] = _expression(parts)
-    units = checked_mapping("units", values.get("units", {}))
-    return Hamiltonian(
-        expr, q=names[0], p=names[1], parameters=numbers_of, units=units, forces=forces
-    )
+    types = _TYPES | dict.fromkeys(optional, "Mapping[str, Any]")
+    given = {"forces": {}, "units": {}} | checked_values("H", values, types)
+    forces = {
+        name: _expression(checked_values("force", checked_mapping("force", force), _FORMULA))
+        for name, force in given["forces"].items()
+    }
+    about = {name: given[name] for name in ("q", "p", "parameters", "units")}
+    return Hamiltonian(_expression(given), forces=forces, **about)
 
 
 def _expression(values: Mapping[str, Any]) -> sympy.Expr:
     """The expression of a formula and its binary fractions."""
-    floats = checked_mapping("floats", values["floats"])
+    floats = values["floats"]
     expr = parse_expression(values["formula"])
     symbols = {symbol.name: symbol for symbol in expr.free_symbols}
     if not floats.keys() <= symbols.keys():

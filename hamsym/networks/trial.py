@@ -23,9 +23,8 @@ from hamsym.networks.network import (
     weights_of,
 )
 from hamsym.support.checked_data import (
-    checked_list,
     checked_number,
-    checked_type,
+    checked_values,
     require_array,
     require_names,
 )
@@ -193,6 +192,16 @@ class EnvelopedNetwork(torch.nn.Module):
                 raise ValueError("its network does not start at its z0")
 
 
+_TYPES = {
+    "form": "str",
+    "shared": "bool",
+    "sizes": "tuple[int, ...]",
+    "frequency": "float | None",
+    **dict.fromkeys(("activation", "envelope"), "str"),
+    **dict.fromkeys(("t0", "tau"), "float"),
+}
+
+
 class TrialSolution(EnvelopedNetwork):
     """z^(t) = z0 + f(s) N(s) with a fully connected network N of hamsym.
 
@@ -252,13 +261,8 @@ class TrialSolution(EnvelopedNetwork):
 
         Raise ValueError if they do not describe a trial solution with ``dim`` components.
         """
-        names = {"form", "shared", "sizes", "activation", "frequency", "t0", "tau", "envelope"}
-        require_names("trial solution", values, names)
-        shared = checked_type("shared", values["shared"], "bool")
-        sizes = tuple(
-            checked_type("sizes", size, "int") for size in checked_list("sizes", values["sizes"])
-        )
-        frequency = checked_type("frequency", values["frequency"], "float | None")
+        given = checked_values("trial solution", values, _TYPES)
+        shared, sizes, frequency = given["shared"], given["sizes"], given["frequency"]
         if frequency is not None and not 0 < frequency < math.inf:
             raise ValueError("its frequency is not a positive number")
         outputs = dim if shared else 1
@@ -278,7 +282,7 @@ class TrialSolution(EnvelopedNetwork):
             return Network(
                 outputs,
                 sizes[1:-1],
-                values["activation"],
+                given["activation"],
                 frequency=frequency,
                 generator=torch.Generator(),
                 dtype=precision,
@@ -287,9 +291,8 @@ class TrialSolution(EnvelopedNetwork):
         trial = cls(
             network() if shared else ComponentNetworks([network() for _ in range(dim)]),
             torch.from_numpy(np.array(z0)),
-            t0=checked_number("t0", values["t0"]),
-            tau=checked_number("tau", values["tau"]),
-            envelope=values["envelope"],
+            **{name: checked_number(name, given[name]) for name in ("t0", "tau")},
+            envelope=given["envelope"],
         )
         trial.load_state_dict({n: torch.from_numpy(np.array(a)) for n, a in arrays.items()})
         trial.requires_grad_(False)

@@ -117,7 +117,7 @@ def _checked_value(name: str, value: Any, kind: str) -> Any:
     if outer == "Mapping":
         last = inner.split(", ")[-1]
         return {
-            key: _checked_entry(name, entry, last)
+            key: _checked_entry(key[:40], entry, last)
             for key, entry in checked_mapping(name, value).items()
         }
     return checked_type(name, value, kind)
