@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import fields
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from hamsym.description import MALFORMED, described, hamiltonian_from
-from hamsym.errors import FileError
+from hamsym.description import described, hamiltonian_from, read_result, write_result
 from hamsym.families.solutions import Solutions
 from hamsym.families.storage import KIND, is_store, open_store, read_solutions, write_solutions
 from hamsym.flow_maps.flow_map import FlowMap
@@ -34,18 +34,24 @@ from hamsym.suggestions import checked_keywords
 from hamsym.support.checked_data import (
     arrays_of,
     checked_list,
-    checked_mapping,
-    checked_number,
     checked_record,
-    checked_type,
+    checked_values,
     numbers_of,
     require_array,
-    require_names,
     taken,
 )
-from hamsym.support.tensor_files import kind_of, one_line, read_tensors, write_tensors
+from hamsym.support.tensor_files import kind_of
 
 _KIND = "solution"
+_PLAIN = {
+    "span": "tuple[float, float]",
+    "method": "str",
+    "energy_weight": "float",
+    "success": "bool",
+    "message": "str",
+}
+_TYPES = _PLAIN | dict.fromkeys(("H", "trial"), "Mapping[str, Any]")
+_OPTIONAL = dict.fromkeys(("error", "settings"), "Mapping[str, Any]")
 # Arrays of a march that are also arrays of its trial solution, and are stored once.
 _IN_TRIAL = ("edges", "states", "readouts")
 
@@ -88,20 +94,7 @@ def save(
     if isinstance(solution, Trajectory):
         write_trajectory(solution, path)
         return
-    try:
-        _check(solution)
-    except MALFORMED as error:
-        raise FileError(
-            f"'{path}' was not written, because the solution is not valid: {one_line(error)}"
-        ) from None
-    arrays, values = parts(solution)
-    try:
-        same = hamiltonian_from(values["H"]) == solution.H
-    except MALFORMED:
-        same = False
-    if not same:
-        raise FileError(f"'{path}' is not written: H has no formula that is read back as it is")
-    write_tensors(path, _KIND, arrays, values)
+    write_result(path, _KIND, solution.H, lambda: _check(solution), lambda: parts(solution))
 
 
 @checked_keywords
@@ -135,12 +128,12 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 def load_solution(path: str | os.PathLike[str]) -> Solution:
     """Read a file of one solution; see :func:`load`."""
-    arrays, values = read_tensors(path, _KIND)
-    try:
-        solution = assembled(arrays, values)
-        _check(solution)
-    except MALFORMED as error:
-        raise FileError(f"'{path}' is not a valid solution file: {one_line(error)}") from None
+    return read_result(path, _KIND, _checked)
+
+
+def _checked(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution:
+    solution = assembled(arrays, values)
+    _check(solution)
     return solution
 
 
@@ -179,76 +172,61 @@ def parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution:
     """Build a solution from its :func:`parts`."""
     record_name = next((name for name in ("training", "chain") if name in values), "march")
-    names = {"H", "span", "method", "energy_weight", "success", "message", "trial", record_name}
-    has_error = "error" in values
-    require_names("values", values, names | ({"error", "settings"} & values.keys()))
-    start, end = (checked_number("span", time) for time in checked_list("span", values["span"], 2))
+    present = {name: kind for name, kind in _OPTIONAL.items() if name in values}
+    types = _TYPES | {record_name: "Mapping[str, Any]"} | present
+    found = checked_values("values", values, types)
     given = dict(arrays)
     z0 = given.pop("z0")
-    formula = checked_mapping("H", values["H"])
+    formula = found["H"]
     dim = len(checked_list("q", formula["q"])) + len(checked_list("p", formula["p"]))
     # The numbers of components and names are compared before anything is built from them.
     require_array("z0", z0, (dim,))
-    form, own = checked_mapping("trial", values["trial"]), taken(given, "trial")
+    form, own = found["trial"], taken(given, "trial")
     if form["form"] == "features":
         trial: Any = FeatureTrial.from_description(form, own, dim)
     else:
-        trial = _network_trial(form, own, dim)
+        networks = _of_networks()
+        kind = networks.Chain if form["form"] == "chain" else networks.TrialSolution
+        trial = kind.from_description(form, own, dim)
     error = None
-    if has_error:
-        kind = _error_of_chain() if record_name == "chain" else MarchError
-        error = checked_record(kind, values["error"], taken(given, "error"))
+    if "error" in found:
+        kind = _of_networks().ChainError if record_name == "chain" else MarchError
+        error = checked_record(kind, found["error"], taken(given, "error"))
     if record_name == "training":
-        record: Any = _training(values["training"], taken(given, "history"))
+        history = checked_record(_of_networks().History, {}, taken(given, "history"))
+        record: Any = checked_record(
+            _of_networks().Training, found[record_name], {"history": history}
+        )
     elif record_name == "chain":
-        record = _training_of_chain(values["chain"], taken(given, "chain"))
+        record = checked_record(
+            _of_networks().ChainTraining, found[record_name], taken(given, "chain")
+        )
     else:
         march = {name: own[name] for name in _IN_TRIAL} | taken(given, "march")
-        record = checked_record(March, values["march"], march)
+        record = checked_record(March, found["march"], march)
     if given:
         raise ValueError(f"'{min(given)[:40]}' is not a part of a solution")
-    method = checked_type("method", values["method"], "str")
-    settings = Settings.from_description(values["settings"], dim) if "settings" in values else None
+    settings = Settings.from_description(found["settings"], dim) if "settings" in found else None
     return Solution(
         H=hamiltonian_from(formula),
         z0=z0,
-        span=(start, end),
         trial=trial,
-        method=method,
         record=record,
         error=error,
-        energy_weight=checked_number("energy_weight", values["energy_weight"]),
-        success=checked_type("success", values["success"], "bool"),
-        message=checked_type("message", values["message"], "str"),
         settings=settings,
+        **{name: found[name] for name in _PLAIN},
     )
 
 
-def _network_trial(form: dict[str, Any], arrays: dict[str, np.ndarray], dim: int) -> Any:
-    # Imports torch, which marches do not need.
-    from hamsym.networks.chain import Chain
+def _of_networks() -> Any:
+    """Return the classes of networks, whose modules import torch, which marches do not need."""
+    from hamsym.networks.chain import Chain, ChainTraining
+    from hamsym.networks.chain_error import ChainError
+    from hamsym.networks.record import History, Training
     from hamsym.networks.trial import TrialSolution
 
-    kind = Chain if form["form"] == "chain" else TrialSolution
-    return kind.from_description(form, arrays, dim)
-
-
-def _training(numbers: Any, history: dict[str, np.ndarray]) -> Any:
-    from hamsym.networks.record import History, Training
-
-    return checked_record(Training, numbers, {"history": checked_record(History, {}, history)})
-
-
-def _training_of_chain(numbers: Any, arrays: dict[str, np.ndarray]) -> Any:
-    from hamsym.networks.chain import ChainTraining
-
-    return checked_record(ChainTraining, numbers, arrays)
-
-
-def _error_of_chain() -> type:
-    from hamsym.networks.chain_error import ChainError
-
-    return ChainError
+    kinds = (Chain, ChainTraining, ChainError, History, Training, TrialSolution)
+    return SimpleNamespace(**{kind.__name__: kind for kind in kinds})
 
 
 def _check(solution: Solution) -> None:
@@ -258,7 +236,7 @@ def _check(solution: Solution) -> None:
     if not isinstance(solution.success, (bool, np.bool_)):
         raise ValueError("its success is not a bool")
     if not 0 <= solution.energy_weight < math.inf:
-        raise ValueError("its energy_weight is not a finite number from 0")
+        raise ValueError("its energy_weight is negative or not finite")
     marched = isinstance(trial, FeatureTrial)
     if marched != isinstance(record, March):
         raise ValueError("its record does not belong to its trial solution")

@@ -25,6 +25,7 @@ import hamsym
 from hamsym.ensemble import Ensemble
 from hamsym.errors import HamsymError, InputError
 from hamsym.support.cores import one_core
+from hamsym.support.tables import optional_package
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:  # an optional package
@@ -38,17 +39,11 @@ _WAITING = 2  # tasks for each thread of the cluster, so that no worker waits fo
 
 
 class Task(NamedTuple):
-    """Arguments of a task.
+    """Arguments of a task."""
 
-    Attributes
-    ----------
-    members : numpy.ndarray
-        Numbers of the members on which it works, by which an error names it.
-    arguments : tuple
-        Of the function, after the set-up; picklable.
-    """
-
+    #: Numbers of the members on which it works, by which an error names it.
     members: np.ndarray
+    #: Of the function, after the set-up; picklable.
     arguments: tuple[Any, ...]
 
 
@@ -91,15 +86,9 @@ def members_on_cluster(
 
     Chunks are sized by the time that they take.
 
-    Parameters
-    ----------
-    client, setup, retries
-        As in :func:`cluster_results`.
-    function : callable
-        ``function(setup, numbers, members)`` for a chunk.
-    members : Ensemble
-    chosen : numpy.ndarray, optional
-        Numbers of the members to work on; by default all.
+    - client, setup, retries: As in :func:`cluster_results`.
+    - function: ``function(setup, numbers, members)`` for a chunk.
+    - chosen: Numbers of the members to work on; by default all.
     """
     left = np.arange(len(members)) if chosen is None else chosen
     threads, size = _Threads(client), _FIRST
@@ -130,23 +119,14 @@ def cluster_results(
 
     Closing the iterator cancels what is not finished.
 
-    Parameters
-    ----------
-    client : dask.distributed.Client
-    function : callable
-        ``function(setup, *arguments)``, importable on the workers.
-    setup : object
-        Picklable.
-    tasks : iterable of Task
-        Read when workers are free, so that tasks may depend on earlier results.
-    retries : int
-        Times that a task is repeated after an error on a worker that is not of hamsym. A task
-        whose worker dies is repeated by the scheduler (``distributed.scheduler.allowed-failures``).
+    Raise HamsymError if a task fails, or kills its workers even when it runs alone.
 
-    Raises
-    ------
-    HamsymError
-        If a task fails, or kills its workers even when it runs alone.
+    - function: ``function(setup, *arguments)``, importable on the workers.
+    - setup: Picklable.
+    - tasks: Read when workers are free, so that tasks may depend on earlier results.
+    - retries: Times that a task is repeated after an error on a worker that is not of hamsym. A
+      task whose worker dies is repeated by the scheduler
+      (``distributed.scheduler.allowed-failures``).
     """
     run = _Tasks(client, function, setup, retries)
     pending, threads = iter(tasks), _Threads(client)
@@ -261,11 +241,4 @@ def _unpickled(content: bytes) -> Any:
 
 
 def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError:
-        raise InputError(
-            "a client needs the package distributed, which is not installed; install it with "
-            'pip install "hamsym[distributed]"'
-        ) from None
-    return distributed
+    return optional_package("distributed", "a client", '"hamsym[distributed]"')

@@ -28,24 +28,12 @@ _ROWS = 65_536  # states that are evaluated at once
 class KnownInvariants:
     """Functions that are conserved by a Hamiltonian.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    given : sequence of str, sympy.Expr or Invariant
-    varied : sequence of str
-        Parameters that have several values, for all of which the functions must be conserved.
+    Raise InputError if one is not a function of the state, or is not conserved; the message names
+    it.
 
-    Attributes
-    ----------
-    formulas : tuple of str
-        The functions as text; texts as they were given.
-    functions : tuple of Hamiltonian
-        Each function as a Hamiltonian of its own, whose generated code evaluates it.
-
-    Raises
-    ------
-    InputError
-        If one is not a function of the state, or is not conserved; the message names it.
+    - varied: Parameters that have several values, for all of which the functions must be conserved.
+    - formulas: The functions as text; texts as they were given.
+    - functions: Each function as a Hamiltonian of its own, whose generated code evaluates it.
 
     Examples
     --------
@@ -109,24 +97,12 @@ class KnownInvariants:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the changes since the start, and those that allowed errors explain.
 
-        Parameters
-        ----------
-        starts : numpy.ndarray
-            Initial states, shape (n, dim) or (1, dim).
-        start : float
-        states : numpy.ndarray
-            Shape (n, dim).
-        times : numpy.ndarray or float
-            Shape (n,).
-        allowed : numpy.ndarray
-            Allowed errors, shape (n, dim) or (dim,).
-        parameters : numpy.ndarray, optional
-            Values of all parameters of H, shape (n, k) or (1, k).
-
-        Returns
-        -------
-        change, explained : numpy.ndarray
-            Shape (invariants, n); infinite and NaN where a value is.
+        - starts: Initial states, shape (n, dim) or (1, dim).
+        - states: Shape (n, dim).
+        - times: Shape (n,).
+        - allowed: Allowed errors, shape (n, dim) or (dim,).
+        - parameters: Values of all parameters of H, shape (n, k) or (1, k).
+        - returns change, explained: Shape (invariants, n); infinite and NaN where a value is.
         """
         change, explained = np.zeros((2, len(self), len(states)))
         times = np.broadcast_to(np.asarray(times, dtype=float), len(states))
@@ -172,10 +148,7 @@ class KnownInvariants:
     def verdict(self, change: np.ndarray, explained: np.ndarray) -> str:
         """Return why a trajectory is refused by its drifts, or "" if it is not.
 
-        Parameters
-        ----------
-        change, explained : numpy.ndarray
-            Of one trajectory, shape (invariants, n).
+        - change, explained: Of one trajectory, shape (invariants, n).
         """
         for formula, own, limit in zip(self.formulas, change, explained, strict=True):
             within = own <= limit

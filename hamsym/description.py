@@ -1,10 +1,11 @@
-"""Conversion of a Hamiltonian to JSON values and back."""
+"""Conversion of a Hamiltonian to JSON values and back, and files of results of one."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import os
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import sympy
@@ -18,14 +19,21 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.checked_data import (
     checked_list,
     checked_mapping,
-    checked_number,
     checked_type,
-    require_names,
+    checked_values,
 )
+from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 from hamsym.support.validation import plain
+
+R = TypeVar("R")
 
 _TAKEN = {"H", "confidence", "dt", "hamsym", "method", "reference_error", "span", "steps", "tol"}
 _LARGEST_POWER = 1_100  # of two, in a number of the formula; float64 ends at 1,024
+_FORMULA = {"formula": "str", "floats": "Mapping[str, Any]"}
+_TYPES = _FORMULA | {
+    **dict.fromkeys(("q", "p"), "tuple[str, ...]"),
+    "parameters": "Mapping[str, float]",
+}
 #: Errors that parts of the package raise for values that are not those of a solution.
 MALFORMED = (
     *(ArithmeticError, AssertionError, AttributeError, HamsymError, LookupError, RuntimeError),
@@ -39,10 +47,7 @@ def described(H: Hamiltonian) -> dict[str, Any]:
     The formula is text; its binary fractions are listed separately, since numbers in text
     are parsed as decimals.
 
-    Raises
-    ------
-    FileError
-        If it has a constant that is written as a rounded decimal.
+    Raise FileError if it has a constant that is written as a rounded decimal.
     """
     values = {
         **_marked(H.expr, H.names),
@@ -81,14 +86,59 @@ def _marked(expr: sympy.Expr, names_of_state: Collection[str]) -> dict[str, Any]
     }
 
 
+def write_result(
+    path: str | os.PathLike[str],
+    kind: str,
+    H: Hamiltonian,
+    check: Callable[[], None],
+    parts: Callable[[], tuple[Mapping[str, np.ndarray], dict[str, Any]]],
+) -> None:
+    """Write the arrays and values of a result to a file of its kind, if it passes its check.
+
+    Raise FileError if it does not, H has no formula that is read back as it is, or the file cannot
+    be written.
+    """
+    try:
+        check()
+    except MALFORMED as error:
+        verb = "are" if kind.endswith("s") else "is"
+        raise FileError(
+            f"'{path}' was not written, because the {kind} {verb} not valid: {one_line(error)}"
+        ) from None
+    require_formula(path, H)
+    write_tensors(path, kind, *parts())
+
+
+def read_result(
+    path: str | os.PathLike[str], kind: str, assembled: Callable[[dict[str, Any], Any], R]
+) -> R:
+    """Return what a function makes of the arrays and values of a file of this kind.
+
+    Raise FileError if the file cannot be read, is damaged or not valid.
+    """
+    arrays, values = read_tensors(path, kind)
+    try:
+        return assembled(arrays, values)
+    except MALFORMED as error:
+        noun = kind if kind.endswith("s") else f"a {kind}"
+        raise FileError(f"'{path}' is not a valid file of {noun}: {one_line(error)}") from None
+
+
+def require_formula(path: str | os.PathLike[str], H: Hamiltonian) -> None:
+    """Raise FileError unless the formula of H is read back as it is."""
+    values = described(H)
+    try:
+        same = hamiltonian_from(values) == H
+    except MALFORMED:
+        same = False
+    if not same:
+        raise FileError(f"'{path}' is not written: H has no formula that is read back as it is")
+
+
 def attributes_of(H: Hamiltonian, without: Collection[str] = ()) -> dict[str, Any]:
     """Return H, its parameters and units as flat attributes of a table, with the version of hamsym.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    without : collection of str
-        Parameters that are left out, because they vary.
+    - without: Parameters that are left out, because they vary.
 
     Examples
     --------
@@ -116,14 +166,9 @@ def settings_text(
 ) -> dict[str, str]:
     """Return all settings that determine a solution, as text with all digits.
 
-    Parameters
-    ----------
-    H, z0, span, seed
-        Arguments of :func:`hamsym.solve`.
-    options : object
-        The dataclass of the method's options.
-    without : collection of str
-        Options that are left out.
+    - H, z0, span, seed: Arguments of :func:`hamsym.solve`.
+    - options: The dataclass of the method's options.
+    - without: Options that are left out.
     """
     values = {
         field.name: repr(plain(getattr(options, field.name)))
@@ -141,34 +186,22 @@ def settings_text(
 def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
     """Return the Hamiltonian of the values of :func:`described`.
 
-    Raises
-    ------
-    ValueError, HamsymError
-        If the values are invalid.
+    Raise ValueError, HamsymError if the values are invalid.
     """
     optional = {"forces", "units"} & values.keys()  # absent without any
-    require_names("H", values, {"formula", "floats", "q", "p", "parameters"} | optional)
-    parameters = checked_mapping("parameters", values["parameters"])
-    expr = _expression(values)
-    names = [
-        [checked_type("name", name, "str") for name in checked_list(of, values[of])]
-        for of in ("q", "p")
-    ]
-    numbers_of = {name: checked_number(name, value) for name, value in parameters.items()}
-    forces = {}
-    for name, force in checked_mapping("forces", values.get("forces", {})).items():
-        parts = checked_mapping("force", force)
-        require_names("force", parts, {"formula", "floats"})
-        forces[name] = _expression(parts)
-    units = checked_mapping("units", values.get("units", {}))
-    return Hamiltonian(
-        expr, q=names[0], p=names[1], parameters=numbers_of, units=units, forces=forces
-    )
+    types = _TYPES | dict.fromkeys(optional, "Mapping[str, Any]")
+    given = {"forces": {}, "units": {}} | checked_values("H", values, types)
+    forces = {
+        name: _expression(checked_values("force", checked_mapping("force", force), _FORMULA))
+        for name, force in given["forces"].items()
+    }
+    about = {name: given[name] for name in ("q", "p", "parameters", "units")}
+    return Hamiltonian(_expression(given), forces=forces, **about)
 
 
 def _expression(values: Mapping[str, Any]) -> sympy.Expr:
     """The expression of a formula and its binary fractions."""
-    floats = checked_mapping("floats", values["floats"])
+    floats = values["floats"]
     expr = parse_expression(values["formula"])
     symbols = {symbol.name: symbol for symbol in expr.free_symbols}
     if not floats.keys() <= symbols.keys():

@@ -15,30 +15,31 @@ from hamsym.symbolic.states import parameter_arrays, states_array
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Initial states and parameter values of many trajectories of one Hamiltonian.
+    """Initial states and parameter values of many trajectories of one Hamiltonian."""
 
-    Attributes
-    ----------
-    H : Hamiltonian
-        With a value for every parameter; those of the first member where they differ.
-    states : numpy.ndarray
-        Initial states, shape (count, dim).
-    parameters : numpy.ndarray
-        Values in the order of ``H.parameter_names``, shape (count, parameters).
-    shape : tuple of int
-        Shape in which the caller arranged the members, of ``count`` entries; () for one start.
-    varied : tuple of str
-        Names of the parameters that were given as arguments.
-    """
-
+    #: With a value for every parameter; those of the first member where they differ.
     H: Hamiltonian
+    #: Initial states, shape (count, dim).
     states: np.ndarray
+    #: Values in the order of ``H.parameter_names``, shape (count, parameters).
     parameters: np.ndarray
+    #: Shape in which the caller arranged the members, of ``count`` entries; () for one start.
     shape: tuple[int, ...]
+    #: Names of the parameters that were given as arguments.
     varied: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.states)
+
+    def own_parameters(self, rows: Any = slice(None)) -> np.ndarray | None:
+        """Return the parameters of some members, or None where all have those of H."""
+        return self.parameters[rows] if self.varied else None
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Values of the parameters that vary, each of shape (count,)."""
+        names = self.H.parameter_names
+        return {name: self.parameters[:, names.index(name)] for name in self.varied}
 
     def hamiltonian(self, index: int) -> Hamiltonian:
         """Return H with the parameter values of one member."""
@@ -57,21 +58,12 @@ def ensemble_of(
 ) -> Ensemble:
     """Broadcast initial states and parameter values to one shape.
 
-    Parameters
-    ----------
-    H : Hamiltonian, str or sympy.Expr
-    z0 : sequence, mapping or array
-        States of shape (..., dim) in the order of H.z, or a mapping to numbers and arrays.
-    parameters : mapping of name to number or array, optional
-        Values that replace those of H, broadcast with the states.
-    finite : bool
-        Require finite states.
+    Raise InputError if H is not a Hamiltonian, a parameter is unknown or has no value, a value is
+    not a finite number, or the shapes do not broadcast.
 
-    Raises
-    ------
-    InputError
-        If H is not a Hamiltonian, a parameter is unknown or has no value, a value is not a finite
-        number, or the shapes do not broadcast.
+    - z0: States of shape (..., dim) in the order of H.z, or a mapping to numbers and arrays.
+    - parameters: Values that replace those of H, broadcast with the states.
+    - finite: Require finite states.
 
     Examples
     --------

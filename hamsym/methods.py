@@ -30,20 +30,13 @@ METHOD, SEED = "features", 0
 
 @dataclass(frozen=True)
 class Method:
-    """A method of solution.
+    """A method of solution."""
 
-    Attributes
-    ----------
-    options : type
-        Frozen dataclass of its options, with defaults.
-    run : callable
-        (problem, options) -> Solution.
-    marches : bool
-        Whether its trial solution is a march of windows instead of a network.
-    """
-
+    #: Frozen dataclass of its options, with defaults.
     options: type[Any]
+    #: (problem, options) -> Solution.
     run: Callable[[InitialValueProblem, Any], Solution]
+    #: Whether its trial solution is a march of windows instead of a network.
     marches: bool = False
 
 

@@ -18,23 +18,13 @@ MAX_STEPS = 2**53
 
 @dataclass(frozen=True)
 class InitialValueProblem:
-    """Hamilton's equations with an initial state and a time span.
-
-    Attributes
-    ----------
-    H : Hamiltonian
-    z0 : numpy.ndarray
-        Shape (dim,).
-    span : (float, float)
-    energy_0 : float
-        H at z0 and the start of the span.
-    seed : int
-    progress : bool or callable, optional
-    """
+    """Hamilton's equations with an initial state and a time span."""
 
     H: Hamiltonian
+    #: Shape (dim,).
     z0: np.ndarray
     span: tuple[float, float]
+    #: H at z0 and the start of the span.
     energy_0: float
     seed: int
     progress: bool | Callable[[Any], None] | None
@@ -50,11 +40,8 @@ class InitialValueProblem:
     ) -> InitialValueProblem:
         """Make a problem from checked arguments.
 
-        Raises
-        ------
-        InputError
-            If H is not a Hamiltonian, a parameter has no value, or the state, the span or the seed
-            is invalid.
+        Raise InputError if H is not a Hamiltonian, a parameter has no value, or the state, the span
+        or the seed is invalid.
         """
         H = Hamiltonian.of(H)
         state = H.state_from(z0)
@@ -77,10 +64,7 @@ def _initial_energy(H: Hamiltonian, state: np.ndarray, start: float) -> float:
 def checked_span(span: tuple[float, float]) -> tuple[float, float]:
     """Return start and end of a time span as floats.
 
-    Raises
-    ------
-    InputError
-        If the span is not two finite numbers with a finite distance.
+    Raise InputError if the span is not two finite numbers with a finite distance.
     """
     try:
         start, end = (float(value) for value in span)
@@ -98,10 +82,7 @@ def checked_span(span: tuple[float, float]) -> tuple[float, float]:
 def checked_steps(length: float, steps: int | None, dt: float | None, default: int = 20_000) -> int:
     """Return the number of equal steps in a span of this length.
 
-    Raises
-    ------
-    InputError
-        If both are given, one is invalid, or the step is longer than the span.
+    Raise InputError if both are given, one is invalid, or the step is longer than the span.
     """
     if dt is None:
         steps = default if steps is None else steps

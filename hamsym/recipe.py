@@ -63,11 +63,7 @@ def python_lines(solution: Solution) -> str:
 def command_line(solution: Solution, output: str | None = None) -> str:
     """Return the command that computes a solution again, over several lines if it is long.
 
-    Parameters
-    ----------
-    solution : Solution
-    output : str, optional
-        File to which the command writes.
+    - output: File to which the command writes.
 
     Examples
     --------

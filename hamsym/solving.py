@@ -262,10 +262,7 @@ def proven(solution: Solution, tol: float, atol: float | Sequence[float]) -> Sol
 def checked_options(H: Hamiltonian, method: str, options: Mapping[str, Any]) -> Any:
     """Return the options of a method as its dataclass.
 
-    Raises
-    ------
-    InputError
-        If the method or one of its options does not exist.
+    Raise InputError if the method or one of its options does not exist.
     """
     if isinstance(method, str) and {method} & {*INTEGRATORS, *ALIASES}:
         raise InputError(

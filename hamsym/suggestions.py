@@ -69,14 +69,8 @@ def did_you_mean(name: object, names: Iterable[str]) -> str:
 def unknown(name: object, names: Iterable[str], kind: str, remedy: str = "choose one of") -> str:
     """Return the sentence about a name that is not one of some names.
 
-    Parameters
-    ----------
-    name : object
-    names : iterable of str
-    kind : str
-        What the names are, with its article.
-    remedy : str
-        Words before the list of the names.
+    - kind: What the names are, with its article.
+    - remedy: Words before the list of the names.
 
     Examples
     --------
@@ -146,11 +140,7 @@ def checked_keywords(function: Callable[P, R], title: str | None = None) -> Call
     Of a function with ``**options``, which checks them itself, a keyword is answered here if
     arguments are missing, e.g. ``solve(H, y0=z0, t_span=span)``.
 
-    Parameters
-    ----------
-    function : callable
-    title : str, optional
-        Name of the method that calls this function with its object.
+    - title: Name of the method that calls this function with its object.
 
     Examples
     --------

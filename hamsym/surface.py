@@ -27,31 +27,21 @@ from hamsym.symbolic.variables import TIME
 
 @dataclass(frozen=True)
 class Surface:
-    """A hypersurface g(z, t) = 0 with inequality constraints c_k(z, t) > 0.
-
-    Attributes
-    ----------
-    text : str
-    names : frozenset of str
-        Components of z that occur in the equation.
-    value : callable
-        (z, t, parameters=None) -> g, shape (...); see :meth:`hamsym.Hamiltonian.observable`.
-    conditions : tuple of callable
-        (z, t, parameters=None) -> c_k, shape (...).
-    enclosed : callable or None
-        (component, t, parameter=None) -> g over intervals, from the
-        :class:`~hamsym.numerics.intervals.Ranges` of each component by its place in ``components``,
-        of the time, and of each parameter by its number if values are not those of H; None if g is
-        not smooth.
-    components : list of int
-        Numbers of the components of z in g.
-    """
+    """A hypersurface g(z, t) = 0 with inequality constraints c_k(z, t) > 0."""
 
     text: str
+    #: Components of z that occur in the equation.
     names: frozenset[str]
+    #: (z, t, parameters=None) -> g, shape (...); see :meth:`hamsym.Hamiltonian.observable`.
     value: Callable[..., np.ndarray] = field(repr=False)
+    #: (z, t, parameters=None) -> c_k, shape (...).
     conditions: tuple[Callable[..., np.ndarray], ...] = field(repr=False)
+    #: (component, t, parameter=None) -> g over intervals, from the
+    #: :class:`~hamsym.numerics.intervals.Ranges` of each component by its place in ``components``,
+    #: of the time, and of each parameter by its number if values are not those of H; None if g is
+    #: not smooth.
     enclosed: Callable[..., Ranges] | None = field(repr=False)
+    #: Numbers of the components of z in g.
     components: list[int] = field(repr=False)
 
     def holds(
@@ -67,12 +57,9 @@ class Surface:
 def parse_surface(H: Hamiltonian, text: str) -> Surface:
     """Parse an equation and any number of inequalities, separated by commas.
 
-    Raises
-    ------
-    InputError
-        If there is not exactly one equation, or a comparison other than ``=``, ``<`` and ``>``.
-    ParseError, VariableError
-        If a side is not a formula, or has a symbol that H does not have.
+    Raise InputError if there is not exactly one equation, or a comparison other than ``=``, ``<``
+    and ``>``. Raise ParseError, VariableError if a side is not a formula, or has a symbol that H
+    does not have.
 
     Examples
     --------

@@ -121,10 +121,10 @@ def test_foreign_and_damaged_files_are_refused(tmp_path: Path) -> None:
         ({"kind": "checkpoint"}, "of kind checkpoint, not solution"),
         ({"sha256": "0" * 63}, "damaged"),
         ({"sha256": 3}, "damaged"),
-        ({"span": "long"}, "not a valid solution"),
-        ({"H": {"formula": "__import__('os')", "floats": {}}}, "not a valid solution"),
-        ({"trial": {"form": "network"}}, "not a valid solution"),
-        ({"H": {"formula": "p**2 + x**2", "floats": [1]}}, "not a valid solution"),
+        ({"span": "long"}, "not a valid file of a solution"),
+        ({"H": {"formula": "__import__('os')", "floats": {}}}, "not a valid file of a solution"),
+        ({"trial": {"form": "network"}}, "not a valid file of a solution"),
+        ({"H": {"formula": "p**2 + x**2", "floats": [1]}}, "not a valid file of a solution"),
     ):
         changed(**values)
         with pytest.raises(FileError, match=message):

@@ -38,22 +38,15 @@ class ModelTables(Record):
 
 
 class Models(NamedTuple):
-    """Models of results on intervals.
+    """Models of results on intervals."""
 
-    Attributes
-    ----------
-    values : numpy.ndarray
-        Of the polynomials at the places, shape (n, results, PLACES).
-    error, rounding : numpy.ndarray
-        Bound on the distance of function and polynomial, and the rounding errors of the values,
-        which it leaves out, shape (n, results).
-    low, high : numpy.ndarray
-        Bounds on the functions, shape (n, results).
-    """
-
+    #: Of the polynomials at the places, shape (n, results, PLACES).
     values: np.ndarray
+    #: error, rounding: Bound on the distance of function and polynomial, and the rounding errors of
+    #: the values, which it leaves out, shape (n, results).
     error: np.ndarray
     rounding: np.ndarray
+    #: low, high: Bounds on the functions, shape (n, results).
     low: np.ndarray
     high: np.ndarray
 
@@ -85,15 +78,9 @@ def models_of(
 ) -> Models:
     """Compute models of the results of a program.
 
-    Parameters
-    ----------
-    program : Program
-    values : numpy.ndarray
-        Of polynomials that the state and the time are, shape (n, dim + 1, PLACES).
-    ranges : numpy.ndarray
-        Bounds on them, which may be infinite, shape (n, dim + 1, 2).
-    parameters : numpy.ndarray
-        Shape (k,) or (n, k).
+    - values: Of polynomials that the state and the time are, shape (n, dim + 1, PLACES).
+    - ranges: Bounds on them, which may be infinite, shape (n, dim + 1, 2).
+    - parameters: Shape (k,) or (n, k).
     """
     count = len(values)
     found = np.empty((count, program.results, PLACES))
@@ -118,23 +105,12 @@ def residual_bounds(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bound the residual of each component on parts of windows.
 
-    Parameters
-    ----------
-    programs : hamsym.kernel.loops.Equations
-    z, rates : numpy.ndarray
-        Trial solution and its derivative, shape (parts, PLACES, dim).
-    t : numpy.ndarray
-        Shape (parts, PLACES).
-    ends : numpy.ndarray
-        The least and the largest time of each part, shape (parts, 2).
-    parameters : numpy.ndarray
-        Shape (k,) or (parts, k).
-
-    Returns
-    -------
-    bounds, rounding : numpy.ndarray
-        Shape (parts, dim). Bounds leave out the round-off of the formula, for which ``rounding``
-        is a bound.
+    - z, rates: Trial solution and its derivative, shape (parts, PLACES, dim).
+    - t: Shape (parts, PLACES).
+    - ends: The least and the largest time of each part, shape (parts, 2).
+    - parameters: Shape (k,) or (parts, k).
+    - returns bounds, rounding: Shape (parts, dim). Bounds leave out the round-off of the formula,
+      for which ``rounding`` is a bound.
     """
     bounds, rounding = np.empty((2, len(t), z.shape[2]))
     rows = [np.moveaxis(array, 2, 1) for array in (z, rates)]

@@ -38,18 +38,12 @@ _EPS = 2.0**-52
 
 
 class Places(NamedTuple):
-    """A trial solution at the places of parts of windows.
+    """A trial solution at the places of parts of windows."""
 
-    Attributes
-    ----------
-    z, rates : numpy.ndarray
-        z^ and dz^/dt, shape (parts, PLACES, dim).
-    t : numpy.ndarray
-        Shape (parts, PLACES).
-    """
-
+    #: z, rates: z^ and dz^/dt, shape (parts, PLACES, dim).
     z: np.ndarray
     rates: np.ndarray
+    #: Shape (parts, PLACES).
     t: np.ndarray
 
 
@@ -104,28 +98,14 @@ def excesses(
 ) -> list[Excess]:
     """Find the windows whose residual may exceed its limit.
 
-    Parameters
-    ----------
-    programs : hamsym.kernel.loops.Equations
-    rates : callable
-        (z, t, window) -> F at points, shapes (n, dim), (n,), (n,) -> (n, dim).
-    trial : callable
-        The trial solution, of polynomials of a degree up to that of models in each part.
-    edges : numpy.ndarray
-        Start and end of each window, shape (2, windows).
-    limits : numpy.ndarray
-        Allowed integrals of the residual over each window, shape (windows, dim).
-    parameters : numpy.ndarray
-        Of H, or for each window, shape (k,) or (windows, k).
-    noise : float
-        Residual that is allowed as round-off, in changes of F by one unit in the last place.
-    first_only : bool
-        Whether to search for the first of them only.
-
-    Returns
-    -------
-    list of Excess
-        In the order of the windows.
+    - rates: (z, t, window) -> F at points, shapes (n, dim), (n,), (n,) -> (n, dim).
+    - trial: The trial solution, of polynomials of a degree up to that of models in each part.
+    - edges: Start and end of each window, shape (2, windows).
+    - limits: Allowed integrals of the residual over each window, shape (windows, dim).
+    - parameters: Of H, or for each window, shape (k,) or (windows, k).
+    - noise: Residual that is allowed as round-off, in changes of F by one unit in the last place.
+    - first_only: Whether to search for the first of them only.
+    - returns: In the order of the windows.
     """
     search = _Search(programs, rates, trial, edges, limits, parameters, noise, first_only)
     parts = Parts.whole(len(limits))
@@ -206,12 +186,9 @@ class _Search:
     def _judged(self, parts: Parts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bound the integral of the residual over each part, in limits of its window.
 
-        Returns
-        -------
-        upper, lower : numpy.ndarray
-            A bound and, where that matters, a sum over places, without round-off; shape (parts,).
-        times : numpy.ndarray
-            At which the residual is largest, shape (parts,).
+        - returns upper, lower: A bound and, where that matters, a sum over places, without
+          round-off; shape (parts,).
+        - returns times: At which the residual is largest, shape (parts,).
         """
         places, limits = self._trial(parts), self._limits[parts.window]
         weight = self._lengths[parts.window] * parts.width

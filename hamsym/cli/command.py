@@ -41,24 +41,21 @@ class ClosedPipeError(Exception):
 
 @dataclass(frozen=True)
 class Report:
-    """What a command prints, and the exit status.
+    """What a command prints, and the exit status."""
 
-    Attributes
-    ----------
-    text : str
-        For a terminal.
-    values : mapping
-        The same as data, for ``--json``.
-    success : bool
-        Whether the exit status is 0.
-    files : list of str
-        Files that were written.
-    """
-
+    #: For a terminal.
     text: str
+    #: The same as data, for ``--json``.
     values: Mapping[str, Any]
+    #: Whether the exit status is 0.
     success: bool = True
+    #: Files that were written.
     files: list[str] = field(default_factory=list)
+
+
+def picked(result: Any, names: str) -> dict[str, Any]:
+    """Return attributes of a result by their names, which spaces separate."""
+    return {name: getattr(result, name) for name in names.split()}
 
 
 def strict(value: Any) -> Any:
@@ -100,10 +97,7 @@ def _echo(report: Report, as_json: bool) -> None:
 class Command(click.Command):
     """A command that returns a :class:`Report`, with ``--json`` and examples in its help.
 
-    Parameters
-    ----------
-    examples : sequence of str
-        Command lines.
+    - examples: Command lines.
     """
 
     def __init__(self, *arguments: Any, examples: Sequence[str] = (), **settings: Any) -> None:
@@ -183,10 +177,7 @@ def _own_errors() -> Iterator[None]:
 class Group(click.Group):
     """A group that lists its commands by subject and suggests similar ones.
 
-    Parameters
-    ----------
-    subjects : mapping of str to str
-        Titles of the parts of the list, and the names of their commands.
+    - subjects: Titles of the parts of the list, and the names of their commands.
     """
 
     def __init__(

@@ -42,10 +42,7 @@ from hamsym.support.text_tables import WIDTH
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the entry point of the ``hamsym`` script.
 
-    Returns
-    -------
-    int
-        The exit status.
+    - returns: The exit status.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given[: given.index("--") if "--" in given else None]

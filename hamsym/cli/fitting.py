@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report
+from hamsym.cli.command import Command, Report, picked
 from hamsym.cli.options import hamiltonian_options, output_options, rows_option
 from hamsym.cli.texts import assignments, listed, number
 from hamsym.errors import InputError
@@ -84,18 +84,11 @@ def fit(
             (f"model {label}", data - residual),
             (f"residual {label}", residual),
         ]
-    values = {
-        "message": found.message,
-        "parameters": found.parameters,
-        "standard_errors": found.standard_errors,
-        "confidence": found.confidence,
-        "confidence_intervals": found.confidence_intervals,
-        "covariance": found.covariance,
-        "chi_square": found.chi_square,
-        "degrees_of_freedom": found.degrees_of_freedom,
-        "p_value": found.p_value,
-        "starts_reached": found.starts_reached,
-    }
+    values = picked(
+        found,
+        "message parameters standard_errors confidence confidence_intervals covariance chi_square "
+        "degrees_of_freedom p_value starts_reached",
+    )
     report = Report(found.summary(rows), values, bool(found.success))
     return found, report, table, {"covariance": found.covariance, **dict(table)}
 
@@ -103,10 +96,7 @@ def fit(
 def read_columns(path: str) -> dict[str, list[float]]:
     """Return the columns of a .csv file with a header, nan for empty cells.
 
-    Raises
-    ------
-    InputError
-        If it is not such a file.
+    Raise InputError if it is not such a file.
     """
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as lines:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report
+from hamsym.cli.command import Command, Report, picked
 from hamsym.cli.options import figure_option, hamiltonian_options, rows_option
 from hamsym.cli.output import check_figure, save_figure
 from hamsym.cli.texts import number, state, texts_by_name
@@ -102,11 +102,7 @@ def orbit(
         certificate = found.certify()
         texts.append(wrapped(certificate.statement, "proven: "))
         texts.append(f"{certificate.pieces} pieces, {certificate.seconds:.2g} s")
-        values["proven"] = {
-            "bound": certificate.bound,
-            "stability": certificate.stability,
-            "statement": certificate.statement,
-        }
+        values["proven"] = picked(certificate, "bound stability statement")
     success = found.success and (family is None or family.success)
     report = Report("\n".join(texts), values, success)
     if figure is not None:

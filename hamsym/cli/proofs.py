@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report
+from hamsym.cli.command import Command, Report, picked
 from hamsym.cli.options import rows_option
 from hamsym.cli.output import CERTIFICATE, check_directory, write_certificate
 from hamsym.cli.texts import saved_solution
@@ -49,18 +49,11 @@ def _values_of(found: Certificate) -> dict[str, Any]:
     """Return a certificate as values of JSON; the file has the numbers as they are proven."""
     names = found.components
     return {
-        "statement": found.statement,
-        "bound": found.bound,
-        "lower": found.lower,
+        **picked(found, "statement bound lower"),
         "component_bounds": dict(zip(names, found.component_bounds, strict=True)),
         "component_lowers": dict(zip(names, found.component_lowers, strict=True)),
         "asked": None if found.asked is None else dict(zip(names, found.asked, strict=True)),
-        "energy_bound": found.energy_bound,
-        "energy_lower": found.energy_lower,
-        "ell_max_bound": found.ell_max_bound,
-        "ell_max_lower": found.ell_max_lower,
-        "digest": found.digest,
-        "seconds": found.seconds,
+        **picked(found, "energy_bound energy_lower ell_max_bound ell_max_lower digest seconds"),
     }
 
 
@@ -98,7 +91,5 @@ def _values_of_box(found: BoxCertificate) -> dict[str, Any]:
         "component_bounds": dict(zip(found.components, found.bound, strict=True)),
         "box": {name: list(ends) for name, ends in found.box.items()},
         "span": list(found.span),
-        "parts": found.parts,
-        "digest": found.digest,
-        "seconds": found.seconds,
+        **picked(found, "parts digest seconds"),
     }

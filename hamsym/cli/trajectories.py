@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report, completing
+from hamsym.cli.command import Command, Report, completing, picked
 from hamsym.cli.exporting import check_export
 from hamsym.cli.options import (
     figure_option,
@@ -179,26 +179,14 @@ def compare(
     rows = [
         {
             "method": row.label,
-            "points": row.points,
-            "tolerance": row.tolerance,
-            "evaluations": row.evaluations,
-            "error": row.error,
+            **picked(row, "points tolerance evaluations error"),
             "component_errors": by_name(H.names, row.component_errors),
-            "energy_error": row.energy_error,
-            "seconds": row.seconds,
+            **picked(row, "energy_error seconds"),
         }
         for row in comparison.rows
     ]
     matches = {
-        name: {
-            "steps": match.steps,
-            "tolerance": match.tolerance,
-            "extrapolated": match.extrapolated,
-            "evaluations": match.evaluations,
-            "error": match.error,
-            "seconds": match.seconds,
-            "reason": match.reason,
-        }
+        name: picked(match, "steps tolerance extrapolated evaluations error seconds reason")
         for name, match in comparison.matches.items()
     }
     values = {
@@ -293,8 +281,7 @@ def integrate(
             }
             for number in range(count)
         ],
-        "evaluations": trajectory.evaluations,
-        "seconds": trajectory.seconds,
+        **picked(trajectory, "evaluations seconds"),
     }
     report = Report(trajectory.summary(rows), values, bool(np.all(trajectory.success)))
     return trajectory, report, columns, arrays
@@ -342,9 +329,7 @@ def lyapunov(
 
     found: Any = run(H, z0, span, **options)
     names = [f"exponent {k + 1}" for k in range(found.exponents.shape[-1])]
-    values: dict[str, Any] = {"statement": found.statement, "message": found.message}
-    values |= {"method": found.method, "energy_error": found.energy_error}
-    values |= {"seconds": found.seconds}
+    values = picked(found, "statement message method energy_error seconds")
     if isinstance(found, LyapunovExponents):
         columns = [("t", found.t), *zip(names, found.exponents.T, strict=True)]
         arrays = {"t": found.t, "exponents": found.exponents}
@@ -374,9 +359,7 @@ def _indicators(
         "sali": found.sali,
     }
     columns = [(name.replace("_", " "), values) for name, values in arrays.items()]
-    values: dict[str, Any] = {"statement": found.statement, "message": found.message}
-    values |= {"method": found.method, "energy_error": found.energy_error}
-    values |= {"seconds": found.seconds}
+    values = picked(found, "statement message method energy_error seconds")
     values |= {name: array[-1] for name, array in arrays.items()}
     return found, Report(found.summary(), values, found.success), columns, arrays
 
@@ -410,13 +393,7 @@ def section(
     columns += zip(H.names, found.z.T, strict=True)
     arrays = {"trajectory": found.trajectory, "t": found.t, "z": found.z, "z0": found.z0}
     values = {
-        "message": found.message,
-        "surface": found.surface,
-        "method": found.method,
-        "dt": found.dt,
-        "energy_error": found.energy_error,
-        "trajectory": found.trajectory,
-        "t": found.t,
+        **picked(found, "message surface method dt energy_error trajectory t"),
         "z": by_name(H.names, found.z.T),
         "z0": by_name(H.names, found.z0.T),
         "seconds": found.seconds,

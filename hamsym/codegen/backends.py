@@ -57,38 +57,25 @@ _JULIA_NAMES = frozenset(
 
 @dataclass(frozen=True)
 class Backend:
-    """A language of generated code.
+    """A language of generated code."""
 
-    Attributes
-    ----------
-    functions : tuple of str
-        Functions of the module, in its order.
-    forced : tuple of str
-        Functions that only modules of systems with forces have.
-    hidden : tuple of str
-        Functions that are generated only when asked for by name.
-    extension : str
-        Of its template and of files.
-    reserved : frozenset of str
-        Names with a meaning in the code, from which those of the user are kept clear.
-    spells_greek : bool
-        Whether Greek letters are spelled out in names.
-    has_loops : bool
-        Whether the module has the loops of the integrators.
-    runs : bool
-        Whether :meth:`hamsym.Hamiltonian.compile` makes functions of arrays of it.
-    package : str
-        A package that its functions import and that is installed with ``hamsym[package]``.
-    """
-
+    #: Functions of the module, in its order.
     functions: tuple[str, ...] = FUNCTIONS
+    #: Functions that only modules of systems with forces have.
     forced: tuple[str, ...] = ("jacobian", "power")
+    #: Functions that are generated only when asked for by name.
     hidden: tuple[str, ...] = ()
+    #: Of its template and of files.
     extension: str = "py"
+    #: Names with a meaning in the code, from which those of the user are kept clear.
     reserved: frozenset[str] = PYTHON_NAMES
+    #: Whether Greek letters are spelled out in names.
     spells_greek: bool = False
+    #: Whether the module has the loops of the integrators.
     has_loops: bool = False
+    #: Whether :meth:`hamsym.Hamiltonian.compile` makes functions of arrays of it.
     runs: bool = True
+    #: A package that its functions import and that is installed with ``hamsym[package]``.
     package: str = ""
 
 

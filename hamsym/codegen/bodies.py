@@ -30,20 +30,12 @@ _Half = tuple[Sequence[sympy.Symbol], list[derivatives.Alike], sympy.Expr]
 
 @dataclass(frozen=True)
 class Body:
-    """Text of a function's computation: temporaries in order of evaluation, and results.
-
-    Attributes
-    ----------
-    temporaries : list of (name, text)
-    results : list of str
-    names : Names
-    indices : list of (row, column)
-        Positions in the matrix of the results that are matrix entries.
-    """
+    """Text of a function's computation: temporaries in order of evaluation, and results."""
 
     temporaries: list[tuple[str, str]]
     results: list[str]
     names: Names
+    #: Positions in the matrix of the results that are matrix entries.
     indices: list[Index]
 
     @cached_property
@@ -90,24 +82,16 @@ class Body:
 
 @dataclass(frozen=True)
 class Loop:
-    """Derivatives of terms with a common template, computed by a loop over an index table.
+    """Derivatives of terms with a common template, computed by a loop over an index table."""
 
-    Attributes
-    ----------
-    table : list of str
-        Indices of each term's variables in its half of the state, as text.
-    weights : list of str
-        Factor of each term, as text; empty if the results contain a common factor.
-    places, indices : list of str
-        Names of the template's variables and of their indices.
-    body : Body
-        Derivatives of the template with respect to its variables.
-    """
-
+    #: Indices of each term's variables in its half of the state, as text.
     table: list[str]
+    #: Factor of each term, as text; empty if the results contain a common factor.
     weights: list[str]
+    #: places, indices: Names of the template's variables and of their indices.
     places: list[str]
     indices: list[str]
+    #: Derivatives of the template with respect to its variables.
     body: Body
 
 

@@ -26,17 +26,9 @@ def compile_expressions(
 ) -> Callable[..., np.ndarray]:
     """Compile expressions to a numpy function of states and times.
 
-    Parameters
-    ----------
-    expressions : sequence of sympy.Expr
-        In the real symbols of the equations and the time.
-    equations : Equations
-        Every parameter in the expressions must have a value.
-
-    Returns
-    -------
-    callable
-        (z, t=0.0) of shapes (..., dim) and (...) -> (..., k).
+    - expressions: In the real symbols of the equations and the time.
+    - equations: Every parameter in the expressions must have a value.
+    - returns: (z, t=0.0) of shapes (..., dim) and (...) -> (..., k).
 
     Examples
     --------
@@ -53,20 +45,10 @@ def compile_straight_line(
 ) -> Callable[..., list[Any]]:
     """Compile expressions to a function of an arithmetic and of a value for each symbol.
 
-    Parameters
-    ----------
-    expressions : sequence of sympy.Expr
-    symbols : sequence of sympy.Symbol
+    Raise CodeGenerationError if arithmetics lack a function of an expression, or a symbol is not
+    given.
 
-    Returns
-    -------
-    callable
-        (a, *values) -> list of results; see :mod:`hamsym.codegen.straight_line`.
-
-    Raises
-    ------
-    CodeGenerationError
-        If arithmetics lack a function of an expression, or a symbol is not given.
+    - returns: (a, *values) -> list of results; see :mod:`hamsym.codegen.straight_line`.
     """
     names = {symbol: f"x{k}" for k, symbol in enumerate(symbols)}
     temporaries = (sympy.Symbol(f"u{k}") for k in itertools.count())
@@ -91,10 +73,8 @@ def _compiled(source: str) -> Callable[..., Any]:
 def expressions_source(expressions: Sequence[sympy.Expr], equations: Equations) -> str:
     """Generate the module of :func:`compile_expressions`, with one function ``values``.
 
-    Raises
-    ------
-    CodeGenerationError
-        If numpy lacks a function of an expression, or an expression is nested too deeply.
+    Raise CodeGenerationError if numpy lacks a function of an expression, or an expression is nested
+    too deeply.
     """
     # Strict: text, which sympy would evaluate, is not converted.
     expressions = [sympy.sympify(expression, strict=True) for expression in expressions]

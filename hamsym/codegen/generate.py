@@ -100,12 +100,6 @@ class Source:
     """The generated module of one Hamiltonian and backend, in parts.
 
     Each part is derived and rendered on first access.
-
-    Attributes
-    ----------
-    form : Equations
-    backend : str
-    names : Names
     """
 
     def __init__(self, form: Equations, backend: str) -> None:
@@ -147,10 +141,7 @@ class Source:
     def function(self, name: str) -> str:
         """Text of one function of the module.
 
-        Raises
-        ------
-        InputError
-            If the module has no function of this name.
+        Raise InputError if the module has no function of this name.
         """
         row = self._row
         own = (*row.functions, *(row.forced if self.form.forces else ()), *row.hidden)
@@ -163,10 +154,7 @@ class Source:
     def part(self, name: str) -> str:
         """Text of one part.
 
-        Raises
-        ------
-        CodeGenerationError
-            If the backend lacks a function of H, or H is nested too deeply.
+        Raise CodeGenerationError if the backend lacks a function of H, or H is nested too deeply.
         """
         if name not in self._parts:
             if name in _sections():
@@ -335,10 +323,7 @@ class _Page:
 def generate(form: Equations, backend: str) -> Source:
     """Generate the module of a Hamiltonian for one backend; cached for equal Hamiltonians.
 
-    Raises
-    ------
-    InputError
-        If the backend is unknown.
+    Raise InputError if the backend is unknown.
     """
     if backend not in BACKENDS:
         raise InputError(unknown(backend, BACKENDS, "a backend"))
@@ -348,10 +333,7 @@ def generate(form: Equations, backend: str) -> Source:
 def extract(source: str, part: str) -> str:
     """Extract one function of a generated module.
 
-    Raises
-    ------
-    InputError
-        If the module has no function of this name.
+    Raise InputError if the module has no function of this name.
     """
     functions = {
         node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)

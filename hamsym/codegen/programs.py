@@ -34,10 +34,7 @@ _NUMBER_OF = {name: number for number, name in enumerate(_OPERATIONS)}
 def programs_of(form: Equations) -> Programs:
     """Write equations as programs, once for all values of their parameters.
 
-    Raises
-    ------
-    CodeGenerationError
-        If the library lacks a function of a formula; the message names it.
+    Raise CodeGenerationError if the library lacks a function of a formula; the message names it.
     """
     return _programs(_Formulas(form))
 

@@ -55,19 +55,12 @@ _SHOWN_NODES = 40  # of a subexpression in a comment
 
 @dataclass(frozen=True)
 class StraightLine:
-    """Assignments and results.
+    """Assignments and results."""
 
-    Attributes
-    ----------
-    lines : list of (str, str, str)
-        Name, text and comment, which may be empty, of each assignment.
-    results : list of str
-    indices : list of tuple of int
-        Positions of the results that are entries of a matrix or a tensor.
-    """
-
+    #: Name, text and comment, which may be empty, of each assignment.
     lines: list[tuple[str, str, str]]
     results: list[str]
+    #: Positions of the results that are entries of a matrix or a tensor.
     indices: list[tuple[int, ...]]
 
     @property
@@ -94,15 +87,8 @@ def described(filename: str, line: int) -> str:
 class StraightLines:
     """The straight-line functions of a Hamiltonian, each derived on first access.
 
-    Parameters
-    ----------
-    form : Equations
-    names : Names
-
-    Raises
-    ------
-    CodeGenerationError
-        If no arithmetic has a function of H or of a force; the message names it.
+    Raise CodeGenerationError if no arithmetic has a function of H or of a force; the message names
+    it.
     """
 
     def __init__(self, form: Equations, names: Names) -> None:
@@ -215,24 +201,14 @@ def straight_line(
 ) -> StraightLine:
     """Write expressions as straight-line text.
 
-    Parameters
-    ----------
-    expressions : sequence of sympy.Expr
-    names : mapping of sympy.Symbol to str
-        Identifiers of the symbols.
-    temporaries : iterator of sympy.Symbol
-        Names of the assignments.
-    arithmetic : str
-        Identifier of the arithmetic.
-    values : mapping of sympy.Symbol to sympy.Rational, optional
-        Symbols that are numbers in the text.
-    indices : sequence of tuple of int
-        Positions of the expressions in a matrix or a tensor.
+    Raise CodeGenerationError if arithmetics lack a function of an expression, or a symbol has
+    neither name nor value.
 
-    Raises
-    ------
-    CodeGenerationError
-        If arithmetics lack a function of an expression, or a symbol has neither name nor value.
+    - names: Identifiers of the symbols.
+    - temporaries: Names of the assignments.
+    - arithmetic: Identifier of the arithmetic.
+    - values: Symbols that are numbers in the text.
+    - indices: Positions of the expressions in a matrix or a tensor.
 
     Examples
     --------
@@ -261,20 +237,13 @@ def _shared_symbols() -> Iterator[sympy.Symbol]:
 
 @dataclass(frozen=True)
 class _Node:
-    """An operation on earlier nodes.
+    """An operation on earlier nodes."""
 
-    Attributes
-    ----------
-    kind : str
-        ``"+"``, ``"-"``, ``"*"``, ``"negative"``, the name of a function, ``"integer"`` or
-        ``"atom"``.
-    arguments : tuple of int
-    text : str
-        Of an atom or an integer.
-    """
-
+    #: ``"+"``, ``"-"``, ``"*"``, ``"negative"``, the name of a function, ``"integer"`` or
+    #: ``"atom"``.
     kind: str
     arguments: tuple[int, ...] = ()
+    #: Of an atom or an integer.
     text: str = ""
 
 

@@ -12,14 +12,9 @@ def advance_in_blocks(
 ) -> bool:
     """Advance block by block to the last step, and return whether Ctrl-C interrupted.
 
-    Parameters
-    ----------
-    steps, block : int
-        Number of steps, in total and in a block.
-    show : bool, optional
-        Show progress; by default on a terminal.
-    advance : callable
-        (steps done before, steps of this block) -> whether to continue.
+    - steps, block: Number of steps, in total and in a block.
+    - show: Show progress; by default on a terminal.
+    - advance: (steps done before, steps of this block) -> whether to continue.
     """
     with stepping_progress(steps, show) as report:
         try:

@@ -268,22 +268,12 @@ def chaos_indicators(
     if not run.times:
         raise InputError(f"integration failed at the first steps: {run.problem}")
     times, history = np.concatenate(run.times), np.concatenate(run.history)
-    energy_error, problem = plan.judged(times, np.concatenate(run.path), run.problem)
     return ChaosIndicators(
         t=times,
         megno=history[:, 0],
         mean_megno=history[:, 1],
         sali=history[:, 2],
-        start=span[0],
-        energy_error=energy_error,
-        method=method,
-        dt=plan.size,
-        seconds=time.perf_counter() - began,
-        success=not problem,
-        message=problem or plan.description,
-        title=H.formulas,
-        is_integrable=H.dof == 1 and H.time is None,
-        H=H,
+        **plan.outcome(times, np.concatenate(run.path), run.problem, began),
     )
 
 
@@ -407,12 +397,9 @@ def _hermite(
 ) -> np.ndarray:
     """Return the integrals of cubic Hermite interpolants over successive intervals.
 
-    Parameters
-    ----------
-    widths, values, slopes : numpy.ndarray
-        Width of each interval, and what the function and its derivative are at its end.
-    value, slope : float
-        At the beginning of the first.
+    - widths, values, slopes: Width of each interval, and what the function and its derivative are
+      at its end.
+    - value, slope: At the beginning of the first.
     """
     before, steeper = np.append(value, values[:-1]), np.append(slope, slopes[:-1])
     return widths / 2 * (before + values) + widths**2 / 12 * (steeper - slopes)

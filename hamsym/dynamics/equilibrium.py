@@ -206,22 +206,14 @@ class Equilibrium(Shown):
 
 @dataclass(frozen=True)
 class Region:
-    """A part of a box in which equilibria could be neither found nor excluded.
+    """A part of a box in which equilibria could be neither found nor excluded."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Components of z.
-    low, high : tuple of float
-        Its corners.
-    boxes : int
-        Undecided boxes in it.
-    reason : str
-    """
-
+    #: Components of z.
     names: tuple[str, ...]
+    #: low, high: Its corners.
     low: tuple[float, ...]
     high: tuple[float, ...]
+    #: Undecided boxes in it.
     boxes: int
     reason: str
 

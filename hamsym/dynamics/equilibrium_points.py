@@ -40,12 +40,8 @@ _BLUR = 1e-9  # of the sizes: uncertainty of a numerical point
 class Finder:
     """Proof and classification of single points.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-        With a value for every parameter.
-    sizes : numpy.ndarray
-        Sizes of the components, shape (dim,).
+    - H: With a value for every parameter.
+    - sizes: Sizes of the components, shape (dim,).
     """
 
     def __init__(self, H: Hamiltonian, sizes: np.ndarray) -> None:

@@ -49,10 +49,7 @@ def tangent_scales(jacobians: np.ndarray) -> np.ndarray:
     two that balance the sum of matrices along a trajectory (Parlett & Reinsch 1969, by LAPACK);
     they are 1 where they would differ by less than a factor of 1,000.
 
-    Parameters
-    ----------
-    jacobians : numpy.ndarray
-        J Hess, shape (..., dim, dim); those that are not finite are left out.
+    - jacobians: J Hess, shape (..., dim, dim); those that are not finite are left out.
 
     Examples
     --------
@@ -78,10 +75,7 @@ def tangent_scales(jacobians: np.ndarray) -> np.ndarray:
 def orthonormal(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return orthonormal vectors of the same flags, and the logarithm of the growth of each.
 
-    Parameters
-    ----------
-    vectors : numpy.ndarray
-        Shape (..., dim, count), in the units of :func:`tangent_scales`.
+    - vectors: Shape (..., dim, count), in the units of :func:`tangent_scales`.
 
     Examples
     --------
@@ -108,21 +102,11 @@ def fastest_rates(
 
     The rate is the spectral radius of J Hess, which does not depend on the units of the components.
 
-    Parameters
-    ----------
-    system : System
-        With numpy.
-    states : numpy.ndarray
-        Shape (n, k, dim); those that are not finite are ignored.
-    times : numpy.ndarray or float
-        Shape (k,).
-    parameters : numpy.ndarray, optional
-        As for :class:`hamsym.integrators.energy_drift.EnergyDrift`.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (n,), per unit of time; infinite where the Hessian is not finite.
+    - system: With numpy.
+    - states: Shape (n, k, dim); those that are not finite are ignored.
+    - times: Shape (k,).
+    - parameters: As for :class:`hamsym.integrators.energy_drift.EnergyDrift`.
+    - returns: Shape (n,), per unit of time; infinite where the Hessian is not finite.
 
     Examples
     --------

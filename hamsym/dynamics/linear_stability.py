@@ -73,10 +73,7 @@ class LinearStability:
 def linear_stability(hessian: Sequence[Sequence[Any]]) -> LinearStability:
     """Compute eigenvalues and modes, and classify them as far as the balls allow.
 
-    Parameters
-    ----------
-    hessian : sequence of sequence of arb
-        Rows; entries that are exactly zero do not couple.
+    - hessian: Rows; entries that are exactly zero do not couple.
 
     Examples
     --------

@@ -325,20 +325,10 @@ def lyapunov(
     if not run.history:
         raise InputError(f"integration failed at the first step: {run.problem}")
     states = np.array(run.path[: len(run.history) + 1])
-    energy_error, problem = plan.judged(run.times, states, run.problem)
     return LyapunovExponents(
         t=np.array(run.times),
         exponents=np.array(run.history),
-        start=span[0],
-        energy_error=energy_error,
-        method=method,
-        dt=plan.size,
-        seconds=time.perf_counter() - began,
-        success=not problem,
-        message=problem or plan.description,
-        title=H.formulas,
-        is_integrable=H.dof == 1 and H.time is None,
-        H=H,
+        **plan.outcome(run.times, states, run.problem, began),
     )
 
 

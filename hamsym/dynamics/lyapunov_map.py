@@ -201,17 +201,14 @@ def lyapunov_map(
 ) -> LyapunovMap:
     """Compute the exponents of each member; see :func:`hamsym.lyapunov`.
 
-    Parameters
-    ----------
-    steps : int, optional
-        Number of steps of every member; by default it is chosen for each.
+    - steps: Number of steps of every member; by default it is chosen for each.
     """
     began = time.perf_counter()
     run = _Run(members, span, method, steps, count, seed)
     interrupted = False
     for _ in range(1 + _REPETITIONS):
         interrupted = interrupted or run.repeat(progress)
-    shape, names = members.shape, members.H.parameter_names
+    shape = members.shape
     messages = np.array(run.problems, dtype=object)
     success = messages == ""
     messages[success] = [
@@ -223,9 +220,7 @@ def lyapunov_map(
         success=success.reshape(shape),
         message=messages.reshape(shape),
         z0=members.states.reshape(*shape, members.H.dim),
-        parameters={
-            name: members.parameters[:, names.index(name)].reshape(shape) for name in members.varied
-        },
+        parameters={name: own.reshape(shape) for name, own in members.columns.items()},
         names=members.H.names,
         span=span,
         energy_error=run.energy_error.reshape(shape),
@@ -390,7 +385,7 @@ class _Run:
         lost = reached < len(times)
         tested = np.where(lost, np.ceil(_TESTED_SHARE * reached), reached)
         path[np.arange(len(times)) >= tested[:, None]] = np.nan
-        drift = EnergyDrift(H, len(index), self._parameters(index))
+        drift = EnergyDrift(H, len(index), self._members.own_parameters(index))
         drift.add(path)
         share = drift.relative(steps)
         coarse = ~(share <= COARSE) if H.conserves_energy else np.zeros(len(index), dtype=bool)
@@ -431,12 +426,12 @@ class _Run:
     ) -> np.ndarray:
         """Return the fastest rate of members at states of shape (n, k, dim), shape (n,)."""
         system = self._members.H.compile("numpy")
-        return fastest_rates(system, states, times, self._parameters(index))
+        return fastest_rates(system, states, times, self._members.own_parameters(index))
 
     def _scales(self, index: np.ndarray) -> np.ndarray:
         """Return the units of the tangent vectors of members, from their starts, (n, dim, 1)."""
         system, states = self._members.H.compile("numpy"), self._members.states[index]
-        values = system.keywords(self._parameters(index))
+        values = system.keywords(self._members.own_parameters(index))
         with np.errstate(all="ignore"):
             found = np.asarray(system.jacobian(*system.arguments(states, self._span[0]), **values))
         dim = states.shape[1]
@@ -444,7 +439,3 @@ class _Run:
             found = found[None]
         units = np.array([tangent_scales(one) for one in found.reshape(-1, dim, dim)])
         return np.broadcast_to(units, states.shape)[..., None]
-
-    def _parameters(self, index: np.ndarray) -> np.ndarray | None:
-        """Return the parameter values of members; None where they are those of H."""
-        return self._members.parameters[index] if self._members.varied else None

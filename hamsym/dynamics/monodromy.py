@@ -84,24 +84,12 @@ def tangent_map(
 ) -> TangentMap:
     """Compute the derivative of the numerical flow by the variational equations.
 
-    Parameters
-    ----------
-    H, z0, span, dt, progress
-        As in :func:`hamsym.integrate`, for one trajectory.
-    steps : int, optional
-        Number of steps; by default 20,000.
-    method : str, optional
-        A fixed-step method, not ``tao2`` or ``tao4``; by default ``blanes_moan6`` for a separable
-        H, otherwise ``gauss6``.
+    Raise InputError if an option cannot be used, or the trajectory does not reach the end.
 
-    Returns
-    -------
-    TangentMap
-
-    Raises
-    ------
-    InputError
-        If an option cannot be used, or the trajectory does not reach the end.
+    - H, z0, span, dt, progress: As in :func:`hamsym.integrate`, for one trajectory.
+    - steps: Number of steps; by default 20,000.
+    - method: A fixed-step method, not ``tao2`` or ``tao4``; by default ``blanes_moan6`` for a
+      separable H, otherwise ``gauss6``.
 
     Examples
     --------

@@ -22,11 +22,7 @@ _MOST, _LEAST = 256, 16  # starts
 class Candidates:
     """Energy, gradient and Hessian of H at many points, and Newton's method on them.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    sizes : numpy.ndarray
-        Sizes of the components, shape (dim,), to which steps are compared.
+    - sizes: Sizes of the components, shape (dim,), to which steps are compared.
     """
 
     def __init__(self, H: Hamiltonian, sizes: np.ndarray) -> None:

@@ -321,20 +321,22 @@ def section(
             advice = f"steps were chosen for {AIM:.0e}, {choice.found:.1e} was reached"
     size = (end - start) / steps
     share = max(AIM, min(choice.found, COARSE)) if chosen else COARSE
-    setting = _Setting(method, surface, direction, start, size, steps, crossings, share)
-    found = setting.found(members, progress)
-    t, z, trajectory, drift = found.t, found.z, found.trajectory, found.drift
-    problem = setting.problem(found, end)
+    setting = _Setting(method, surface, where, direction, start, size, steps, crossings, share)
+    run = _Crossings(members, setting)
+    run.advance_all(progress)
+    t, z, trajectory = run.ordered()
+    doubts, drift = run.doubts, float(run.drift.relative(run.done).max())
+    problem = run.problem(len(t), end)
     message = f"{len(t):,} crossings of {surface}, {method} with dt = {size:.3g}"
-    if found.doubts.touches:
-        message += f", touched {found.doubts.touches:,} times within round-off without a crossing"
+    if doubts.touches:
+        message += f", touched {doubts.touches:,} times within round-off without a crossing"
     if H.conserves_energy:
         message += f", H kept to {drift:.1e} of its scale" if drift else ", H kept to round-off"
         kept = drift <= COARSE
         if not kept:
             advice = "take smaller steps"
-    if kept and not problem and not math.isnan(found.doubts.hidden):
-        problem = passed_over(found.doubts.hidden)
+    if kept and not problem and not math.isnan(doubts.hidden):
+        problem = passed_over(doubts.hidden)
     if advice and not problem:
         message = f"{message}: {advice}"
         warnings.warn(message, StepSizeWarning, stacklevel=3)
@@ -354,9 +356,7 @@ def section(
         axes=_free_pair(H, where),
         H=H,
         drift=drift,
-        parameters={
-            name: members.parameters[:, H.parameter_names.index(name)] for name in members.varied
-        },
+        parameters=members.columns,
     )
 
 
@@ -381,160 +381,110 @@ class _Doubts(NamedTuple):
         return _Doubts(undefined, *both, hidden)
 
 
-class _Found(NamedTuple):
-    """Crossings of some trajectories, and what may be missing.
-
-    ``numbers`` are those of the crossings of each trajectory before the limit, ``lost`` tells
-    whether it ended early, and ``until`` is the time that was reached if Ctrl-C interrupted, else
-    nan.
-    """
-
-    t: np.ndarray
-    z: np.ndarray
-    trajectory: np.ndarray
-    numbers: np.ndarray
-    lost: np.ndarray
-    doubts: _Doubts
-    drift: float
-    until: float = math.nan
-
-
 @dataclass(frozen=True)
 class _Setting:
-    """What :func:`section` looks for, and the steps that it takes.
-
-    ``share`` is that of the sizes of the components which features between steps may change.
-    """
+    """What :func:`section` looks for, and the steps that it takes."""
 
     method: str
     surface: str
+    where: Surface
     direction: float
     start: float
     size: float
     steps: int
     limit: int | None
+    #: Part of the sizes of the components that features between the steps may change.
     share: float
-
-    def found(self, members: Ensemble, progress: bool | None) -> _Found:
-        """Return the crossings of some members."""
-        run = _Crossings(
-            members,
-            self.method,
-            parse_surface(members.H, self.surface),
-            self.direction,
-            self.start,
-            self.size,
-            self.limit,
-            self.share / self.steps,
-        )
-        block = max(1, _HELD // members.states.size)
-        interrupted = advance_in_blocks(self.steps, block, progress, run.advance)
-        found = run.found()
-        if not interrupted:
-            return found
-        return found._replace(until=self.start + self.size * run.done)
-
-    def problem(self, found: _Found, end: float) -> str:
-        """Describe why the crossings are incomplete; "" if they are complete."""
-        numbers, count = found.numbers, len(found.numbers)
-        if not math.isnan(found.until):
-            return f"stopped after t = {found.until:.6g}: interrupted"
-        if found.lost.any():
-            return (
-                f"{found.lost.sum()} of {count:,} trajectories overflowed or came to a step that "
-                f"could not be solved, for example number {int(np.argmax(found.lost))}"
-            )
-        if not math.isnan(found.doubts.undefined):
-            return (
-                f"{self.surface} is not a number at t = {found.doubts.undefined:.6g}; crossings "
-                "there are missed"
-            )
-        if found.doubts.unresolved:
-            return (
-                f"{self.surface} may be crossed more often than the {len(found.t):,} times that "
-                "were found, because it varies too fast or stays within round-off of zero"
-            )
-        if self.limit is not None and numbers.min() < self.limit:
-            return (
-                f"trajectory {int(np.argmin(numbers))} has only {numbers.min()} of {self.limit} "
-                f"crossings by t = {end:.6g}"
-            )
-        return ""
 
 
 class _Crossings:
     """Crossings of a surface found so far, while the trajectories are stepped."""
 
-    def __init__(
-        self,
-        members: Ensemble,
-        method: str,
-        where: Surface,
-        direction: float,
-        start: float,
-        size: float,
-        limit: int | None,
-        share: float,
-    ) -> None:
-        count = len(members)
+    def __init__(self, members: Ensemble, setting: _Setting) -> None:
+        count, method = len(members), setting.method
         self._stepper = fixed_step(
             members.H,
             method,
             members.states,
-            np.full(count, start),
-            np.full(count, size),
+            np.full(count, setting.start),
+            np.full(count, setting.size),
             parameters=members.parameters,
         )
         if isinstance(self._stepper.scheme, Doubled):
             raise InputError(
                 f"{method} cannot take part of a step; choose another method, for example gauss4"
             )
-        self._members, self._method = members, method
-        self._where, self._direction = where, direction
-        self._start, self._size, self._limit = start, size, limit
-        self._share = share  # of the sizes, that features in a step may change
+        self._members, self._setting = members, setting
         self._found = [(np.empty(0), np.empty((0, members.H.dim)), np.empty(0, dtype=int))]
         self._numbers = np.zeros(count, dtype=int)  # of crossings of each trajectory
-        self._doubts = _Doubts()
-        self._last = members.states
+        self.doubts = _Doubts()
+        self._last, self._interrupted = members.states, False
         self.done = 0
-        self.drift = EnergyDrift(members.H, count, _varied(members))
+        self.drift = EnergyDrift(members.H, count, members.own_parameters())
 
-    def advance(self, done: int, count: int) -> bool:
+    def advance_all(self, progress: bool | None) -> None:
+        """Take all steps, until Ctrl-C or enough crossings."""
+        block = max(1, _HELD // self._members.states.size)
+        steps = self._setting.steps
+        self._interrupted = advance_in_blocks(steps, block, progress, self._advance)
+
+    def problem(self, count: int, end: float) -> str:
+        """Describe why the crossings are incomplete; "" if they are complete."""
+        setting, numbers = self._setting, self._numbers
+        if self._interrupted:
+            until = setting.start + setting.size * self.done
+            return f"stopped after t = {until:.6g}: interrupted"
+        lost = ~np.isfinite(self._last).all(axis=-1)
+        if lost.any():
+            return (
+                f"{lost.sum()} of {len(lost):,} trajectories overflowed or came to a step that "
+                f"could not be solved, for example number {int(np.argmax(lost))}"
+            )
+        if not math.isnan(self.doubts.undefined):
+            return (
+                f"{setting.surface} is not a number at t = {self.doubts.undefined:.6g}; crossings "
+                "there are missed"
+            )
+        if self.doubts.unresolved:
+            return (
+                f"{setting.surface} may be crossed more often than the {count:,} times that "
+                "were found, because it varies too fast or stays within round-off of zero"
+            )
+        if setting.limit is not None and numbers.min() < setting.limit:
+            return (
+                f"trajectory {int(np.argmin(numbers))} has only {numbers.min()} of {setting.limit} "
+                f"crossings by t = {end:.6g}"
+            )
+        return ""
+
+    def _advance(self, done: int, count: int) -> bool:
         """Take a block of steps; return False after enough crossings or without trajectories."""
         moved = self._stepper.advance(count, show=False)
         if moved.interrupted:
             raise KeyboardInterrupt
         path = np.concatenate((self._last[:, None], moved.states), axis=1)
-        times = self._start + self._size * np.arange(done, done + count + 1)
-        found, doubts = _crossings(
-            self._members,
-            self._method,
-            self._where,
-            self._direction,
-            path,
-            times,
-            self._size,
-            self._start,
-        )
+        setting = self._setting
+        times = setting.start + setting.size * np.arange(done, done + count + 1)
+        found, doubts = _crossings(self._members, setting, path, times)
         self._found.append(found)
         self.drift.add(path)
         doubts = doubts._replace(hidden=self._passed_over(path, times))
-        self._doubts = self._doubts.together(doubts)
+        self.doubts = self.doubts.together(doubts)
         self._numbers += np.bincount(found[2], minlength=len(self._numbers))
         self.done, self._last = done + count, path[:, -1]
-        enough = self._limit is not None and self._numbers.min() >= self._limit
+        enough = setting.limit is not None and self._numbers.min() >= setting.limit
         return bool(np.isfinite(self._last).any()) and not enough
 
     def _passed_over(self, path: np.ndarray, times: np.ndarray) -> float:
         """Return the first time at which the steps pass over a feature of the force, or nan."""
-        features, values = hidden_features(self._members.H), _varied(self._members)
-        if features is None or not math.isnan(self._doubts.hidden):
+        features, values = hidden_features(self._members.H), self._members.own_parameters()
+        if features is None or not math.isnan(self.doubts.hidden):
             return math.nan
 
         def allowed(index: int) -> np.ndarray:
             own = None if values is None else values[index]
-            return self._share * (len(times) - 1) * features.sizes(path[index], times, own)
+            share = self._setting.share / self._setting.steps * (len(times) - 1)
+            return share * features.sizes(path[index], times, own)
 
         found = features.search(path, times, values, allowed).times
         return (
@@ -544,47 +494,22 @@ class _Crossings:
     def ordered(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return times, states and trajectories, at most up to the limit for each."""
         t, z, trajectory = (np.concatenate(parts) for parts in zip(*self._found, strict=True))
-        order = np.lexsort((np.sign(self._size) * t, trajectory))
-        if self._limit is not None:
+        order = np.lexsort((np.sign(self._setting.size) * t, trajectory))
+        if self._setting.limit is not None:
             first = np.searchsorted(trajectory[order], trajectory[order])
-            order = order[np.arange(len(order)) - first < self._limit]
+            order = order[np.arange(len(order)) - first < self._setting.limit]
         return t[order], z[order], trajectory[order]
-
-    def found(self) -> _Found:
-        """Return what was found so far."""
-        return _Found(
-            *self.ordered(),
-            numbers=self._numbers,
-            lost=~np.isfinite(self._last).all(axis=-1),
-            doubts=self._doubts,
-            drift=float(self.drift.relative(self.done).max()),
-        )
-
-
-def _varied(members: Ensemble) -> np.ndarray | None:
-    """Return the parameters of the members, shape (n, k), or None where all have those of H."""
-    return members.parameters if members.varied else None
 
 
 def _crossings(
-    members: Ensemble,
-    method: str,
-    where: Surface,
-    direction: float,
-    path: np.ndarray,
-    times: np.ndarray,
-    size: float,
-    start: float,
+    members: Ensemble, setting: _Setting, path: np.ndarray, times: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], _Doubts]:
     """Locate crossings on paths of shape (n, steps + 1, dim).
 
-    Returns
-    -------
-    crossings : tuple of numpy.ndarray
-        Times, states and trajectories.
-    doubts : _Doubts
+    - returns crossings: Times, states and trajectories.
     """
-    at, parameters = np.broadcast_to(times, path.shape[:2]), _varied(members)
+    where, size, direction = setting.where, setting.size, setting.direction
+    at, parameters = np.broadcast_to(times, path.shape[:2]), members.own_parameters()
     with np.errstate(all="ignore"):  # where a trajectory has escaped
         rows = None if parameters is None else parameters[:, None]
         values = np.asarray(where.value(path, at, rows), dtype=float)
@@ -597,7 +522,7 @@ def _crossings(
     else:
         finite = np.isfinite(values) & np.isfinite(rates).all(axis=-1)
         trajectory, step = np.nonzero(finite[:, :-1] & finite[:, 1:])
-    steps = _Steps(members, method, where, size, path[trajectory, step], times[step], trajectory)
+    steps = _Steps(members, setting, path[trajectory, step], times[step], trajectory)
     ends = np.stack([values[trajectory, step], values[trajectory, step + 1]])
     touches, unresolved = np.empty(0), 0
     if where.enclosed is None:
@@ -618,7 +543,7 @@ def _crossings(
         touches = np.array([steps.since[i] + low * size for low, i in found.touched])
     z, t, own = steps.states(share, index), steps.times(share, index), steps.parameters(index)
     holds = where.holds(z, t, own)
-    doubts = _Doubts(undefined, int((touches != start).sum()), unresolved)
+    doubts = _Doubts(undefined, int((touches != setting.start).sum()), unresolved)
     return (t[holds], z[holds], trajectory[index][holds]), doubts
 
 
@@ -627,19 +552,16 @@ class _Steps:
     """The path within steps, from the states ``before`` them at the times ``since``."""
 
     members: Ensemble
-    method: str
-    where: Surface
-    size: float
+    setting: _Setting
     before: np.ndarray
     since: np.ndarray
     trajectory: np.ndarray
 
     def times(self, share: np.ndarray, index: np.ndarray) -> np.ndarray:
-        return np.asarray(self.since[index] + share * self.size)
+        return np.asarray(self.since[index] + share * self.setting.size)
 
     def parameters(self, index: np.ndarray) -> np.ndarray | None:
-        varied = _varied(self.members)
-        return None if varied is None else varied[self.trajectory[index]]
+        return self.members.own_parameters(self.trajectory[index])
 
     def states(self, share: np.ndarray, index: np.ndarray) -> np.ndarray:
         """States after parts of steps."""
@@ -648,10 +570,10 @@ class _Steps:
             return before
         stepper = fixed_step(
             self.members.H,
-            self.method,
+            self.setting.method,
             before,
             self.since[index],
-            share * self.size,
+            share * self.setting.size,
             parameters=self.members.parameters[self.trajectory[index]],
         )
         # No step at all is the state itself, also where a method divides by the step.
@@ -660,16 +582,16 @@ class _Steps:
     def value(self, share: np.ndarray, index: np.ndarray) -> np.ndarray:
         """Values of the surface function."""
         z, t = self.states(share, index), self.times(share, index)
-        return np.asarray(self.where.value(z, t, self.parameters(index)), dtype=float)
+        return np.asarray(self.setting.where.value(z, t, self.parameters(index)), dtype=float)
 
     def sample(
         self, share: np.ndarray, index: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Values of the surface function, and its components with their rates."""
         z, t, own = self.states(share, index), self.times(share, index), self.parameters(index)
-        values = np.asarray(self.where.value(z, t, own), dtype=float)
+        values = np.asarray(self.setting.where.value(z, t, own), dtype=float)
         rates = _rates(self.members.H, z, t, own)
-        return values, z[:, self.where.components], rates[:, self.where.components]
+        return values, z[:, self.setting.where.components], rates[:, self.setting.where.components]
 
     def enclosed(self, cells: Cells) -> Ranges:
         """The surface function over parts of steps."""
@@ -677,8 +599,8 @@ class _Steps:
         one, own = np.ones(len(cells)), self.parameters(cells.index)
         t = Ranges.of_slopes(ends, Intervals(one, one), np.abs(ends[1] - ends[0]))
         given = None if own is None else lambda i: Ranges.constant(own[:, i])
-        assert self.where.enclosed is not None
-        return self.where.enclosed(lambda i: component_ranges(cells, i), t, given)
+        assert self.setting.where.enclosed is not None
+        return self.setting.where.enclosed(lambda i: component_ranges(cells, i), t, given)
 
 
 def _rates(
@@ -706,10 +628,9 @@ def _slopes(
 def _energy_error(members: Ensemble, z: np.ndarray, trajectory: np.ndarray) -> float:
     if not members.H.conserves_energy:
         return float("nan")
-    system, parameters = members.H.compile("numpy"), _varied(members)
-    starts = system.energy(members.states, **system.keywords(parameters))
-    own = None if parameters is None else parameters[trajectory]
-    energy = system.energy(z, **system.keywords(own))
+    system = members.H.compile("numpy")
+    starts = system.energy(members.states, **system.keywords(members.own_parameters()))
+    energy = system.energy(z, **system.keywords(members.own_parameters(trajectory)))
     return float(np.abs(energy - starts[trajectory]).max(initial=0.0))
 
 

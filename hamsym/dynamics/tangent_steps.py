@@ -7,8 +7,10 @@ Output: the number and size of the steps; the change of H, and what makes the ru
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -29,31 +31,19 @@ _PILOT_STEPS, _PILOTS = 1_000, 8
 
 @dataclass(frozen=True)
 class TangentSteps:
-    """Equal steps of one trajectory.
-
-    Attributes
-    ----------
-    H : Hamiltonian
-    method : str
-    span : (float, float)
-    number : int
-    size : float
-        Negative where time runs backward.
-    rate : float
-        Fastest rate of the linear motion at the beginning of the trajectory, per unit of time.
-    chosen : bool
-        Whether the steps follow from the rate, not from the user.
-    scales : numpy.ndarray
-        Units of tangent vectors, by :func:`hamsym.dynamics.growth.tangent_scales`, shape (dim, 1).
-    """
+    """Equal steps of one trajectory."""
 
     H: Hamiltonian
     method: str
     span: tuple[float, float]
     number: int
+    #: Negative where time runs backward.
     size: float
+    #: Fastest rate of the linear motion at the beginning of the trajectory, per unit of time.
     rate: float
+    #: Whether the steps follow from the rate, not from the user.
     chosen: bool
+    #: Units of tangent vectors, by :func:`hamsym.dynamics.growth.tangent_scales`, shape (dim, 1).
     scales: np.ndarray = field(repr=False)
 
     @classmethod
@@ -68,10 +58,7 @@ class TangentSteps:
     ) -> TangentSteps:
         """Choose the steps where neither their number nor their largest size is given.
 
-        Raises
-        ------
-        InputError
-            If the Hessian is not finite at the state, or steps or dt cannot be used.
+        Raise InputError if the Hessian is not finite at the state, or steps or dt cannot be used.
         """
         rate, path, times = _fastest_rate(H, method, state, span)
         chosen = steps is None and dt is None
@@ -93,19 +80,37 @@ class TangentSteps:
         fits = int(growth / max(self.rate * abs(self.size), 1e-3))
         return max(1, min(self.number // KEPT, fits))
 
-    def judged(
+    def outcome(
+        self, times: Sequence[float] | np.ndarray, path: np.ndarray, problem: str, began: float
+    ) -> dict[str, Any]:
+        """Return what every result of such steps tells, by the names of its fields.
+
+        - times, path, problem: As of :meth:`_judged`.
+        - began: Time of the start, of :func:`time.perf_counter`.
+        """
+        energy_error, problem = self._judged(times, path, problem)
+        done = f"{self.method}: {self.number:,} steps to t = {self.span[1]:.6g}"
+        return {
+            "start": self.span[0],
+            "energy_error": energy_error,
+            "method": self.method,
+            "dt": self.size,
+            "seconds": time.perf_counter() - began,
+            "success": not problem,
+            "message": problem or done,
+            "title": self.H.formulas,
+            "is_integrable": self.H.dof == 1 and self.H.time is None,
+            "H": self.H,
+        }
+
+    def _judged(
         self, times: Sequence[float] | np.ndarray, path: np.ndarray, problem: str
     ) -> tuple[float, str]:
         """Return the largest change of H, and why the run failed, empty if it did not.
 
-        Parameters
-        ----------
-        times : sequence
-            Times after the start, shape (n,).
-        path : numpy.ndarray
-            States at the start and at these times, shape (n + 1, dim).
-        problem : str
-            What ended the run early, or an empty text.
+        - times: Times after the start, shape (n,).
+        - path: States at the start and at these times, shape (n + 1, dim).
+        - problem: What ended the run early, or an empty text.
         """
         H = self.H
         drift = EnergyDrift(H, 1)
@@ -123,11 +128,6 @@ class TangentSteps:
                     f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
                 )
         return change, ""
-
-    @property
-    def description(self) -> str:
-        """Method, number of steps and end of the span."""
-        return f"{self.method}: {self.number:,} steps to t = {self.span[1]:.6g}"
 
 
 def _fastest_rate(

@@ -20,16 +20,10 @@ _WIDTH = 96  # characters of a line
 
 @dataclass(frozen=True)
 class About:
-    """A solution, its certificate, and the statements about them.
-
-    Attributes
-    ----------
-    solution : Solution
-    certificate : Certificate or None
-        Of this very solution.
-    """
+    """A solution, its certificate, and the statements about them."""
 
     solution: Solution
+    #: Of this very solution.
     certificate: hamsym.Certificate | None
 
     @property
@@ -184,11 +178,8 @@ def checked_certificate(
 ) -> hamsym.Certificate | None:
     """Return the certificate of a solution: the one that was given, else its own.
 
-    Raises
-    ------
-    InputError
-        If it is not a certificate, has numbers that certify does not return, or is that of
-        another solution.
+    Raise InputError if it is not a certificate, has numbers that certify does not return, or is
+    that of another solution.
     """
     if certificate is None:
         certificate = solution.certificate

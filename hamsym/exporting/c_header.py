@@ -35,12 +35,7 @@ def prefix_of(stem: str) -> str:
 def c_header(about: About, form: ClosedForm, stem: str) -> bytes:
     """Return the header as text in ASCII.
 
-    Parameters
-    ----------
-    about : About
-    form : FeatureForm or NetworkForm
-    stem : str
-        Name of the file without its ending, of which the prefix of all names is made.
+    - stem: Name of the file without its ending, of which the prefix of all names is made.
     """
     name, H = prefix_of(stem), about.solution.H
     own: dict[str, Any] = {}

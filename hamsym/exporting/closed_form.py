@@ -26,24 +26,17 @@ class FeatureForm:
 
     Here f(s) = 1 - exp(-s), T are the Chebyshev polynomials from degree 0 on, and t_a and t_b the
     ends of the window, which are counted from the origin.
-
-    Attributes
-    ----------
-    origin : float
-    edges : numpy.ndarray
-        Ends of the windows, shape (n + 1,).
-    states : numpy.ndarray
-        z_a of the windows, and z at the end, shape (n + 1, dim).
-    readouts : numpy.ndarray
-        Shape (n, m, dim).
-    series, rates : numpy.ndarray
-        Chebyshev series of the m columns, and of their derivatives in s, shape (degree + 1, m).
     """
 
     origin: float
+    #: Ends of the windows, shape (n + 1,).
     edges: np.ndarray
+    #: z_a of the windows, and z at the end, shape (n + 1, dim).
     states: np.ndarray
+    #: Shape (n, m, dim).
     readouts: np.ndarray
+    #: series, rates: Chebyshev series of the m columns, and of their derivatives in s, shape
+    #: (degree + 1, m).
     series: np.ndarray
     rates: np.ndarray
 
@@ -68,30 +61,20 @@ class FeatureForm:
 
 @dataclass(frozen=True, eq=False)
 class NetworkForm:
-    """z^ = z_a + f(s) N(s) on each window, with s = (t - t_a)/tau and a network N of the window.
+    """z^ = z_a + f(s) N(s) on each window, with s = (t - t_a)/tau and a network N of the window."""
 
-    Attributes
-    ----------
-    activation : {"sin", "sigmoid", "tanh"}
-        Of all layers but the last.
-    envelope : {"exponential", "linear"}
-        f(s) = 1 - exp(-s) or f(s) = s.
-    edges : numpy.ndarray
-        Ends of the windows, shape (n + 1,).
-    starts : numpy.ndarray
-        z_a, shape (n, dim).
-    taus : numpy.ndarray
-        Shape (n,); negative for a span that runs backwards.
-    networks : list of list of list of (numpy.ndarray, numpy.ndarray)
-        For each window one network with dim outputs, or dim networks with one output; for each
-        network matrix and bias of its layers, shapes (neurons, inputs) and (neurons,).
-    """
-
+    #: Of all layers but the last.
     activation: str
+    #: f(s) = 1 - exp(-s) or f(s) = s.
     envelope: str
+    #: Ends of the windows, shape (n + 1,).
     edges: np.ndarray
+    #: z_a, shape (n, dim).
     starts: np.ndarray
+    #: Shape (n,); negative for a span that runs backwards.
     taus: np.ndarray
+    #: For each window one network with dim outputs, or dim networks with one output; for each
+    #: network matrix and bias of its layers, shapes (neurons, inputs) and (neurons,).
     networks: list[list[Layers]]
 
     kind = "networks"
@@ -150,10 +133,8 @@ ClosedForm = FeatureForm | NetworkForm
 def closed_form(solution: Solution) -> ClosedForm:
     """Return the numbers that define a solution; float32 weights are widened.
 
-    Raises
-    ------
-    InputError
-        If its network is a module of the caller's, or its windows have networks of several kinds.
+    Raise InputError if its network is a module of the caller's, or its windows have networks of
+    several kinds.
     """
     trial: Any = solution.trial
     if isinstance(trial, FeatureTrial):

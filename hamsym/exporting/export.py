@@ -9,29 +9,22 @@ from pathlib import Path
 from typing import Any
 
 import hamsym
-from hamsym.errors import FileError, InputError
+from hamsym.errors import InputError
 from hamsym.exporting.about import About, checked_certificate
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.solution.solution import Solution
 from hamsym.suggestions import checked_keywords
-from hamsym.support.atomic import write_atomically
+from hamsym.support.atomic import write_file
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format of exported files.
-
-    Attributes
-    ----------
-    summary : str
-    content : callable
-        (About, stem of the file's name) -> its bytes.
-    most : int
-        Largest number of float64 numbers in a file.
-    """
+    """A format of exported files."""
 
     summary: str
+    #: (About, stem of the file's name) -> its bytes.
     content: Callable[[About, str], bytes]
+    #: Largest number of float64 numbers in a file.
     most: int
 
 
@@ -160,11 +153,7 @@ def export(
         )
     about = About(result, checked_certificate(result, certificate))
     content = chosen.content(about, target.stem)
-    try:
-        write_atomically(target, content)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileError(f"'{path}' cannot be written: {reason}") from None
+    write_file(target, content)
 
 
 def check_target(path: str | os.PathLike[str]) -> None:

@@ -12,13 +12,7 @@ _FORMAT, _VERSION = "hamsym trajectory", 1
 
 
 def json_document(about: About, form: ClosedForm) -> bytes:
-    """Return the document; every number is a decimal that is read back to the last bit.
-
-    Parameters
-    ----------
-    about : About
-    form : FeatureForm or NetworkForm
-    """
+    """Return the document; every number is a decimal that is read back to the last bit."""
     solution = about.solution
     values: dict[str, Any] = {
         "format": _FORMAT,

@@ -18,13 +18,7 @@ _WRITTEN_OUT = 64  # numbers of an array that is written in decimals, not as byt
 
 
 def python_module(about: About, form: ClosedForm) -> bytes:
-    """Return the module as text in UTF-8.
-
-    Parameters
-    ----------
-    about : About
-    form : FeatureForm or NetworkForm
-    """
+    """Return the module as text in UTF-8."""
     H = about.solution.H
     energy = H.source("numpy", part="energy").replace("def energy(", "def _hamiltonian(", 1)
     energy = energy.replace("    z = _floating(z)\n", "", 1)

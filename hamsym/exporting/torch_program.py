@@ -28,16 +28,9 @@ def torch_program(about: About, form: ClosedForm | None) -> bytes:
 
     The program maps times of shape (n,) to states of shape (n, dim) in float64.
 
-    Parameters
-    ----------
-    about : About
-    form : FeatureForm, NetworkForm or None
-        None for a network of the caller's own.
+    Raise InputError if torch cannot export the caller's network.
 
-    Raises
-    ------
-    InputError
-        If torch cannot export the caller's network.
+    - form: None for a network of the caller's own.
     """
     solution = about.solution
     trial: Any = solution.trial

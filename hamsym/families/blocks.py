@@ -44,12 +44,7 @@ class Block(NamedTuple):
 class BlockSolver:
     """Solver of chunks of the members of an ensemble.
 
-    Parameters
-    ----------
-    family : Family
-    members : Ensemble
-    known : KnownInvariants, optional
-        Invariants whose drift a member must explain by its allowed errors.
+    - known: Invariants whose drift a member must explain by its allowed errors.
     """
 
     def __init__(
@@ -74,7 +69,7 @@ class BlockSolver:
         system, good = members.H.compile("numpy"), np.empty(len(members), dtype=bool)
         for first in range(0, len(members), _CHECKED):
             part = slice(first, first + _CHECKED)
-            values = members.parameters[part] if members.varied else None
+            values = members.own_parameters(part)
             arguments = system.arguments(members.states[part], family.span[0])
             with np.errstate(all="ignore"):
                 energies = system.energy(*arguments, **system.keywords(values))

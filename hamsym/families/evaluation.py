@@ -30,24 +30,12 @@ def states_in_groups(
 ) -> Iterator[tuple[np.ndarray, slice, np.ndarray]]:
     """Yield places in ``members``, a slice of the times, and the states there.
 
-    Parameters
-    ----------
-    series : numpy.ndarray
-        Of the columns of the basis, shape (degree + 1, m).
-    origin, end : float
-        Time from which edges are counted, and the end of the span.
-    members : numpy.ndarray
-        Numbers of members, shape (n,). Those without windows are left out.
-    times : numpy.ndarray
-        Shape (K,).
-
-    Yields
-    ------
-    places : numpy.ndarray
-        Shape (g,).
-    part : slice
-    states : numpy.ndarray
-        Shape (g, k, dim); nan after the time that a member reached.
+    - series: Of the columns of the basis, shape (degree + 1, m).
+    - origin, end: Time from which edges are counted, and the end of the span.
+    - members: Numbers of members, shape (n,). Those without windows are left out.
+    - times: Shape (K,).
+    - yields places: Shape (g,).
+    - yields states: Shape (g, k, dim); nan after the time that a member reached.
     """
     there = np.flatnonzero(table.counts[members] > 0)
     order = there[np.argsort(members[there], kind="stable")]
@@ -101,14 +89,9 @@ def _located(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the window of each time, and the position in it, for each member; shapes (g, k).
 
-    Parameters
-    ----------
-    edges : numpy.ndarray
-        Of all members, one after the other.
-    first, counts : numpy.ndarray
-        First edge and number of windows of each member, shape (g,).
-    t : numpy.ndarray
-        Times, counted as the edges, shape (k,).
+    - edges: Of all members, one after the other.
+    - first, counts: First edge and number of windows of each member, shape (g,).
+    - t: Times, counted as the edges, shape (k,).
     """
     first, last = first[:, None], counts[:, None] - 1
     backwards = bool(edges[0] > edges[1])

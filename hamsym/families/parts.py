@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import safetensors.numpy
 
-from hamsym.errors import FileError, InputError
+from hamsym.errors import FileError
 from hamsym.families.blocks import Block
 from hamsym.families.windows import MARCHED, Table, Windows
+from hamsym.support.tables import optional_package
 from hamsym.support.tensor_files import one_line
 
 FOLDER = "parts"
@@ -41,21 +42,8 @@ class Part(NamedTuple):
 
 
 def zarr_of() -> Any:
-    """Return the module zarr.
-
-    Raises
-    ------
-    InputError
-        If it is not installed.
-    """
-    try:
-        import zarr
-    except ImportError:
-        raise InputError(
-            "a store needs the package zarr, which is not installed; install it with "
-            'pip install "zarr>=3"'
-        ) from None
-    return zarr
+    """Return the module zarr."""
+    return optional_package("zarr", "a store", '"zarr>=3"')
 
 
 def create_array(
@@ -93,10 +81,7 @@ def write_part(path: Path, block: Block) -> Part:
 
     A part with the same members is the same part, and is left as it is.
 
-    Raises
-    ------
-    FileError
-        If the store cannot be written.
+    Raise FileError if the store cannot be written.
     """
     assert block.windows is not None
     arrays, part = block.windows._asdict(), part_of(block)
@@ -128,10 +113,7 @@ def read_parts(path: Path) -> list[Block]:
 
     A part with members of an earlier one is left out: a task of an interrupted call ended late.
 
-    Raises
-    ------
-    FileError
-        If a part is damaged.
+    Raise FileError if a part is damaged.
     """
     names = sorted(entry.name for entry in os.scandir(path / FOLDER) if NAME.fullmatch(entry.name))
     found, seen = [], set[int]()
@@ -161,10 +143,7 @@ def _array(path: Path, part: str, name: str) -> Any:
 def windows_of(path: Path, parts: Sequence[Part], shapes: Mapping[str, tuple[int, ...]]) -> Windows:
     """Return the windows of consecutive parts, which are read when they are needed.
 
-    Raises
-    ------
-    ValueError
-        If an array of a part is missing.
+    Raise ValueError if an array of a part is missing.
     """
     for part in parts:
         for name in shapes:
@@ -195,10 +174,7 @@ class _PartRows:
     def rows(self, start: int, stop: int) -> np.ndarray:
         """Rows of a range.
 
-        Raises
-        ------
-        FileError
-            If the store is damaged.
+        Raise FileError if the store is damaged.
         """
         first = max(0, int(np.searchsorted(self._ends, start, side="right")) - 1)
         found = [np.empty((0, *self._shape))]

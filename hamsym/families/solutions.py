@@ -49,26 +49,16 @@ if TYPE_CHECKING:  # optional packages
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """The problem whose members :class:`Solutions` solves.
+    """The problem whose members :class:`Solutions` solves."""
 
-    Attributes
-    ----------
-    H : Hamiltonian
-        With the parameters of the first member.
-    span : (float, float)
-    options : FeatureOptions
-    seed : int
-    varied : tuple of str
-        Parameters that were given as arguments.
-    series : numpy.ndarray
-        Chebyshev series of the columns of the basis, shape (degree + 1, m).
-    """
-
+    #: With the parameters of the first member.
     H: Hamiltonian
     span: tuple[float, float]
     options: FeatureOptions
     seed: int
+    #: Parameters that were given as arguments.
     varied: tuple[str, ...]
+    #: Chebyshev series of the columns of the basis, shape (degree + 1, m).
     series: np.ndarray
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -21,7 +21,14 @@ from typing import Any
 import numpy as np
 
 import hamsym
-from hamsym.description import MALFORMED, described, hamiltonian_from
+from hamsym.description import (
+    MALFORMED,
+    described,
+    hamiltonian_from,
+    read_result,
+    require_formula,
+    write_result,
+)
 from hamsym.ensemble import Ensemble
 from hamsym.errors import FileError
 from hamsym.families.blocks import Block
@@ -56,18 +63,26 @@ from hamsym.support.atomic import create_atomically
 from hamsym.support.checked_data import (
     checked_list,
     checked_mapping,
-    checked_number,
     checked_type,
+    checked_values,
     numbers_of,
     require_array,
     require_names,
 )
 from hamsym.support.locking import exclusive
-from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
+from hamsym.support.tensor_files import one_line
 from hamsym.support.validation import require_whole
 
 KIND = "solutions"
-_VALUES = {"H", "span", "options", "seed", "varied", "shape", "stopped"}
+_VALUES = {
+    **dict.fromkeys(("H", "options"), "Mapping[str, Any]"),
+    "span": "tuple[float, float]",
+    "seed": "int",
+    "varied": "tuple[str, ...]",
+    "shape": "tuple[int, ...]",
+    "stopped": "str",
+}
+_OPTIONS = {"tol": "float", "atol": "tuple[float, ...]", "max_window": "float | None"}
 _VERSION = 2  # of stores
 _BEGUN = "hamsym_begun"  # attribute of a store that is being written
 _ORDER = "order"  # numbers of the members in the order of the table of a store
@@ -76,49 +91,39 @@ _ORDER = "order"  # numbers of the members in the order of the table of a store
 def write_solutions(solutions: Solutions, path: str | os.PathLike[str]) -> None:
     """Write solutions to one file; see :func:`hamsym.save`."""
     solutions = _compact(solutions)
-    _require_formula(path, solutions.family)
-    try:
-        _check(solutions)
-    except MALFORMED as error:
-        raise FileError(
-            f"'{path}' was not written, because the solutions are not valid: {one_line(error)}"
-        ) from None
-    windows = solutions.windows
-    arrays = _columns(solutions.family, solutions.table) | {
-        name: rows.rows(0, len(rows)) for name, rows in windows._asdict().items()
-    }
-    write_tensors(path, KIND, arrays, _values(solutions))
+    H = solutions.family.H
+    write_result(path, KIND, H, lambda: _check(solutions), lambda: _parts(solutions))
+
+
+def _parts(solutions: Solutions) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    windows = {name: rows.rows(0, len(rows)) for name, rows in solutions.windows._asdict().items()}
+    return _columns(solutions.family, solutions.table) | windows, _values(solutions)
 
 
 def read_solutions(path: str | os.PathLike[str]) -> Solutions:
     """Read solutions that :func:`write_solutions` wrote; see :func:`hamsym.load`."""
-    arrays, values = read_tensors(path, KIND)
-    try:
-        require_names("arrays", {**arrays}, _COLUMNS | {*Packed._fields})
-        windows = Windows(*(Pieces([arrays[name]]) for name in Windows._fields))
-        solutions = _assembled(arrays, values, windows)
-        _check(solutions)
-    except MALFORMED as error:
-        raise FileError(f"'{path}' is not a valid solution file: {one_line(error)}") from None
+    return read_result(path, KIND, _checked)
+
+
+def _checked(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solutions:
+    require_names("arrays", {**arrays}, _COLUMNS | {*Packed._fields})
+    windows = Windows(*(Pieces([arrays[name]]) for name in Windows._fields))
+    solutions = _assembled(arrays, values, windows)
+    _check(solutions)
     return solutions
 
 
 class WindowStore:
     """A store of zarr to which members are written in parts.
 
-    Raises
-    ------
-    InputError
-        If zarr is not installed.
-    FileError
-        If the path exists and is not a store that was begun with the same arguments, or it cannot
-        be written.
+    Raise InputError if zarr is not installed. Raise FileError if the path exists and is not a store
+    that was begun with the same arguments, or it cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str], family: Family, members: Ensemble) -> None:
         zarr = zarr_of()
         self._path, self._family, self._members = Path(os.path.abspath(path)), family, members
-        _require_formula(path, family)
+        require_formula(path, family.H)
         request = _request(family, members)
         try:
             if self._path.exists():
@@ -226,10 +231,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
 def open_store(path: str | os.PathLike[str]) -> Solutions:
     """Open the solutions of a store of zarr; their windows are read when they are needed.
 
-    Raises
-    ------
-    FileError
-        If it is damaged, is not a store of solutions, or was not finished.
+    Raise FileError if it is damaged, is not a store of solutions, or was not finished.
     """
     zarr = zarr_of()
     try:
@@ -282,16 +284,6 @@ def _digest(columns: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> str
     return found.hexdigest()
 
 
-def _require_formula(path: str | os.PathLike[str], family: Family) -> None:
-    """Raise FileError unless the formula of H is read back as it is."""
-    try:
-        same = hamiltonian_from(described(family.H)) == family.H
-    except MALFORMED:
-        same = False
-    if not same:
-        raise FileError(f"'{path}' is not written: H has no formula that is read back as it is")
-
-
 # -- parts -----------------------------------------------------------------------------------------
 
 _COLUMNS = {
@@ -334,14 +326,10 @@ def _assembled(
     arrays: Mapping[str, np.ndarray], values: Mapping[str, Any], windows: Windows
 ) -> Solutions:
     """Build solutions from :func:`_columns`, :func:`_values` and their windows."""
-    require_names("values", values, _VALUES)
-    options = checked_mapping("options", values["options"])
-    require_names("options", options, {"tol", "atol", "max_window"})
-    formula = checked_mapping("H", values["H"])
-    start, end = (checked_number("span", time) for time in checked_list("span", values["span"], 2))
-    seed = checked_type("seed", values["seed"], "int")
-    require_whole("seed", seed, 0)
-    shape = tuple(checked_type("shape", n, "int") for n in checked_list("shape", values["shape"]))
+    given = checked_values("values", values, _VALUES)
+    options = checked_values("options", given["options"], _OPTIONS)
+    require_whole("seed", given["seed"], 0)
+    shape = given["shape"]
     if len(shape) > 32 or any(not 0 < n < 2**63 for n in shape):
         raise ValueError("'shape' is out of range")
     if math.prod(shape) != len(arrays["status"]):
@@ -351,23 +339,17 @@ def _assembled(
     if (own["success"] > 1).any():
         raise ValueError("'success' is out of range")
     family = Family(
-        H=hamiltonian_from(formula),
-        span=checked_span((start, end)),
-        options=FeatureOptions(
-            tol=checked_number("tol", options["tol"]),
-            atol=[checked_number("atol", a) for a in checked_list("atol", options["atol"])],
-            max_window=checked_type("max_window", options["max_window"], "float | None"),
-        ),
-        seed=seed,
-        varied=tuple(
-            checked_type("varied", name, "str") for name in checked_list("varied", values["varied"])
-        ),
+        H=hamiltonian_from(given["H"]),
+        span=checked_span(given["span"]),
+        options=FeatureOptions(**options),
+        seed=given["seed"],
+        varied=given["varied"],
         series=arrays["basis"],
     )
     table = Table(
         **{**own, "success": own["success"].astype(bool)},
         notes=_notes(arrays["notes"]),
-        stopped=checked_type("stopped", values["stopped"], "str"),
+        stopped=given["stopped"],
     )
     members = np.arange(len(table.status)).reshape(shape)
     return Solutions(family, table, windows, members)

@@ -58,22 +58,16 @@ class Pieces:
 
 
 class Packed(NamedTuple):
-    """Windows of consecutive members.
+    """Windows of consecutive members."""
 
-    Attributes
-    ----------
-    edges, states : numpy.ndarray
-        A member with n windows has n + 1 edges and states; one without windows has none.
-    readouts : numpy.ndarray
-        Shape (windows, m, dim).
-    error, floors : numpy.ndarray
-        Series and floors of the estimated error, of the windows of marched members only: those of
-        the others are computed again when they are needed.
-    """
-
+    #: edges, states: A member with n windows has n + 1 edges and states; one without windows has
+    #: none.
     edges: np.ndarray
     states: np.ndarray
+    #: Shape (windows, m, dim).
     readouts: np.ndarray
+    #: error, floors: Series and floors of the estimated error, of the windows of marched members
+    #: only: those of the others are computed again when they are needed.
     error: np.ndarray
     floors: np.ndarray
 
@@ -95,40 +89,28 @@ def pieces_of(parts: Sequence[Packed]) -> Windows:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Results of n members.
+    """Results of n members."""
 
-    Attributes
-    ----------
-    z0, parameters : numpy.ndarray
-        Initial states, shape (n, dim), and values of all parameters, shape (n, k).
-    status : numpy.ndarray
-        State of each member, shape (n,), of uint8.
-    success : numpy.ndarray
-        Shape (n,), of bool.
-    counts, evaluations : numpy.ndarray
-        Windows, and evaluations of the vector field, shape (n,), of int64.
-    excess : numpy.ndarray
-        Largest ratio of the estimated to the allowed error, infinite where it is unknown.
-    largest, sizes : numpy.ndarray
-        Largest estimated error, infinite where it is unknown, and largest magnitude of each
-        component, shape (n, dim).
-    notes : dict
-        The message of each marched or refused member; of a marched one also the numbers of its
-        march and the sizes to which its tolerance is relative.
-    stopped : str
-        Why members are open.
-    """
-
+    #: z0, parameters: Initial states, shape (n, dim), and values of all parameters, shape (n, k).
     z0: np.ndarray
     parameters: np.ndarray
+    #: State of each member, shape (n,), of uint8.
     status: np.ndarray
+    #: Shape (n,), of bool.
     success: np.ndarray
+    #: counts, evaluations: Windows, and evaluations of the vector field, shape (n,), of int64.
     counts: np.ndarray
     evaluations: np.ndarray
+    #: Largest ratio of the estimated to the allowed error, infinite where it is unknown.
     excess: np.ndarray
+    #: largest, sizes: Largest estimated error, infinite where it is unknown, and largest magnitude
+    #: of each component, shape (n, dim).
     largest: np.ndarray
     sizes: np.ndarray
+    #: The message of each marched or refused member; of a marched one also the numbers of its march
+    #: and the sizes to which its tolerance is relative.
     notes: Mapping[int, dict[str, Any]] = field(default_factory=dict)
+    #: Why members are open.
     stopped: str = ""
 
     @classmethod

@@ -31,19 +31,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Minimum:
-    """A minimum of chi-square.
+    """A minimum of chi-square."""
 
-    Attributes
-    ----------
-    parameters : dict of str to float
-        The free quantities.
-    chi_square : float
-    starts : int
-        Number of starts that reached it.
-    """
-
+    #: The free quantities.
     parameters: dict[str, float]
     chi_square: float
+    #: Number of starts that reached it.
     starts: int
 
 

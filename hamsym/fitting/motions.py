@@ -91,15 +91,7 @@ class Motions(Protocol):
 
 @dataclass
 class SolvedMotions:
-    """Motions of one solution for each row.
-
-    Attributes
-    ----------
-    unknowns : Unknowns
-    t : numpy.ndarray
-    span : (float, float)
-    tol : float
-    """
+    """Motions of one solution for each row."""
 
     unknowns: Unknowns
     t: np.ndarray
@@ -110,10 +102,7 @@ class SolvedMotions:
     def solution(self, values: np.ndarray) -> Solution:
         """Return the solution with values of shape (k,); the last one is kept.
 
-        Raises
-        ------
-        InputError
-            If there is none.
+        Raise InputError if there is none.
         """
         key = values.tobytes()
         if key not in self._last:
@@ -202,13 +191,6 @@ class LiftedMotions:
     With a direction (dz, dk) the Hamiltonian K = dz . grad H + dk . dH/dk, with pairs (q, dp) and
     (dq, p), has the equations of z and the variational equations of dz: all rows and directions
     are members of one ensemble. Forces F of H act on p, and their changes dF on dp.
-
-    Parameters
-    ----------
-    unknowns : Unknowns
-    t : numpy.ndarray
-    span : (float, float)
-    tol : float
     """
 
     def __init__(
@@ -363,14 +345,7 @@ def _lift_of(H: Hamiltonian, free: tuple[str, ...]) -> tuple[Hamiltonian, Mappin
 
 @dataclass(frozen=True)
 class MappedMotions:
-    """Motions of a flow map.
-
-    Attributes
-    ----------
-    flow : FlowLike
-    unknowns : Unknowns
-    t : numpy.ndarray
-    """
+    """Motions of a flow map."""
 
     flow: FlowLike
     unknowns: Unknowns

@@ -21,14 +21,9 @@ from hamsym.symbolic.variables import TIME
 class Observables:
     """Functions of state, time and parameters, with their derivatives.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-        With a value for every parameter.
-    expressions : mapping of str to sympy.Expr
-        In real symbols, by label.
-    parameters : sequence of str
-        Parameters in which they are differentiated.
+    - H: With a value for every parameter.
+    - expressions: In real symbols, by label.
+    - parameters: Parameters in which they are differentiated.
     """
 
     def __init__(
@@ -58,12 +53,9 @@ class Observables:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Evaluate at states (n, times, dim) with parameters (n,).
 
-        Returns
-        -------
-        values : numpy.ndarray
-            Shape (n, observables, times).
-        in_state, in_parameters : numpy.ndarray
-            Derivatives, shapes (n, observables, times, dim) and (n, observables, times, k).
+        - returns values: Shape (n, observables, times).
+        - returns in_state, in_parameters: Derivatives, shapes (n, observables, times, dim) and (n,
+          observables, times, k).
         """
         of = {keyword: parameters[name][:, None] for name, keyword in self._keywords.items()}
         with np.errstate(all="ignore"):
@@ -76,29 +68,19 @@ class Observables:
 
 @dataclass(frozen=True)
 class Observations:
-    """Measured values of observables.
+    """Measured values of observables."""
 
-    Attributes
-    ----------
-    expressions : dict of str to sympy.Expr
-        The observables in real symbols, by label.
-    t : numpy.ndarray
-        Times, shape (times,).
-    data : numpy.ndarray
-        Shape (sets, observables, times); nan where a value is missing.
-    sigma : numpy.ndarray
-        Standard deviations of the data, in their shape; ones if they are unknown.
-    known : bool
-        Whether they were given.
-    single : bool
-        Whether there is one set, given without an axis of sets.
-    """
-
+    #: The observables in real symbols, by label.
     expressions: dict[str, sympy.Expr]
+    #: Times, shape (times,).
     t: np.ndarray
+    #: Shape (sets, observables, times); nan where a value is missing.
     data: np.ndarray
+    #: Standard deviations of the data, in their shape; ones if they are unknown.
     sigma: np.ndarray
+    #: Whether they were given.
     known: bool
+    #: Whether there is one set, given without an axis of sets.
     single: bool
 
     @property
@@ -140,11 +122,8 @@ def checked_observations(
 ) -> Observations:
     """Check observables, their data and their standard deviations.
 
-    Raises
-    ------
-    InputError
-        If they are not a mapping of functions of the state to arrays of real numbers with the
-        length of t, or a standard deviation is not a number above 0.
+    Raise InputError if they are not a mapping of functions of the state to arrays of real numbers
+    with the length of t, or a standard deviation is not a number above 0.
     """
     if not isinstance(observations, Mapping) or not observations:
         raise InputError(

@@ -23,17 +23,11 @@ _BETTER = 1e-3  # of the variance: decrease that shows a better minimum
 
 @dataclass(frozen=True)
 class Profiles:
-    """Ends of the intervals of some quantities.
+    """Ends of the intervals of some quantities."""
 
-    Attributes
-    ----------
-    ends : numpy.ndarray
-        Shape (n,); infinite where the rise stays below its level.
-    better : dict of int to numpy.ndarray
-        Values of the free quantities with a smaller chi-square than the minimum, by set.
-    """
-
+    #: Shape (n,); infinite where the rise stays below its level.
     ends: np.ndarray
+    #: Values of the free quantities with a smaller chi-square than the minimum, by set.
     better: dict[int, np.ndarray]
 
 
@@ -64,16 +58,11 @@ def profiled(
 ) -> Profiles:
     """Follow the least chi-square along each line until it has risen by level^2.
 
-    Parameters
-    ----------
-    sets, columns, signs : numpy.ndarray
-        Set, place of the quantity and direction of each line, shape (n,).
-    minima, squares, level : numpy.ndarray
-        Free quantities (n, k) and chi-square (n,) at the minimum, root of the rise (n,).
-    first : numpy.ndarray
-        First distances, shape (n,).
-    trace : numpy.ndarray
-        Changes of the free quantities for a unit distance, where the model is linear, (n, k).
+    - sets, columns, signs: Set, place of the quantity and direction of each line, shape (n,).
+    - minima, squares, level: Free quantities (n, k) and chi-square (n,) at the minimum, root of the
+      rise (n,).
+    - first: First distances, shape (n,).
+    - trace: Changes of the free quantities for a unit distance, where the model is linear, (n, k).
     """
     count, unknowns = len(sets), model.unknowns
     every = np.arange(count)
@@ -177,10 +166,8 @@ def _least(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Minimise chi-square over all free quantities but one, which is given, for each row.
 
-    Returns
-    -------
-    values, squares, converged : numpy.ndarray
-        Shapes (n, k), (n,) and (n,); squares are not finite where there is no motion.
+    - returns values, squares, converged: Shapes (n, k), (n,) and (n,); squares are not finite where
+      there is no motion.
     """
     count = start.shape[1]
     if count == 1:

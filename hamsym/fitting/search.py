@@ -20,30 +20,22 @@ _BATCH = 4_000_000  # numbers in the derivatives of states that are computed tog
 
 @dataclass(frozen=True)
 class Found:
-    """The best minimum of each set.
+    """The best minimum of each set."""
 
-    Attributes
-    ----------
-    unknowns, residuals, jacobian : numpy.ndarray
-        Shapes (sets, k), (sets, m), (sets, m, k), with m = observables times; (model - data)/sigma,
-        zero where data are missing.
-    converged : numpy.ndarray
-        Shape (sets,).
-    iterations : numpy.ndarray
-        Shape (sets,).
-    reached, refined : numpy.ndarray, int
-        Number of starts that reached it, shape (sets,), and of those that were refined.
-    minima : tuple of (unknowns, chi-square, starts)
-        Of one set: the different minima, the best one first.
-    """
-
+    #: unknowns, residuals, jacobian: Shapes (sets, k), (sets, m), (sets, m, k), with m =
+    #: observables times; (model - data)/sigma, zero where data are missing.
     unknowns: np.ndarray
     residuals: np.ndarray
     jacobian: np.ndarray
+    #: Shape (sets,).
     converged: np.ndarray
+    #: Shape (sets,).
     iterations: np.ndarray
+    #: reached, refined: Number of starts that reached it, shape (sets,), and of those that were
+    #: refined.
     reached: np.ndarray
     refined: int
+    #: Of one set: the different minima, the best one first.
     minima: tuple[tuple[np.ndarray, float, int], ...]
 
     @property
@@ -156,10 +148,7 @@ class Model:
 def search(model: Model, starts: int, seed: int) -> Found:
     """Minimise chi-square of every set from the best of some starts.
 
-    Raises
-    ------
-    InputError
-        If the motion cannot be solved from any start.
+    Raise InputError if the motion cannot be solved from any start.
     """
     unknowns, sets = model.unknowns, len(model.observed.data)
     guesses = unknowns.draw(starts, seed)

@@ -22,30 +22,20 @@ _NO_EFFECT = 1e-6  # of the variance: rise of chi-square
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of the estimates of each set.
+    """Uncertainty of the estimates of each set."""
 
-    Attributes
-    ----------
-    covariance : numpy.ndarray
-        Shape (sets, k, k).
-    undetermined : list of str
-        What the data do not determine, or an empty text.
-    low, high : numpy.ndarray
-        Ends of the confidence intervals, shape (sets, k).
-    profiled : numpy.ndarray
-        Whether they are those of the profile likelihood, shape (sets,).
-    variance : numpy.ndarray
-        Of the data in units of sigma^2, given or estimated, shape (sets,).
-    better : dict of int to numpy.ndarray
-        Free quantities that fit better than the minimum found, by set.
-    """
-
+    #: Shape (sets, k, k).
     covariance: np.ndarray
+    #: What the data do not determine, or an empty text.
     undetermined: list[str]
+    #: low, high: Ends of the confidence intervals, shape (sets, k).
     low: np.ndarray
     high: np.ndarray
+    #: Whether they are those of the profile likelihood, shape (sets,).
     profiled: np.ndarray
+    #: Of the data in units of sigma^2, given or estimated, shape (sets,).
     variance: np.ndarray
+    #: Free quantities that fit better than the minimum found, by set.
     better: dict[int, np.ndarray]
 
 
@@ -126,11 +116,8 @@ def _curvature(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compare chi-square at the ends of linear intervals with what the linear model predicts.
 
-    Returns
-    -------
-    curved, rises : numpy.ndarray
-        Whether it is another one, or an end is out of bounds, shape (sets,); the larger rise,
-        shape (sets, k).
+    - returns curved, rises: Whether it is another one, or an end is out of bounds, shape (sets,);
+      the larger rise, shape (sets, k).
     """
     unknowns, count = model.unknowns, len(model.unknowns.names)
     curved = np.zeros(len(widths), dtype=bool)
@@ -155,14 +142,9 @@ def _covariance(
 ) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
     """Compute (J^T J)^-1 of each set.
 
-    Returns
-    -------
-    covariance : numpy.ndarray
-    texts : list of str
-        What the data determine only in combination.
-    lost, unknown : numpy.ndarray
-        Quantities of which the linear model is independent, and those in such combinations, shape
-        (sets, k).
+    - returns texts: What the data determine only in combination.
+    - returns lost, unknown: Quantities of which the linear model is independent, and those in such
+      combinations, shape (sets, k).
     """
     sets, _, count = found.jacobian.shape
     covariance, texts = np.full((sets, count, count), np.nan), [""] * sets

@@ -17,23 +17,16 @@ from hamsym.symbolic.checks import name_of
 
 @dataclass(frozen=True)
 class Unknowns:
-    """The free quantities, and the values of all others.
+    """The free quantities, and the values of all others."""
 
-    Attributes
-    ----------
-    H : Hamiltonian
-        With a value for every parameter: fixed, or the first guess.
-    start : numpy.ndarray
-        Components of the start, shape (dim,): fixed, or first guesses.
-    names : tuple of str
-        The free quantities.
-    guesses, low, high : numpy.ndarray
-        Their first guesses and bounds, shape (k,); infinite where there are none.
-    """
-
+    #: With a value for every parameter: fixed, or the first guess.
     H: Hamiltonian
+    #: Components of the start, shape (dim,): fixed, or first guesses.
     start: np.ndarray
+    #: The free quantities.
     names: tuple[str, ...]
+    #: guesses, low, high: Their first guesses and bounds, shape (k,); infinite where there are
+    #: none.
     guesses: np.ndarray
     low: np.ndarray
     high: np.ndarray
@@ -92,11 +85,8 @@ class Unknowns:
 def checked_unknowns(H: Hamiltonian, free: Any, z0: Any, parameters: Any, bounds: Any) -> Unknowns:
     """Assign a fixed value or a first guess to every parameter and component of the start.
 
-    Raises
-    ------
-    InputError
-        If a name is unknown, is missing, or is both free and fixed, or a value is not a finite
-        number.
+    Raise InputError if a name is unknown, is missing, or is both free and fixed, or a value is not
+    a finite number.
     """
     state = {canonical_name(name): name for name in H.names}
     known = state | {canonical_name(name): name for name in H.parameter_names}

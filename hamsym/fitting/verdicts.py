@@ -22,18 +22,11 @@ _SHOWN = 3  # further minima in a message
 
 @dataclass(frozen=True)
 class Verdicts:
-    """Verdict on each set.
+    """Verdict on each set."""
 
-    Attributes
-    ----------
-    sigma : numpy.ndarray
-        Standard deviations of the data, given or estimated, shape (sets, observables, times).
-    freedom, p_value, success : numpy.ndarray
-        Shape (sets,).
-    messages : list of str
-    """
-
+    #: Standard deviations of the data, given or estimated, shape (sets, observables, times).
     sigma: np.ndarray
+    #: freedom, p_value, success: Shape (sets,).
     freedom: np.ndarray
     p_value: np.ndarray
     success: np.ndarray

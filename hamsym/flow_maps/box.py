@@ -30,26 +30,18 @@ class Box:
     """Initial states and parameters, of which some vary in intervals.
 
     The quantities that vary are called inputs: components of z0, then parameters.
-
-    Attributes
-    ----------
-    H : Hamiltonian
-        With a value for every parameter; those that vary have the centre of their interval.
-    names : tuple of str
-        The inputs.
-    low, high : numpy.ndarray
-        Ends of their intervals, shape (d,).
-    fixed : dict of str to float
-        Components of z0 that do not vary.
-    expressions : dict of str to str
-        Components of z0 that are functions of parameters.
     """
 
+    #: With a value for every parameter; those that vary have the centre of their interval.
     H: Hamiltonian
+    #: The inputs.
     names: tuple[str, ...]
+    #: low, high: Ends of their intervals, shape (d,).
     low: np.ndarray
     high: np.ndarray
+    #: Components of z0 that do not vary.
     fixed: Mapping[str, float]
+    #: Components of z0 that are functions of parameters.
     expressions: Mapping[str, str]
 
     def __len__(self) -> int:
@@ -157,10 +149,8 @@ class Box:
     def inputs_of(self, z0: Any, parameters: Mapping[Any, Any] | None) -> dict[str, Any]:
         """Return the given values of all inputs by name, as they were given.
 
-        Raises
-        ------
-        InputError
-            If one is missing or unknown, or a component that does not vary has another value.
+        Raise InputError if one is missing or unknown, or a component that does not vary has another
+        value.
         """
         given = self._components_of(z0)
         found = {}
@@ -243,19 +233,12 @@ def compiled_in(
 def checked_box(H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | None) -> Box:
     """Return the box of intervals in z0 and parameters.
 
-    Parameters
-    ----------
-    H : Hamiltonian, str or sympy.Expr
-    z0 : mapping or sequence
-        For each component of z an interval (low, high), a number, or an expression of parameters as
-        text.
-    parameters : mapping, optional
-        For parameters of H, and for symbols in the expressions of z0, an interval or a number.
+    Raise InputError if a value is not usable, or nothing varies.
 
-    Raises
-    ------
-    InputError
-        If a value is not usable, or nothing varies.
+    - z0: For each component of z an interval (low, high), a number, or an expression of parameters
+      as text.
+    - parameters: For parameters of H, and for symbols in the expressions of z0, an interval or a
+      number.
 
     Examples
     --------

@@ -28,39 +28,23 @@ _AT_END = 0.3  # probability that an input of a sample is an end of its interval
 
 @dataclass(frozen=True)
 class Built:
-    """An expansion over a box.
-
-    Attributes
-    ----------
-    map : Leg, Chain or Split
-    reached : float
-        Time up to which it holds.
-    failure : str
-        Why it does not reach the end of the span; empty if it does.
-    edges : numpy.ndarray
-        Ends of the pieces of all its legs, from the start to ``reached``.
-    """
+    """An expansion over a box."""
 
     map: Any
+    #: Time up to which it holds.
     reached: float
+    #: Why it does not reach the end of the span; empty if it does.
     failure: str
+    #: Ends of the pieces of all its legs, from the start to ``reached``.
     edges: np.ndarray
 
 
 class Builder:
     """Construction of the expansion of one box over one span.
 
-    Parameters
-    ----------
-    box : Box
-    span : (float, float)
-    solve : callable
-        (initial states, parameter values, span) -> Solutions.
-    allowed, scale : numpy.ndarray
-        Allowed error and size of each component, shape (dim,).
-    random : numpy.random.Generator
-    note : callable
-        Takes a line of text about the progress.
+    - solve: (initial states, parameter values, span) -> Solutions.
+    - allowed, scale: Allowed error and size of each component, shape (dim,).
+    - note: Takes a line of text about the progress.
     """
 
     def __init__(
@@ -79,10 +63,8 @@ class Builder:
     def build(self) -> Built:
         """Return the expansion.
 
-        Raises
-        ------
-        InputError
-            If a solution fails at the start of the span, or too many solutions would be needed.
+        Raise InputError if a solution fails at the start of the span, or too many solutions would
+        be needed.
         """
         try:
             return self._over(box_domain(self._box), self._span[0])
@@ -176,16 +158,8 @@ def image_of(
 ) -> Domain:
     """Return a domain around the states of a map over a domain at a time.
 
-    Parameters
-    ----------
-    map : Leg
-    domain : Domain
-        All components of the state are inputs of it.
-    time : float
-    box : Box
-    scale : numpy.ndarray
-        Sizes of the components, shape (dim,).
-    random : numpy.random.Generator
+    - domain: All components of the state are inputs of it.
+    - scale: Sizes of the components, shape (dim,).
     """
     d, dim = len(domain), box.H.dim
     y = random_places(random, _IMAGE, d, _AT_END)

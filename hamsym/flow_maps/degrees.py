@@ -40,12 +40,8 @@ def axis_degrees(d: int, most: int) -> np.ndarray:
 def further_degrees(degrees: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Return multi-indices to add to a lower set, shape (m, d): those next to what is not small.
 
-    Parameters
-    ----------
-    degrees : numpy.ndarray
-        Shape (n, d).
-    sizes : numpy.ndarray
-        Sizes of the surpluses relative to what counts, shape (n,); nan counts.
+    - degrees: Shape (n, d).
+    - sizes: Sizes of the surpluses relative to what counts, shape (n,); nan counts.
 
     Examples
     --------
@@ -83,19 +79,11 @@ def interpolated(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return degrees and values with which a function of [-1, 1]^d is interpolated.
 
-    Parameters
-    ----------
-    function : callable
-        y of shape (n, d) -> values, shape (n, m).
-    accuracy : numpy.ndarray
-        Size of surpluses that are negligible, shape (m,).
-    most : int
-        Largest number of points.
+    Raise ValueError if the function is not finite or needs more points.
 
-    Raises
-    ------
-    ValueError
-        If the function is not finite or needs more points.
+    - function: y of shape (n, d) -> values, shape (n, m).
+    - accuracy: Size of surpluses that are negligible, shape (m,).
+    - most: Largest number of points.
     """
     degrees = axis_degrees(d, 4)
     values = function(points(degrees))

@@ -22,32 +22,24 @@ _THIN = 1e-9  # smallest half-width of an image, relative to the size of its com
 
 @dataclass(frozen=True)
 class Domain:
-    """Inputs of a leg, and their scaling y = scaling @ inputs + shift to [-1, 1].
+    """Inputs of a leg, and their scaling y = scaling @ inputs + shift to [-1, 1]."""
 
-    Attributes
-    ----------
-    scaling, shift : numpy.ndarray
-        Shapes (d, d) and (d,).
-    selection, offset : numpy.ndarray
-        The start is selection @ inputs + offset, shapes (dim, d) and (dim,), with the expansion
-        ``start`` of shape (n, dim) in the multi-indices ``start_degrees``, shape (n, d).
-    states : callable
-        Inputs, shape (n, d) -> initial states, shape (n, dim).
-    values : callable
-        Inputs -> values of the parameters that vary, by name.
-    samples : numpy.ndarray, optional
-        Of an image: inputs in it, shape (n, d); with the arguments ``names`` and ``scale`` of
-        :func:`image_domain`.
-    """
-
+    #: scaling, shift: Shapes (d, d) and (d,).
     scaling: np.ndarray
     shift: np.ndarray
+    #: selection, offset: The start is selection @ inputs + offset, shapes (dim, d) and (dim,), with
+    #: the expansion ``start`` of shape (n, dim) in the multi-indices ``start_degrees``, shape (n,
+    #: d).
     selection: np.ndarray
     offset: np.ndarray
     start_degrees: np.ndarray
     start: np.ndarray
+    #: Inputs, shape (n, d) -> initial states, shape (n, dim).
     states: Callable[[np.ndarray], np.ndarray]
+    #: Inputs -> values of the parameters that vary, by name.
     values: Callable[[np.ndarray], Mapping[str, np.ndarray]]
+    #: Of an image: inputs in it, shape (n, d); with the arguments ``names`` and ``scale`` of
+    #: :func:`image_domain`.
     samples: np.ndarray | None = None
     names: tuple[str, ...] = ()
     scale: np.ndarray = field(default_factory=lambda: np.empty(0))
@@ -141,14 +133,9 @@ def image_domain(samples: np.ndarray, names: tuple[str, ...], scale: np.ndarray)
     It is a parallelepiped along the principal axes of the states, after the part that is linear in
     the parameters is subtracted.
 
-    Parameters
-    ----------
-    samples : numpy.ndarray
-        States and parameters in the image, shape (n, dim + k).
-    names : tuple of str
-        Names of these parameters that H has, with "" for the others.
-    scale : numpy.ndarray
-        Sizes of the components, shape (dim,).
+    - samples: States and parameters in the image, shape (n, dim + k).
+    - names: Names of these parameters that H has, with "" for the others.
+    - scale: Sizes of the components, shape (dim,).
     """
     count, dim = len(samples), len(scale)
     states, kept = samples[:, :dim], samples[:, dim:]

@@ -6,14 +6,12 @@ import base64
 import importlib.resources
 import json
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hamsym.errors import FileError
 from hamsym.flow_maps.expansion import Chain, Leg, Split
-from hamsym.support.atomic import write_atomically
+from hamsym.support.atomic import write_file
 
 _WIDTH = 100  # characters of a line of numbers
 
@@ -21,22 +19,9 @@ _WIDTH = 100  # characters of a line of numbers
 def export_flow_map(flow: Any, path: str | os.PathLike[str]) -> None:
     """Write a module with ``state(t, inputs)`` and ``jacobian(t, inputs)``; see FlowMap.export.
 
-    Parameters
-    ----------
-    flow : FlowMap
-    path : path-like
-
-    Raises
-    ------
-    FileError
-        If the file cannot be written.
+    Raise FileError if the file cannot be written.
     """
-    text = module_text(flow)
-    try:
-        write_atomically(Path(path), text.encode())
-    except (OSError, ValueError, TypeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileError(f"'{path}' cannot be written: {reason}") from None
+    write_file(path, module_text(flow).encode())
 
 
 def module_text(flow: Any) -> str:

@@ -43,35 +43,24 @@ _INSIDE = 5e-9  # of a piece; the square is round-off
 
 @dataclass(frozen=True)
 class Judgement:
-    """Estimated error of a map over its box.
+    """Estimated error of a map over its box."""
 
-    Attributes
-    ----------
-    error : numpy.ndarray
-        Estimated largest error of each component, shape (dim,).
-    linear : numpy.ndarray
-        Largest error by the linear equation at the places where it was solved, shape (dim,).
-    worst_time : float
-    worst_inputs : numpy.ndarray
-        Where the largest error was found, shape (d,).
-    points, share : int, float
-        Number of random points, and the share of the box for which these bound the error, with a
-        confidence of 95 %.
-    symplecticity : float or None
-        Largest entry of M^T J M - J in units of the components, M = dz^/dz0; None unless all
-        components vary.
-    failure : str
-        A solution that could not be compared, or a narrow feature that the map misses; empty if
-        there is none.
-    """
-
+    #: Estimated largest error of each component, shape (dim,).
     error: np.ndarray
+    #: Largest error by the linear equation at the places where it was solved, shape (dim,).
     linear: np.ndarray
     worst_time: float
+    #: Where the largest error was found, shape (d,).
     worst_inputs: np.ndarray
+    #: points, share: Number of random points, and the share of the box for which these bound the
+    #: error, with a confidence of 95 %.
     points: int
     share: float
+    #: Largest entry of M^T J M - J in units of the components, M = dz^/dz0; None unless all
+    #: components vary.
     symplecticity: float | None
+    #: A solution that could not be compared, or a narrow feature that the map misses; empty if
+    #: there is none.
     failure: str
 
 
@@ -88,20 +77,10 @@ def judged(
 ) -> Judgement:
     """Estimate the error of a map over a box and a span.
 
-    Parameters
-    ----------
-    map : Leg, Chain or Split
-    box : Box
-    span : (float, float)
-    edges : numpy.ndarray
-        Times at which the map may have a kink, in order, with both ends of the span.
-    solve : callable
-        (initial states, parameter values, span) -> Solutions.
-    allowed, scale : numpy.ndarray
-        Allowed error and size of each component, shape (dim,).
-    random : numpy.random.Generator
-    points : int
-        Number of random points.
+    - edges: Times at which the map may have a kink, in order, with both ends of the span.
+    - solve: (initial states, parameter values, span) -> Solutions.
+    - allowed, scale: Allowed error and size of each component, shape (dim,).
+    - points: Number of random points.
     """
     search = _Search(map, box, span, solve, allowed, random)
     d = len(box)
@@ -201,16 +180,9 @@ def linear_error(
     With the residual r = dz^/dt - J grad H(z^), the error obeys delta' = J Hess(z^) delta - r, by
     collocation at Chebyshev points in each piece; where z^ jumps between two pieces, so does delta.
 
-    Parameters
-    ----------
-    map : Leg, Chain or Split
-    H : Hamiltonian
-    box : Box or Domain
-        Where the inputs are; it gives the parameters that vary.
-    edges : numpy.ndarray
-        Ends of the pieces, in order.
-    inputs : numpy.ndarray
-        Shape (n, d).
+    - box: Where the inputs are; it gives the parameters that vary.
+    - edges: Ends of the pieces, in order.
+    - inputs: Shape (n, d).
     """
     dim, count = H.dim, len(inputs)
     system = H.compile("numpy")

@@ -68,35 +68,17 @@ class _SplitError(Exception):
 class LegBuilder:
     """Construction of one leg.
 
-    Parameters
-    ----------
-    domain : Domain
-    span : (float, float)
-        From its start to the time at which it has to end at the latest.
-    solve : callable
-        (domain, scaled inputs, span) -> Solutions.
-    allowed : numpy.ndarray
-        Allowed error of each component, shape (dim,).
-    random : numpy.random.Generator
-    may_end : bool
-        Whether the leg may end early because of its degrees.
-    note : callable
-        Takes a line of text about the progress.
+    Raise FailedError if a solution fails at the beginning.
 
-    Attributes
-    ----------
-    domain : Domain
-    splits : bool
-        Whether the domain has to be split, in the direction ``widest``; then there is no leg.
-    failure : str
-        Why the leg ends before the span; empty if it does not, or ends because of its degrees.
-    is_complete : bool
-        Whether the leg has the whole span.
-
-    Raises
-    ------
-    FailedError
-        If a solution fails at the beginning.
+    - span: From its start to the time at which it has to end at the latest.
+    - solve: (domain, scaled inputs, span) -> Solutions.
+    - allowed: Allowed error of each component, shape (dim,).
+    - may_end: Whether the leg may end early because of its degrees.
+    - note: Takes a line of text about the progress.
+    - splits: Whether the domain has to be split, in the direction ``widest``; then there is no leg.
+    - failure: Why the leg ends before the span; empty if it does not, or ends because of its
+      degrees.
+    - is_complete: Whether the leg has the whole span.
     """
 
     def __init__(
@@ -168,10 +150,7 @@ class LegBuilder:
 
         Where the last surpluses are not small, their decay is continued.
 
-        Parameters
-        ----------
-        line : numpy.ndarray
-            Values at Leja points, shape (points, monitored times, dim).
+        - line: Values at Leja points, shape (points, monitored times, dim).
         """
         found = surpluses(np.arange(len(line))[:, None], line)
         sizes = np.abs(found / (_SURPLUS * self._allowed)).max(axis=2)
@@ -214,11 +193,8 @@ class LegBuilder:
     def _end_after(self, pieces: int, terms: float) -> bool:
         """End the leg after some pieces, or split the domain; return whether the leg remains.
 
-        Parameters
-        ----------
-        pieces : int
-        terms : float
-            Terms that the whole leg would need: about as many solutions, if the domain is split.
+        - terms: Terms that the whole leg would need: about as many solutions, if the domain is
+          split.
         """
         ends = self._may_end and pieces >= _FEWEST_PIECES
         if ends and self.domain.samples is not None:  # of a span that is twice the last leg
@@ -367,10 +343,7 @@ def _terms(straight: np.ndarray, total: np.ndarray) -> np.ndarray:
     They are counted as the multi-indices within the degrees by direction of which the sum is at
     most the degree on diagonals.
 
-    Parameters
-    ----------
-    straight, total : numpy.ndarray
-        Degrees by direction, (d, pieces), and on diagonals, (pieces,).
+    - straight, total: Degrees by direction, (d, pieces), and on diagonals, (pieces,).
     """
     d = len(straight)
     places = np.random.default_rng(0).random((4_096, d))

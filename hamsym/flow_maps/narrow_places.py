@@ -31,15 +31,7 @@ _FIRST, _LONGER, _SHORTER = 0.3, 1.6, 0.6  # steps of the search
 def narrow_places(
     map: Any, box: Box, span: tuple[float, float], random: np.random.Generator
 ) -> np.ndarray:
-    """Return scaled inputs in and beside places of such features, shape (n, d).
-
-    Parameters
-    ----------
-    map : Leg, Chain or Split
-    box : Box
-    span : (float, float)
-    random : numpy.random.Generator
-    """
+    """Return scaled inputs in and beside places of such features, shape (n, d)."""
     search = _Search(map, box, span, random)
     if not search.kinds:
         return np.empty((0, len(box)))

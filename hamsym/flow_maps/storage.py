@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.description import MALFORMED, described, hamiltonian_from
-from hamsym.errors import FileError
+from hamsym.description import described, hamiltonian_from, read_result, write_result
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Leg, Split
@@ -23,12 +22,12 @@ from hamsym.support.checked_data import (
     checked_number,
     checked_record,
     checked_type,
+    checked_values,
     numbers_of,
     require_array,
     require_names,
     taken,
 )
-from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
 #: Kind of the file.
 KIND = "flow map"
@@ -37,32 +36,8 @@ _DEEPEST = 64  # splits and chains inside each other
 _PIECES = 1_000_000
 
 
-def write_flow_map(flow: FlowMap, path: str | os.PathLike[str]) -> None:
-    """Write a flow map to one file.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be written, or the map cannot be described.
-    """
-    box, judgement = flow.region, flow.judgement
-    arrays = {f"map.{name}": _stored(array) for name, array in flow.map.arrays().items()}
-    arrays |= {"low": box.low, "high": box.high, "error_estimate": flow.error_estimate}
-    arrays |= arrays_of("judgement", judgement)
-    values = {
-        "H": described(box.H),
-        "names": list(box.names),
-        "fixed": dict(box.fixed),
-        "expressions": dict(box.expressions),
-        "span": list(flow.span),
-        "judgement": numbers_of(judgement),
-        "map": flow.map.describe(),
-        **{name: getattr(flow, name) for name in _PLAIN},
-    }
-    write_tensors(path, KIND, arrays, values)
-
-
-_PLAIN = {
+_OF_MAP = {
+    "span": "tuple[float, float]",
     "tol": "float",
     "success": "bool",
     "message": "str",
@@ -70,63 +45,65 @@ _PLAIN = {
     "solutions": "int",
     "seconds": "float",
 }
+_TYPES = _OF_MAP | {
+    "names": "tuple[str, ...]",
+    "fixed": "Mapping[str, float]",
+    "expressions": "Mapping[str, str]",
+    **dict.fromkeys(("H", "judgement", "map"), "Mapping[str, Any]"),
+}
+
+
+def write_flow_map(flow: FlowMap, path: str | os.PathLike[str]) -> None:
+    """Write a flow map to one file; see :func:`hamsym.save`."""
+    write_result(path, KIND, flow.region.H, flow.region.check, lambda: _parts(flow))
+
+
+def _parts(flow: FlowMap) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    box, judgement = flow.region, flow.judgement
+    arrays = {f"map.{name}": _stored(array) for name, array in flow.map.arrays().items()}
+    arrays |= {"low": box.low, "high": box.high, "error_estimate": flow.error_estimate}
+    arrays |= arrays_of("judgement", judgement)
+    return arrays, {
+        "H": described(box.H),
+        "names": list(box.names),
+        "fixed": dict(box.fixed),
+        "expressions": dict(box.expressions),
+        "judgement": numbers_of(judgement),
+        "map": flow.map.describe(),
+        **{name: getattr(flow, name) for name in _OF_MAP},
+    }
 
 
 def read_flow_map(path: str | os.PathLike[str]) -> FlowMap:
-    """Read a file of a flow map.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read, is damaged or not valid.
-    """
-    arrays, values = read_tensors(path, KIND)
-    try:
-        return _assembled(arrays, values)
-    except MALFORMED as error:
-        raise FileError(f"'{path}' is not a valid file of a flow map: {one_line(error)}") from None
+    """Read a file of a flow map; see :func:`hamsym.load`."""
+    return read_result(path, KIND, _assembled)
 
 
 def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> FlowMap:
-    own = {"H", "names", "fixed", "expressions", "span", "judgement", "map"}
-    require_names("values", values, own | set(_PLAIN))
-    plain = {name: checked_type(name, values[name], kind) for name, kind in _PLAIN.items()}
-    start, end = (checked_number("span", time) for time in checked_list("span", values["span"], 2))
-    H = hamiltonian_from(checked_mapping("H", values["H"]))
-    names = tuple(
-        checked_type("names", name, "str") for name in checked_list("names", values["names"])
-    )
+    found = checked_values("values", values, _TYPES)
+    plain = {name: found[name] for name in _OF_MAP}
+    H, names = hamiltonian_from(found["H"]), found["names"]
     d, dim = len(names), H.dim
     low, high = arrays.pop("low"), arrays.pop("high")
     for name, array in (("low", low), ("high", high)):
         require_array(name, array, (d,))
-    fixed = {
-        name: checked_number("fixed", value)
-        for name, value in checked_mapping("fixed", values["fixed"]).items()
-    }
-    expressions = {
-        name: checked_type("expressions", text, "str")
-        for name, text in checked_mapping("expressions", values["expressions"]).items()
-    }
-    box = Box(H, names, low, high, fixed, expressions)
+    box = Box(H, names, low, high, found["fixed"], found["expressions"])
     box.check()
     error = arrays.pop("error_estimate")
     require_array("error_estimate", error, (dim,), finite=plain["success"])
-    judgement = checked_record(Judgement, values["judgement"], taken(arrays, "judgement"))
+    judgement = checked_record(Judgement, found["judgement"], taken(arrays, "judgement"))
     for name, shape in (("error", (dim,)), ("linear", (dim,)), ("worst_inputs", (d,))):
         require_array(name, getattr(judgement, name), shape, finite=name == "worst_inputs")
     given = taken(arrays, "map")
     if arrays or len(given) > _PIECES:
         raise ValueError("it has an array that is not a part of a flow map")
-    map = _map(checked_mapping("map", values["map"]), given, d, dim, _DEEPEST)
+    map = _map(found["map"], given, d, dim, _DEEPEST)
     if given:
         raise ValueError(f"'{min(given)[:40]}' is not a part of a flow map")
-    require_order(map, (start, end))
+    require_order(map, plain["span"])
     if plain["success"] and not plain["excess"] <= 1:
         raise ValueError("its success is true, but its error is not within the tolerance")
-    return FlowMap(
-        region=box, span=(start, end), map=map, error_estimate=error, judgement=judgement, **plain
-    )
+    return FlowMap(region=box, map=map, error_estimate=error, judgement=judgement, **plain)
 
 
 def _map(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int, depth: int) -> Any:

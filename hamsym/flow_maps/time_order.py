@@ -17,11 +17,6 @@ _ROUND_OFF = 4e-16  # relative, of an end that is the sum of a start and a lengt
 def require_order(map: Any, span: tuple[float, float]) -> None:
     """Require that every part of a map begins where the one before ends, and all in the span.
 
-    Parameters
-    ----------
-    map : Leg, Chain or Split
-    span : (float, float)
-
     Raises
     ------
     ValueError
@@ -62,11 +57,7 @@ def _require_pieces(leg: Leg, direction: float) -> None:
 def ended(map: Any, end: float) -> Any:
     """Return a map that ends earlier: the same function up to this time, without what follows.
 
-    Parameters
-    ----------
-    map : Leg, Chain or Split
-    end : float
-        After the start of the map, and not after its end.
+    - end: After the start of the map, and not after its end.
     """
     if isinstance(map, Split):
         return Split(map.normal, map.threshold, ended(map.low, end), ended(map.high, end))

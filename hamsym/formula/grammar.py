@@ -97,10 +97,7 @@ def readable(text: str) -> str:
 def syntax_tree(text: str) -> ast.Expression:
     """Parse a text from :func:`readable`, with columns counted in the whole text.
 
-    Raises
-    ------
-    ParseError
-        If the text is not an expression.
+    Raise ParseError if the text is not an expression.
     """
     start = len(text) - len(text.lstrip())
     # Blanks before the first token would be an indentation error.

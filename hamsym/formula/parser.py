@@ -85,10 +85,7 @@ _NAME = re.compile(rf"[A-Za-z{GREEK}][A-Za-z{GREEK}0-9_]*")
 def check_name(name: str) -> None:
     """Raise unless a symbol name is a plain identifier in Latin and Greek letters.
 
-    Raises
-    ------
-    VariableError
-        If the name cannot be used in generated source.
+    Raise VariableError if the name cannot be used in generated source.
 
     Examples
     --------
@@ -131,16 +128,9 @@ def _spell_out(letter: str) -> str:
 def parse_expression(text: str) -> sympy.Expr:
     """Parse a formula into a sympy expression.
 
-    Parameters
-    ----------
-    text : str
-        Numbers, ``pi``, names, ``+ - * / **``, parentheses, the functions in :data:`FUNCTIONS`,
-        and sums ``sum(i, 1, 8, p[i]**2/2)`` over integers, in which ``p[i]`` is p1, ..., p8.
-
-    Returns
-    -------
-    sympy.Expr
-        In symbols with ``real=True``, with sympy's automatic simplification only.
+    - text: Numbers, ``pi``, names, ``+ - * / **``, parentheses, the functions in :data:`FUNCTIONS`,
+      and sums ``sum(i, 1, 8, p[i]**2/2)`` over integers, in which ``p[i]`` is p1, ..., p8.
+    - returns: In symbols with ``real=True``, with sympy's automatic simplification only.
 
     Raises
     ------
@@ -166,10 +156,7 @@ def parse_expression(text: str) -> sympy.Expr:
 def parse_number(text: str) -> float:
     """Evaluate a formula without variables, for example ``"4*pi"``.
 
-    Raises
-    ------
-    ParseError
-        If the text is not a formula or contains a variable.
+    Raise ParseError if the text is not a formula or contains a variable.
 
     Examples
     --------

@@ -62,14 +62,9 @@ def _table(form: str, **special: str) -> dict[type, str]:
 class Printer:
     """Text of an expression; subclasses define how functions, numbers and powers are written.
 
-    Parameters
-    ----------
-    names : mapping of sympy.Symbol to str
-        The identifier of each symbol.
-    state : frozenset of sympy.Symbol
-        Symbols that depend on the state.
-    like : str
-        Identifier of a component of the state, whose shape is that of the batch.
+    - names: The identifier of each symbol.
+    - state: Symbols that depend on the state.
+    - like: Identifier of a component of the state, whose shape is that of the batch.
     """
 
     backend = ""
@@ -96,10 +91,7 @@ class Printer:
     def lower(self, expr: sympy.Expr) -> sympy.Expr:
         """Rewrite functions that the backend lacks.
 
-        Raises
-        ------
-        CodeGenerationError
-            If a function cannot be rewritten; the message names it.
+        Raise CodeGenerationError if a function cannot be rewritten; the message names it.
         """
         for _ in range(10):  # a rewritten argument can turn f(-u) into f(u) again
             present = {type(node) for node in expr.atoms(sympy.Function)} & _REWRITES.keys()

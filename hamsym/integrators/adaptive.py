@@ -16,16 +16,11 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 
 @dataclass(frozen=True)
 class Adaptive:
-    """An integrator with adaptive step size.
+    """An integrator with adaptive step size."""
 
-    Attributes
-    ----------
-    run : callable
-        (H, z0, times, rtol, atol) -> (states, evaluations, message). After an early stop there are
-        fewer states than times, and the message gives the reason; otherwise it is empty. If atol is
-        None it is 0.01 rtol times the magnitude of the motion.
-    """
-
+    #: (H, z0, times, rtol, atol) -> (states, evaluations, message). After an early stop there are
+    #: fewer states than times, and the message gives the reason; otherwise it is empty. If atol is
+    #: None it is 0.01 rtol times the magnitude of the motion.
     run: Callable[..., tuple[np.ndarray, int, str]]
     is_symplectic = False
     is_symmetric = False
@@ -36,15 +31,9 @@ def reference(
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Integrate with DOP853 and return its dense output, a reference for other solutions.
 
-    Returns
-    -------
-    callable
-        t of shape (n,) -> states of shape (n, dim).
+    Raise InputError if the integration stops before the end of the span.
 
-    Raises
-    ------
-    InputError
-        If the integration stops before the end of the span.
+    - returns: t of shape (n,) -> states of shape (n, dim).
     """
     H = Hamiltonian.of(H)
     result = _dop853(H, H.state_from(z0), span, tolerance, None, dense_output=True)

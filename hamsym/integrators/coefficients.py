@@ -32,13 +32,9 @@ class Splitting:
 
     The time in V advances with the drifts and that in T with the kicks, which is an exact
     splitting of the autonomous system with time as a coordinate, so the order is unchanged.
-
-    Attributes
-    ----------
-    drifts, kicks : tuple of decimal.Decimal
-        a_i and b_i, of equal length; zero for a flow that is omitted.
     """
 
+    #: drifts, kicks: a_i and b_i, of equal length; zero for a flow that is omitted.
     drifts: tuple[Decimal, ...]
     kicks: tuple[Decimal, ...]
     is_symplectic = True
@@ -74,17 +70,11 @@ class Splitting:
 
 @dataclass(frozen=True)
 class RungeKutta:
-    """An implicit Runge-Kutta method with s stages.
+    """An implicit Runge-Kutta method with s stages."""
 
-    Attributes
-    ----------
-    matrix : tuple of tuples of decimal.Decimal
-        a_ij, s x s.
-    weights, nodes : tuple of decimal.Decimal
-        b_i and c_i.
-    """
-
+    #: a_ij, s x s.
     matrix: tuple[tuple[Decimal, ...], ...]
+    #: weights, nodes: b_i and c_i.
     weights: tuple[Decimal, ...]
     nodes: tuple[Decimal, ...]
 
@@ -130,10 +120,6 @@ class Doubled:
     H(q, y) + H(x, p) + omega (|q - x|^2 + |p - y|^2)/2 is split into three flows A, B and C with
     closed forms. A step is the product of A(g/2) B(g/2) C(g) B(g/2) A(g/2) over the weights g. The
     time advances with C.
-
-    Attributes
-    ----------
-    weights : tuple of decimal.Decimal
     """
 
     weights: tuple[Decimal, ...]

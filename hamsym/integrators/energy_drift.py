@@ -44,14 +44,9 @@ _SAMPLES = 4_000  # components of the states at which the Hessian is evaluated
 class EnergyDrift:
     """Accumulator of the change of H along trajectories, given in pieces.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-        If it is not conserved, by explicit time or forces, the drift is nan.
-    count : int
-        Number of trajectories.
-    parameters : numpy.ndarray, optional
-        Values of each trajectory, shape (count, k); by default those of H.
+    - H: If it is not conserved, by explicit time or forces, the drift is nan.
+    - count: Number of trajectories.
+    - parameters: Values of each trajectory, shape (count, k); by default those of H.
     """
 
     def __init__(self, H: Hamiltonian, count: int, parameters: np.ndarray | None = None) -> None:
@@ -111,10 +106,7 @@ class EnergyDrift:
 
         Infinite where the quotient is not finite, nan if H is not conserved.
 
-        Parameters
-        ----------
-        steps : int
-            Steps of the run, from which the round-off is estimated.
+        - steps: Steps of the run, from which the round-off is estimated.
         """
         if not self._H.conserves_energy:
             return np.full(self._count, np.nan)
@@ -137,17 +129,9 @@ def _round_off(steps: int) -> float:
 def work_of(t: np.ndarray, power: np.ndarray) -> np.ndarray:
     """Integrate power over time by splines, from the first time to each.
 
-    Parameters
-    ----------
-    t : numpy.ndarray
-        Times in order, shape (n,).
-    power : numpy.ndarray
-        Shape (..., n); nan from the end of a trajectory on.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (..., n); nan where the power is.
+    - t: Times in order, shape (n,).
+    - power: Shape (..., n); nan from the end of a trajectory on.
+    - returns: Shape (..., n); nan where the power is.
 
     Examples
     --------
@@ -174,18 +158,11 @@ def work_of(t: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Attempt:
-    """Result of a run over the whole span with a given number of steps.
+    """Result of a run over the whole span with a given number of steps."""
 
-    Attributes
-    ----------
-    times : numpy.ndarray
-        Equally spaced, shape (n,); a run with twice the steps has these times among its own.
-    z : numpy.ndarray
-        States, shape (batch, n, dim); nan after the end of a trajectory.
-    interrupted : bool
-    """
-
+    #: Equally spaced, shape (n,); a run with twice the steps has these times among its own.
     times: np.ndarray
+    #: States, shape (batch, n, dim); nan after the end of a trajectory.
     z: np.ndarray
     interrupted: bool
 
@@ -195,22 +172,14 @@ AttemptT = TypeVar("AttemptT", bound=Attempt)
 
 @dataclass(frozen=True)
 class Choice(Generic[AttemptT]):
-    """The last attempt, with its drift and whether the target is met.
-
-    Attributes
-    ----------
-    attempt : Attempt
-    steps : int
-    found : float
-        Largest energy drift of a trajectory; for H that is not conserved, change by
-        halving the step.
-    met : bool
-        Whether ``found`` is at most :data:`AIM` and the steps resolve the fastest linear motion.
-    """
+    """The last attempt, with its drift and whether the target is met."""
 
     attempt: AttemptT = field(repr=False)
     steps: int
+    #: Largest energy drift of a trajectory; for H that is not conserved, change by halving the
+    #: step.
     found: float
+    #: Whether ``found`` is at most :data:`AIM` and the steps resolve the fastest linear motion.
     met: bool
 
 
@@ -230,24 +199,12 @@ def choose(
     steps must also resolve the fastest linear motion along the trajectories. For a trajectory that
     ends early, the first nine tenths are tested, and two successive runs must end at the same time.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    scheme : Scheme
-    states : numpy.ndarray
-        Starts, shape (batch, dim).
-    span : (float, float)
-    run : callable
-        (steps) -> :class:`Attempt`.
-    fewest : int
-        Initial number of steps.
-    parameters : numpy.ndarray, optional
-        Values of each trajectory, shape (batch, k); by default those of H.
+    Raise InputError if resolving the motion at the start needs more steps than the limit.
 
-    Raises
-    ------
-    InputError
-        If resolving the motion at the start needs more steps than the limit.
+    - states: Starts, shape (batch, dim).
+    - run: (steps) -> :class:`Attempt`.
+    - fewest: Initial number of steps.
+    - parameters: Values of each trajectory, shape (batch, k); by default those of H.
     """
     length, batch = abs(span[1] - span[0]), len(states)
     most = _MAX_UPDATES / (batch * _cost(scheme, H.dim))

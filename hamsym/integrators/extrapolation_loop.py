@@ -17,14 +17,9 @@ _STALLED = 0.8  # ratio of successive differences from which they do not converg
 def perturb_rows(states: np.ndarray, coarse: np.ndarray, changes: np.ndarray) -> None:
     """Add changes, shape (dim,), relative to the sizes of components on a path, to the states.
 
-    Parameters
-    ----------
-    states : numpy.ndarray
-        Shape (count, dim).
-    coarse : numpy.ndarray
-        Shape (count, times, dim).
-    changes : numpy.ndarray
-        Shape (dim,).
+    - states: Shape (count, dim).
+    - coarse: Shape (count, times, dim).
+    - changes: Shape (dim,).
     """
     for row in range(coarse.shape[0]):
         for component in range(coarse.shape[2]):
@@ -51,22 +46,13 @@ def extrapolate_rows(
 ) -> None:
     """Extrapolate each trajectory in place of ``fine``.
 
-    Parameters
-    ----------
-    coarse, perturbed, fine : numpy.ndarray
-        States of the runs with n, n and 4n steps, shape (count, times, dim).
-    perturbation : float
-        Size of the perturbations whose effect is that of rounding errors of one unit in the last
-        place, relative to the sizes of the components.
-    middle : numpy.ndarray
-        Every ``every``-th state is that of the run with 2n steps at these times.
-    least, sizes : numpy.ndarray
-        Least and resulting sizes of the components, shape (count, dim).
-    order, next_order, steps : int
-    errors : numpy.ndarray
-        Shape (count, times).
-    round_off : numpy.ndarray
-        Shape (count,).
+    - coarse, perturbed, fine: States of the runs with n, n and 4n steps, shape (count, times, dim).
+    - perturbation: Size of the perturbations whose effect is that of rounding errors of one unit in
+      the last place, relative to the sizes of the components.
+    - middle: Every ``every``-th state is that of the run with 2n steps at these times.
+    - least, sizes: Least and resulting sizes of the components, shape (count, dim).
+    - errors: Shape (count, times).
+    - round_off: Shape (count,).
     """
     count, times, dim = fine.shape
     weight, next_weight = 1 / (2.0**order - 1), 1 / (2.0**next_order - 1)

@@ -34,24 +34,16 @@ _MIN_ENSEMBLE = 4
 
 @dataclass
 class Stepping:
-    """Result of :meth:`Stepper.advance`.
+    """Result of :meth:`Stepper.advance`."""
 
-    Attributes
-    ----------
-    path : numpy.ndarray
-        States before the steps and after every save_every of them, shape (n, 1 + saves, dim); nan
-        after the last completed step.
-    steps : numpy.ndarray
-        Completed steps of each trajectory, shape (n,).
-    evaluations : int
-        Evaluations of the force, the gradient or the vector field, summed over trajectories.
-    interrupted : bool
-        Whether Ctrl-C ended the run.
-    """
-
+    #: States before the steps and after every save_every of them, shape (n, 1 + saves, dim); nan
+    #: after the last completed step.
     path: np.ndarray = field(repr=False)
+    #: Completed steps of each trajectory, shape (n,).
     steps: np.ndarray
+    #: Evaluations of the force, the gradient or the vector field, summed over trajectories.
     evaluations: int
+    #: Whether Ctrl-C ended the run.
     interrupted: bool = False
 
     @property
@@ -63,26 +55,15 @@ class Stepping:
 class Stepper:
     """Fixed-step integrator of an ensemble; it keeps the states between calls.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    scheme : Scheme
-    name : str
-        Name of the method; for a non-separable H a splitting scheme must be one of
-        :data:`NOT_ONLY_SEPARABLE`.
-    states : numpy.ndarray
-        Shape (n, dim).
-    starts, sizes : numpy.ndarray
-        First time and step size of each trajectory, shape (n,).
-    parameters : numpy.ndarray
-        Values of each trajectory in the order of ``H.parameter_names``, shape (n, k).
-    compensated : bool
-        Whether to use compensated summation.
-    tangents : numpy.ndarray, optional
-        Tangent vectors, propagated in place by the derivative of the steps, shape (n, width, k);
-        width is dim, or 2 dim for a :class:`Doubled` scheme.
-    omega : float
-        Coupling of a :class:`Doubled` scheme.
+    - name: Name of the method; for a non-separable H a splitting scheme must be one of
+      :data:`NOT_ONLY_SEPARABLE`.
+    - states: Shape (n, dim).
+    - starts, sizes: First time and step size of each trajectory, shape (n,).
+    - parameters: Values of each trajectory in the order of ``H.parameter_names``, shape (n, k).
+    - compensated: Whether to use compensated summation.
+    - tangents: Tangent vectors, propagated in place by the derivative of the steps, shape (n,
+      width, k); width is dim, or 2 dim for a :class:`Doubled` scheme.
+    - omega: Coupling of a :class:`Doubled` scheme.
     """
 
     def __init__(

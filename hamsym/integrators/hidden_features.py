@@ -51,28 +51,17 @@ _FIT = np.ascontiguousarray((_BASIS * np.array([1.0, *[2.0] * DEGREE]) / PLACES)
 
 
 class Hidden(NamedTuple):
-    """What the steps of trajectories may not follow.
+    """What the steps of trajectories may not follow."""
 
-    Attributes
-    ----------
-    times : numpy.ndarray
-        Of the first feature that steps of each trajectory passed over, shape (n,), nan where there
-        is none.
-    rounding : numpy.ndarray
-        What the round-off of the force may change in each component, shape (n, dim).
-    """
-
+    #: Of the first feature that steps of each trajectory passed over, shape (n,), nan where there
+    #: is none.
     times: np.ndarray
+    #: What the round-off of the force may change in each component, shape (n, dim).
     rounding: np.ndarray
 
 
 class HiddenFeatures:
-    """The search for features that the steps of a trajectory passed over.
-
-    Parameters
-    ----------
-    H : Hamiltonian
-    """
+    """The search for features that the steps of a trajectory passed over."""
 
     def __init__(self, H: Hamiltonian) -> None:
         self.programs, self.scales = programs_of(H.real_equations), StepScales(H)
@@ -89,19 +78,13 @@ class HiddenFeatures:
     ) -> Hidden:
         """Find for each trajectory the first feature that its steps passed over.
 
-        Parameters
-        ----------
-        z : numpy.ndarray
-            States after successive steps, shape (n, steps + 1, dim); nan after the end of a
-            trajectory.
-        t : numpy.ndarray
-            Equally spaced, shape (steps + 1,).
-        parameters : numpy.ndarray, optional
-            Values of each trajectory, shape (n, k), by default those of H.
-        allowed : callable
-            Number of a trajectory -> what all features together may change in each component.
-        share : float
-            Of these times in those for which ``allowed`` is.
+        - z: States after successive steps, shape (n, steps + 1, dim); nan after the end of a
+          trajectory.
+        - t: Equally spaced, shape (steps + 1,).
+        - parameters: Values of each trajectory, shape (n, k), by default those of H.
+        - allowed: Number of a trajectory -> what all features together may change in each
+          component.
+        - share: Of these times in those for which ``allowed`` is.
         """
         found = Hidden(np.full(len(z), np.nan), np.zeros((len(z), z.shape[2])))
         together = max(1, _HELD // z[0].size)
@@ -184,17 +167,11 @@ def _hermite_fit(length: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows with the polynomials of curve and force.
+    """Windows with the polynomials of curve and force."""
 
-    Attributes
-    ----------
-    edges : numpy.ndarray
-        Times of start and end, shape (2, windows).
-    curve, force : numpy.ndarray
-        Coefficients, shape (windows, DEGREE + 1, dim).
-    """
-
+    #: Times of start and end, shape (2, windows).
     edges: np.ndarray
+    #: curve, force: Coefficients, shape (windows, DEGREE + 1, dim).
     curve: np.ndarray
     force: np.ndarray
 

@@ -42,7 +42,7 @@ from hamsym.integrators.hidden_features import hidden_features, passed_over
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.table import ALIASES, INTEGRATORS
-from hamsym.integrators.tolerance import Tolerated, integrate_to_tolerance
+from hamsym.integrators.tolerance import ToleranceSearch, Tolerated
 from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes, unknown
 from hamsym.support.shown import Shown
@@ -167,7 +167,7 @@ class Trajectory(Shown):
     def energy(self) -> np.ndarray:
         """H along the trajectory, shape (*shape, n)."""
         system = self.ensemble.H.compile("numpy")
-        values = self.ensemble.parameters if self.ensemble.varied else None
+        values = self.ensemble.own_parameters()
         if values is not None:
             values = values.reshape(*self.ensemble.shape, 1, -1)
         with np.errstate(all="ignore"):  # H may overflow at the last finite state before an escape
@@ -332,7 +332,7 @@ class Trajectory(Shown):
         index[time_name(self.names)] = self.t[places[-1]]
         columns = dict(zip(self.names, self.z.reshape(-1, len(self.names)).T, strict=True))
         members = np.repeat(np.arange(len(self.ensemble)), n)
-        columns |= {name: values[members] for name, values in self._varied.items()}
+        columns |= {name: values[members] for name, values in self.ensemble.columns.items()}
         return data_frame(columns, index, self._attributes)
 
     def to_xarray(self) -> xarray.Dataset:
@@ -365,18 +365,12 @@ class Trajectory(Shown):
         }
         if self.error_estimate is not None:
             variables["error_estimate"] = (states, self.error_estimate)
-        varied = {name: (axes, own.reshape(shape)) for name, own in self._varied.items()}
+        varied = {name: (axes, own.reshape(shape)) for name, own in self.ensemble.columns.items()}
         return data_set(
             variables,
             {"time": self.t, "component": list(self.names), **varied},
             self._attributes,
         )
-
-    @property
-    def _varied(self) -> dict[str, np.ndarray]:
-        """Parameters that vary, of shape (count,)."""
-        members, names = self.ensemble, self.ensemble.H.parameter_names
-        return {name: members.parameters[:, names.index(name)] for name in members.varied}
 
     @property
     def _attributes(self) -> dict[str, Any]:
@@ -684,9 +678,7 @@ def _to_tolerance(
 ) -> Trajectory:
     _require_memory(2 * saves, members.H.dim, len(members))  # states and error estimates
     began = time.perf_counter()
-    found = integrate_to_tolerance(
-        members, name, span, tol, saves, compensated=compensated, progress=progress
-    )
+    found = ToleranceSearch(members, name, span, tol, saves, compensated).run(progress)
     found.tol = tol
     drifts, _ = _invariant_drifts(
         members, known, found.z, np.linspace(*span, saves + 1), found, tol
@@ -746,7 +738,7 @@ def _invariant_drifts(
         if found is not None:  # zero components have larger tolerances
             errors = found.errors[index, : len(path)]
             allowed = np.maximum(allowed, np.where(np.isfinite(errors), errors, 0).max(axis=0))
-        own = members.parameters[index : index + 1] if members.varied else None
+        own = members.own_parameters([index])
         change, explained = known.drifts(path[:1], times[0], path, times[: len(path)], allowed, own)
         for name, largest in known.largest(change).items():
             drifts[name][index] = largest
@@ -789,7 +781,7 @@ def _pole(members: Ensemble, z: np.ndarray, times: np.ndarray) -> float | None:
     features = narrow_features(members.H)
     if features is None or z.size > _MAX_SAVED_COMPONENTS or z.shape[1] < 3:
         return None
-    return features.pole(z, times, _varied(members))
+    return features.pole(z, times, members.own_parameters())
 
 
 def _between_steps(
@@ -803,19 +795,14 @@ def _between_steps(
 ) -> str:
     """Describe the first feature of the force between the steps that matters, or return "".
 
-    Parameters
-    ----------
-    z, times : numpy.ndarray
-        Saved states and their times.
-    steps : int
-        Of the whole trajectories, the same number between two saved states.
-    share : float
-        Of the sizes of the components, that such features may change.
+    - z, times: Saved states and their times.
+    - steps: Of the whole trajectories, the same number between two saved states.
+    - share: Of the sizes of the components, that such features may change.
     """
     features = hidden_features(members.H)
     if features is None:
         return ""
-    values = _varied(members)
+    values = members.own_parameters()
 
     def allowed(index: int) -> np.ndarray:
         return share * features.sizes(z[index], times, None if values is None else values[index])
@@ -869,14 +856,9 @@ def _drift(members: Ensemble, z: np.ndarray, steps: int) -> float:
     """Compute the largest drift of H at the saved states, or at a sample of them."""
     if z.shape[1] > _MAX_TESTED:
         z = z[:, np.linspace(0, z.shape[1] - 1, _MAX_TESTED).astype(int)]
-    kept = EnergyDrift(members.H, len(members), _varied(members))
+    kept = EnergyDrift(members.H, len(members), members.own_parameters())
     kept.add(z)
     return float(kept.relative(steps).max())
-
-
-def _varied(members: Ensemble) -> np.ndarray | None:
-    """Parameters of the members, or None where all have those of H."""
-    return members.parameters if members.varied else None
 
 
 def _describe_accuracy(
@@ -935,7 +917,7 @@ def choose_steps(
     fewest = each * math.ceil(_MIN_STEPS / each)
     scheme = INTEGRATORS[name].scheme
     assert not isinstance(scheme, Adaptive)
-    return choose(members.H, scheme, members.states, span, run, fewest, _varied(members))
+    return choose(members.H, scheme, members.states, span, run, fewest, members.own_parameters())
 
 
 def _stepped(
@@ -987,10 +969,7 @@ def fixed_step(
 
     Without parameters every trajectory has the values of H.
 
-    Raises
-    ------
-    InputError
-        If the method is unknown, adaptive, or does not apply to this H.
+    Raise InputError if the method is unknown, adaptive, or does not apply to this H.
     """
     name = usable_method(H, method)
     scheme = INTEGRATORS[name].scheme
@@ -1020,12 +999,8 @@ def fixed_step(
 def usable_method(H: Hamiltonian, method: str) -> str:
     """Resolve aliases of a method and check that it applies to this H.
 
-    Raises
-    ------
-    InputError
-        If the table has no such method.
-    SeparabilityError
-        If it is a splitting method, and H is not separable or a force depends on momenta.
+    Raise InputError if the table has no such method. Raise SeparabilityError if it is a splitting
+    method, and H is not separable or a force depends on momenta.
     """
     name = ALIASES.get(method, method) if isinstance(method, str) else ""
     if name not in INTEGRATORS:

@@ -41,14 +41,9 @@ _CUBIC = np.array([[1, 0, -3, 2], [0, 0, 3, -2], [0, 1, -2, 1], [0, 0, -1, 1]], 
 class Interpolant:
     """A function of time through the saved states of each trajectory of an ensemble.
 
-    Parameters
-    ----------
-    t : numpy.ndarray
-        Times, strictly monotone, shape (n,).
-    z : numpy.ndarray
-        States, shape (*shape, n, dim); nan after the end of a trajectory.
-    ensemble : Ensemble
-        H and the values of the parameters, of shape ``shape``.
+    - t: Times, strictly monotone, shape (n,).
+    - z: States, shape (*shape, n, dim); nan after the end of a trajectory.
+    - ensemble: H and the values of the parameters, of shape ``shape``.
     """
 
     def __init__(self, t: np.ndarray, z: np.ndarray, ensemble: Ensemble) -> None:
@@ -68,11 +63,8 @@ class Interpolant:
     def states(self, t: Any) -> np.ndarray:
         """States at times t, shape (*shape, n, dim), or (*shape, dim) for a scalar.
 
-        Raises
-        ------
-        InputError
-            If a time is outside the saved ones, or the estimated error there is above 1 % of the
-            size of a component.
+        Raise InputError if a time is outside the saved ones, or the estimated error there is above
+        1 % of the size of a component.
         """
         times, found, errors, limits = self._evaluated(t)
         with np.errstate(invalid="ignore"):
@@ -191,8 +183,7 @@ class Interpolant:
 
     @property
     def _keywords(self) -> dict[str, np.ndarray]:
-        values = self._members.parameters if self._members.varied else None
-        return self._system.keywords(None if values is None else values[:, None])
+        return self._system.keywords(self._members.own_parameters(np.s_[:, None]))
 
     def _polynomial(
         self, ends: np.ndarray, share: np.ndarray, derivative: bool = False

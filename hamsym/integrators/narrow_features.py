@@ -26,12 +26,7 @@ _FORCE_JUMP, _ENERGY_JUMP = 1e-3, 1e-12  # smallest jumps that count, relative t
 
 
 class NarrowFeatures:
-    """Places on trajectories where H may have a feature narrower than a step.
-
-    Parameters
-    ----------
-    H : Hamiltonian
-    """
+    """Places on trajectories where H may have a feature narrower than a step."""
 
     def __init__(self, H: Hamiltonian) -> None:
         equations = H.real_equations
@@ -57,22 +52,12 @@ class NarrowFeatures:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Largest factor by which the steps are too long, and its place.
 
-        Parameters
-        ----------
-        z : numpy.ndarray
-            States after successive steps, shape (n, times, dim).
-        t : numpy.ndarray
-            Shape (times,).
-        parameters : numpy.ndarray, optional
-            Values of each trajectory, shape (n, k).
-        allowed : numpy.ndarray
-            Errors that the tolerance allows, shape (n, dim).
-
-        Returns
-        -------
-        excess, place : numpy.ndarray
-            At most 1 where the steps resolve all features, infinite at a pole or a jump, and the
-            index of the step, shape (n,) each.
+        - z: States after successive steps, shape (n, times, dim).
+        - t: Shape (times,).
+        - parameters: Values of each trajectory, shape (n, k).
+        - allowed: Errors that the tolerance allows, shape (n, dim).
+        - returns excess, place: At most 1 where the steps resolve all features, infinite at a pole
+          or a jump, and the index of the step, shape (n,) each.
         """
         with np.errstate(all="ignore"):
             g = on_trajectories(self._arguments, self._identifiers, z, t, parameters)

@@ -31,24 +31,16 @@ _PERTURBATION = 1e-11  # of a component, above its round-off and below all nonli
 
 @dataclass(frozen=True)
 class Extrapolation:
-    """Extrapolated states of trajectories and their estimated errors.
+    """Extrapolated states of trajectories and their estimated errors."""
 
-    Attributes
-    ----------
-    states : numpy.ndarray
-        Shape (n, times, dim); those of the finest run where another run is not finite.
-    sizes : numpy.ndarray
-        Largest magnitude of each component in the middle run, shape (n, dim).
-    errors : numpy.ndarray
-        Estimated largest error of a component, relative to its size, up to each time, shape
-        (n, times); infinite where a run is not finite.
-    round_off : numpy.ndarray
-        The part of the last errors that is round-off, shape (n,).
-    """
-
+    #: Shape (n, times, dim); those of the finest run where another run is not finite.
     states: np.ndarray
+    #: Largest magnitude of each component in the middle run, shape (n, dim).
     sizes: np.ndarray
+    #: Estimated largest error of a component, relative to its size, up to each time, shape (n,
+    #: times); infinite where a run is not finite.
     errors: np.ndarray
+    #: The part of the last errors that is round-off, shape (n,).
     round_off: np.ndarray
 
     def add_round_off(self, sizes: np.ndarray) -> None:
@@ -71,22 +63,15 @@ def extrapolate(
 ) -> Extrapolation:
     """Extrapolate three runs, the first states of which are the exact start.
 
-    Parameters
-    ----------
-    coarse, middle, fine : numpy.ndarray
-        States of runs with n, 2n and 4n steps, shape (n, times, dim); the middle run may have
-        further states at equal distances between those times. The finest run is overwritten.
-    perturbed : numpy.ndarray
-        The same for a run with n steps and ``count`` calls of :func:`perturb` at equal intervals.
-    count : int
-    order, next_order : int
-        Order of the method, and the next power of the step in its error.
-    steps : int
-        Number of steps of the finest run.
-    rounding : float
-        Rounding errors of a step, in units of the last place of the components.
-    least : numpy.ndarray, optional
-        Smallest sizes of the components to which errors are relative, shape (n, dim).
+    - coarse, middle, fine: States of runs with n, 2n and 4n steps, shape (n, times, dim); the
+      middle run may have further states at equal distances between those times. The finest run is
+      overwritten.
+    - perturbed: The same for a run with n steps and ``count`` calls of :func:`perturb` at equal
+      intervals.
+    - order, next_order: Order of the method, and the next power of the step in its error.
+    - steps: Number of steps of the finest run.
+    - rounding: Rounding errors of a step, in units of the last place of the components.
+    - least: Smallest sizes of the components to which errors are relative, shape (n, dim).
     """
     number, times, dim = fine.shape
     sizes, errors, round_off = np.empty((number, dim)), np.empty((number, times)), np.empty(number)
@@ -113,14 +98,9 @@ def extrapolate(
 def perturb(states: np.ndarray, coarse: np.ndarray, number: int) -> None:
     """Perturb states, shape (n, dim), relative to the sizes of components on a coarse path.
 
-    Parameters
-    ----------
-    states : numpy.ndarray
-        Shape (n, dim), changed in place.
-    coarse : numpy.ndarray
-        Shape (n, times, dim).
-    number : int
-        Number of the perturbation, which determines its direction.
+    - states: Shape (n, dim), changed in place.
+    - coarse: Shape (n, times, dim).
+    - number: Number of the perturbation, which determines its direction.
     """
     _compiled("perturb_rows")(states, coarse, _changes(number, states.shape[1]))
 

@@ -43,12 +43,7 @@ _SCALES = {
 
 
 class StepScales:
-    """Tests of blocks of steps.
-
-    Parameters
-    ----------
-    H : Hamiltonian
-    """
+    """Tests of blocks of steps."""
 
     def __init__(self, H: Hamiltonian) -> None:
         equations = H.real_equations
@@ -65,12 +60,9 @@ class StepScales:
     ) -> np.ndarray:
         """Whether every argument changes little over blocks of states, shape (n, blocks).
 
-        Parameters
-        ----------
-        z, t, parameters : numpy.ndarray
-            States, shape (n, times, dim), times, and values of each trajectory, shape (n, k).
-        blocks : numpy.ndarray
-            Indices of the states of each block, shape (blocks, m).
+        - z, t, parameters: States, shape (n, times, dim), times, and values of each trajectory,
+          shape (n, k).
+        - blocks: Indices of the states of each block, shape (blocks, m).
         """
         if self._scales is None:
             return np.zeros((len(z), len(blocks)), dtype=bool)
@@ -110,12 +102,8 @@ def on_trajectories(
 ) -> np.ndarray:
     """Evaluate compiled expressions along trajectories with parameters of their own.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Identifiers of all parameters, k of them, of which the function takes some.
-    z, t, parameters : numpy.ndarray
-        Shapes (n, times, dim), (times,) and (n, k); no parameters for those of H.
+    - names: Identifiers of all parameters, k of them, of which the function takes some.
+    - z, t, parameters: Shapes (n, times, dim), (times,) and (n, k); no parameters for those of H.
     """
     given = {}
     if parameters is not None:

@@ -8,21 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.description import MALFORMED, described, hamiltonian_from
+from hamsym.description import described, hamiltonian_from, read_result, write_result
 from hamsym.ensemble import Ensemble
-from hamsym.errors import FileError
 from hamsym.integrators.integrate import Trajectory
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.integrators.tolerance import Tolerated
-from hamsym.support.checked_data import (
-    checked_list,
-    checked_mapping,
-    checked_number,
-    checked_type,
-    require_array,
-    require_names,
-)
-from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
+from hamsym.support.checked_data import checked_values, require_array, require_names
 
 #: Kind of the file.
 KIND = "trajectory"
@@ -37,38 +28,33 @@ _PLAIN = {
     "interrupted": "bool",
     "drift": "float",
 }
+_TYPES = _PLAIN | {
+    "H": "Mapping[str, Any]",
+    "shape": "tuple[int, ...]",
+    "varied": "tuple[str, ...]",
+}
+_TYPES_OF_TOLERANCE = {"problems": "Mapping[str, str]", "tol": "float"}
 _ARRAYS = {"t", "z", "starts", "parameters", "success"}
-_OF_TOLERANCE = {"error_estimate", "largest", "steps"}
+_ARRAYS_OF_TOLERANCE = {"error_estimate", "largest", "steps"}
 _MOST_MEMBERS = 2**40
 
 
 def write_trajectory(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
-    """Write a trajectory, or those of an ensemble, to one file; see :func:`hamsym.save`.
+    """Write a trajectory, or those of an ensemble, to one file; see :func:`hamsym.save`."""
+    H = trajectory.ensemble.H
+    write_result(path, KIND, H, lambda: _check(trajectory), lambda: _parts(trajectory))
 
-    Raises
-    ------
-    FileError
-        If the file cannot be written, or the trajectory is not valid.
-    """
-    try:
-        _check(trajectory)
-        same = hamiltonian_from(described(trajectory.ensemble.H)) == trajectory.ensemble.H
-    except MALFORMED as error:
-        raise FileError(
-            f"'{path}' was not written, because the trajectory is not valid: {one_line(error)}"
-        ) from None
-    if not same:
-        raise FileError(f"'{path}' is not written: H has no formula that is read back as it is")
+
+def _parts(trajectory: Trajectory) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     members, found = trajectory.ensemble, trajectory.verdicts
     count = len(members)
+    success = np.array(np.broadcast_to(trajectory.success, members.shape), dtype=np.uint8)
     arrays = {
         "t": trajectory.t,
         "z": trajectory.z.reshape(count, len(trajectory.t), -1),
         "starts": members.states,
         "parameters": members.parameters,
-        "success": np.array(
-            np.broadcast_to(trajectory.success, members.shape), dtype=np.uint8
-        ).reshape(-1),
+        "success": success.reshape(-1),
     }
     values: dict[str, Any] = {
         "H": described(members.H),
@@ -81,7 +67,7 @@ def write_trajectory(trajectory: Trajectory, path: str | os.PathLike[str]) -> No
         arrays["largest"], arrays["steps"] = found.largest, found.steps.astype(np.int64)
         values["tol"] = float(found.tol)
         values["problems"] = {str(index): text for index, text in found.problems.items()}
-    write_tensors(path, KIND, arrays, values)
+    return arrays, values
 
 
 def _json(value: Any) -> Any:
@@ -89,43 +75,23 @@ def _json(value: Any) -> Any:
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read a file that :func:`write_trajectory` wrote.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read, is damaged or not valid.
-    """
-    arrays, values = read_tensors(path, KIND)
-    try:
-        trajectory = _assembled(arrays, values)
-        _check(trajectory)
-    except MALFORMED as error:
-        raise FileError(
-            f"'{path}' is not a valid file of a trajectory: {one_line(error)}"
-        ) from None
-    return trajectory
+    """Read a file that :func:`write_trajectory` wrote; see :func:`hamsym.load`."""
+    return read_result(path, KIND, _assembled)
 
 
 def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Trajectory:
     toleranced = "problems" in values
-    require_names("arrays", arrays, _ARRAYS | _OF_TOLERANCE if toleranced else _ARRAYS)
-    own = {"H", "shape", "varied", *_PLAIN}
-    require_names("values", values, own | {"problems", "tol"} if toleranced else own)
-    plain = {name: checked_type(name, values[name], kind) for name, kind in _PLAIN.items()}
-    H = hamiltonian_from(checked_mapping("H", values["H"]))
-    shape = tuple(checked_type("shape", n, "int") for n in checked_list("shape", values["shape"]))
+    require_names("arrays", arrays, _ARRAYS | (_ARRAYS_OF_TOLERANCE if toleranced else set()))
+    types = _TYPES | (_TYPES_OF_TOLERANCE if toleranced else {})
+    given = checked_values("values", values, types)
+    H, shape = hamiltonian_from(given["H"]), given["shape"]
     if not all(0 <= n < _MOST_MEMBERS for n in shape) or len(shape) > 32:
         raise ValueError("its shape is not that of an array")
     count, times = math.prod(shape), arrays["t"].size
-    varied = tuple(
-        checked_type("varied", name, "str") for name in checked_list("varied", values["varied"])
-    )
     require_array("success", arrays["success"], (count,), np.uint8)
     if not (arrays["success"] <= 1).all():
         raise ValueError("its success is neither true nor false")
     success = arrays["success"].astype(bool)
-    members = Ensemble(H, arrays["starts"], arrays["parameters"], shape, varied)
     path_shape = (count, times, H.dim)
     require_array("z", arrays["z"], path_shape, finite=False)
     found = errors = None
@@ -134,32 +100,32 @@ def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Traject
         require_array("error_estimate", errors, path_shape, finite=False)
         require_array("largest", arrays["largest"], (count,), finite=False)
         require_array("steps", arrays["steps"], (count,), np.int64)
-        texts = checked_mapping("problems", values["problems"])
-        problems = {int(index): checked_type("problem", t, "str") for index, t in texts.items()}
         found = Tolerated(
             z=arrays["z"],
             errors=errors,
             success=success,
             steps=arrays["steps"],
             largest=arrays["largest"],
-            problems=problems,
-            evaluations=plain["evaluations"],
-            interrupted=plain["interrupted"],
-            tol=checked_number("tol", values["tol"]),
+            problems={int(index): text for index, text in given["problems"].items()},
+            evaluations=given["evaluations"],
+            interrupted=given["interrupted"],
+            tol=given["tol"],
         )
         errors = errors.reshape(*shape, times, H.dim)
     # Without tol success is one verdict of all trajectories.
     one = None if toleranced and shape else bool(success.all())
-    return Trajectory(
+    trajectory = Trajectory(
         t=arrays["t"],
         z=arrays["z"].reshape(*shape, times, H.dim),
         names=H.names,
         success=success.reshape(shape) if one is None else one,
-        ensemble=members,
+        ensemble=Ensemble(H, arrays["starts"], arrays["parameters"], shape, given["varied"]),
         error_estimate=errors,
         verdicts=found,
-        **plain,
+        **{name: given[name] for name in _PLAIN},
     )
+    _check(trajectory)
+    return trajectory
 
 
 def _check(trajectory: Trajectory) -> None:

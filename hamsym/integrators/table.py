@@ -11,14 +11,7 @@ from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitti
 
 @dataclass(frozen=True)
 class Integrator:
-    """A row of the table: the scheme of a method, its order and its source.
-
-    Attributes
-    ----------
-    order : int
-    summary, source : str
-    scheme : Scheme or Adaptive
-    """
+    """A row of the table: the scheme of a method, its order and its source."""
 
     order: int
     summary: str

@@ -64,32 +64,19 @@ _EPS = float(np.finfo(float).eps)
 
 @dataclass
 class Tolerated:
-    """Trajectories of an ensemble, and how far each of them meets the tolerance.
+    """Trajectories of an ensemble, and how far each of them meets the tolerance."""
 
-    Attributes
-    ----------
-    z : numpy.ndarray
-        States, shape (count, 1 + saves, dim); nan after the end of a trajectory.
-    errors : numpy.ndarray
-        Estimated errors in the units of the components, shape of z; infinite where unknown.
-    success : numpy.ndarray
-        Shape (count,).
-    steps : numpy.ndarray
-        Steps of the finest run of each trajectory, shape (count,).
-    largest : numpy.ndarray
-        Largest estimated error of each trajectory relative to the sizes of its components.
-    problems : dict
-        Reason for each trajectory that did not succeed, by its index.
-    evaluations : int
-    interrupted : bool
-    tol : float
-    """
-
+    #: States, shape (count, 1 + saves, dim); nan after the end of a trajectory.
     z: np.ndarray = field(repr=False)
+    #: Estimated errors in the units of the components, shape of z; infinite where unknown.
     errors: np.ndarray = field(repr=False)
+    #: Shape (count,).
     success: np.ndarray
+    #: Steps of the finest run of each trajectory, shape (count,).
     steps: np.ndarray
+    #: Largest estimated error of each trajectory relative to the sizes of its components.
     largest: np.ndarray
+    #: Reason for each trajectory that did not succeed, by its index.
     problems: dict[int, str]
     evaluations: int = 0
     interrupted: bool = False
@@ -111,39 +98,16 @@ class _Round(NamedTuple):
     evaluations: int
 
 
-def integrate_to_tolerance(
-    members: Ensemble,
-    method: str,
-    span: tuple[float, float],
-    tol: float,
-    saves: int,
-    *,
-    compensated: bool = False,
-    progress: bool | None = None,
-) -> Tolerated:
-    """Integrate every member until its estimated error is at most tol.
+class ToleranceSearch:
+    """Integration of every member until its estimated error is at most tol.
 
     The error of each component is relative to its largest magnitude at the compared times, or, for
     a component that is zero or tiny, to 1e-8 of the size that the terms of its equation give it.
 
-    Parameters
-    ----------
-    members : Ensemble
-        States that are not finite are refused by themselves.
-    method : str
-        A splitting or implicit Runge-Kutta method.
-    span : (float, float)
-    tol : float
-    saves : int
-        Number of equal intervals between the times at which states are returned.
-    compensated : bool
-    progress : bool, optional
+    - members: States that are not finite are refused by themselves.
+    - method: A splitting or implicit Runge-Kutta method.
+    - saves: Number of equal intervals between the times at which states are returned.
     """
-    return _Search(members, method, span, tol, saves, compensated).run(progress)
-
-
-class _Search:
-    """Search of the number of steps of each member."""
 
     def __init__(
         self,
@@ -188,6 +152,7 @@ class _Search:
         self._found.z[:, 0] = members.states
 
     def run(self, progress: bool | None) -> Tolerated:
+        """Search the number of steps of each member."""
         pending = self._prepared()
         found = self._found
         try:
@@ -248,7 +213,7 @@ class _Search:
         states = self._members.states[rows]
         with np.errstate(all="ignore"):
             arguments = self._system.arguments(states, self._span[0])
-            given = self._system.keywords(self._parameters(rows))
+            given = self._system.keywords(self._members.own_parameters(rows))
             matrices = np.asarray(self._system.jacobian(*arguments, **given))
             squares = matrices @ matrices
             traces = np.einsum("nij,nji->n", squares, squares)
@@ -257,7 +222,7 @@ class _Search:
     def _has_rates(self, rows: np.ndarray) -> np.ndarray:
         """Whether H and its gradient are finite at the starts of members, shape (n,)."""
         states = self._members.states[rows]
-        given = self._system.keywords(self._parameters(rows))
+        given = self._system.keywords(self._members.own_parameters(rows))
         arguments = self._system.arguments(states, self._span[0])
         with np.errstate(all="ignore"):
             energy = np.asarray(self._system.energy(*arguments, **given))
@@ -272,9 +237,6 @@ class _Search:
         multiple = np.maximum(np.ceil(steps / self._sampled), 1.0)
         grain = 2.0 ** np.maximum(np.floor(np.log2(multiple)) + 1 - digits, 0.0)
         return np.asarray(np.ceil(multiple / grain) * grain, dtype=np.int64) * self._sampled
-
-    def _parameters(self, rows: np.ndarray) -> np.ndarray | None:
-        return self._members.parameters[rows] if self._members.varied else None
 
     # -- runs --------------------------------------------------------------------------------
 
@@ -343,7 +305,7 @@ class _Search:
         if self._narrow is not None:
             times = np.linspace(*self._span, dense.shape[1])
             narrow, place = self._narrow.unresolved(
-                dense, times, self._parameters(rows), self._tol * found.sizes
+                dense, times, self._members.own_parameters(rows), self._tol * found.sizes
             )
             narrow_times = times[place]
         states = found.states[:, :: self._sampled // self._saves]
@@ -371,7 +333,9 @@ class _Search:
         assert self._hidden is not None
         times = np.linspace(*self._span, path.shape[1])
         allowed = self._tol * sizes
-        return self._hidden.search(path, times, self._parameters(rows), lambda i: allowed[i])
+        return self._hidden.search(
+            path, times, self._members.own_parameters(rows), lambda i: allowed[i]
+        )
 
     def _rounding(self, rows: np.ndarray) -> float:
         if not isinstance(self._scheme, Splitting):
@@ -424,7 +388,7 @@ class _Search:
         if not self._members.H.conserves_energy:
             return np.zeros(len(rows))
         z = states.transpose(1, 0, 2)
-        given = self._system.keywords(self._parameters(rows))
+        given = self._system.keywords(self._members.own_parameters(rows))
         with np.errstate(all="ignore"):
             energy = np.asarray(self._system.energy(z, **given))
             slopes = np.abs(np.asarray(self._system.gradient(z, **given)))
@@ -496,7 +460,7 @@ class _Search:
         self._coupled[member] = True
         z, sizes = result.states[position], result.found.sizes[position]
         times = np.linspace(*self._span, len(z))
-        given = self._system.keywords(self._parameters(np.array([member])))
+        given = self._system.keywords(self._members.own_parameters(np.array([member])))
         with np.errstate(all="ignore"):
             jacobian = self._system.jacobian(*self._system.arguments(z, times), **given)
             coupling = np.abs(np.asarray(jacobian)).mean(axis=0)

@@ -31,17 +31,11 @@ _JOINT = 1e3
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """One trial solution for each window; each starts at the end of the one before.
+    """One trial solution for each window; each starts at the end of the one before."""
 
-    Attributes
-    ----------
-    pieces : tuple of TrialSolution
-        In the order of the span. Piece k is used from its own ``t0`` to that of the next.
-    end : float
-        End of the last window.
-    """
-
+    #: In the order of the span. Piece k is used from its own ``t0`` to that of the next.
     pieces: tuple[TrialSolution, ...] = field(repr=False)
+    #: End of the last window.
     end: float
 
     @property
@@ -102,10 +96,7 @@ class Chain:
     ) -> Chain:
         """Build a chain from the results of :meth:`describe` and :meth:`arrays`.
 
-        Raises
-        ------
-        ValueError
-            If they do not describe a chain with ``dim`` components.
+        Raise ValueError if they do not describe a chain with ``dim`` components.
         """
         require_names("trial solution", values, {"form", "end", "pieces"})
         forms = checked_list("pieces", values["pieces"], most=MAX_WINDOWS)
@@ -156,36 +147,23 @@ def _terms(piece: TrialSolution, t: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ChainTraining:
-    """Record of the training of a chain.
+    """Record of the training of a chain."""
 
-    Attributes
-    ----------
-    edges : numpy.ndarray
-        Ends of the windows, shape (n + 1,).
-    steps : numpy.ndarray
-        Least-squares steps of each window, shape (n,).
-    hidden_steps : numpy.ndarray
-        Those of them that changed the hidden layers.
-    residuals : numpy.ndarray
-        Largest residual between the points in each window, relative to the size of the motion.
-    points : int
-        Collocation points of all windows.
-    point_evaluations : int
-        Evaluations of the vector field, each at one point, those of rejected windows included.
-    rejected : int
-        Windows that were trained in vain and tried again, shorter.
-    passes : int
-        Chains trained until one met the tolerance.
-    seconds, cpu_seconds : float
-    """
-
+    #: Ends of the windows, shape (n + 1,).
     edges: np.ndarray = field(repr=False)
+    #: Least-squares steps of each window, shape (n,).
     steps: np.ndarray = field(repr=False)
+    #: Those of them that changed the hidden layers.
     hidden_steps: np.ndarray = field(repr=False)
+    #: Largest residual between the points in each window, relative to the size of the motion.
     residuals: np.ndarray = field(repr=False)
+    #: Collocation points of all windows.
     points: int
+    #: Evaluations of the vector field, each at one point, those of rejected windows included.
     point_evaluations: int
+    #: Windows that were trained in vain and tried again, shorter.
     rejected: int
+    #: Chains trained until one met the tolerance.
     passes: int
     seconds: float
     cpu_seconds: float

@@ -19,11 +19,7 @@ from hamsym.random_features.windows import Windows
 class ChainChecks(WindowChecks):
     """The checks of :mod:`hamsym.random_features.window_checks`, of networks instead of features.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    seed : int
-        Of the basis, whose tables are not used.
+    - seed: Of the basis, whose tables are not used.
     """
 
     def __init__(self, H: Hamiltonian, seed: int) -> None:
@@ -39,15 +35,9 @@ class ChainChecks(WindowChecks):
     ) -> str:
         """Return what a window misses between its points, "" if it passes.
 
-        Parameters
-        ----------
-        piece : TrialSolution
-        end : float
-            End of its window.
-        sizes : numpy.ndarray
-            Sizes of the components, shape (dim,).
-        tolerance : float
-            Of the residual, relative to the sizes.
+        - end: End of its window.
+        - sizes: Sizes of the components, shape (dim,).
+        - tolerance: Of the residual, relative to the sizes.
         """
         self.tolerance = tolerance
         chain = Chain((piece,), end)

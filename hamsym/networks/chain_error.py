@@ -68,13 +68,7 @@ def estimate_chain_error(
 ) -> ErrorOfChain:
     """Estimate the error of a chain from its residual.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    chain : Chain
-    training : ChainTraining
-    nodes : int
-        Of each part of a window.
+    - nodes: Of each part of a window.
     """
     system, rule = H.compile("numpy"), collocation(nodes)
     edges = _parts(chain, training)

@@ -13,12 +13,7 @@ import torch
 from hamsym.errors import InputError
 from hamsym.networks.chain import MAX_WINDOWS, ChainTraining
 from hamsym.networks.chain_error import ErrorOfChain, estimate_chain_error
-from hamsym.networks.chain_training import (
-    ChainSettings,
-    Layout,
-    TrainedChain,
-    train_chain,
-)
+from hamsym.networks.chain_training import ChainRun, ChainSettings, Layout, TrainedChain
 from hamsym.networks.devices import available_device
 from hamsym.networks.equal_windows import train_windows
 from hamsym.networks.options import LevenbergMarquardtOptions
@@ -148,7 +143,7 @@ def _trained(
     if options.windows is not None:
         # Networks of the usual size make the first guess.
         free = replace(layout, hidden=LevenbergMarquardtOptions().hidden)
-    trained = train_chain(H, z0, span, free, settings, generator, advance=advance)
+    trained = ChainRun(H, z0, span, free, settings, generator).trained(advance)
     if options.windows is None or trained.chain is None or trained.reason:
         return trained
     widen = tuple(options.hidden) == tuple(LevenbergMarquardtOptions().hidden)

@@ -43,15 +43,7 @@ _QUICK = 40  # fixed-point passes of readouts that converge quickly
 
 @dataclass(frozen=True)
 class Layout:
-    """Form of the networks of a chain.
-
-    Attributes
-    ----------
-    hidden : sequence of int
-    activation, envelope : str
-    frequency : float or None
-    device : torch.device
-    """
+    """Form of the networks of a chain."""
 
     hidden: Sequence[int]
     activation: str
@@ -71,30 +63,20 @@ class Layout:
 
 @dataclass(frozen=True)
 class ChainSettings:
-    """Settings of the training of a chain.
+    """Settings of the training of a chain."""
 
-    Attributes
-    ----------
-    tolerance : float
-        Largest residual in a window, relative to the size of the motion.
-    hidden_steps : int
-        Largest number of steps of the hidden layers in a window.
-    stops : sequence of float
-        Times at which a window must end, in the order of the span.
-    longest : float
-        Length of the longest window.
-    deadline : float, optional
-        Of :func:`time.perf_counter`.
-    limit : float, optional
-        Residual of what a window of given length may miss between its points; its own residual is
-        at most ten times that.
-    """
-
+    #: Largest residual in a window, relative to the size of the motion.
     tolerance: float
+    #: Largest number of steps of the hidden layers in a window.
     hidden_steps: int
+    #: Times at which a window must end, in the order of the span.
     stops: Sequence[float]
+    #: Length of the longest window.
     longest: float
+    #: Of :func:`time.perf_counter`.
     deadline: float | None = None
+    #: Residual of what a window of given length may miss between its points; its own residual is at
+    #: most ten times that.
     limit: float = math.inf
 
     def of_window(self, layout: Layout, hidden_steps: int) -> Settings:
@@ -104,24 +86,15 @@ class ChainSettings:
 
 @dataclass(frozen=True)
 class TrainedChain:
-    """A chain and its record.
-
-    Attributes
-    ----------
-    chain : Chain or None
-    training : ChainTraining or None
-    reason : str
-        Why it ends before the span does, "" if not.
-    reached : float
-        End of its last window.
-    doubt : str
-        What a window misses between its points, "" if nothing is known.
-    """
+    """A chain and its record."""
 
     chain: Chain | None
     training: ChainTraining | None
+    #: Why it ends before the span does, "" if not.
     reason: str
+    #: End of its last window.
     reached: float
+    #: What a window misses between its points, "" if nothing is known.
     doubt: str = ""
 
 
@@ -160,45 +133,12 @@ class Flow:
         return np.asarray(self.numpy.jacobian(*self.numpy.arguments(z, t)), dtype=float)
 
 
-def train_chain(
-    H: Hamiltonian,
-    z0: np.ndarray,
-    span: tuple[float, float],
-    layout: Layout,
-    settings: ChainSettings,
-    generator: torch.Generator,
-    *,
-    advance: Callable[[float], None] = lambda _: None,
-) -> TrainedChain:
-    """Train a chain of networks whose windows follow the motion.
+class ChainRun:
+    """The training of a chain of networks whose windows follow the motion.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    z0 : numpy.ndarray
-        Shape (dim,).
-    span : (float, float)
-    layout : Layout
-    settings : ChainSettings
-    generator : torch.Generator
-        Source of the initial weights.
-    advance : callable
-        Called with the share of the span that each window adds.
+    - z0: Shape (dim,).
+    - generator: Source of the initial weights.
     """
-    run = _Run(H, z0, span, layout, settings, generator)
-    with np.errstate(all="ignore"):
-        try:
-            while run.time != span[1] and not run.reason:
-                before = run.time
-                run.step()
-                advance(abs(run.time - before) / abs(span[1] - span[0]))
-        except KeyboardInterrupt:
-            run.reason = "interrupted"
-    return run.result()
-
-
-class _Run:
-    """The state of a chain in training."""
 
     def __init__(
         self,
@@ -226,6 +166,19 @@ class _Run:
         self.reason = ""
         self.longest = settings.longest
         self.length = self._first_length()
+
+    def trained(self, advance: Callable[[float], None] = lambda _: None) -> TrainedChain:
+        """Train all windows; ``advance`` is called with the share of the span that each adds."""
+        start, end = self.span
+        with np.errstate(all="ignore"):
+            try:
+                while self.time != end and not self.reason:
+                    before = self.time
+                    self.step()
+                    advance(abs(self.time - before) / abs(end - start))
+            except KeyboardInterrupt:
+                self.reason = "interrupted"
+        return self.result()
 
     def _first_length(self) -> float:
         matrix = self.flow.generator(self.z, self.time)
@@ -366,19 +319,11 @@ def assembled(
 ) -> TrainedChain:
     """Return a chain of pieces with its record.
 
-    Parameters
-    ----------
-    pieces : sequence of TrialSolution
-    end : float
-        End of the last one.
-    counts : sequence of (int, int, float)
-        Steps, those of hidden layers, and residual of each piece.
-    totals : (int, int, int)
-        Points, evaluations and rejected windows.
-    began : (float, float)
-        Wall and processor time of the beginning.
-    reason, doubt : str
-        As in :class:`TrainedChain`.
+    - end: End of the last one.
+    - counts: Steps, those of hidden layers, and residual of each piece.
+    - totals: Points, evaluations and rejected windows.
+    - began: Wall and processor time of the beginning.
+    - reason, doubt: As in :class:`TrainedChain`.
     """
     if not pieces:
         return TrainedChain(None, None, reason, end)

@@ -17,29 +17,19 @@ from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A file from which a training is resumed, to the same bits as without an interruption.
+    """A file from which a training is resumed, to the same bits as without an interruption."""
 
-    Attributes
-    ----------
-    path : path-like
-        Replaced in one step, periodically and at the end; read if it exists.
-    settings : mapping
-        Settings that determine the training; a file with other settings is refused.
-    every : float
-        Seconds between two writes.
-    """
-
+    #: Replaced in one step, periodically and at the end; read if it exists.
     path: str | os.PathLike[str]
+    #: Settings that determine the training; a file with other settings is refused.
     settings: Mapping[str, Any]
+    #: Seconds between two writes.
     every: float = 10.0
 
     def read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
         """Return the tensors and values of the file, or None if it does not exist.
 
-        Raises
-        ------
-        FileError
-            If the file cannot be read, or belongs to a training with other settings.
+        Raise FileError if the file cannot be read, or belongs to a training with other settings.
         """
         if not isinstance(self.path, (str, os.PathLike)):
             raise InputError(f"checkpoint={self.path!r} is not a path; give a str or path-like")
@@ -65,10 +55,7 @@ class Checkpoint:
     def write(self, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
         """Replace the file.
 
-        Raises
-        ------
-        FileError
-            If the file cannot be written.
+        Raise FileError if the file cannot be written.
         """
         arrays = {name: tensor.detach().cpu().numpy() for name, tensor in tensors.items()}
         write_tensors(self.path, "checkpoint", arrays, {"settings": dict(self.settings), **values})

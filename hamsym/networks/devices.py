@@ -11,10 +11,7 @@ from hamsym.support.tensor_files import one_line
 def available_device(device: str | torch.device, dtype: torch.dtype) -> torch.device:
     """Return a device on which tensors of this type can be used.
 
-    Raises
-    ------
-    InputError
-        If it is not a device, is not present, or lacks the type.
+    Raise InputError if it is not a device, is not present, or lacks the type.
 
     Examples
     --------

@@ -47,22 +47,10 @@ def train_windows(
 ) -> TrainedChain:
     """Train networks on a given number of equal windows; a chain gives the first guess.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    guess : Chain
-        A chain over the whole span.
-    count : int
-    layout : Layout
-    settings : ChainSettings
-    generator : torch.Generator
-    widen : bool
-        Make the last layer as wide as the motion in a window needs.
+    Raise InputError if the motion in a window needs too large a network.
 
-    Raises
-    ------
-    InputError
-        If the motion in a window needs too large a network.
+    - guess: A chain over the whole span.
+    - widen: Make the last layer as wide as the motion in a window needs.
     """
     began = time.perf_counter(), time.process_time()
     flow = Flow(H, layout.device)

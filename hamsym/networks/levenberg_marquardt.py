@@ -43,17 +43,11 @@ _PROBE = 0.1  # fraction of the step over which its curvature is measured
 class LevenbergMarquardt:
     """Levenberg-Marquardt with new random points in every iteration.
 
-    Parameters
-    ----------
-    points : int or numpy.ndarray
-        Collocation points K on the whole span; short spans of sequential training have fewer. Or
-        times, from the start of the span on, in place of random ones.
+    Raise InputError if a trial solution has no known derivative in its weights, or the objective
+    has regularizers, which have no least-squares form.
 
-    Raises
-    ------
-    InputError
-        If a trial solution has no known derivative in its weights, or the objective has
-        regularizers, which have no least-squares form.
+    - points: Collocation points K on the whole span; short spans of sequential training have fewer.
+      Or times, from the start of the span on, in place of random ones.
     """
 
     check_every = 5

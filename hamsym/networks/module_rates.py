@@ -19,18 +19,10 @@ _LARGEST = 200_000_000  # numbers in J: 1.6 GB in float64
 class ModuleRates:
     """Products with the derivative J of the rows (component, point) in the weights.
 
-    Parameters
-    ----------
-    trial : ModuleTrial
-    t : Tensor
-        Times, shape (K,).
-    in_z, in_dz : Tensor
-        Derivatives of the rows in z and in dz, each of shape (K, m, dim).
+    Raise InputError if J is too large, or a layer cannot be differentiated in batches.
 
-    Raises
-    ------
-    InputError
-        If J is too large, or a layer cannot be differentiated in batches.
+    - t: Times, shape (K,).
+    - in_z, in_dz: Derivatives of the rows in z and in dz, each of shape (K, m, dim).
     """
 
     def __init__(self, trial: ModuleTrial, t: Tensor, in_z: Tensor, in_dz: Tensor) -> None:

@@ -30,12 +30,8 @@ _DEFECT = 0.01
 class ModuleTrial(EnvelopedNetwork):
     """z^(t) = z0 + f(s) N(s) with s = (t - t0) / tau, for any module N of torch.
 
-    Parameters
-    ----------
-    network : torch.nn.Module
-        s of shape (K, 1) -> N(s) of shape (K, dim), each row from its own s alone.
-    z0, t0, tau, envelope
-        As of :class:`~hamsym.networks.trial.EnvelopedNetwork`.
+    - network: s of shape (K, 1) -> N(s) of shape (K, dim), each row from its own s alone.
+    - z0, t0, tau, envelope: As of :class:`~hamsym.networks.trial.EnvelopedNetwork`.
     """
 
     def __init__(self, network: torch.nn.Module, z0: Tensor, **settings: Any) -> None:
@@ -131,21 +127,12 @@ def checked_copy(
 ) -> torch.nn.Module:
     """Return a copy of a module on the CPU that has passed the tests of a trial network.
 
-    Parameters
-    ----------
-    module : torch.nn.Module
-    dim : int
-        Number of outputs.
-    longest : float
-        Largest input s; the smallest is 0.
-    dtype : torch.dtype
-        Type of the copy's weights.
+    Raise InputError if the module cannot be copied or evaluated, its outputs have another shape or
+    type, are not finite, random, or dependent on other rows, or they have no derivative.
 
-    Raises
-    ------
-    InputError
-        If the module cannot be copied or evaluated, its outputs have another shape or type, are
-        not finite, random, or dependent on other rows, or they have no derivative.
+    - dim: Number of outputs.
+    - longest: Largest input s; the smallest is 0.
+    - dtype: Type of the copy's weights.
     """
     if not isinstance(module, torch.nn.Module):
         raise InputError(

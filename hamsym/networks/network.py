@@ -114,20 +114,13 @@ class Network(torch.nn.Module):
 
     All outputs share the hidden layers.
 
-    Parameters
-    ----------
-    outputs : int
-    hidden : sequence of int
-        Neurons of each hidden layer, at least one layer.
-    activation : {"sin", "sigmoid", "tanh"}
-    frequency : float, optional
-        Weights of the first layer start uniform within +- this, its shifts within +- pi, further
-        hidden layers within sqrt(6 / inputs). By default all start as torch's own linear layers
-        do, uniform within 1/sqrt(inputs).
-    generator : torch.Generator, optional
-        Source of the initial weights.
-    dtype : torch.dtype
-        By default float64.
+    - hidden: Neurons of each hidden layer, at least one layer.
+    - activation: {"sin", "sigmoid", "tanh"}.
+    - frequency: Weights of the first layer start uniform within +- this, its shifts within +- pi,
+      further hidden layers within sqrt(6 / inputs). By default all start as torch's own linear
+      layers do, uniform within 1/sqrt(inputs).
+    - generator: Source of the initial weights.
+    - dtype: By default float64.
 
     Examples
     --------

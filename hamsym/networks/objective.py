@@ -59,29 +59,19 @@ class Regularizer:
 
 @dataclass(frozen=True)
 class Objective:
-    """The objective that a training minimises.
+    """The objective that a training minimises."""
 
-    Attributes
-    ----------
-    residual : callable
-        (t, z, dz) -> shape (K, dim), zero on a solution.
-    loss : callable, optional
-        (t, z, dz) -> scalar; by default the mean over points of the squared 2-norm of the
-        residual.
-    regularizers : tuple of Regularizer
-        Further terms.
-    rows : callable, optional
-        (t, z, dz) -> shape (K, m); the loss without regularizers is the mean of its squared 2-norm
-        over the points; by default the residual. For least-squares methods.
-    slopes : callable, optional
-        (t, z, dz) -> derivatives of the rows in z and in dz, each of shape (K, m, dim); by default
-        from automatic differentiation.
-    """
-
+    #: (t, z, dz) -> shape (K, dim), zero on a solution.
     residual: Callable[[Tensor, Tensor, Tensor], Tensor]
+    #: (t, z, dz) -> scalar; by default the mean over points of the squared 2-norm of the residual.
     loss: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None
+    #: Further terms.
     regularizers: tuple[Regularizer, ...] = ()
+    #: (t, z, dz) -> shape (K, m); the loss without regularizers is the mean of its squared 2-norm
+    #: over the points; by default the residual. For least-squares methods.
     rows: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None
+    #: (t, z, dz) -> derivatives of the rows in z and in dz, each of shape (K, m, dim); by default
+    #: from automatic differentiation.
     slopes: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]] | None = None
 
     def __call__(self, t: Tensor, z: Tensor, dz: Tensor) -> Tensor:

@@ -38,18 +38,13 @@ class Adam(GradientOptimizer):
     Each iteration moves the collocation points by Gaussian noise, reflected into the span, so
     that the equation is enforced everywhere and not at K points only.
 
-    Parameters
-    ----------
-    learning_rate : float
-    betas : (float, float)
-        Decay rates of the moment estimates.
-    schedule : {"constant", "cosine"}
-        Constant learning rate, as in the paper, or decay to zero along half a cosine.
-    points : int or numpy.ndarray
-        Collocation points K, equally spaced over the span; or times, from the start of the span on.
-    noise : float, optional
-        Standard deviation of the noise, in units of time; by default three times the spacing of
-        the points, as in the paper, and no noise of given times.
+    - betas: Decay rates of the moment estimates.
+    - schedule: {"constant", "cosine"}. Constant learning rate, as in the paper, or decay to zero
+      along half a cosine.
+    - points: Collocation points K, equally spaced over the span; or times, from the start of the
+      span on.
+    - noise: Standard deviation of the noise, in units of time; by default three times the spacing
+      of the points, as in the paper, and no noise of given times.
     """
 
     check_every = 50
@@ -168,14 +163,9 @@ class LBFGS(QuasiNewton):
     The points are constant while the curvature pairs are in use. New points are drawn, and the
     pairs discarded, after ``refresh`` iterations and whenever the line search fails.
 
-    Parameters
-    ----------
-    points : int or numpy.ndarray
-        Collocation points K; or times, from the start of the span on.
-    memory : int
-        Number of pairs of steps and gradient changes.
-    refresh : int
-        Iterations after which new points are drawn.
+    - points: Collocation points K; or times, from the start of the span on.
+    - memory: Number of pairs of steps and gradient changes.
+    - refresh: Iterations after which new points are drawn.
     """
 
     def __init__(

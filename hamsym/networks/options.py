@@ -255,10 +255,7 @@ def _check_own_network(options: DeepOptions) -> None:
 def precision_name(dtype: str | torch.dtype) -> str:
     """Return the name of a precision, "float32" or "float64".
 
-    Raises
-    ------
-    InputError
-        If it is neither of them.
+    Raise InputError if it is neither of them.
     """
     name = str(dtype).removeprefix("torch.")
     if name not in ("float32", "float64"):

@@ -18,10 +18,8 @@ _FEWEST_JUDGING = 200  # points beside those of the caller's choice, which may b
 def checked_points(points: Any, span: tuple[float, float]) -> int | np.ndarray:
     """Return a number of points, or times of the caller's choice as an array from span[0] on.
 
-    Raises
-    ------
-    InputError
-        If it is neither a whole number from 2 nor an increasing list of times in the span.
+    Raise InputError if it is neither a whole number from 2 nor an increasing list of times in the
+    span.
 
     Examples
     --------
@@ -53,10 +51,7 @@ def checked_points(points: Any, span: tuple[float, float]) -> int | np.ndarray:
 class Collocation:
     """The collocation points of an optimizer.
 
-    Parameters
-    ----------
-    points : int or numpy.ndarray
-        Their number K, or the times themselves, from the start of the span on.
+    - points: Their number K, or the times themselves, from the start of the span on.
     """
 
     def __init__(self, points: int | np.ndarray) -> None:

@@ -15,13 +15,9 @@ def training_progress(
 ) -> Iterator[list[Callable[[TrainingState], None]]]:
     """Yield the callbacks that draw loss, ell_max and the time left on standard error.
 
-    Parameters
-    ----------
-    iterations : int
-        Largest number of iterations.
-    show : bool or callable, optional
-        By default the bar is drawn if standard error is a terminal, and in notebooks. A callable
-        replaces the bar.
+    - iterations: Largest number of iterations.
+    - show: By default the bar is drawn if standard error is a terminal, and in notebooks. A
+      callable replaces the bar.
     """
     if callable(show):
         yield [show]

@@ -15,30 +15,21 @@ from hamsym.support.validation import require_positive, require_whole
 
 @dataclass
 class Progress:
-    """Counters and levels of a training, all of which are saved in a checkpoint.
+    """Counters and levels of a training, all of which are saved in a checkpoint."""
 
-    Attributes
-    ----------
-    iteration, stage, in_stage, restarts, improved : int
-        Iterations done, the current stage from 1, iterations in it, restarts, and the iteration
-        of the best loss.
-    best_loss, best_ell_max : float
-        Of the best weights, at the fixed points.
-    lowest : float
-        Lowest loss in this stage at the optimizer's points.
-    judged : float
-        Best loss when the criteria were last evaluated.
-    seconds, cpu_seconds : float
-    """
-
+    #: iteration, stage, in_stage, restarts, improved: Iterations done, the current stage from 1,
+    #: iterations in it, restarts, and the iteration of the best loss.
     iteration: int = 0
     stage: int = 1
     in_stage: int = 0
     restarts: int = 0
     improved: int = 0
+    #: best_loss, best_ell_max: Of the best weights, at the fixed points.
     best_loss: float = math.inf
     best_ell_max: float = math.inf
+    #: Lowest loss in this stage at the optimizer's points.
     lowest: float = math.inf
+    #: Best loss when the criteria were last evaluated.
     judged: float = math.inf
     seconds: float = 0.0
     cpu_seconds: float = 0.0
@@ -52,45 +43,28 @@ class Progress:
 
 @dataclass(frozen=True)
 class Criterion:
-    """A rule for stopping that evaluates the trial solution when the loss has quartered.
-
-    Attributes
-    ----------
-    name : str
-    value : float
-        Its threshold; a resumed training evaluates the rule again if it has changed.
-    is_met : callable
-        (trial solution with the best weights, record of the training so far) -> bool.
-    """
+    """A rule for stopping that evaluates the trial solution when the loss has quartered."""
 
     name: str
+    #: Its threshold; a resumed training evaluates the rule again if it has changed.
     value: float
+    #: (trial solution with the best weights, record of the training so far) -> bool.
     is_met: Callable[[torch.nn.Module, Training], bool]
 
 
 @dataclass(frozen=True)
 class Stopping:
-    """Rules for stopping; the first that is met ends the training.
+    """Rules for stopping; the first that is met ends the training."""
 
-    Attributes
-    ----------
-    iterations : int
-        Largest number of iterations.
-    target_loss : float, optional
-        Largest loss at the fixed points.
-    target_ell_max : float, optional
-        Largest residual at the fixed points.
-    patience : int, optional
-        Iterations without a lower loss at the fixed points.
-    time_limit : float, optional
-        Seconds.
-    criteria : tuple of Criterion
-    """
-
+    #: Largest number of iterations.
     iterations: int
+    #: Largest loss at the fixed points.
     target_loss: float | None = None
+    #: Largest residual at the fixed points.
     target_ell_max: float | None = None
+    #: Iterations without a lower loss at the fixed points.
     patience: int | None = None
+    #: Seconds.
     time_limit: float | None = None
     criteria: tuple[Criterion, ...] = ()
 
@@ -127,26 +101,17 @@ class Stopping:
 
 @dataclass(frozen=True)
 class Stages:
-    """Sequential training: a short span first, then longer ones, with the weights carried over.
+    """Sequential training: a short span first, then longer ones, with the weights carried over."""
 
-    Attributes
-    ----------
-    count : int
-        Stage k trains on the fraction k / count of the span.
-    residual : float
-        A stage ends when the root mean square of the residual is below this fraction of that of
-        dz/dt, or when its share of the iterations is used up.
-    restart_after : int, optional
-        Instead of the share: iterations after which the training restarts from the first stage
-        with new weights, if the stage has not ended (the last stage: if the residual is above
-        1e-4).
-    restarts : int
-        Largest number of such restarts.
-    """
-
+    #: Stage k trains on the fraction k / count of the span.
     count: int = 1
+    #: A stage ends when the root mean square of the residual is below this fraction of that of
+    #: dz/dt, or when its share of the iterations is used up.
     residual: float = 0.03
+    #: Instead of the share: iterations after which the training restarts from the first stage with
+    #: new weights, if the stage has not ended (the last stage: if the residual is above 1e-4).
     restart_after: int | None = None
+    #: Largest number of such restarts.
     restarts: int = 10
 
     def __post_init__(self) -> None:

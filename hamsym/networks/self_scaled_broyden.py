@@ -34,12 +34,8 @@ _LARGEST = 20_000  # weights: the matrix takes 3.2 GB
 class InverseHessian:
     """Approximation of the inverse of a Hessian; a multiple of the identity at the start.
 
-    Parameters
-    ----------
-    size : int
-        Number n of variables.
-    scale : float
-        Multiple of the identity.
+    - size: Number n of variables.
+    - scale: Multiple of the identity.
     """
 
     def __init__(self, size: int, scale: float = 1.0) -> None:
@@ -52,17 +48,10 @@ class InverseHessian:
     def update(self, step: Tensor, change: Tensor, curvature: float) -> bool:
         """Fit the matrix, in place, to a step and the change of the gradient along it.
 
-        Parameters
-        ----------
-        step, change : Tensor
-            s and y, shape (n,).
-        curvature : float
-            s.B s; after a step of length alpha in the direction -H g it is -alpha s.g.
-
-        Returns
-        -------
-        bool
-            False if the curvature measured or assumed is not positive; the matrix is the same then.
+        - step, change: s and y, shape (n,).
+        - curvature: s.B s; after a step of length alpha in the direction -H g it is -alpha s.g.
+        - returns: False if the curvature measured or assumed is not positive; the matrix is the
+          same then.
         """
         product = self @ change
         measured, inner = float(step @ change), float(change @ product)
@@ -113,17 +102,10 @@ class SelfScaledBroyden(QuasiNewton):
     The points are constant for ``refresh`` iterations. The matrix is kept when new ones are drawn,
     and begins again where the line search fails.
 
-    Parameters
-    ----------
-    points : int or numpy.ndarray
-        Collocation points K; or times, from the start of the span on.
-    refresh : int
-        Iterations after which new points are drawn.
+    Raise InputError if the trial solution has more than 20,000 weights.
 
-    Raises
-    ------
-    InputError
-        If the trial solution has more than 20,000 weights.
+    - points: Collocation points K; or times, from the start of the span on.
+    - refresh: Iterations after which new points are drawn.
     """
 
     def __init__(self, *, points: int | np.ndarray = 200, refresh: int = 200) -> None:

@@ -42,14 +42,7 @@ class Layer:
 def forward(
     layers: Sequence[tuple[Tensor, Tensor]], activation: str, x: Tensor, xd: Tensor
 ) -> list[Layer]:
-    """Return the layers at inputs x of the network, with their derivative xd; shapes (K, inputs).
-
-    Parameters
-    ----------
-    layers : sequence of (matrix, bias)
-    activation : str
-    x, xd : Tensor
-    """
+    """Return the layers at inputs x of the network, with their rates xd; shapes (K, inputs)."""
     function = ACTIVATIONS[activation]
     *hidden, (last, _) = layers
     found = []
@@ -65,11 +58,7 @@ def forward(
 def backward(layers: Sequence[Layer], u: Tensor, v: Tensor) -> list[tuple[Layer, Tensor, Tensor]]:
     """Return sensitivities to pre-activations and their derivatives, last layer first.
 
-    Parameters
-    ----------
-    layers : sequence of Layer
-    u, v : Tensor
-        Those to the outputs and to their derivatives, shape (..., K, outputs).
+    - u, v: Those to the outputs and to their derivatives, shape (..., K, outputs).
     """
     found = []
     for layer in reversed(layers):
@@ -83,10 +72,7 @@ def backward(layers: Sequence[Layer], u: Tensor, v: Tensor) -> list[tuple[Layer,
 def weight_rows(sensitivities: Sequence[tuple[Layer, Tensor, Tensor]]) -> Tensor:
     """Return the derivatives of rows in all weights, shape (..., K, weights), in their order.
 
-    Parameters
-    ----------
-    sensitivities : sequence of (Layer, Tensor, Tensor)
-        As :func:`backward` returns them.
+    - sensitivities: As :func:`backward` returns them.
     """
     parts = []
     for layer, u, v in sensitivities:

@@ -57,19 +57,11 @@ class Optimizer(Protocol):
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         """Perform one iteration.
 
-        Parameters
-        ----------
-        span : (float, float)
-            Span of the current stage.
-        share : float
-            Its fraction of the whole span.
-        done : float
-            Fraction of all iterations that are done.
-
-        Returns
-        -------
-        (float, float)
-            The loss at the optimizer's points before the step, and the mean square of dz/dt there.
+        - span: Span of the current stage.
+        - share: Its fraction of the whole span.
+        - done: Fraction of all iterations that are done.
+        - returns: The loss at the optimizer's points before the step, and the mean square of dz/dt
+          there.
         """
 
     @property
@@ -102,32 +94,14 @@ def train(
 
     The weights that are kept are the best at fixed points, which are never trained on.
 
-    Parameters
-    ----------
-    trial : torch.nn.Module
-        t of shape (K,) -> (z, dz/dt), each (K, dim).
-    objective : Objective
-    span : (float, float)
-        Start and end time; the end may be the smaller.
-    optimizer : Optimizer
-        An optimizer that was not used before.
-    stopping : Stopping
-    generator : torch.Generator
-        Source of all random numbers.
-    stages : Stages, optional
-        By default the whole span from the beginning.
-    callbacks : sequence of callable
-        Each is called with a :class:`TrainingState` after evaluations at the fixed points.
-    checkpoint : Checkpoint, optional
+    Raise FileError if the checkpoint cannot be read or written, or belongs to another training.
 
-    Returns
-    -------
-    Training
-
-    Raises
-    ------
-    FileError
-        If the checkpoint cannot be read or written, or belongs to another training.
+    - trial: t of shape (K,) -> (z, dz/dt), each (K, dim).
+    - span: Start and end time; the end may be the smaller.
+    - optimizer: An optimizer that was not used before.
+    - generator: Source of all random numbers.
+    - stages: By default the whole span from the beginning.
+    - callbacks: Each is called with a :class:`TrainingState` after evaluations at the fixed points.
     """
     optimizer.bind(trial, objective, generator)
     run = _Run(trial, objective, span, optimizer, stopping, stages or Stages(), generator)
@@ -332,10 +306,7 @@ class _Run:
     def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
         """Restore the state that :meth:`write` wrote.
 
-        Raises
-        ------
-        ValueError
-            If it is not the state of this training.
+        Raise ValueError if it is not the state of this training.
         """
         if {*values} != {"settings", "progress", "optimizer", "stopped", "rules"}:
             raise ValueError("its values are not those of a training")

@@ -23,9 +23,8 @@ from hamsym.networks.network import (
     weights_of,
 )
 from hamsym.support.checked_data import (
-    checked_list,
     checked_number,
-    checked_type,
+    checked_values,
     require_array,
     require_names,
 )
@@ -65,18 +64,11 @@ class _Envelope(torch.autograd.Function):
 class EnvelopedNetwork(torch.nn.Module):
     """z^(t) = z0 + f(s) N(s) with s = (t - t0) / tau, for a network N of any kind.
 
-    Parameters
-    ----------
-    network : torch.nn.Module
-        Its outputs are the components of z0.
-    z0 : Tensor
-        Initial state, shape (dim,).
-    t0 : float
-        Initial time, in the units of the Hamiltonian.
-    tau : float
-        Unit of the network's input; negative for a span that runs backwards.
-    envelope : {"exponential", "linear"}
-        f(s) = 1 - exp(-s) or f(s) = s.
+    - network: Its outputs are the components of z0.
+    - z0: Initial state, shape (dim,).
+    - t0: Initial time, in the units of the Hamiltonian.
+    - tau: Unit of the network's input; negative for a span that runs backwards.
+    - envelope: {"exponential", "linear"}. f(s) = 1 - exp(-s) or f(s) = s.
     """
 
     z0: Tensor
@@ -133,12 +125,8 @@ class EnvelopedNetwork(torch.nn.Module):
     def to_network(self, t: Tensor, in_z: Tensor, in_dz: Tensor) -> tuple[Tensor, Tensor]:
         """Return derivatives of rows in N and in dN/ds from those in z and in dz.
 
-        Parameters
-        ----------
-        t : Tensor
-            Times, shape (K,).
-        in_z, in_dz : Tensor
-            Shape (K, m, dim); the results have shape (m, K, dim).
+        - t: Times, shape (K,).
+        - in_z, in_dz: Shape (K, m, dim); the results have shape (m, K, dim).
         """
         _, f, f_dot = (part.unsqueeze(1) for part in self.envelope_at(t))
         # z = z0 + f N and dz = (f' N + f dN/ds) / tau.
@@ -204,15 +192,21 @@ class EnvelopedNetwork(torch.nn.Module):
                 raise ValueError("its network does not start at its z0")
 
 
+_TYPES = {
+    "form": "str",
+    "shared": "bool",
+    "sizes": "tuple[int, ...]",
+    "frequency": "float | None",
+    **dict.fromkeys(("activation", "envelope"), "str"),
+    **dict.fromkeys(("t0", "tau"), "float"),
+}
+
+
 class TrialSolution(EnvelopedNetwork):
     """z^(t) = z0 + f(s) N(s) with a fully connected network N of hamsym.
 
-    Parameters
-    ----------
-    network : Network or ComponentNetworks
-        Its outputs are the components of z0.
-    z0, t0, tau, envelope
-        As of :class:`EnvelopedNetwork`.
+    - network: Its outputs are the components of z0.
+    - z0, t0, tau, envelope: As of :class:`EnvelopedNetwork`.
     """
 
     network: Network | ComponentNetworks
@@ -265,18 +259,10 @@ class TrialSolution(EnvelopedNetwork):
 
         Sizes are compared with the arrays before anything is built from them.
 
-        Raises
-        ------
-        ValueError
-            If they do not describe a trial solution with ``dim`` components.
+        Raise ValueError if they do not describe a trial solution with ``dim`` components.
         """
-        names = {"form", "shared", "sizes", "activation", "frequency", "t0", "tau", "envelope"}
-        require_names("trial solution", values, names)
-        shared = checked_type("shared", values["shared"], "bool")
-        sizes = tuple(
-            checked_type("sizes", size, "int") for size in checked_list("sizes", values["sizes"])
-        )
-        frequency = checked_type("frequency", values["frequency"], "float | None")
+        given = checked_values("trial solution", values, _TYPES)
+        shared, sizes, frequency = given["shared"], given["sizes"], given["frequency"]
         if frequency is not None and not 0 < frequency < math.inf:
             raise ValueError("its frequency is not a positive number")
         outputs = dim if shared else 1
@@ -296,7 +282,7 @@ class TrialSolution(EnvelopedNetwork):
             return Network(
                 outputs,
                 sizes[1:-1],
-                values["activation"],
+                given["activation"],
                 frequency=frequency,
                 generator=torch.Generator(),
                 dtype=precision,
@@ -305,9 +291,8 @@ class TrialSolution(EnvelopedNetwork):
         trial = cls(
             network() if shared else ComponentNetworks([network() for _ in range(dim)]),
             torch.from_numpy(np.array(z0)),
-            t0=checked_number("t0", values["t0"]),
-            tau=checked_number("tau", values["tau"]),
-            envelope=values["envelope"],
+            **{name: checked_number(name, given[name]) for name in ("t0", "tau")},
+            envelope=given["envelope"],
         )
         trial.load_state_dict({n: torch.from_numpy(np.array(a)) for n, a in arrays.items()})
         trial.requires_grad_(False)

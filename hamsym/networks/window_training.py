@@ -55,42 +55,27 @@ _ROUGH = 4.0  # largest residual between the points, relative to that at the poi
 
 @dataclass(frozen=True)
 class Equations:
-    """Hamilton's equations on a window, in dimensionless variables y = (z - z_a)/S and u.
+    """Hamilton's equations on a window, in dimensionless variables y = (z - z_a)/S and u."""
 
-    Attributes
-    ----------
-    rates : callable
-        (u, y) -> dy/du, shapes (K,), (K, dim) -> (K, dim).
-    jacobian : callable
-        (u, y) -> derivative of the rates in y, shape (K, dim, dim).
-    places : callable
-        u -> the nearest u whose times are float64 numbers, (K,) -> (K,). A rounded time far from 0
-        changes rates that depend on it by far more than the tolerance.
-    """
-
+    #: (u, y) -> dy/du, shapes (K,), (K, dim) -> (K, dim).
     rates: Callable[[Tensor, Tensor], Tensor]
+    #: (u, y) -> derivative of the rates in y, shape (K, dim, dim).
     jacobian: Callable[[Tensor, Tensor], Tensor]
+    #: u -> the nearest u whose times are float64 numbers, (K,) -> (K,). A rounded time far from 0
+    #: changes rates that depend on it by far more than the tolerance.
     places: Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the training of windows.
+    """Settings of the training of windows."""
 
-    Attributes
-    ----------
-    tolerance : float
-        Largest residual r at the points and between them.
-    hidden_steps : int
-        Largest number of Gauss-Newton steps of the hidden layers.
-    envelope : str
-    deadline : float, optional
-        Of :func:`time.perf_counter`: no further step is begun after it.
-    """
-
+    #: Largest residual r at the points and between them.
     tolerance: float
+    #: Largest number of Gauss-Newton steps of the hidden layers.
     hidden_steps: int
     envelope: str
+    #: Of :func:`time.perf_counter`: no further step is begun after it.
     deadline: float | None = None
 
 
@@ -382,18 +367,10 @@ def train_window(
 ) -> Fit:
     """Train a network on a window; its weights are changed in place.
 
-    Parameters
-    ----------
-    equations : Equations
-    network : Network
-    reach : float
-        Largest input R of the network.
-    points : int
-        Collocation points, Chebyshev points of the window. With a guess more are used if the
-        residual between them is larger.
-    settings : Settings
-    guess : callable, optional
-        u -> y from which the search starts, (K,) -> (K, dim); by default a state that rests.
+    - reach: Largest input R of the network.
+    - points: Collocation points, Chebyshev points of the window. With a guess more are used if the
+      residual between them is larger.
+    - guess: u -> y from which the search starts, (K,) -> (K, dim); by default a state that rests.
     """
     training = _Training(equations, network, reach, settings)
     training.long = guess is not None

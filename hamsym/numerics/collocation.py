@@ -12,23 +12,15 @@ from numpy.polynomial import chebyshev
 
 @dataclass(frozen=True)
 class Collocation:
-    """Polynomial collocation on [0, 1].
+    """Polynomial collocation on [0, 1]."""
 
-    Attributes
-    ----------
-    nodes : numpy.ndarray
-        Chebyshev points of the first kind, shape (n,).
-    integration : numpy.ndarray
-        Values at the nodes -> integrals from 0 to each node and, last, to 1, shape (n + 1, n).
-    to_series : numpy.ndarray
-        Values at the nodes -> Chebyshev series in 2 s - 1, shape (n, n).
-    extended_integration : numpy.ndarray
-        ``integration`` in extended precision (numpy.longdouble).
-    """
-
+    #: Chebyshev points of the first kind, shape (n,).
     nodes: np.ndarray
+    #: Values at the nodes -> integrals from 0 to each node and, last, to 1, shape (n + 1, n).
     integration: np.ndarray
+    #: Values at the nodes -> Chebyshev series in 2 s - 1, shape (n, n).
     to_series: np.ndarray
+    #: ``integration`` in extended precision (numpy.longdouble).
     extended_integration: np.ndarray
 
     def interpolation(self, s: np.ndarray) -> np.ndarray:

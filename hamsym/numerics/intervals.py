@@ -55,14 +55,9 @@ def _known(low: np.ndarray, high: np.ndarray, where: Any = True) -> Intervals:
 class Ranges:
     """A function on intervals: its values at both ends, its range, and that of its slope.
 
-    Parameters
-    ----------
-    ends : numpy.ndarray
-        Shape (2, n).
-    within, slope : Intervals
-        Shape (n,).
-    width : numpy.ndarray
-        Lengths of the intervals, shape (n,).
+    - ends: Shape (2, n).
+    - within, slope: Shape (n,).
+    - width: Lengths of the intervals, shape (n,).
     """
 
     __slots__ = ("ends", "slope", "width", "within")

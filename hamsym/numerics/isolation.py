@@ -28,34 +28,24 @@ _TOUCHES = 1e-3  # size of a function at a tangency, relative to that at the end
 
 @dataclass(frozen=True)
 class Cells:
-    """Parts of the cells between two samples of a path.
+    """Parts of the cells between two samples of a path."""
 
-    Attributes
-    ----------
-    index : numpy.ndarray
-        Of the cell of each part, shape (k,).
-    low, high : numpy.ndarray
-        Ends of the part, as shares of the cell, shape (k,).
-    width : numpy.ndarray
-        Duration of the whole cell, shape (k,).
-    values : numpy.ndarray
-        Of the function at the ends of the part, shape (2, k).
-    states, rates : numpy.ndarray
-        Of the components of the path that the function depends on, there, shape (2, k, dim).
-    bends : numpy.ndarray
-        Bounds of the second derivatives of the rates, shape (k, dim).
-    scale : numpy.ndarray
-        Largest magnitude of the function at the ends of the cell, shape (k,).
-    """
-
+    #: Of the cell of each part, shape (k,).
     index: np.ndarray
+    #: low, high: Ends of the part, as shares of the cell, shape (k,).
     low: np.ndarray
     high: np.ndarray
+    #: Duration of the whole cell, shape (k,).
     width: np.ndarray
+    #: Of the function at the ends of the part, shape (2, k).
     values: np.ndarray
+    #: states, rates: Of the components of the path that the function depends on, there, shape (2,
+    #: k, dim).
     states: np.ndarray
     rates: np.ndarray
+    #: Bounds of the second derivatives of the rates, shape (k, dim).
     bends: np.ndarray
+    #: Largest magnitude of the function at the ends of the cell, shape (k,).
     scale: np.ndarray
 
     @classmethod
@@ -113,21 +103,15 @@ class Cells:
 
 @dataclass(frozen=True)
 class Isolated:
-    """Zeros of a function along a path.
+    """Zeros of a function along a path."""
 
-    Attributes
-    ----------
-    share, index : numpy.ndarray
-        Of each zero: its place in its cell from 0 to 1, and the cell, in this order, shape (n,).
-    touched : list of (float, int)
-        The same of places where the function comes to zero within round-off without a sign change.
-    undecided : int
-        Number of parts that may contain more zeros, because there were too many.
-    """
-
+    #: share, index: Of each zero: its place in its cell from 0 to 1, and the cell, in this order,
+    #: shape (n,).
     share: np.ndarray
     index: np.ndarray
+    #: The same of places where the function comes to zero within round-off without a sign change.
     touched: list[tuple[float, int]]
+    #: Number of parts that may contain more zeros, because there were too many.
     undecided: int
 
 
@@ -165,19 +149,13 @@ def isolated_zeros(
 ) -> Isolated:
     """Locate all zeros with a change of sign.
 
-    Parameters
-    ----------
-    cells : Cells
-        Whole ones.
-    enclosed : callable
-        Parts of cells -> the function over them.
-    sample : callable
-        (share, index) -> values of the function, states and rates of the path, shape (n, dim).
-    value : callable
-        (share, index) -> values of the function alone.
-    direction : float
-        Above zero, only zeros at which the function rises in the order of the samples; below zero,
-        falls.
+    - cells: Whole ones.
+    - enclosed: Parts of cells -> the function over them.
+    - sample: (share, index) -> values of the function, states and rates of the path, shape (n,
+      dim).
+    - value: (share, index) -> values of the function alone.
+    - direction: Above zero, only zeros at which the function rises in the order of the samples;
+      below zero, falls.
     """
     touched: list[tuple[float, int]] = []
     monotonic, slopes, undecided, most = [], [], 0, _MOST + len(cells)

@@ -34,25 +34,17 @@ Residuals = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Minima:
-    """Results of all rows.
+    """Results of all rows."""
 
-    Attributes
-    ----------
-    unknowns : numpy.ndarray
-        Shape (n, k).
-    residuals, jacobian : numpy.ndarray
-        At the unknowns, shapes (n, m) and (n, m, k); not finite in rows without values at the
-        start.
-    converged : numpy.ndarray
-        Whether no step of first or second order improves the row, shape (n,).
-    iterations : numpy.ndarray
-        Steps that were tried, shape (n,).
-    """
-
+    #: Shape (n, k).
     unknowns: np.ndarray
+    #: residuals, jacobian: At the unknowns, shapes (n, m) and (n, m, k); not finite in rows without
+    #: values at the start.
     residuals: np.ndarray
     jacobian: np.ndarray
+    #: Whether no step of first or second order improves the row, shape (n,).
     converged: np.ndarray
+    #: Steps that were tried, shape (n,).
     iterations: np.ndarray
 
 
@@ -68,23 +60,15 @@ def minimize_squares(
 ) -> Minima:
     """Minimise the sums of squares of all rows.
 
-    Parameters
-    ----------
-    function : callable
-        Residuals and their derivatives for some rows; not finite where they have no values.
-    starts : numpy.ndarray
-        First unknowns, shape (n, k).
-    low, high : numpy.ndarray
-        Bounds, shape (k,) or (n, k); infinite where there are none.
-    variance : callable
-        (sums of squares, rows) -> variance of one residual, shape (n,), the unit in which the
-        convergence is judged: the projection of the residuals on the columns of J, which is the
-        distance to the minimum in standard errors of the unknowns.
-    iterations : int
-    close : float
-        Part of the variance by which a converged row may be above the minimum.
-    sizes : numpy.ndarray, optional
-        Sizes of the unknowns, shape (n, k); by default those of the starts, 1 where one is zero.
+    - function: Residuals and their derivatives for some rows; not finite where they have no values.
+    - starts: First unknowns, shape (n, k).
+    - low, high: Bounds, shape (k,) or (n, k); infinite where there are none.
+    - variance: (sums of squares, rows) -> variance of one residual, shape (n,), the unit in which
+      the convergence is judged: the projection of the residuals on the columns of J, which is the
+      distance to the minimum in standard errors of the unknowns.
+    - close: Part of the variance by which a converged row may be above the minimum.
+    - sizes: Sizes of the unknowns, shape (n, k); by default those of the starts, 1 where one is
+      zero.
 
     Examples
     --------

@@ -68,17 +68,9 @@ def _factors() -> _Factors:
 def surpluses(degrees: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return by how much each value differs from the interpolation of those of smaller degrees.
 
-    Parameters
-    ----------
-    degrees : numpy.ndarray
-        A lower set of multi-indices, shape (n, d), each once.
-    values : numpy.ndarray
-        Values at the points ``leja_points()[degrees]``, shape (n, ...).
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (n, ...). They remain when the set is enlarged.
+    - degrees: A lower set of multi-indices, shape (n, d), each once.
+    - values: Values at the points ``leja_points()[degrees]``, shape (n, ...).
+    - returns: Shape (n, ...). They remain when the set is enlarged.
 
     Examples
     --------
@@ -94,10 +86,7 @@ def chebyshev_coefficients(degrees: np.ndarray, values: np.ndarray) -> np.ndarra
 
     The polynomial is the sum of coefficients times prod_k T_{nu_k}(y_k).
 
-    Parameters
-    ----------
-    degrees, values
-        As of :func:`surpluses`.
+    - degrees, values: As of :func:`surpluses`.
 
     Examples
     --------

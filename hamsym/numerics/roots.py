@@ -43,18 +43,10 @@ def changes(before: np.ndarray, after: np.ndarray, direction: float = 0.0) -> np
 def suspects(values: np.ndarray, slopes: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
     """Find intervals between nodes that may contain zeros.
 
-    Parameters
-    ----------
-    values, slopes : numpy.ndarray
-        Values of the function at the nodes, and slopes in the direction from node to node, of
-        which only the signs are used; shape (..., n).
-
-    Returns
-    -------
-    where : tuple of numpy.ndarray
-        Indices (..., i) of intervals from i to i + 1.
-    dips : numpy.ndarray
-        Whether an interval begins and ends on one side of zero, shape (k,).
+    - values, slopes: Values of the function at the nodes, and slopes in the direction from node to
+      node, of which only the signs are used; shape (..., n).
+    - returns where: Indices (..., i) of intervals from i to i + 1.
+    - returns dips: Whether an interval begins and ends on one side of zero, shape (k,).
     """
     before, after = np.sign(values[..., :-1]), np.sign(values[..., 1:])
     side = np.where(after == 0, before, after)
@@ -73,21 +65,12 @@ def zeros(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Locate zeros in the intervals from :func:`suspects`.
 
-    Parameters
-    ----------
-    function : callable
-        (share, index) -> values, where share runs from 0 to 1 in the interval of that index.
-    before, after : numpy.ndarray
-        Values at the ends of the intervals, shape (k,).
-    dips : numpy.ndarray
-        Whether an interval begins and ends on one side of zero, shape (k,).
-    direction : float
-        As in :func:`sign_changes`.
-
-    Returns
-    -------
-    share, index : numpy.ndarray
-        Shape (n,), in the order of the intervals and within them.
+    - function: (share, index) -> values, where share runs from 0 to 1 in the interval of that
+      index.
+    - before, after: Values at the ends of the intervals, shape (k,).
+    - dips: Whether an interval begins and ends on one side of zero, shape (k,).
+    - direction: As in :func:`sign_changes`.
+    - returns share, index: Shape (n,), in the order of the intervals and within them.
     """
     whole, dip = np.flatnonzero(~dips), np.flatnonzero(dips)
     side = np.where(after == 0, np.sign(before), np.sign(after))[dip]
@@ -159,17 +142,9 @@ def first_zeros(function: Callable[[np.ndarray, np.ndarray], np.ndarray], count:
     Each function is sampled at 0 and at 4,600 points between 1e-300 and 1e300, most of them between
     1e-9 and 1e9. Intervals where it is not finite are skipped, and so are sign changes at poles.
 
-    Parameters
-    ----------
-    function : callable
-        (x, index) -> values of the functions of these indices, for arrays that broadcast.
-    count : int
-        Number of functions.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (count,); NaN for a function without a sign change.
+    - function: (x, index) -> values of the functions of these indices, for arrays that broadcast.
+    - count: Number of functions.
+    - returns: Shape (count,); NaN for a function without a sign change.
 
     Examples
     --------

@@ -9,6 +9,19 @@ import numpy as np
 SMALLEST = 1e-8
 
 
+def ratios(errors: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """Return the ratios of errors to limits: 0 without an error, infinite where one is unknown.
+
+    Examples
+    --------
+    >>> ratios(np.array([0.0, 1.0, np.nan]), np.array([0.0, 4.0, 1.0]))
+    array([0.  , 0.25,  inf])
+    """
+    with np.errstate(all="ignore"):
+        found = np.where(errors == 0, 0.0, errors / limits)
+    return np.nan_to_num(found, nan=np.inf, posinf=np.inf)
+
+
 def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:
     """Compute the size that the terms of its own equation give each component, at least its own.
 
@@ -17,14 +30,9 @@ def coupled_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.nd
     tau sum_j |A_ij| s_j. This is repeated dim times, to reach components that are coupled through
     others. Components of different units are never compared.
 
-    Parameters
-    ----------
-    sizes : numpy.ndarray
-        Largest |z_i|, shape (dim,).
-    coupling : numpy.ndarray
-        |A|, its mean along the trajectory, shape (dim, dim).
-    time : float
-        The longest tau: the span, beyond which no weak coupling acts.
+    - sizes: Largest |z_i|, shape (dim,).
+    - coupling: |A|, its mean along the trajectory, shape (dim, dim).
+    - time: The longest tau: the span, beyond which no weak coupling acts.
 
     Examples
     --------
@@ -46,10 +54,7 @@ def smallest_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.n
 
     Eigenvalues and products differ between processors in the last bits, which are left out.
 
-    Parameters
-    ----------
-    sizes, coupling, time
-        As of :func:`coupled_sizes`.
+    - sizes, coupling, time: As of :func:`coupled_sizes`.
     """
     mantissa, exponent = np.frexp(SMALLEST * coupled_sizes(sizes, coupling, time))
     return np.asarray(np.ldexp(np.round(mantissa * 2**24) / 2**24, exponent))
@@ -58,10 +63,7 @@ def smallest_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.n
 def resolved_sizes(sizes: np.ndarray, coupling: np.ndarray, time: float) -> np.ndarray:
     """Compute the sizes to which tolerances are relative: at least 1e-8 of the coupled ones.
 
-    Parameters
-    ----------
-    sizes, coupling, time
-        As of :func:`coupled_sizes`.
+    - sizes, coupling, time: As of :func:`coupled_sizes`.
 
     Examples
     --------

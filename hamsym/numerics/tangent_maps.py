@@ -22,28 +22,18 @@ _ITERATIONS = 60
 class TangentMaps:
     """Tangent maps Phi of windows, at nodes and at the ends, with solutions of forced equations.
 
-    Parameters
-    ----------
-    jacobians : numpy.ndarray
-        J Hess at the nodes of ``collocation(nodes)`` in every window, shape (windows, nodes, dim,
-        dim + forced); by default at ``TangentMaps.nodes``. Columns beyond the first ``dim`` are
-        the right-hand sides f of forced equations.
-    lengths : numpy.ndarray
-        Of the windows, shape (windows,); negative backwards in time.
-    scale : numpy.ndarray
-        Units of the components, shape (dim,). The maps are those of z / scale, the forced
-        solutions are W / scale.
-    accuracy : float
-        Of each row of each map, relative to its largest entry: every component converges by itself.
-        A forced solution counts as if the largest entry of h f / scale in the window were one.
-
-    Attributes
-    ----------
-    inside : numpy.ndarray
-        Shape (dim, nodes, dim + forced, windows).
-    ends : numpy.ndarray
-        Shape (windows, dim, dim + forced). Not finite where J Hess is not finite or there is no
-        solution.
+    - jacobians: J Hess at the nodes of ``collocation(nodes)`` in every window, shape (windows,
+      nodes, dim, dim + forced); by default at ``TangentMaps.nodes``. Columns beyond the first
+      ``dim`` are the right-hand sides f of forced equations.
+    - lengths: Of the windows, shape (windows,); negative backwards in time.
+    - scale: Units of the components, shape (dim,). The maps are those of z / scale, the forced
+      solutions are W / scale.
+    - accuracy: Of each row of each map, relative to its largest entry: every component converges by
+      itself. A forced solution counts as if the largest entry of h f / scale in the window were
+      one.
+    - inside: Shape (dim, nodes, dim + forced, windows).
+    - ends: Shape (windows, dim, dim + forced). Not finite where J Hess is not finite or there is no
+      solution.
     """
 
     nodes = collocation(_NODES).nodes
@@ -93,19 +83,11 @@ class TangentMaps:
     def defects(self, between: np.ndarray, smallest: np.ndarray | float = 0.0) -> np.ndarray:
         """Compute how far the polynomials are from solutions between the nodes, shape (windows,).
 
-        Parameters
-        ----------
-        between : numpy.ndarray
-            As ``jacobians``, at ``TangentMaps.between``.
-        smallest : numpy.ndarray
-            Size of f / scale that counts as zero, shape (forced,).
-
-        Returns
-        -------
-        numpy.ndarray
-            The largest defect of the equation in s = (t - t_a)/h, relative to the entries of its
-            row of Phi and of dPhi/ds; that of a forced solution is first divided by the largest
-            entry of h f / scale. NaN or infinite where one of them is.
+        - between: As ``jacobians``, at ``TangentMaps.between``.
+        - smallest: Size of f / scale that counts as zero, shape (forced,).
+        - returns: The largest defect of the equation in s = (t - t_a)/h, relative to the entries of
+          its row of Phi and of dPhi/ds; that of a forced solution is first divided by the largest
+          entry of h f / scale. NaN or infinite where one of them is.
         """
         interpolated = _integrated(self.rule.interpolation(self.between), self._node_rates)
         scaled = self._in_units(between)

@@ -10,17 +10,10 @@ import numpy as np
 def locate(edges: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the window of each time and the position s in it.
 
-    Parameters
-    ----------
-    edges : numpy.ndarray
-        Ends of the windows, ascending or descending, shape (n + 1,).
-    t : numpy.ndarray
-        Times, any shape. Times outside the windows belong to the first or last one.
-
-    Returns
-    -------
-    window, s : numpy.ndarray
-        Indices from 0 to n - 1, and positions in [0, 1] within the window, shaped as t.
+    - edges: Ends of the windows, ascending or descending, shape (n + 1,).
+    - t: Times, any shape. Times outside the windows belong to the first or last one.
+    - returns window, s: Indices from 0 to n - 1, and positions in [0, 1] within the window, shaped
+      as t.
 
     Examples
     --------

@@ -29,21 +29,13 @@ _FLOOR = 1e-8  # scale of a component relative to the largest of its kind
 
 @dataclass(frozen=True)
 class Arc:
-    """States along an arc, from t = start to start + period/parts.
+    """States along an arc, from t = start to start + period/parts."""
 
-    Attributes
-    ----------
-    edges : numpy.ndarray
-        Ends of the windows as fractions of the arc, shape (k + 1,).
-    ends : numpy.ndarray
-        States there, shape (k + 1, dim).
-    values : numpy.ndarray
-        States at the Chebyshev points, shape (k, nodes, dim).
-    period : float
-    """
-
+    #: Ends of the windows as fractions of the arc, shape (k + 1,).
     edges: np.ndarray
+    #: States there, shape (k + 1, dim).
     ends: np.ndarray
+    #: States at the Chebyshev points, shape (k, nodes, dim).
     values: np.ndarray
     period: float
 

@@ -34,19 +34,11 @@ class _Eliminated:
 class CondensedWindows:
     """The equations of windows without the states between the ends of the arc.
 
-    Parameters
-    ----------
-    maps : numpy.ndarray
-        A_k, shape (windows, dim, dim).
-    numbers : numpy.ndarray
-        B_k, shape (windows, dim, n).
-    right : numpy.ndarray
-        r_k, shape (windows, dim).
-
-    Attributes
-    ----------
-    matrix, right : numpy.ndarray
-        What is left, dim equations of (z_0, z_K, g), shapes (dim, 2 dim + n) and (dim,).
+    - maps: A_k, shape (windows, dim, dim).
+    - numbers: B_k, shape (windows, dim, n).
+    - right: r_k, shape (windows, dim).
+    - matrix, right: What is left, dim equations of (z_0, z_K, g), shapes (dim, 2 dim + n) and
+      (dim,).
     """
 
     def __init__(self, maps: np.ndarray, numbers: np.ndarray, right: np.ndarray) -> None:

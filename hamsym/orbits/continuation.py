@@ -43,28 +43,20 @@ class _LostError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Bifurcation:
-    """A bifurcation along a family.
+    """A bifurcation along a family."""
 
-    Attributes
-    ----------
-    kind : str
-        "fold" of the energy, the period or the parameter that is named; "branching", where a pair
-        of multipliers meets at 1; "period doubling", where one meets at -1; "symmetry breaking",
-        where one of a shift of even order does; or "collision", where two pairs meet and leave the
-        unit circle, or come back to it. Multipliers that touch 1 or -1 and stay on the unit circle,
-        as those of integrable systems do, are not reported.
-    orbit : PeriodicOrbit
-        The orbit next to the bifurcation.
-    after : int
-        Number of the orbit of the family before it.
-    uncertainty : float
-        Distance along the family, in states relative to their sizes, between the two orbits that
-        enclose it. At a fold the energy or the parameter is accurate to its square.
-    """
-
+    #: "fold" of the energy, the period or the parameter that is named; "branching", where a pair of
+    #: multipliers meets at 1; "period doubling", where one meets at -1; "symmetry breaking", where
+    #: one of a shift of even order does; or "collision", where two pairs meet and leave the unit
+    #: circle, or come back to it. Multipliers that touch 1 or -1 and stay on the unit circle, as
+    #: those of integrable systems do, are not reported.
     kind: str
+    #: The orbit next to the bifurcation.
     orbit: PeriodicOrbit
+    #: Number of the orbit of the family before it.
     after: int
+    #: Distance along the family, in states relative to their sizes, between the two orbits that
+    #: enclose it. At a fold the energy or the parameter is accurate to its square.
     uncertainty: float
 
     def __repr__(self) -> str:
@@ -88,20 +80,12 @@ class Aim:
 
 @dataclass
 class _Point:
-    """An orbit with the tangent of the family there.
-
-    Attributes
-    ----------
-    orbit : PeriodicOrbit
-    system : NewtonSystem
-    tangent : numpy.ndarray
-    tests : dict of str to float
-        Functions that change sign at bifurcations.
-    """
+    """An orbit with the tangent of the family there."""
 
     orbit: PeriodicOrbit
     system: NewtonSystem
     tangent: np.ndarray
+    #: Functions that change sign at bifurcations.
     tests: dict[str, float] = field(default_factory=dict)
 
 

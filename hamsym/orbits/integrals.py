@@ -26,13 +26,8 @@ def gradients_of_integrals(
     parameters, and their images under a symmetry, so that it maps the span of the gradients to
     itself. Where energy is not conserved, or the search fails, there are fewer.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    state : numpy.ndarray
-        Shape (dim,).
-    shift : SignedPermutation
-        A symplectic symmetry of H.
+    - state: Shape (dim,).
+    - shift: A symplectic symmetry of H.
     """
     found = []
     if H.conserves_energy:

@@ -33,16 +33,10 @@ def reduced_map(
     flow. The reduced map acts on V modulo these, in an orthonormal basis. Of integrals that do not
     commute, as the angular momenta of a motion in space, fewer directions lie in V.
 
-    Parameters
-    ----------
-    matrix : numpy.ndarray
-        Of a symplectic map if there are integrals, shape (dim, dim).
-    gradients : numpy.ndarray
-        Of the integrals, shape (n, dim); they may depend on each other.
-    rate : numpy.ndarray or None
-        A vector field that the matrix maps to itself, beside those of the integrals.
-    scale : numpy.ndarray
-        Units of the components.
+    - matrix: Of a symplectic map if there are integrals, shape (dim, dim).
+    - gradients: Of the integrals, shape (n, dim); they may depend on each other.
+    - rate: A vector field that the matrix maps to itself, beside those of the integrals.
+    - scale: Units of the components.
 
     Examples
     --------
@@ -115,14 +109,9 @@ def stability_of(multipliers: np.ndarray, *, conservative: bool = True, shear: b
     With forces multipliers have no pairs: "attracting" if all are inside the unit circle,
     "repelling" if all are outside, else "mixed".
 
-    Parameters
-    ----------
-    multipliers : numpy.ndarray
-        Of the period, without the trivial ones.
-    conservative : bool
-        Whether there are no forces.
-    shear : bool
-        Whether the monodromy matrix is not the identity.
+    - multipliers: Of the period, without the trivial ones.
+    - conservative: Whether there are no forces.
+    - shear: Whether the monodromy matrix is not the identity.
 
     Examples
     --------

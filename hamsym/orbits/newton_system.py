@@ -23,29 +23,20 @@ from hamsym.orbits.window_maps import WindowMaps
 
 @dataclass(frozen=True)
 class Step:
-    """The solution of Newton's linear system at an arc.
+    """The solution of Newton's linear system at an arc."""
 
-    Attributes
-    ----------
-    ends, values : numpy.ndarray
-        Corrections of the states, shaped as those of the arc.
-    period, parameter : float
-        Corrections of the period and of the parameter.
-    residual, size : float
-        Largest residual and correction, relative to the scales.
-    singular : bool
-        Whether the system has no unique solution.
-    maps : numpy.ndarray
-        Derivatives of the windows' flows, shape (k, dim, dim).
-    """
-
+    #: ends, values: Corrections of the states, shaped as those of the arc.
     ends: np.ndarray
     values: np.ndarray
+    #: period, parameter: Corrections of the period and of the parameter.
     period: float
     parameter: float
+    #: residual, size: Largest residual and correction, relative to the scales.
     residual: float
     size: float
+    #: Whether the system has no unique solution.
     singular: bool
+    #: Derivatives of the windows' flows, shape (k, dim, dim).
     maps: np.ndarray
 
     def applied(self, arc: Arc, share: float = 1.0) -> Arc:
@@ -61,17 +52,8 @@ class Step:
 class NewtonSystem:
     """Newton's linear system at an arc, of its first and last state, the period and a parameter.
 
-    Parameters
-    ----------
-    problem : Problem
-    arc : Arc
-    anchor : (numpy.ndarray, numpy.ndarray)
-        A state and the vector field there: the orbit starts in the plane normal to the field.
-
-    Attributes
-    ----------
-    units : numpy.ndarray
-        Of all unknowns: states at the ends of windows, period, alpha, parameter.
+    - anchor: A state and the vector field there: the orbit starts in the plane normal to the field.
+    - units: Of all unknowns: states at the ends of windows, period, alpha, parameter.
     """
 
     def __init__(self, problem: Problem, arc: Arc, anchor: tuple[np.ndarray, np.ndarray]) -> None:
@@ -164,11 +146,8 @@ class NewtonSystem:
     def solved(self, across: np.ndarray | None = None) -> Step:
         """Solve for the corrections.
 
-        Parameters
-        ----------
-        across : numpy.ndarray, optional
-            A direction of all scaled unknowns, to which the correction is orthogonal: the one more
-            equation of a family.
+        - across: A direction of all scaled unknowns, to which the correction is orthogonal: the one
+          more equation of a family.
         """
         solution, singular = solved(self._matrix, self._small_right)
         whole = self._whole(solution)

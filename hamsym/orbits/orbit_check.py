@@ -25,11 +25,7 @@ _NEAR = 8 * 2.0**-52  # fractions of an arc beside the one that is meant
 def check_orbit(orbit: PeriodicOrbit, states: np.ndarray) -> None:
     """Require that an orbit evaluates its proven states, and its stored ones in between.
 
-    Parameters
-    ----------
-    orbit : PeriodicOrbit
-    states : numpy.ndarray
-        What the proof is about, at equal parts of the arc from its start, shape (n, dim).
+    - states: What the proof is about, at equal parts of the arc from its start, shape (n, dim).
 
     Raises
     ------

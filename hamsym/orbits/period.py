@@ -16,26 +16,17 @@ from hamsym.symbolic.exact import rational
 
 @dataclass(frozen=True)
 class Period:
-    """A period, in the units of H.
-
-    Attributes
-    ----------
-    value : float
-    formula : sympy.Expr
-        The exact value, in the parameters of H.
-    """
+    """A period, in the units of H."""
 
     value: float
+    #: The exact value, in the parameters of H.
     formula: sympy.Expr
 
 
 def period_of(H: Hamiltonian, period: Any) -> Period | None:
     """Convert the argument ``period`` of :func:`hamsym.periodic_orbit`.
 
-    Raises
-    ------
-    InputError
-        If it is not a positive number, nor a formula of one in the parameters of H.
+    Raise InputError if it is not a positive number, nor a formula of one in the parameters of H.
     """
     if period is None:
         return None

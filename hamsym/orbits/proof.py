@@ -101,20 +101,13 @@ def prove_orbit(orbit: PeriodicOrbit, *, time_limit: float | None = None) -> Orb
 
 @dataclass(frozen=True)
 class _Set:
-    """What is enclosed over a ball X of unknowns.
+    """What is enclosed over a ball X of unknowns."""
 
-    Attributes
-    ----------
-    ends : list of Ball
-        Of the pieces.
-    maps : list of matrices of arb
-        Derivatives of the ends by the starts.
-    rates : list of matrices of arb
-        And by the period.
-    """
-
+    #: Of the pieces.
     ends: list[Ball]
+    #: Derivatives of the ends by the starts.
     maps: list[list[list[arb]]]
+    #: And by the period.
     rates: list[list[list[arb]]]
 
 

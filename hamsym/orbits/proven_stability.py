@@ -31,12 +31,8 @@ def proven_stability(matrix: Any, autonomous: bool) -> str:
     The multipliers of a shift come in pairs m, 1/m. With the trivial pair divided out, the
     characteristic polynomial is one of m + 1/m, whose signs between its roots are tested.
 
-    Parameters
-    ----------
-    matrix : arb_mat
-        The derivative over one shift.
-    autonomous : bool
-        Whether there is a trivial pair.
+    - matrix: The derivative over one shift.
+    - autonomous: Whether there is a trivial pair.
     """
     polynomial = matrix.charpoly()
     coefficients = [polynomial[i] for i in range(matrix.nrows() + 1)]

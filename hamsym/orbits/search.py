@@ -40,19 +40,12 @@ _FAR = 0.5  # distance of a return from which Newton's method has no chance
 
 @dataclass(frozen=True)
 class Found:
-    """Result of Newton's method.
-
-    Attributes
-    ----------
-    arc : Arc
-    step : Step
-        The last linear system.
-    failure : str
-        Reason of a failure, or an empty text.
-    """
+    """Result of Newton's method."""
 
     arc: Arc
+    #: The last linear system.
     step: Step
+    #: Reason of a failure, or an empty text.
     failure: str = ""
 
 
@@ -79,10 +72,7 @@ def _most_windows(H: Hamiltonian) -> int:
 def first_arc(problem: Problem, state: np.ndarray, period: float) -> Arc:
     """Integrate an arc from a guess, to its nearest return where the period is unknown.
 
-    Raises
-    ------
-    InputError
-        If the trajectory does not reach the end of the arc.
+    Raise InputError if the trajectory does not reach the end of the arc.
     """
     duration = period / problem.closing.parts
     free = problem.autonomous and problem.period is None
@@ -144,10 +134,7 @@ def _nearest_return(found: OdeSolution, closing: Closing, duration: float) -> fl
 def first_return(H: Hamiltonian, closing: Closing, state: np.ndarray) -> float:
     """Return the period for which the trajectory of a guess nearly closes first.
 
-    Raises
-    ------
-    InputError
-        If there is none.
+    Raise InputError if there is none.
     """
     rates = _rates(H)
     rate, sizes = _sizes(H, state, 0.0)
@@ -303,10 +290,8 @@ def refined(problem: Problem, arc: Arc) -> Found:
 def check(problem: Problem, arc: Arc) -> tuple[Arc, Step, float]:
     """Correct an arc with more points in each window.
 
-    Returns
-    -------
-    Arc, Step, float
-        The corrected arc, the linear system, and the size of the correction: the estimated error.
+    - returns: The corrected arc, the linear system, and the size of the correction: the estimated
+      error.
     """
     finer = arc.on(arc.edges, arc.values.shape[1] + _EXTRA_NODES)
     anchor = anchor_of(problem, arc)

@@ -18,12 +18,7 @@ from hamsym.symbolic import derivatives
 
 @dataclass(frozen=True)
 class SignedPermutation:
-    """The linear map (S z)_i = signs_i z_(places_i).
-
-    Attributes
-    ----------
-    places, signs : tuple of int
-    """
+    """The linear map (S z)_i = signs_i z_(places_i)."""
 
     places: tuple[int, ...]
     signs: tuple[int, ...]
@@ -102,11 +97,6 @@ class Closing:
 
     With reversing symmetries the arc leads from the fixed set of ``first`` to that of ``last``, and
     ``shift`` is last o first; otherwise z(arc) = shift z(0).
-
-    Attributes
-    ----------
-    shift : SignedPermutation
-    first, last : SignedPermutation or None
     """
 
     shift: SignedPermutation
@@ -138,10 +128,7 @@ class Closing:
 def closing_of(H: Hamiltonian, symmetry: Any) -> Closing:
     """Convert the argument ``symmetry`` of :func:`hamsym.periodic_orbit`.
 
-    Raises
-    ------
-    InputError
-        If it is not a symmetry of H, or does not close an orbit.
+    Raise InputError if it is not a symmetry of H, or does not close an orbit.
     """
     if symmetry is None:
         return Closing(SignedPermutation.identity(H.dim))

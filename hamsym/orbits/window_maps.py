@@ -22,12 +22,9 @@ _BLOCK = 1 << 22  # entries of the matrices of windows that are solved at once
 class WindowMaps:
     """Corrections in windows by those at their start, of T, alpha and a parameter, plus constants.
 
-    Attributes
-    ----------
-    inside, ends : numpy.ndarray
-        At the points, shape (k, nodes, dim, dim + 4), and at the ends, shape (k, dim, dim + 4).
-    residual : numpy.ndarray
-        Of the collocation equations, shape (k, nodes, dim).
+    - inside, ends: At the points, shape (k, nodes, dim, dim + 4), and at the ends, shape (k, dim,
+      dim + 4).
+    - residual: Of the collocation equations, shape (k, nodes, dim).
     """
 
     def __init__(self, problem: Problem, arc: Arc) -> None:

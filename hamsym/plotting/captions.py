@@ -98,13 +98,8 @@ def caption_words(
 ) -> list[str]:
     """Return the caption of a figure as words: H, its parameters, then sentences.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-    *sentences : str or sequence of str
-        Plain text, or words.
-    parameters : mapping, optional
-        Values to show instead of those of H.
+    - *sentences: Plain text, or words.
+    - parameters: Values to show instead of those of H.
     """
     values = dict(H.parameters) if parameters is None else parameters
     parts: list[Sequence[str]] = [formula_words(H), parameter_words(values, H)]

@@ -47,13 +47,8 @@ class Figure(matplotlib.figure.Figure):
     ) -> Figure:
         """Return an empty figure with room for axes of this size in centimetres, and a caption.
 
-        Parameters
-        ----------
-        width, height : float
-        caption : sequence of str
-            Words, between which lines may be broken; drawn below the axes.
-        warning : str
-            Drawn in red above the axes.
+        - caption: Words, between which lines may be broken; drawn below the axes.
+        - warning: Drawn in red above the axes.
         """
         figure = cls(figsize=(width * _CM, height * _CM), layout="constrained")
         FigureCanvasAgg(figure)
@@ -190,10 +185,7 @@ def one_panel(
 ) -> Iterator[Axes]:
     """Give axes for one panel: the user's, in the user's style, or those of a new figure.
 
-    Raises
-    ------
-    InputError
-        If ``ax`` is not axes of matplotlib.
+    Raise InputError if ``ax`` is not axes of matplotlib.
     """
     if ax is not None:
         if not isinstance(ax, Axes):

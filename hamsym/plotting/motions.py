@@ -58,40 +58,26 @@ _CARTESIAN = re.compile(r"([xyzXYZ])_?([0-9]*|[A-Za-z]?)\Z")
 
 @dataclass(frozen=True)
 class Motion:
-    """One trajectory, or those of an ensemble that are drawn.
-
-    Attributes
-    ----------
-    H : Hamiltonian
-    t : numpy.ndarray
-        Times, shape (n,).
-    z : numpy.ndarray
-        States, shape (members, n, dim).
-    total : int
-        Trajectories of the result; ``z`` has these or a choice.
-    sentences : sequence
-        Of the caption, as text or words.
-    warning : str
-        In red, "" for none.
-    what : str
-        What the motions are, in the plural.
-    varied : (str, str, numpy.ndarray)
-        Label, unit and value of each trajectory by which it is named or coloured.
-    parameters : mapping, optional
-        Values for the caption, by default those of H.
-    apart : str
-        Sentence about states that are too far apart for lines between them, and drawn as dots.
-    """
+    """One trajectory, or those of an ensemble that are drawn."""
 
     H: Hamiltonian
+    #: Times, shape (n,).
     t: np.ndarray
+    #: States, shape (members, n, dim).
     z: np.ndarray
+    #: Trajectories of the result; ``z`` has these or a choice.
     total: int = 1
+    #: Of the caption, as text or words.
     sentences: Sequence[Any] = ()
+    #: In red, "" for none.
     warning: str = ""
+    #: What the motions are, in the plural.
     what: str = "trajectories"
+    #: Label, unit and value of each trajectory by which it is named or coloured.
     varied: tuple[str, str, np.ndarray] = ("", "", np.zeros(1))
+    #: Values for the caption, by default those of H.
     parameters: dict[str, float] | None = None
+    #: Sentence about states that are too far apart for lines between them, and drawn as dots.
     apart: str = ""
     styles: list[dict[str, Any]] = field(init=False)
 
@@ -477,10 +463,7 @@ def decades_and_lines(
 def draw_motion(motion: Motion, names: Sequence[Any], ax: Any) -> Any:
     """Draw one component over time, two in their plane or three in their space.
 
-    Raises
-    ------
-    InputError
-        If a name is no component, or there are more than three.
+    Raise InputError if a name is no component, or there are more than three.
     """
     H = motion.H
     if len(names) == 2 and str(names[0]) == time_name(H):
@@ -534,10 +517,7 @@ def _draw_space(motion: Motion, names: Sequence[str], ax: Any) -> Any:
 def component_of(H: Hamiltonian, name: Any, *others: str) -> str:
     """Return the name of a component.
 
-    Raises
-    ------
-    InputError
-        If there is none of this name. ``others`` are names of what is drawn alone.
+    Raise InputError if there is none of this name. ``others`` are names of what is drawn alone.
     """
     found = known_name(name, [*H.names, *others, time_name(H)], "a component of z")
     if found in others and found not in H.names:
@@ -548,12 +528,8 @@ def component_of(H: Hamiltonian, name: Any, *others: str) -> str:
 class MotionPanels:
     """The upper part of an overview: components over time, planes; then free panels below.
 
-    Parameters
-    ----------
-    motion : Motion
-    lower : int
-        Number of panels below; of one degree of freedom the first two stand beside the phase
-        portrait.
+    - lower: Number of panels below; of one degree of freedom the first two stand beside the phase
+      portrait.
     """
 
     def __init__(self, motion: Motion, lower: int) -> None:

@@ -155,10 +155,7 @@ def energy_unit(H: Hamiltonian) -> str:
 def known_name(name: Any, names: Sequence[str], what: str) -> str:
     """Return a name that is one of several.
 
-    Raises
-    ------
-    InputError
-        If it is not; the message has the nearest name.
+    Raise InputError if it is not; the message has the nearest name.
     """
     if isinstance(name, sympy.Symbol):
         name = name.name

@@ -17,17 +17,11 @@ from hamsym.plotting.style import COLUMN, GREY, PAGE, style_for, styled
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel of a figure.
+    """A panel of a figure."""
 
-    Attributes
-    ----------
-    draw : callable
-        Draws into axes.
-    height : float
-        Of the panel, in centimetres.
-    """
-
+    #: Draws into axes.
     draw: Callable[[Axes], Any]
+    #: Of the panel, in centimetres.
     height: float = 6.5
 
 
@@ -51,21 +45,13 @@ def draw_panels(
 ) -> Any:
     """Draw the panels of an overview side by side, or the one that is named.
 
-    Parameters
-    ----------
-    panels : mapping
-        All panels, by name.
-    shown : sequence of str
-        Those of the overview.
-    names : sequence
-        The panel that was asked for, or none.
-    ax : Axes or None
-        The axes of the user for one panel.
+    Raise InputError if a name is unknown, there is more than one, or ``ax`` is given for several
+    panels.
 
-    Raises
-    ------
-    InputError
-        If a name is unknown, there is more than one, or ``ax`` is given for several panels.
+    - panels: All panels, by name.
+    - shown: Those of the overview.
+    - names: The panel that was asked for, or none.
+    - ax: The axes of the user for one panel.
     """
     if len(names) > 1:
         raise InputError(f"{len(names)} panels cannot be drawn in one; give one name, or none")

@@ -35,10 +35,7 @@ def draw_levels(axes: Axes, H: Hamiltonian, x: str, y: str, own: float | None = 
 
     H has one degree of freedom and no explicit time.
 
-    Parameters
-    ----------
-    own : float, optional
-        Energy at the start of a trajectory, which the caption says.
+    - own: Energy at the start of a trajectory, which the caption says.
     """
     limits = axes.get_xlim(), axes.get_ylim()
     sides = [np.linspace(*limit, _GRID) for limit in limits]

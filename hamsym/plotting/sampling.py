@@ -22,20 +22,10 @@ def resolved(
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Sample a motion, and again where lines between the samples do not look like the curve.
 
-    Parameters
-    ----------
-    states : callable
-        Times, shape (n,) -> states, shape (..., n, dim).
-    times : numpy.ndarray
-        The first samples.
-    trajectories : int
-        How many are drawn; of many fewer times are allowed.
-
-    Returns
-    -------
-    t, z : numpy.ndarray
-    apart : str
-        The sentence for the caption if so many are too few, else "".
+    - states: Times, shape (n,) -> states, shape (..., n, dim).
+    - times: The first samples.
+    - trajectories: How many are drawn; of many fewer times are allowed.
+    - returns apart: The sentence for the caption if so many are too few, else "".
 
     Examples
     --------

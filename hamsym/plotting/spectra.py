@@ -71,10 +71,7 @@ def draw_exponents_plane(
 ) -> None:
     """Draw eigenvalues of a linearised motion, with the axes that separate its kinds.
 
-    Parameters
-    ----------
-    marks : list of (complex, str)
-        Texts beside eigenvalues.
+    - marks: Texts beside eigenvalues.
     """
     values = np.asarray(values, dtype=complex)
     axes.axhline(0, color=GREY, linewidth=0.7)

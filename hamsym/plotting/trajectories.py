@@ -65,10 +65,7 @@ def draw_trajectory(trajectory: Trajectory, *names: Any, ax: Any = None) -> Any:
 def _motion(trajectory: Trajectory, chosen: np.ndarray) -> Motion:
     members = trajectory.ensemble
     H, total = members.H, len(members)
-    columns = {
-        name: members.parameters[:, H.parameter_names.index(name)] for name in members.varied
-    }
-    same, ranges = parameters_of(H, columns)
+    same, ranges = parameters_of(H, members.columns)
     success = np.broadcast_to(trajectory.success, members.shape).ravel()
     warning, failed = "", int(total - success.sum())
     if failed:
@@ -84,7 +81,9 @@ def _motion(trajectory: Trajectory, chosen: np.ndarray) -> Motion:
         sentences=[ranges, "" if warning and total == 1 else trajectory.message],
         warning=warning,
         varied=varying(
-            H, members.states[chosen], {name: values[chosen] for name, values in columns.items()}
+            H,
+            members.states[chosen],
+            {name: values[chosen] for name, values in members.columns.items()},
         ),
         parameters=same,
         apart=apart,

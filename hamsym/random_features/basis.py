@@ -56,35 +56,25 @@ SIZES = {16: Size(16, 16, 16, 5.5), 24: Size(24, 19, 32, 10.0)}
 
 @dataclass(frozen=True, eq=False)  # one object per seed, so that its tables can be cached
 class FeatureBasis:
-    """Orthonormal combinations Q = f(s) sin(a s + b) W of the features, for s in [0, 1].
+    """Orthonormal combinations Q = f(s) sin(a s + b) W of the features, for s in [0, 1]."""
 
-    Attributes
-    ----------
-    seed : int
-        Seed of a and b.
-    nodes, between : numpy.ndarray
-        Chebyshev points of the first kind in (0, 1), and points in between, almost to both ends.
-    fit : numpy.ndarray
-        Values dz/ds at the nodes -> coefficients, shape (m, nodes).
-    integration : numpy.ndarray
-        Values dz/ds at the nodes -> z - z_a there, shape (nodes, nodes).
-    to_between, rates_between : numpy.ndarray
-        Q and dQ/ds at the points in between.
-    end : numpy.ndarray
-        Q at s = 1 in extended precision, shape (m,).
-    series : numpy.ndarray
-        Chebyshev series of N = sin(a s + b) W in 2 s - 1, shape (degree + 1, m): the same function
-        to one or two bits, without the cancellation in that product.
-    """
-
+    #: Seed of a and b.
     seed: int
+    #: nodes, between: Chebyshev points of the first kind in (0, 1), and points in between, almost
+    #: to both ends.
     nodes: np.ndarray
     between: np.ndarray
+    #: Values dz/ds at the nodes -> coefficients, shape (m, nodes).
     fit: np.ndarray
+    #: Values dz/ds at the nodes -> z - z_a there, shape (nodes, nodes).
     integration: np.ndarray
+    #: to_between, rates_between: Q and dQ/ds at the points in between.
     to_between: np.ndarray
     rates_between: np.ndarray
+    #: Q at s = 1 in extended precision, shape (m,).
     end: np.ndarray
+    #: Chebyshev series of N = sin(a s + b) W in 2 s - 1, shape (degree + 1, m): the same function
+    #: to one or two bits, without the cancellation in that product.
     series: np.ndarray
 
     @cached_property

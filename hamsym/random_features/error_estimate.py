@@ -63,22 +63,14 @@ class MarchError(WindowError):
 
 
 class Estimate(NamedTuple):
-    """The error of a march, with the reason where it is infinite and the unresolved windows.
-
-    Attributes
-    ----------
-    error : MarchError
-    limit : str
-        Reason why the error is infinite in the last windows, "" if it is finite.
-    linear : numpy.ndarray
-        Largest error by the linear equation also where that is not valid, shape (dim,).
-    unresolved : list of (float, float)
-        Windows whose residual is large relative to the rates: the force may jump there.
-    """
+    """The error of a march, with the reason where it is infinite and the unresolved windows."""
 
     error: MarchError
+    #: Reason why the error is infinite in the last windows, "" if it is finite.
     limit: str
+    #: Largest error by the linear equation also where that is not valid, shape (dim,).
     linear: np.ndarray
+    #: Windows whose residual is large relative to the rates: the force may jump there.
     unresolved: list[tuple[float, float]]
 
 
@@ -92,17 +84,9 @@ def estimate_error(
 ) -> Estimate:
     """Estimate the error of a march from its residual, with the linear equation of the error.
 
-    Parameters
-    ----------
-    windows : March
-    basis : FeatureBasis
-    flow : Flow
-    tolerance : float
-        Local tolerance of the march.
-    resolution : int, optional
-        Index of :data:`RESOLUTIONS`; by default from the tolerance.
-    residuals : numpy.ndarray, optional
-        In place of those computed in float64, shape (windows, dim, places).
+    - tolerance: Local tolerance of the march.
+    - resolution: Index of :data:`RESOLUTIONS`; by default from the tolerance.
+    - residuals: In place of those computed in float64, shape (windows, dim, places).
     """
     tables = error_tables(basis, resolution_for(tolerance) if resolution is None else resolution)
     count, _, dim = windows.readouts.shape

@@ -17,44 +17,29 @@ from hamsym.kernel.loops import Equations as Programs
 
 @dataclass(frozen=True)
 class Flow:
-    """The equation z' = F(z, t) and the functions of H that the march and its checks evaluate.
+    """The equation z' = F(z, t) and the functions of H that the march and its checks evaluate."""
 
-    Attributes
-    ----------
-    programs : hamsym.kernel.loops.Equations
-        The equations for the loops over windows; they are the same for all values of parameters.
-    parameters : numpy.ndarray
-        Values of the parameters, shape (k,).
-    entries : numpy.ndarray
-        Row and column of each second derivative of H in ``programs``, shape (entries, 2).
-    symmetric : bool
-        Whether each entry also stands for its mirror image, without forces.
-    vector_field : callable
-        (z, t, parameters=None) -> F, shapes (n, dim), (n,), (n, k) -> (n, dim).
-    jacobian : callable
-        (z, t) -> dF/dz, shape (n, dim, dim).
-    energy : callable, optional
-        (z, t) -> H, shape (n,), where H is conserved and does not jump at the cut of an angle.
-    autonomous : bool
-        Whether the time does not occur.
-    is_short_polynomial : bool
-        Whether the rates are polynomials of low degree, which are resolved wherever z^ is.
-    resting : callable, optional
-        (z, candidates) -> those components of one state that keep exactly their values.
-    rounded : bool
-        Whether the formulas have numbers that float64 cannot represent.
-    """
-
+    #: The equations for the loops over windows; they are the same for all values of parameters.
     programs: Programs
+    #: Values of the parameters, shape (k,).
     parameters: np.ndarray
+    #: Row and column of each second derivative of H in ``programs``, shape (entries, 2).
     entries: np.ndarray
+    #: Whether each entry also stands for its mirror image, without forces.
     symmetric: bool
+    #: Whether the rates are polynomials of low degree, which are resolved wherever z^ is.
     is_short_polynomial: bool
+    #: (z, t, parameters=None) -> F, shapes (n, dim), (n,), (n, k) -> (n, dim).
     vector_field: Callable[..., np.ndarray]
+    #: (z, t) -> dF/dz, shape (n, dim, dim).
     jacobian: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    #: (z, t) -> H, shape (n,), where H is conserved and does not jump at the cut of an angle.
     energy: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    #: Whether the time does not occur.
     autonomous: bool = False
+    #: (z, candidates) -> those components of one state that keep exactly their values.
     resting: Callable[[np.ndarray, np.ndarray], list[int]] | None = None
+    #: Whether the formulas have numbers that float64 cannot represent.
     rounded: bool = False
 
 

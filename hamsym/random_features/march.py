@@ -54,20 +54,11 @@ def march(
 ) -> March:
     """March windows over a span, each to a local tolerance relative to each component's size.
 
-    Parameters
-    ----------
-    flow : Flow
-    z0 : numpy.ndarray
-        Shape (dim,).
-    span : (float, float)
-    tolerance : float
-    basis : FeatureBasis
-    breakpoints : sequence of float
-        Times inside the span, in its direction, at which a window must end.
-    longest : float
-        Length that no window exceeds, but for a millionth of it.
-    max_windows : int
-        The march also ends early where more than ten times as many will clearly be needed.
+    - z0: Shape (dim,).
+    - breakpoints: Times inside the span, in its direction, at which a window must end.
+    - longest: Length that no window exceeds, but for a millionth of it.
+    - max_windows: The march also ends early where more than ten times as many will clearly be
+      needed.
     """
     return _Marching(flow, z0, span, tolerance, basis, breakpoints, longest, max_windows).run()
 
@@ -337,23 +328,10 @@ def newton(
 ) -> tuple[np.ndarray | None, int]:
     """Solve one window by Newton's method from the constant state.
 
-    Parameters
-    ----------
-    flow : Flow
-    basis : FeatureBasis
-    z : numpy.ndarray
-        State at the start of the window, shape (dim,).
-    start, length : float
-        Start and length of the window, negative backwards in time.
-    tolerance : float
-    sizes : numpy.ndarray
-        Sizes of the components, shape (dim,).
-
-    Returns
-    -------
-    rates : numpy.ndarray or None
-        F at the nodes, shape (nodes, dim); None without convergence.
-    evaluations : int
+    - z: State at the start of the window, shape (dim,).
+    - start, length: Start and length of the window, negative backwards in time.
+    - sizes: Sizes of the components, shape (dim,).
+    - returns rates: F at the nodes, shape (nodes, dim); None without convergence.
     """
     times, integration = start + length * basis.nodes, length * basis.integration
     count, dim = len(times), len(z)

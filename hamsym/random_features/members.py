@@ -48,34 +48,25 @@ MAX_WINDOWS = 50_000  # of one member; more are left to the general march
 
 @dataclass(frozen=True)
 class Batch:
-    """Windows of consecutive members.
+    """Windows of consecutive members."""
 
-    Attributes
-    ----------
-    accepted : numpy.ndarray
-        Whether the member passed every check, shape (members,). The others have no windows.
-    counts, evaluations : numpy.ndarray
-        Windows, and evaluations of the vector field, shape (members,).
-    excess : numpy.ndarray
-        Largest ratio of the estimated to the allowed error, shape (members,).
-    largest, sizes : numpy.ndarray
-        Largest estimated error, and largest magnitude of each component, shape (members, dim).
-    edges, states, readouts : numpy.ndarray
-        Of all windows: those of a member follow those of the members before it. A member with n
-        windows has n + 1 edges and states; one without windows has none.
-    series, floors : numpy.ndarray
-        Of the estimated error; without rows if they were not asked for.
-    """
-
+    #: Whether the member passed every check, shape (members,). The others have no windows.
     accepted: np.ndarray
+    #: counts, evaluations: Windows, and evaluations of the vector field, shape (members,).
     counts: np.ndarray
     evaluations: np.ndarray
+    #: Largest ratio of the estimated to the allowed error, shape (members,).
     excess: np.ndarray
+    #: largest, sizes: Largest estimated error, and largest magnitude of each component, shape
+    #: (members, dim).
     largest: np.ndarray
     sizes: np.ndarray
+    #: edges, states, readouts: Of all windows: those of a member follow those of the members before
+    #: it. A member with n windows has n + 1 edges and states; one without windows has none.
     edges: np.ndarray
     states: np.ndarray
     readouts: np.ndarray
+    #: series, floors: Of the estimated error; without rows if they were not asked for.
     series: np.ndarray
     floors: np.ndarray
 
@@ -83,18 +74,10 @@ class Batch:
 class MemberSolver:
     """Solver of members of one Hamiltonian over one span.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-        With a value for every parameter; members may have others.
-    span : (float, float)
-    tol, local : float
-        Relative tolerance, and the local one of the first march.
-    atol : numpy.ndarray
-        Absolute tolerance, shape (dim,).
-    longest : float
-        Length that no window exceeds.
-    basis : FeatureBasis
+    - H: With a value for every parameter; members may have others.
+    - tol, local: Relative tolerance, and the local one of the first march.
+    - atol: Absolute tolerance, shape (dim,).
+    - longest: Length that no window exceeds.
     """
 
     def __init__(

@@ -17,6 +17,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.scales import ratios
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.basis import FeatureBasis, feature_basis
 from hamsym.random_features.error_estimate import (
@@ -47,7 +48,7 @@ from hamsym.solution.accuracy import (
 from hamsym.solution.discontinuities import first_jump
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import shown_time
-from hamsym.solution.window_error import allowed_errors, largest_ratio
+from hamsym.solution.window_error import allowed_errors
 
 _SMALL_BASIS = 1e-10  # tolerance from which the small basis takes less time
 _LOCAL = 0.1  # local tolerance of the first march, relative to the tolerance
@@ -58,24 +59,16 @@ _JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Checked options of a march.
+    """Checked options of a march."""
 
-    Attributes
-    ----------
-    tol, local : float
-        Tolerance, and local tolerance of the first march.
-    absolute : numpy.ndarray
-        Absolute tolerance, shape (dim,).
-    longest : float
-        Longest window.
-    stops : list of float
-        Times at which a window ends.
-    """
-
+    #: tol, local: Tolerance, and local tolerance of the first march.
     tol: float
     local: float
+    #: Absolute tolerance, shape (dim,).
     absolute: np.ndarray
+    #: Longest window.
     longest: float
+    #: Times at which a window ends.
     stops: list[float]
 
     def allowed(self, sizes: np.ndarray) -> np.ndarray:
@@ -86,10 +79,7 @@ class Accuracy:
 def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: int) -> Accuracy:
     """Check the options of the method "features".
 
-    Raises
-    ------
-    InputError
-        If one cannot be used.
+    Raise InputError if one cannot be used.
     """
     tol = checked_tol(options.tol)
     return Accuracy(
@@ -278,7 +268,7 @@ class _Attempt:
     @property
     def too_large(self) -> float:
         """Ratio of the error to the allowed one, of which a tighter march has a smaller one."""
-        linear = largest_ratio(self.estimate.linear, self.allowed)
+        linear = float(ratios(self.estimate.linear, self.allowed).max())
         return max(linear, TIGHTER) if self.estimate.limit else linear
 
     @cached_property

@@ -25,25 +25,17 @@ class FeatureTrial:
 
     N is the product of a Chebyshev series, the same for all windows, with the window's readout; the
     derivative is that of the series.
-
-    Attributes
-    ----------
-    edges : numpy.ndarray
-        Ends of the windows, counted from the origin, shape (n + 1,).
-    states : numpy.ndarray
-        z at the edges, shape (n + 1, dim).
-    readouts : numpy.ndarray
-        Coefficients of the columns, shape (n, m, dim).
-    series : numpy.ndarray
-        Chebyshev series of the columns in 2 s - 1, shape (degree + 1, m).
-    origin : numpy.ndarray
-        Time from which the edges are counted, shape ().
     """
 
+    #: Ends of the windows, counted from the origin, shape (n + 1,).
     edges: np.ndarray = field(repr=False)
+    #: z at the edges, shape (n + 1, dim).
     states: np.ndarray = field(repr=False)
+    #: Coefficients of the columns, shape (n, m, dim).
     readouts: np.ndarray = field(repr=False)
+    #: Chebyshev series of the columns in 2 s - 1, shape (degree + 1, m).
     series: np.ndarray = field(repr=False)
+    #: Time from which the edges are counted, shape ().
     origin: np.ndarray
 
     @classmethod
@@ -58,10 +50,7 @@ class FeatureTrial:
     ) -> FeatureTrial:
         """Make the trial solution from its :meth:`describe` and :meth:`arrays`.
 
-        Raises
-        ------
-        ValueError
-            If they do not define a trial solution with ``dim`` components.
+        Raise ValueError if they do not define a trial solution with ``dim`` components.
         """
         require_names("trial solution", values, {"form"})
         require_names("windows", arrays, {entry.name for entry in fields(cls)})

@@ -43,38 +43,24 @@ class Failure(NamedTuple):
 
 
 class Pieces(NamedTuple):
-    """Windows that need not follow each other.
+    """Windows that need not follow each other."""
 
-    Attributes
-    ----------
-    start, end : numpy.ndarray
-        Shape (windows,).
-    states : numpy.ndarray
-        At the starts, shape (windows, dim).
-    readouts : numpy.ndarray
-        Shape (windows, columns, dim).
-    """
-
+    #: start, end: Shape (windows,).
     start: np.ndarray
     end: np.ndarray
+    #: At the starts, shape (windows, dim).
     states: np.ndarray
+    #: Shape (windows, columns, dim).
     readouts: np.ndarray
 
 
 @dataclass
 class WindowChecks:
-    """The checks of one march.
-
-    Attributes
-    ----------
-    flow : Flow
-    basis : FeatureBasis
-    tolerance : float
-        Local tolerance of the march.
-    """
+    """The checks of one march."""
 
     flow: Flow
     basis: FeatureBasis
+    #: Local tolerance of the march.
     tolerance: float
 
     def first_failure(self, windows: Windows, sizes: np.ndarray) -> Failure | None:
@@ -103,15 +89,9 @@ class WindowChecks:
     ) -> list[Excess]:
         """Find windows whose residual may be larger between the points of the march.
 
-        Parameters
-        ----------
-        pieces : Pieces
-        sizes : numpy.ndarray
-            Of the components, shape (dim,) or (windows, dim).
-        parameters : numpy.ndarray, optional
-            Values for each window, shape (windows, k), by default those of H.
-        first_only : bool
-            Whether to search for the first of them only.
+        - sizes: Of the components, shape (dim,) or (windows, dim).
+        - parameters: Values for each window, shape (windows, k), by default those of H.
+        - first_only: Whether to search for the first of them only.
         """
         if self.flow.is_short_polynomial:
             return []

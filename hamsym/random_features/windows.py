@@ -21,48 +21,32 @@ class Windows(NamedTuple):
 
 @dataclass(frozen=True)
 class March:
-    """Windows of a solution and their cost.
+    """Windows of a solution and their cost."""
 
-    Attributes
-    ----------
-    edges : numpy.ndarray
-        Ends of the windows, shape (n + 1,).
-    states : numpy.ndarray
-        z at the edges, shape (n + 1, dim).
-    readouts : numpy.ndarray
-        Coefficients of the orthonormal columns, shape (n, m, dim).
-    reached : float
-        Time at which the last window ends.
-    reason : str
-        Reason for ending before the end of the span, "" at its end.
-    evaluations : int
-        Calls of the vector field, each at all points of a window.
-    newton_windows : int
-        Windows for which Newton's method was needed.
-    scale : numpy.ndarray
-        Largest magnitude of each component, shape (dim,).
-    seconds, cpu_seconds : float
-    seed : int
-        Of the basis.
-    origin : float
-        Time from which the edges are counted: the start of the span, where H does not depend on
-        time and differences to it are exact in float64, otherwise 0.
-    doubt : str
-        First failure of a check that shorter windows did not mend, "" without one.
-    """
-
+    #: Ends of the windows, shape (n + 1,).
     edges: np.ndarray = field(repr=False)
+    #: z at the edges, shape (n + 1, dim).
     states: np.ndarray = field(repr=False)
+    #: Coefficients of the orthonormal columns, shape (n, m, dim).
     readouts: np.ndarray = field(repr=False)
+    #: Time at which the last window ends.
     reached: float
+    #: Reason for ending before the end of the span, "" at its end.
     reason: str
+    #: Calls of the vector field, each at all points of a window.
     evaluations: int
+    #: Windows for which Newton's method was needed.
     newton_windows: int
+    #: Largest magnitude of each component, shape (dim,).
     scale: np.ndarray = field(repr=False)
     seconds: float
     cpu_seconds: float
+    #: Of the basis.
     seed: int
+    #: Time from which the edges are counted: the start of the span, where H does not depend on time
+    #: and differences to it are exact in float64, otherwise 0.
     origin: float = 0.0
+    #: First failure of a check that shorter windows did not mend, "" without one.
     doubt: str = ""
 
     @property

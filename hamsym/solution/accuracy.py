@@ -19,10 +19,7 @@ SMALLEST_TOL = 1e-12
 def checked_tol(tol: Any) -> float:
     """Return a relative tolerance.
 
-    Raises
-    ------
-    InputError
-        If it is not a number from 1e-12 to below 1.
+    Raise InputError if it is not a number from 1e-12 to below 1.
     """
     if not (isinstance(tol, (int, float, np.floating)) and SMALLEST_TOL <= tol < 1):
         raise InputError(
@@ -63,10 +60,7 @@ def window_ends(
 ) -> list[float]:
     """Breakpoints and the times at which t switches H, in the direction of the span.
 
-    Raises
-    ------
-    InputError
-        If a breakpoint is not a time inside the span.
+    Raise InputError if a breakpoint is not a time inside the span.
     """
     given = checked_breakpoints(breakpoints, span)
     apart = 1e-12 * max(map(abs, span))

@@ -18,11 +18,8 @@ def digest(solution: Solution) -> str:
 
     It includes types, shapes and bytes of the numbers, but not the method, its cost or the verdict.
 
-    Raises
-    ------
-    InputError
-        If the solution is invalid: a part has another type, shape or order, is not finite, or
-        contradicts another part.
+    Raise InputError if the solution is invalid: a part has another type, shape or order, is not
+    finite, or contradicts another part.
     """
     try:
         check_definition(solution)

@@ -36,20 +36,12 @@ def first_jump(
 ) -> str | None:
     """Describe the first discontinuity of H or grad H along a trajectory.
 
-    Parameters
-    ----------
-    solution : Path
-    times : numpy.ndarray
-        Times at which the arguments of abs, sign, Min and Max are evaluated; a jump lies where one
-        of them changes its sign.
-    suspects : sequence of (float, float)
-        Intervals in which the residual is large relative to the rates. The rates are sampled there,
-        to find the jump of sqrt((x - 1)**2), and steps that are too steep for the tolerance.
-
-    Returns
-    -------
-    str or None
-        The kind of the discontinuity, its time and the remedy, for a message.
+    - times: Times at which the arguments of abs, sign, Min and Max are evaluated; a jump lies where
+      one of them changes its sign.
+    - suspects: Intervals in which the residual is large relative to the rates. The rates are
+      sampled there, to find the jump of sqrt((x - 1)**2), and steps that are too steep for the
+      tolerance.
+    - returns: The kind of the discontinuity, its time and the remedy, for a message.
     """
     direction = math.copysign(1.0, times[-1] - times[0])
     # Both searches find a jump of abs, sign, Min or Max; the first is more accurate.
@@ -71,10 +63,7 @@ def parameter_jump(solution: Path, names: Sequence[str]) -> str | None:
     force jumps along the trajectory: a change of the parameter changes the time of the jump, or the
     state at it.
 
-    Returns
-    -------
-    str or None
-        The reason and the remedy, for a message.
+    - returns: The reason and the remedy, for a message.
     """
     times = solution.scan_times
     for name in names:
@@ -171,17 +160,11 @@ def has_time_switches(H: Hamiltonian) -> bool:
 
 
 class _Switch(NamedTuple):
-    """A function of (z, t) at whose zeros the gradient or H may jump.
+    """A function of (z, t) at whose zeros the gradient or H may jump."""
 
-    Attributes
-    ----------
-    argument : callable
-        Shapes (..., dim), (...) -> (..., 1); for H = p**2/2 + abs(x) it is x.
-    jumps : callable
-        Jumps of the gradient, then of H, at a zero: (..., dim), (...) -> (..., dim + 1).
-    """
-
+    #: Shapes (..., dim), (...) -> (..., 1); for H = p**2/2 + abs(x) it is x.
     argument: Callable[..., np.ndarray]
+    #: Jumps of the gradient, then of H, at a zero: (..., dim), (...) -> (..., dim + 1).
     jumps: Callable[..., np.ndarray]
 
 

@@ -27,18 +27,9 @@ def integrated_error(
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Integrate delta with DOP853; it is infinite from where the equation has no solution.
 
-    Parameters
-    ----------
-    solution : Path
-    linear : bool
-        Solve the linearised equation.
-    resolution : int
-        Index of :data:`RESOLUTIONS`.
-
-    Returns
-    -------
-    callable
-        t -> delta, shape (*t.shape, dim).
+    - linear: Solve the linearised equation.
+    - resolution: Index of :data:`RESOLUTIONS`.
+    - returns: t -> delta, shape (*t.shape, dim).
     """
     H, system = solution.H, solution.H.compile("numpy")
     size = solution.ell_max or 1.0  # errors are measured in units of ell_max

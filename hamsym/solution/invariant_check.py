@@ -15,12 +15,7 @@ def judged_by_invariants(
 ) -> Solution:
     """Return the solution with the drifts of known invariants, which may refuse it.
 
-    Parameters
-    ----------
-    solution : Solution
-    known : KnownInvariants
-    allowed : numpy.ndarray
-        Allowed errors of the components, shape (dim,).
+    - allowed: Allowed errors of the components, shape (dim,).
     """
     times = solution.scan_times
     change, explained = known.drifts(

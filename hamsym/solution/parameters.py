@@ -23,12 +23,7 @@ if TYPE_CHECKING:  # torch is imported only by callers that have tensors
 def parameter_names(H: Hamiltonian, parameters: Any) -> tuple[str, ...]:
     """Return the names in H of one or several parameters, given by name or as symbols.
 
-    Raises
-    ------
-    InputError
-        If none is given.
-    ParameterError
-        If one is not a parameter of H.
+    Raise InputError if none is given. Raise ParameterError if one is not a parameter of H.
     """
     try:
         given = [name_of(entry) for entry in as_list(parameters)]
@@ -51,12 +46,8 @@ def parameter_names(H: Hamiltonian, parameters: Any) -> tuple[str, ...]:
 def parameter_tensors(H: Hamiltonian, parameters: Any) -> dict[str, Tensor]:
     """Return values of parameters, given as tensors with the values in H, by their names in H.
 
-    Raises
-    ------
-    InputError
-        If they are not a mapping, or it is empty.
-    ParameterError
-        If one is not a parameter of H, not a tensor of shape (), or has another value.
+    Raise InputError if they are not a mapping, or it is empty. Raise ParameterError if one is not a
+    parameter of H, not a tensor of shape (), or has another value.
     """
     if not isinstance(parameters, Mapping):
         raise InputError(
@@ -105,10 +96,7 @@ class ParameterForcing:
     def __call__(self, z: np.ndarray, t: np.ndarray) -> np.ndarray:
         """Evaluate at states (n, dim) and times (n,), shape (n, dim, parameters).
 
-        Raises
-        ------
-        ParameterError
-            If a derivative is not finite.
+        Raise ParameterError if a derivative is not finite.
         """
         values = np.asarray(self._function(z, t), dtype=float)
         values = values.reshape(len(z), len(self), self._H.dim)

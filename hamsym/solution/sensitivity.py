@@ -46,17 +46,10 @@ class Sensitivity:
 
     Both are NaN from the first window on that has no solution, or needs too many windows.
 
-    Parameters
-    ----------
-    path : Path
-    units : numpy.ndarray
-        Size of each component, positive, shape (dim,).
-    edges : numpy.ndarray, optional
-        Ends of windows, counted from ``origin``; by default windows short enough for polynomials
-        are chosen by the size of J Hess.
-    origin : float
-    forcing : callable, optional
-        That of the parameters; by default there are none.
+    - units: Size of each component, positive, shape (dim,).
+    - edges: Ends of windows, counted from ``origin``; by default windows short enough for
+      polynomials are chosen by the size of J Hess.
+    - forcing: That of the parameters; by default there are none.
     """
 
     def __init__(

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from hamsym.solution.window_error import allowed_errors
-from hamsym.support.checked_data import (
-    checked_list,
-    checked_mapping,
-    checked_number,
-    checked_type,
-    require_names,
-)
+from hamsym.support.checked_data import checked_list, checked_record
 
 _MOST_OPTIONS = 100
 _LONGEST_TEXT = 10_000
@@ -24,35 +18,22 @@ _LONGEST_TEXT = 10_000
 
 @dataclass(frozen=True)
 class Settings:
-    """Arguments with which :func:`hamsym.solve` was called, beside H, z0 and the method.
+    """Arguments with which :func:`hamsym.solve` was called, beside H, z0 and the method."""
 
-    Attributes
-    ----------
-    span : (float, float)
-        The times that were asked for; a solution that had to stop spans fewer.
-    seed : int
-    tol : float or None
-        Relative tolerance, given or by default; None for a method without one.
-    atol : tuple of float
-        Absolute tolerance, one, or one for each component, in the units of the components.
-    prove : bool
-    invariants : tuple of str
-    options : mapping of str to plain values
-        The options that were given: numbers, texts, None, and lists of them.
-    missing : tuple of str
-        Names of further options, with values that are not data, for example a network of one's own.
-    version : str
-        Version of hamsym that solved.
-    """
-
+    #: The times that were asked for; a solution that had to stop spans fewer.
     span: tuple[float, float]
     seed: int
+    #: Relative tolerance, given or by default; None for a method without one.
     tol: float | None
+    #: Absolute tolerance, one, or one for each component, in the units of the components.
     atol: tuple[float, ...]
     prove: bool = False
     invariants: tuple[str, ...] = ()
+    #: The options that were given: numbers, texts, None, and lists of them.
     options: Mapping[str, Any] = field(default_factory=dict)
+    #: Names of further options, with values that are not data, for example a network of one's own.
     missing: tuple[str, ...] = ()
+    #: Version of hamsym that solved.
     version: str = ""
 
     def allowed(self, scale: np.ndarray) -> np.ndarray | None:
@@ -69,58 +50,28 @@ class Settings:
 
     def described(self) -> dict[str, Any]:
         """Return it as JSON values."""
-        return {
-            "span": list(self.span),
-            "seed": self.seed,
-            "tol": self.tol,
-            "atol": list(self.atol),
-            "prove": self.prove,
-            "invariants": list(self.invariants),
-            "options": dict(self.options),
-            "missing": list(self.missing),
-            "version": self.version,
-        }
+        return {**vars(self), "options": dict(self.options)}
 
     @classmethod
     def from_description(cls, given: Any, dim: int) -> Settings:
         """Make it from its :meth:`described`.
 
-        Parameters
-        ----------
-        given : mapping
-        dim : int
-            Number of components.
+        Raise ValueError if the values are not what ``described`` returns.
 
-        Raises
-        ------
-        ValueError
-            If the values are not what ``described`` returns.
+        - dim: Number of components.
         """
-        values = checked_mapping("settings", given)
-        require_names("settings", values, set(cls.__dataclass_fields__))
-        start, end = (checked_number("span", t) for t in checked_list("span", values["span"], 2))
-        tol = values["tol"]
-        atol = tuple(checked_number("atol", part) for part in checked_list("atol", values["atol"]))
-        if tol is not None and not 0 < (tol := checked_number("tol", tol)) < 1:
+        found: Settings = checked_record(cls, given, {})
+        if found.tol is not None and not 0 < found.tol < 1:
             raise ValueError("its tol is out of range")
-        if len(atol) not in (1, dim) or not all(part >= 0 for part in atol):
+        if len(found.atol) not in (1, dim) or not all(part >= 0 for part in found.atol):
             raise ValueError("its atol is not one tolerance, or one for each component")
-        options = checked_mapping("options", values["options"])
-        missing = _texts("missing", values["missing"])
-        found = cls(
-            span=(start, end),
-            seed=checked_type("seed", values["seed"], "int"),
-            tol=tol,
-            atol=atol,
-            prove=checked_type("prove", values["prove"], "bool"),
-            invariants=_texts("invariants", values["invariants"]),
-            options={name: _plain(value) for name, value in options.items()},
-            missing=missing,
-            version=_text("version", values["version"]),
-        )
         if not found.seed >= 0:
             raise ValueError("its seed is negative")
-        return found
+        for texts in (found.invariants, found.missing, (found.version,)):
+            checked_list(
+                "settings", [_text("settings", text) for text in texts], most=_MOST_OPTIONS
+            )
+        return replace(found, options={name: _plain(v) for name, v in found.options.items()})
 
     def check(self, names: set[str], span: tuple[float, float]) -> None:
         """Raise ValueError unless it belongs to a method with these options and to this span."""
@@ -145,15 +96,9 @@ def settings_of(
 ) -> Settings:
     """Record the arguments of a call.
 
-    Parameters
-    ----------
-    span, seed, prove, invariants
-        As checked.
-    chosen : object
-        The dataclass of all options, with their defaults.
-    options : mapping
-        The options that were given.
-    version : str
+    - span, seed, prove, invariants: As checked.
+    - chosen: The dataclass of all options, with their defaults.
+    - options: The options that were given.
     """
     plain: dict[str, Any] = {}
     for name, value in options.items():
@@ -179,10 +124,7 @@ def settings_of(
 def _plain(value: Any) -> Any:
     """Return a value as JSON has it, lists for tuples and arrays.
 
-    Raises
-    ------
-    ValueError
-        If it is not data.
+    Raise ValueError if it is not data.
     """
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
@@ -211,7 +153,3 @@ def _text(name: str, value: Any) -> str:
     if not isinstance(value, str) or len(value) > _LONGEST_TEXT:
         raise ValueError(f"'{name}' is not a text of at most {_LONGEST_TEXT:,} characters")
     return value
-
-
-def _texts(name: str, value: Any) -> tuple[str, ...]:
-    return tuple(_text(name, part) for part in checked_list(name, value, most=_MOST_OPTIONS))

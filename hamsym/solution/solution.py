@@ -16,7 +16,7 @@ import hamsym
 from hamsym.description import attributes_of
 from hamsym.errors import InputError, ParameterError, VacuousBoundWarning
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.numerics.scales import SMALLEST, coupled_sizes
+from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios
 from hamsym.solution.analysis import Analysis
 from hamsym.solution.discontinuities import parameter_jump
 from hamsym.solution.error_equation import integrated_error
@@ -501,10 +501,7 @@ class Solution(Shown):
         (:func:`~hamsym.numerics.scales.coupled_sizes`) where that is larger. Infinite where the
         error is unknown.
         """
-        errors = self.largest_error
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.where(errors == 0, 0.0, errors / self._coupled_scales)
-        return float(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf).max())
+        return float(ratios(self.largest_error, self._coupled_scales).max())
 
     @cached_property
     def _coupled_scales(self) -> np.ndarray:

@@ -34,10 +34,8 @@ def shown_time(t: float, start: float, end: float) -> str:
 def times_in_span(t: Any, span: tuple[float, float], *, extrapolate: bool = False) -> np.ndarray:
     """Return one time or a list of times as an array.
 
-    Raises
-    ------
-    InputError
-        If they are not finite numbers, or outside the span unless ``extrapolate=True``.
+    Raise InputError if they are not finite numbers, or outside the span unless
+    ``extrapolate=True``.
     """
     precision = _ROUND_OFF
     if is_tensor(t):

@@ -10,36 +10,27 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.numerics.chebyshev import chebyshev_values
+from hamsym.numerics.scales import ratios
 from hamsym.numerics.windows import locate
 from hamsym.support.checked_data import require_array
 
 
 @dataclass(frozen=True)
 class WindowError:
-    """Estimated error on windows: z - z^ and the round-off floor, as functions of time.
+    """Estimated error on windows: z - z^ and the round-off floor, as functions of time."""
 
-    Attributes
-    ----------
-    edges : numpy.ndarray
-        Ends of the windows, shape (n + 1,).
-    series : numpy.ndarray
-        Chebyshev series of z - z^ on each window, shape (n, degree + 1, dim).
-    floors : numpy.ndarray
-        Size of the accumulated round-off in each window, shape (n, dim).
-    largest : numpy.ndarray
-        Largest magnitude of both together, shape (dim,).
-    scale : numpy.ndarray
-        Sizes of the components to which tolerances are relative, shape (dim,): the largest |z^_i|,
-        or 1e-8 of its coupled size (:mod:`hamsym.numerics.scales`).
-    origin : numpy.ndarray
-        Time from which the edges are counted, shape ().
-    """
-
+    #: Ends of the windows, shape (n + 1,).
     edges: np.ndarray = field(repr=False)
+    #: Chebyshev series of z - z^ on each window, shape (n, degree + 1, dim).
     series: np.ndarray = field(repr=False)
+    #: Size of the accumulated round-off in each window, shape (n, dim).
     floors: np.ndarray = field(repr=False)
+    #: Largest magnitude of both together, shape (dim,).
     largest: np.ndarray
+    #: Sizes of the components to which tolerances are relative, shape (dim,): the largest |z^_i|,
+    #: or 1e-8 of its coupled size (:mod:`hamsym.numerics.scales`).
     scale: np.ndarray
+    #: Time from which the edges are counted, shape ().
     origin: np.ndarray = field(repr=False)
 
     def check_shapes(self, count: int, dim: int, *, finite: bool) -> None:
@@ -78,14 +69,7 @@ class WindowError:
 
     def excess(self, allowed: np.ndarray) -> float:
         """Return the largest ratio of estimate and floor to the allowed error, or infinity."""
-        return largest_ratio(self.largest, allowed)
-
-
-def largest_ratio(errors: np.ndarray, allowed: np.ndarray) -> float:
-    """Return the largest ratio of errors to the allowed ones, or infinity; without error 0."""
-    with np.errstate(all="ignore"):
-        ratios = np.where(errors == 0, 0.0, errors / allowed)
-    return float(np.nan_to_num(ratios, nan=np.inf, posinf=np.inf).max())
+        return float(ratios(self.largest, allowed).max())
 
 
 def relative_tolerance(tol: float) -> float:

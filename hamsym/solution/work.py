@@ -16,12 +16,7 @@ _WINDOWS = 400  # of a trajectory that has none of its own
 class Work:
     """The integral of ``H.power`` along a path, by Chebyshev series on windows.
 
-    Parameters
-    ----------
-    path : Path
-    edges : numpy.ndarray, optional
-        Ends of windows, counted from ``origin``; by default equal windows.
-    origin : float
+    - edges: Ends of windows, counted from ``origin``; by default equal windows.
     """
 
     def __init__(self, path: Path, edges: np.ndarray | None = None, origin: float = 0.0) -> None:

@@ -301,10 +301,7 @@ def chosen_methods(H: Hamiltonian, methods: str | Sequence[str] | None = None) -
     ``"usual"`` stands for a symplectic method of order 2, one of order 6, and ``dop853``; None for
     ``symplectic_euler``, or ``implicit_midpoint`` if a force depends on momenta.
 
-    Raises
-    ------
-    InputError
-        If there is none, a name is unknown, or a method cannot be used for this H.
+    Raise InputError if there is none, a name is unknown, or a method cannot be used for this H.
 
     Examples
     --------
@@ -334,12 +331,7 @@ def measure(
 ) -> Row:
     """Return the errors of a solution against an exact one or a reference, at 4,001 times.
 
-    Parameters
-    ----------
-    solution : Solution
-    truth : callable
-        t -> states of shape (len(t), dim).
-    label : str
+    - truth: t -> states of shape (len(t), dim).
 
     Examples
     --------

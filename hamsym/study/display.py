@@ -13,12 +13,8 @@ from hamsym.support.progress import is_shown, stepping_progress
 class Display:
     """The shares of the runs that go on, and the run that reported last, drawn as a bar.
 
-    Parameters
-    ----------
-    total : int
-        Number of runs.
-    advance : callable
-        (completed runs since the last call, note) -> None.
+    - total: Number of runs.
+    - advance: (completed runs since the last call, note) -> None.
     """
 
     def __init__(self, total: int, advance: Callable[[float, str], None]) -> None:
@@ -65,12 +61,8 @@ class _Lines(Display):
 def display(total: int, show: bool | None) -> Iterator[Display]:
     """Yield a bar on a terminal or in a notebook, or lines elsewhere if ``show`` is true.
 
-    Parameters
-    ----------
-    total : int
-        Number of runs.
-    show : bool, optional
-        False for no bar, True for lines.
+    - total: Number of runs.
+    - show: False for no bar, True for lines.
     """
     if show and not is_shown(None):
         yield _Lines(total)

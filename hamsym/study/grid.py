@@ -295,11 +295,8 @@ def _members(
 ) -> tuple[Ensemble, dict[str, np.ndarray]]:
     """Return the points of the grid, and the values of its axes.
 
-    Raises
-    ------
-    InputError
-        If an axis is neither a parameter, a component nor the energy, or its values are not
-        different finite numbers.
+    Raise InputError if an axis is neither a parameter, a component nor the energy, or its values
+    are not different finite numbers.
     """
     H = Hamiltonian.of(H, bound=False)
     if not isinstance(over, Mapping) or not over:

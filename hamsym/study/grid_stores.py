@@ -26,6 +26,7 @@ from hamsym.errors import FileError, InputError
 from hamsym.families.parts import zarr_of
 from hamsym.study.grid_tasks import Columns
 from hamsym.support.atomic import create_atomically
+from hamsym.support.tables import optional_package
 
 Box = tuple[slice, ...]
 
@@ -43,28 +44,18 @@ def box_shape(shape: Sequence[int], most: int) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class GridStore:
-    """A group of zarr with named axes, a dataset of xarray; workers of a cluster write to it too.
-
-    Attributes
-    ----------
-    path : pathlib.Path
-    axes : dict of str to numpy.ndarray
-        Names of the axes of the grid, with their values.
-    coordinates : dict of str to list
-        Values of other axes.
-    attributes : dict
-        What was asked for, with ``request``, its SHA-256.
-    box : tuple of int
-        Shape of the boxes.
-    token : str
-        Text by which a worker recognises the store.
-    """
+    """A group of zarr that xarray opens as a dataset; workers of a cluster write to it too."""
 
     path: Path
+    #: Names of the axes of the grid, with their values.
     axes: Mapping[str, np.ndarray] = field(repr=False)
+    #: Values of other axes.
     coordinates: Mapping[str, list[Any]] = field(repr=False)
+    #: What was asked for, with ``request``, its SHA-256.
     attributes: Mapping[str, Any] = field(repr=False)
+    #: Shape of the boxes.
     box: tuple[int, ...]
+    #: Text by which a worker recognises the store.
     token: str = ""
 
     @property
@@ -84,10 +75,7 @@ class GridStore:
     def opened(self) -> GridStore:
         """Return the store with the boxes and the token of the one at its path, if there is one.
 
-        Raises
-        ------
-        FileError
-            If the path holds anything else, or the store of another request.
+        Raise FileError if the path holds anything else, or the store of another request.
         """
         if not self.path.exists():
             return self
@@ -112,10 +100,7 @@ class GridStore:
     def begun(self, columns: Columns) -> GridStore:
         """Create the store for columns like these, and return it.
 
-        Raises
-        ------
-        FileError
-            If it cannot be written.
+        Raise FileError if it cannot be written.
         """
         store = replace(self, token=uuid.uuid4().hex)
         head = {**self.attributes, "box": list(self.box), "token": store.token}
@@ -202,18 +187,9 @@ class GridStore:
     def open(self) -> Any:
         """Open the store as a dataset of xarray.
 
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
+        Raise InputError if xarray is not installed.
         """
-        try:
-            import xarray
-        except ImportError:
-            raise InputError(
-                "this store needs the package xarray, which is not installed; install it with "
-                "pip install xarray"
-            ) from None
+        xarray = optional_package("xarray", "this store")
         return xarray.open_zarr(self.path, consolidated=None if self._is_complete() else False)
 
     def values(self) -> dict[str, np.ndarray]:
@@ -239,10 +215,7 @@ class GridStore:
 def store_at(path: str | os.PathLike[str], **values: Any) -> GridStore:
     """Return the store at a path.
 
-    Raises
-    ------
-    InputError
-        If the path does not end with ``.zarr``, or zarr is not installed.
+    Raise InputError if the path does not end with ``.zarr``, or zarr is not installed.
     """
     try:
         place = Path(os.path.abspath(path))

@@ -37,10 +37,7 @@ def checked_options(
 ) -> dict[str, Any]:
     """Return the options of a task with their defaults.
 
-    Raises
-    ------
-    InputError
-        If there is no such task or option.
+    Raise InputError if there is no such task or option.
     """
     found = dict(options)
     if callable(task):
@@ -87,7 +84,7 @@ def computed(
 def _solve(members: Ensemble, span: tuple[float, float], options: dict[str, Any]) -> Columns:
     times = options.pop("t")
     many = solve_many(
-        members.H, members.states, span, parameters=_values(members), progress=False, **options
+        members.H, members.states, span, parameters=members.columns, progress=False, **options
     )
     if many.table.stopped == "interrupted":
         raise KeyboardInterrupt
@@ -102,7 +99,7 @@ def _solve(members: Ensemble, span: tuple[float, float], options: dict[str, Any]
 
 def _lyapunov(members: Ensemble, span: tuple[float, float], options: dict[str, Any]) -> Columns:
     found: Any = lyapunov(
-        members.H, members.states, span, parameters=_values(members), progress=False, **options
+        members.H, members.states, span, parameters=members.columns, progress=False, **options
     )
     if found.interrupted:
         raise KeyboardInterrupt
@@ -182,11 +179,6 @@ def _called(task: Callable[..., Mapping[str, Any]]) -> Callable[..., Columns]:
         return {**columns, "success": ((), ~failed), "message": ((), messages)}
 
     return called
-
-
-def _values(members: Ensemble) -> dict[str, np.ndarray]:
-    names = members.H.parameter_names
-    return {name: members.parameters[:, names.index(name)] for name in members.varied}
 
 
 TASKS: dict[str, Callable[..., Columns]] = {

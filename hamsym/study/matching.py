@@ -31,33 +31,22 @@ _TOLERANCES = [max(10 ** (-quarter / 4), 2.3e-14) for quarter in range(8, 56)]
 
 @dataclass(frozen=True)
 class Match:
-    """Steps or tolerance with which an integrator reaches the network's error.
+    """Steps or tolerance with which an integrator reaches the network's error."""
 
-    Attributes
-    ----------
-    steps : int, optional
-        Smallest number of steps, to 1 % where the reference is a hundred times better than the
-        network; None if the error was not reached, and for an adaptive method.
-    evaluations : int
-    error : float
-        Error with these steps or this tolerance, or the smallest error of the search.
-    seconds : float
-    tolerance : float, optional
-        Largest sufficient tolerance of an adaptive method, to a factor of 1.8.
-    extrapolated : float, optional
-        Steps extrapolated from the largest number tried by the order of the method, if the errors
-        fall by this order.
-    reason : str
-        Why there is no number: the error was not reached, or is so near to that of the reference
-        that only a bound is known. Empty if there is one.
-    """
-
+    #: Smallest number of steps, to 1 % where the reference is a hundred times better than the
+    #: network; None if the error was not reached, and for an adaptive method.
     steps: int | None
     evaluations: int
+    #: Error with these steps or this tolerance, or the smallest error of the search.
     error: float
     seconds: float
+    #: Largest sufficient tolerance of an adaptive method, to a factor of 1.8.
     tolerance: float | None = None
+    #: Steps extrapolated from the largest number tried by the order of the method, if the errors
+    #: fall by this order.
     extrapolated: float | None = None
+    #: Why there is no number: the error was not reached, or is so near to that of the reference
+    #: that only a bound is known. Empty if there is one.
     reason: str = ""
 
     def __str__(self) -> str:
@@ -114,16 +103,8 @@ def find_match(
     reference. Where u is more than a tenth of it, the number of steps is unknown by far more than
     1 %. Certain is only that steps with a measured error above target + 2 u are too few.
 
-    Parameters
-    ----------
-    solution : Solution
-    name : str
-    target : float
-        The error, measured against the same reference.
-    paths : sequence of Trajectory
-        With numbers of steps that rise, or with the first three powers of 1e-3 as tolerances.
-    truth : ReferenceSolution
-    max_steps : int
+    - target: The error, measured against the same reference.
+    - paths: With numbers of steps that rise, or with the first three powers of 1e-3 as tolerances.
     """
     if not target < math.inf:
         return Match(None, 0, target, 0.0, reason="unknown: the network's error is not finite")

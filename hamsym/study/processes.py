@@ -39,18 +39,10 @@ class _Queue(Protocol):
 def carry_out(runs: Sequence[Run], workers: int, progress: bool | None) -> None:
     """Carry out runs in this process or in several.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-    workers : int
-        Processes; 1 for this process.
-    progress : bool, optional
-        As in :func:`hamsym.study.display.display`.
+    Raise HamsymError if a process ended before its run.
 
-    Raises
-    ------
-    HamsymError
-        If a process ended before its run.
+    - workers: Processes; 1 for this process.
+    - progress: As in :func:`hamsym.study.display.display`.
     """
     with display(len(runs), progress) as board:
         if workers == 1:
@@ -96,10 +88,7 @@ def carry_out(runs: Sequence[Run], workers: int, progress: bool | None) -> None:
 def carry_out_on(client: Client, runs: Sequence[Run], progress: bool | None, retries: int) -> None:
     """Carry out runs on the workers of a cluster, which reach the same folder.
 
-    Raises
-    ------
-    HamsymError
-        If a run fails, or the folder is not there for a worker.
+    Raise HamsymError if a run fails, or the folder is not there for a worker.
     """
     topic = f"hamsym-{uuid.uuid4().hex}"
     tasks = [Task(np.array([k]), (run,)) for k, run in enumerate(runs)]

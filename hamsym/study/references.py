@@ -32,20 +32,13 @@ _TESTED = 256  # times at which the error of an enclosure's middle is measured
 
 @dataclass(frozen=True)
 class ReferenceSolution:
-    """States of a motion at any times of its span, which stand for the exact ones.
+    """States of a motion at any times of its span, which stand for the exact ones."""
 
-    Attributes
-    ----------
-    states : callable
-        t of shape (n,) -> states of shape (n, dim).
-    error : float
-        About the largest 2-norm of its error; 0 for an exact solution.
-    text : str
-        What it is, with its error.
-    """
-
+    #: t of shape (n,) -> states of shape (n, dim).
     states: Callable[[np.ndarray], np.ndarray] = field(repr=False)
+    #: About the largest 2-norm of its error; 0 for an exact solution.
     error: float
+    #: What it is, with its error.
     text: str
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
@@ -73,10 +66,7 @@ def reference_for(
 ) -> ReferenceSolution:
     """Return a reference that is a hundred times better than the states it judges, if it can.
 
-    Raises
-    ------
-    InputError
-        If DOP853 stops before the end of the span.
+    Raise InputError if DOP853 stops before the end of the span.
 
     Examples
     --------

@@ -37,30 +37,21 @@ _SEPARATE = frozenset({"checkpoint", "checkpoint_every", "regularizers", "initia
 
 @dataclass(frozen=True)
 class Run:
-    """A picklable description of one run: a solution, and its proof if wanted.
+    """A picklable description of one run: a solution, and its proof if wanted."""
 
-    Attributes
-    ----------
-    label : str
-        Name of the settings and seed, as shown.
-    H, z0, span, seed, options
-        Arguments of :func:`hamsym.solve`.
-    initial : path, optional
-        File of the solution with the initial weights.
-    certify : float, optional
-        Time limit of the proof, in seconds.
-    base : path
-        The run's files without their endings.
-    """
-
+    #: Name of the settings and seed, as shown.
     label: str
+    #: H, z0, span, seed, options: Arguments of :func:`hamsym.solve`.
     H: Hamiltonian
     z0: np.ndarray
     span: tuple[float, float]
     seed: int
     options: Mapping[str, Any]
+    #: File of the solution with the initial weights.
     initial: Path | None
+    #: Time limit of the proof, in seconds.
     certify: float | None
+    #: The run's files without their endings.
     base: Path
 
     @property
@@ -154,10 +145,7 @@ def planned_run(
 ) -> Run:
     """Return the run of some settings with a seed, its files named after a digest of them all.
 
-    Raises
-    ------
-    InputError
-        If a setting is invalid.
+    Raise InputError if a setting is invalid.
     """
     for reserved in ("seed", "progress", "checkpoint"):
         if reserved in options:

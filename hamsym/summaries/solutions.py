@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from hamsym.numerics.scales import ratios
 from hamsym.solution.solution import Solution
 from hamsym.support.text_tables import ROWS, left_out, share, table, wrapped
 
@@ -18,13 +19,8 @@ def solution_summary(
 ) -> str:
     """Return what :meth:`hamsym.Solution.summary` describes.
 
-    Parameters
-    ----------
-    solution : Solution
-    rows : int, optional
-        Most components in the table; None for all.
-    analysis : bool
-        Whether the paper's bound is given also where it is infinite or says nothing.
+    - rows: Most components in the table; None for all.
+    - analysis: Whether the paper's bound is given also where it is infinite or says nothing.
     """
     lines = [wrapped(text) for text in _verdict(solution)]
     lines += ["", *_components(solution, rows), ""]
@@ -45,10 +41,7 @@ def _limits(solution: Solution) -> np.ndarray:
 
 
 def _order(solution: Solution) -> np.ndarray:
-    errors = solution.largest_error
-    with np.errstate(all="ignore"):
-        ratios = np.where(errors == 0, 0.0, errors / _limits(solution))
-    return np.argsort(-np.nan_to_num(ratios, nan=np.inf, posinf=np.inf), kind="stable")
+    return np.argsort(-ratios(solution.largest_error, _limits(solution)), kind="stable")
 
 
 def _verdict(solution: Solution) -> list[str]:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from hamsym.integrators.integrate import Trajectory
+from hamsym.numerics.scales import ratios
 from hamsym.support.text_tables import ROWS, left_out, share, table, wrapped
 
 
@@ -18,13 +19,8 @@ def trajectory_summary(
 ) -> str:
     """Return what :meth:`hamsym.Trajectory.summary` describes.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    rows : int, optional
-        Most components in the table; None for all.
-    number : int
-        Of the trajectory in the table.
+    - rows: Most components in the table; None for all.
+    - number: Of the trajectory in the table.
     """
     verdict = [trajectory.message]
     if (error := _error(trajectory)) is not None:
@@ -58,10 +54,7 @@ def _error(trajectory: Trajectory) -> str | None:
     tol, worst = trajectory.verdicts.tol, float(trajectory.verdicts.largest.max())
     member = int(np.argmax(trajectory.verdicts.largest))
     flat, scale = errors.reshape(-1, errors.shape[-1]), sizes(trajectory)
-    with np.errstate(all="ignore"):
-        ratios = flat[member] / scale.reshape(flat.shape)[member]
-        ratios = np.where(flat[member] == 0, 0.0, ratios)
-    place = int(np.argmax(np.nan_to_num(ratios, nan=np.inf)))
+    place = int(np.argmax(ratios(flat[member], scale.reshape(flat.shape)[member])))
     name = trajectory.names[place]
     if not math.isfinite(worst):
         return f"the error is not known, in {name}"

@@ -8,6 +8,7 @@ import stat
 from collections.abc import Callable
 from pathlib import Path
 
+from hamsym.errors import FileError
 from hamsym.support.leftovers import remove_leftovers, temporary_name
 
 
@@ -41,15 +42,20 @@ def write_atomically(path: Path, content: bytes) -> None:
         raise
 
 
+def write_file(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file as :func:`write_atomically` does; raise FileError if that fails."""
+    try:
+        write_atomically(Path(path), content)
+    except (OSError, ValueError, TypeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(f"'{path}' cannot be written: {reason}") from None
+
+
 def create_atomically(path: Path, fill: Callable[[Path], None]) -> None:
     """Create a directory so that it has either all of its first content or does not exist.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Must not exist.
-    fill : callable
-        Creates the directory at the path that it is given.
+    - path: Must not exist.
+    - fill: Creates the directory at the path that it is given.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_leftovers(path.parent)

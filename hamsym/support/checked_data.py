@@ -90,13 +90,52 @@ def checked_mapping(name: str, value: Any) -> dict[str, Any]:
     return value
 
 
+def checked_values(
+    part: str, values: Mapping[str, Any], types: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return values that have exactly these names, each of the type of an annotation.
+
+    Beside the types of :func:`checked_type` there are tuples and mappings, with finite numbers.
+
+    Examples
+    --------
+    >>> checked_values("part", {"span": [0, 2]}, {"span": "tuple[float, float]"})
+    {'span': (0.0, 2.0)}
+    >>> checked_values("part", {"masses": {"m": 1}}, {"masses": "Mapping[str, float]"})
+    {'masses': {'m': 1.0}}
+    """
+    require_names(part, values, {*types})
+    return {name: _checked_value(name, values[name], kind) for name, kind in types.items()}
+
+
+def _checked_value(name: str, value: Any, kind: str) -> Any:
+    outer, _, inner = kind.removesuffix("]").partition("[")
+    if outer == "tuple":
+        first, rest = inner.split(", ")
+        entries = checked_list(name, value, None if rest == "..." else 2)
+        return tuple(_checked_entry(name, entry, first) for entry in entries)
+    if outer == "Mapping":
+        last = inner.split(", ")[-1]
+        return {
+            key: _checked_entry(key[:40], entry, last)
+            for key, entry in checked_mapping(name, value).items()
+        }
+    return checked_type(name, value, kind)
+
+
+def _checked_entry(name: str, value: Any, kind: str) -> Any:
+    if kind == "Any":
+        return value
+    return checked_number(name, value) if kind == "float" else checked_type(name, value, kind)
+
+
 def checked_record(kind: type, numbers: Any, arrays: Mapping[str, Any]) -> Any:
-    """Build a dataclass from its numbers, each of the type of its field, and its arrays."""
-    types = {field.name: field.type for field in fields(kind)}
+    """Build a dataclass from its JSON values, each of the type of its field, and its arrays."""
+    types = {field.name: str(field.type) for field in fields(kind)}
     checked_mapping(kind.__name__, numbers)
     require_names(kind.__name__, {**numbers, **arrays}, {*types})
-    typed = {name: checked_type(name, value, str(types[name])) for name, value in numbers.items()}
-    return kind(**typed, **arrays)
+    own = {name: types[name] for name in numbers}
+    return kind(**checked_values(kind.__name__, numbers, own), **arrays)
 
 
 def numbers_of(record: Any) -> dict[str, Any]:

@@ -19,16 +19,9 @@ LOCK = ".lock"
 def exclusive(directory: str | os.PathLike[str], file: Path | None = None) -> Iterator[None]:
     """Lock a directory against other processes; the system releases the lock of a dead process.
 
-    Parameters
-    ----------
-    directory : path-like
-    file : pathlib.Path, optional
-        The lock file, where it is not to be in the directory.
+    Raise FileError if another process has the lock, or the directory cannot be written.
 
-    Raises
-    ------
-    FileError
-        If another process has the lock, or the directory cannot be written.
+    - file: The lock file, where it is not to be in the directory.
     """
     lock = FileLock(Path(directory) / LOCK if file is None else file)
     try:

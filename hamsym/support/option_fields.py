@@ -20,16 +20,9 @@ def option(
 ) -> Any:
     """Return a dataclass field with a default and metadata for the command line.
 
-    Parameters
-    ----------
-    default : object
-    help : str
-    default_text : str, optional
-        The default in words, where it is computed.
-    unit : str, optional
-        Placeholder of the value in help texts.
-    choices : sequence or mapping of str, optional
-        The texts that are accepted, or the values that they mean.
+    - default_text: The default in words, where it is computed.
+    - unit: Placeholder of the value in help texts.
+    - choices: The texts that are accepted, or the values that they mean.
     """
     metadata = {"help": help, "default_text": default_text, "unit": unit, "choices": choices}
     return field(default=default, metadata=metadata)

@@ -27,14 +27,9 @@ def stepping_progress(
     In a notebook the bar is in the cell and becomes one line with the time that the work took; on
     a terminal it disappears.
 
-    Parameters
-    ----------
-    steps : int
-        Number of all steps.
-    show : bool, optional
-        By default the bar is drawn if standard error is a terminal, and in notebooks.
-    text : str
-        What is in progress, before the bar.
+    - steps: Number of all steps.
+    - show: By default the bar is drawn if standard error is a terminal, and in notebooks.
+    - text: What is in progress, before the bar.
     """
     if not is_shown(show):
         yield lambda more, note="": None
@@ -109,14 +104,9 @@ def notebook_display() -> Callable[..., Any] | None:
 class CellBar:
     """A bar in the cell of a notebook, which becomes one line at the end.
 
-    Parameters
-    ----------
-    steps : int
-        Number of all steps.
-    text : str
-        What is in progress.
-    display : callable
-        IPython's ``display``.
+    - steps: Number of all steps.
+    - text: What is in progress.
+    - display: IPython's ``display``.
     """
 
     def __init__(self, steps: int, text: str, display: Callable[..., Any]) -> None:

@@ -11,13 +11,17 @@ import numpy as np
 from hamsym.errors import InputError
 
 
-def _package(name: str, purpose: str) -> Any:
+def optional_package(name: str, purpose: str, wanted: str = "") -> Any:
+    """Import a package that only some users need; ``wanted`` is what pip is told, if not its name.
+
+    Raise InputError if it is not installed.
+    """
     try:
         return importlib.import_module(name)
     except ImportError:
         raise InputError(
             f"{purpose} needs the package {name}, which is not installed; install it with "
-            f"pip install {name}"
+            f"pip install {wanted or name}"
         ) from None
 
 
@@ -44,20 +48,12 @@ def data_frame(
 ) -> Any:
     """Make a ``pandas.DataFrame`` of columns of one length.
 
-    Parameters
-    ----------
-    columns : mapping of str to array
-    index : mapping of str to array, optional
-        Levels of the index.
-    attributes : mapping, optional
-        Of its ``attrs``.
+    Raise InputError if pandas is not installed.
 
-    Raises
-    ------
-    InputError
-        If pandas is not installed.
+    - index: Levels of the index.
+    - attributes: Of its ``attrs``.
     """
-    pandas = _package("pandas", "to_dataframe")
+    pandas = optional_package("pandas", "to_dataframe")
     levels = dict(index or {})
     made = None
     if len(levels) == 1:
@@ -75,10 +71,7 @@ def data_set(
 ) -> Any:
     """Make an ``xarray.Dataset``.
 
-    Raises
-    ------
-    InputError
-        If xarray is not installed.
+    Raise InputError if xarray is not installed.
     """
-    xarray = _package("xarray", "to_xarray")
+    xarray = optional_package("xarray", "to_xarray")
     return xarray.Dataset(dict(variables), coords=dict(coordinates), attrs=dict(attributes))

@@ -21,7 +21,7 @@ import safetensors
 import safetensors.numpy
 
 from hamsym.errors import FileError
-from hamsym.support.atomic import write_atomically
+from hamsym.support.atomic import write_file
 
 _VERSION = 2
 _KEY = "hamsym"
@@ -39,10 +39,7 @@ def write_tensors(
 ) -> None:
     """Write named arrays and JSON values as a file of the given kind.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be written; an existing file is left unchanged.
+    Raise FileError if the file cannot be written; an existing file is left unchanged.
     """
     # The checksum comes first, so that the first run of zeros of its length is its place.
     text = json.dumps({"sha256": _NO_CHECKSUM, "version": _VERSION, "kind": kind, **values})
@@ -58,10 +55,7 @@ def write_tensors(
         )
     place = content.index(_NO_CHECKSUM.encode())
     content = content[:place] + _checksum(content, place).encode() + content[place + 64 :]
-    try:
-        write_atomically(Path(path), content)
-    except (OSError, ValueError, TypeError) as error:
-        raise FileError(f"'{path}' cannot be written: {_reason(error)}") from None
+    write_file(path, content)
 
 
 def read_tensors(
@@ -69,10 +63,7 @@ def read_tensors(
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return the arrays and values of a file that :func:`write_tensors` wrote.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be read, is damaged, of another kind or of another version.
+    Raise FileError if the file cannot be read, is damaged, of another kind or of another version.
     """
     try:
         size = _size(Path(path))
@@ -91,7 +82,8 @@ def read_tensors(
     except _DamagedError:
         raise FileError(f"'{path}' is damaged or not a file of hamsym") from None
     except (OSError, ValueError, TypeError) as error:
-        raise FileError(f"'{path}' cannot be read: {_reason(error)}") from None
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(f"'{path}' cannot be read: {reason}") from None
     claimed = values.pop("sha256", None)
     place = content.find(claimed.encode()) if isinstance(claimed, str) else -1
     if place < 0 or claimed != _checksum(content, place):
@@ -166,7 +158,3 @@ def _checksum(content: bytes, place: int) -> str:
     found.update(_NO_CHECKSUM.encode())
     found.update(whole[place + len(_NO_CHECKSUM) :])
     return found.hexdigest()
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)

@@ -16,16 +16,9 @@ from hamsym.symbolic.checks import checked_expression
 def phase_function(f: str | sympy.Expr, names: Iterable[str]) -> sympy.Expr:
     """Convert a function on phase space to real symbols.
 
-    Parameters
-    ----------
-    f : str or sympy.Expr
-    names : iterable of str
-        Names of the state, the parameters and the time.
+    Raise VariableError if f has a symbol with another name.
 
-    Raises
-    ------
-    VariableError
-        If f has a symbol with another name.
+    - names: Names of the state, the parameters and the time.
 
     Examples
     --------
@@ -83,15 +76,9 @@ def variational_equations(
 ) -> list[sympy.Eq]:
     """Linear equations d(delta)/dt = A(z) delta of a small deviation delta.
 
-    Parameters
-    ----------
-    generator : sympy.Matrix
-        The derivatives A of the rates, J Hess(z) without forces, dim x dim.
-    names : sequence of str
-        Names of the state; the deviations are named ``delta_x`` or similar.
-    time : sympy.Symbol
-    taken : iterable of str
-        Names that the deviations must avoid.
+    - generator: The derivatives A of the rates, J Hess(z) without forces, dim x dim.
+    - names: Names of the state; the deviations are named ``delta_x`` or similar.
+    - taken: Names that the deviations must avoid.
     """
     used, mark = {*names, *taken}, "delta_"
     while any(mark + name in used for name in names):

@@ -68,12 +68,8 @@ def checked_expression(expression: object, kind: str = "a Hamiltonian") -> sympy
 
     ``kind`` names the function in messages.
 
-    Raises
-    ------
-    InputError
-        If it is something else, or is not real and finite.
-    VariableError
-        If it contains a variable that is not a plain symbol.
+    Raise InputError if it is something else, or is not real and finite. Raise VariableError if it
+    contains a variable that is not a plain symbol.
     """
     if isinstance(expression, (int, float)) and not isinstance(expression, bool):
         expression = sympy.Number(expression)
@@ -101,10 +97,7 @@ def checked_values(
 ) -> dict[str, float]:
     """Return parameter values by the names in H (or ``of``), in natural order.
 
-    Raises
-    ------
-    ParameterError
-        If a name does not occur in H, or a value is not a finite real number.
+    Raise ParameterError if a name does not occur in H, or a value is not a finite real number.
     """
     spelled = {canonical_name(name): name for name in symbols}
     values = {}

@@ -109,10 +109,7 @@ def _partial_derivatives(
 class Effort:
     """Counter of operations and symbols in derivatives, with a limit proportional to H.
 
-    Parameters
-    ----------
-    expr : sympy.Expr
-        H.
+    - expr: H.
     """
 
     def __init__(self, expr: sympy.Expr) -> None:
@@ -122,10 +119,7 @@ class Effort:
     def spend(self, derivative: sympy.Expr) -> None:
         """Add a derivative to the count.
 
-        Raises
-        ------
-        CodeGenerationError
-            If the count exceeds the limit.
+        Raise CodeGenerationError if the count exceeds the limit.
         """
         self._left -= self._size(derivative)
         if self._left < 0:
@@ -212,22 +206,14 @@ def poisson_rows(
 
 @dataclass(frozen=True)
 class Alike:
-    """Terms of a sum that are one expression, the template, in different variables.
+    """Terms of a sum that are one expression, the template, in different variables."""
 
-    Attributes
-    ----------
-    template : sympy.Expr
-        The common expression, in the symbols ``places``.
-    places : list of sympy.Symbol
-    rows : list of tuple of sympy.Symbol
-        Variables of each term, in the order of ``places``.
-    factors : list of sympy.Number
-        Factor of the template in each term.
-    """
-
+    #: The common expression, in the symbols ``places``.
     template: sympy.Expr
     places: list[sympy.Symbol]
+    #: Variables of each term, in the order of ``places``.
     rows: list[tuple[sympy.Symbol, ...]]
+    #: Factor of the template in each term.
     factors: list[sympy.Expr]
 
 

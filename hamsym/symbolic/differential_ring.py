@@ -26,20 +26,11 @@ PRIME = 2147483579
 class DifferentialRing:
     """Polynomials in generators that represent given formulas, with the derivative along H.
 
-    Parameters
-    ----------
-    H : sympy.Expr
-    z : sequence of sympy.Symbol
-        The state (q, p).
-    time : sympy.Symbol or None
-        The time, whose derivative is 1.
-    formulas : iterable of sympy.Expr
-        Further formulas to represent.
+    Raise UnsupportedFunctionError if a formula has a function without exact rules.
 
-    Raises
-    ------
-    UnsupportedFunctionError
-        If a formula has a function without exact rules.
+    - z: The state (q, p).
+    - time: The time, whose derivative is 1.
+    - formulas: Further formulas to represent.
 
     Examples
     --------
@@ -256,15 +247,9 @@ class DifferentialRing:
 
         Constants have the same values at all points.
 
-        Returns
-        -------
-        numpy.ndarray
-            Shape (count, generators), int64.
+        Raise UnsupportedFunctionError if too many roots make such points rare.
 
-        Raises
-        ------
-        UnsupportedFunctionError
-            If too many roots make such points rare.
+        - returns: Shape (count, generators), int64.
         """
         if self._fixed is None:
             self._fixed = {}

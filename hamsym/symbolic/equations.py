@@ -26,21 +26,12 @@ class Equations(Shown):
     For symbols that are not declared real, sympy differentiates abs(x) into derivatives of re(x)
     and im(x). Code generation, proofs and the search for discontinuities use these derivatives.
 
-    Attributes
-    ----------
-    expr : sympy.Expr
-        H.
-    z : tuple of sympy.Symbol
-        The state, coordinates first.
-    time : sympy.Symbol or None
-    dof : int
-        Degrees of freedom.
-    parameters : dict of name to (sympy.Symbol, float or None)
-        Parameters with their values, None for a parameter without a value.
-    forces : tuple of sympy.Expr
-        A force for each momentum; empty without forces.
-    back : dict of sympy.Symbol to sympy.Symbol
-        The caller's symbols, by the real symbols that replace them.
+    - expr: H.
+    - z: The state, coordinates first.
+    - dof: Degrees of freedom.
+    - parameters: Parameters with their values, None for a parameter without a value.
+    - forces: A force for each momentum; empty without forces.
+    - back: The caller's symbols, by the real symbols that replace them.
     """
 
     def __init__(

@@ -20,25 +20,12 @@ from hamsym.symbolic import derivatives
 class ExactDerivatives:
     """H, forces, and their derivatives, with a symbol for each floating-point number.
 
-    Parameters
-    ----------
-    expr : sympy.Expr
-        H.
-    z : sequence of sympy.Symbol
-        The state.
-    effort : Effort
-        Limit on the size of the derivatives.
-    forces : sequence of sympy.Expr
-        A force for each momentum, or none.
-
-    Attributes
-    ----------
-    expr : sympy.Expr
-        H with the symbols.
-    gradient : list of sympy.Expr
-    hessian : dict of (int, int) to sympy.Expr
-    forces : list of sympy.Expr
-        With the symbols.
+    - expr: H.
+    - z: The state.
+    - effort: Limit on the size of the derivatives.
+    - forces: A force for each momentum, or none.
+    - expr: H with the symbols.
+    - forces: With the symbols.
 
     Examples
     --------

@@ -46,24 +46,11 @@ class Generator:
 class Generators:
     """The generators of given formulas, and the formulas in terms of them.
 
-    Parameters
-    ----------
-    z : sequence of sympy.Symbol
-        The state, which has the first generators.
-    time : sympy.Symbol or None
-    formulas : iterable of sympy.Expr
+    Raise UnsupportedFunctionError if a formula has a function without exact rules.
 
-    Attributes
-    ----------
-    of : dict of sympy.Symbol to Generator
-        In an order in which relations contain earlier generators only.
-    formulas : list of sympy.Expr
-        The formulas, with a symbol for each generator.
-
-    Raises
-    ------
-    UnsupportedFunctionError
-        If a formula has a function without exact rules.
+    - z: The state, which has the first generators.
+    - of: In an order in which relations contain earlier generators only.
+    - formulas: The formulas, with a symbol for each generator.
 
     Examples
     --------

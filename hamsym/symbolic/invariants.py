@@ -105,26 +105,15 @@ def find_invariants(
 ) -> list[Invariant]:
     """Return a reduced list of invariants of H, each with its proof done.
 
-    Parameters
-    ----------
-    H : sympy.Expr
-        In real symbols.
-    z : sequence of sympy.Symbol
-    time_symbol : sympy.Symbol or None
-        The time, whether H contains it or not; None if its name is taken.
-    values : mapping
-        Values of parameters: invariants for all values are searched first, then those for these
-        values.
-    degree : int
-    basis : sequence of sympy.Expr
-        Functions that count as variables beside the state.
-    seconds : float
-        Limit of time.
+    Raise InputError if there are too many monomials, the time is over, or H has a function without
+    exact rules.
 
-    Raises
-    ------
-    InputError
-        If there are too many monomials, the time is over, or H has a function without exact rules.
+    - H: In real symbols.
+    - time_symbol: The time, whether H contains it or not; None if its name is taken.
+    - values: Values of parameters: invariants for all values are searched first, then those for
+      these values.
+    - basis: Functions that count as variables beside the state.
+    - seconds: Limit of time.
     """
     limit = (time.monotonic() + seconds, seconds)
     bound = {symbol: value for symbol, value in values.items() if symbol in H.free_symbols}

@@ -34,28 +34,19 @@ _REMEDY = "name them with q=[...] and velocities=[...], or give parameters their
 
 
 class Lagrangian(NamedTuple):
-    """A Lagrangian with the roles of its symbols, and its Legendre transform.
+    """A Lagrangian with the roles of its symbols, and its Legendre transform."""
 
-    Attributes
-    ----------
-    expr : sympy.Expr
-        L, in coordinates, velocities, parameters and the time.
-    q, velocities, p : tuple of sympy.Symbol
-        Of one length, in one order.
-    momenta : tuple of sympy.Expr
-        p_i = dL/dv_i.
-    hamiltonian : sympy.Expr
-        H in q and p.
-    parameters : dict of str to float
-        Values of the parameters that H contains.
-    """
-
+    #: L, in coordinates, velocities, parameters and the time.
     expr: sympy.Expr
+    #: q, velocities, p: Of one length, in one order.
     q: tuple[sympy.Symbol, ...]
     velocities: tuple[sympy.Symbol, ...]
     p: tuple[sympy.Symbol, ...]
+    #: p_i = dL/dv_i.
     momenta: tuple[sympy.Expr, ...]
+    #: H in q and p.
     hamiltonian: sympy.Expr
+    #: Values of the parameters that H contains.
     parameters: dict[str, float]
 
 
@@ -70,20 +61,10 @@ def find_velocities(names: Sequence[str]) -> list[tuple[str, str]]:
     or is a usual name of a coordinate, with or without an index. Greek letters and their names are
     equivalent.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The symbols of a Lagrangian without its parameters and without the time.
+    Raise VariableError if there is no velocity, or a coordinate has two.
 
-    Returns
-    -------
-    list of (str, str)
-        Pairs (coordinate, velocity) in natural order of the coordinate.
-
-    Raises
-    ------
-    VariableError
-        If there is no velocity, or a coordinate has two.
+    - names: The symbols of a Lagrangian without its parameters and without the time.
+    - returns: Pairs (coordinate, velocity) in natural order of the coordinate.
 
     Examples
     --------
@@ -181,14 +162,10 @@ def read_lagrangian(
 ) -> Lagrangian:
     """Assign a role to each symbol of a Lagrangian and compute its Legendre transform.
 
-    Raises
-    ------
-    ParseError, InputError
-        If the expression is not a formula, or the transform does not exist or is not found.
-    VariableError
-        If velocities are ambiguous or missing, or names do not fit the expression.
-    ParameterError
-        If a value is not a finite real number or belongs to no symbol.
+    Raise ParseError, InputError if the expression is not a formula, or the transform does not exist
+    or is not found. Raise VariableError if velocities are ambiguous or missing, or names do not fit
+    the expression. Raise ParameterError if a value is not a finite real number or belongs to no
+    symbol.
 
     Examples
     --------
@@ -312,10 +289,7 @@ def lagrangian_of(
 ) -> tuple[sympy.Expr, tuple[sympy.Symbol, ...]]:
     """Compute L(q, v, t) of a Hamiltonian in real symbols, and the velocities named as xdot.
 
-    Raises
-    ------
-    InputError
-        If H has no Lagrangian, or none is found.
+    Raise InputError if H has no Lagrangian, or none is found.
     """
     rates = tuple(sympy.Symbol(f"{symbol.name}dot", real=True) for symbol in q)
     taken = {symbol.name for symbol in expr.free_symbols | {*q, *p}}

@@ -48,23 +48,13 @@ def legendre_transform(
 
     It takes L to H, with velocities s and momenta w, and H to L, with momenta s and velocities w.
 
-    Parameters
-    ----------
-    expr : sympy.Expr
-        F, in real symbols.
-    slots, duals : sequence of sympy.Symbol
-        s and w.
-    state : collection of sympy.Symbol
-        Coordinates and the time; other symbols are constants.
-    parameters : mapping of sympy.Symbol to float, optional
-        Values, for the comparison at random points.
-    name : {"L", "H"}
-        What F is, for messages.
+    Raise InputError if w does not determine s, or s is not found; the message names variables.
 
-    Raises
-    ------
-    InputError
-        If w does not determine s, or s is not found; the message names variables.
+    - expr: F, in real symbols.
+    - slots, duals: s and w.
+    - state: Coordinates and the time; other symbols are constants.
+    - parameters: Values, for the comparison at random points.
+    - name: {"L", "H"}. What F is, for messages.
 
     Examples
     --------

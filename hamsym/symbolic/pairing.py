@@ -53,21 +53,11 @@ def find_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     with ``x``, ``p1`` with ``q1`` or ``x1``, ``p_theta`` with ``theta``. Greek letters and their
     names are equivalent. A cyclic coordinate need not occur: ``p_phi`` adds ``phi``.
 
-    Parameters
-    ----------
-    names : iterable of str
-        The symbols of a Hamiltonian without its parameters and without the time.
+    Raise VariableError if there is no pair, or the pairs are ambiguous; the message lists the
+    candidates and the remedy.
 
-    Returns
-    -------
-    list of (str, str)
-        Pairs (coordinate, momentum) in natural order of the coordinate.
-
-    Raises
-    ------
-    VariableError
-        If there is no pair, or the pairs are ambiguous; the message lists the candidates and the
-        remedy.
+    - names: The symbols of a Hamiltonian without its parameters and without the time.
+    - returns: Pairs (coordinate, momentum) in natural order of the coordinate.
 
     Examples
     --------

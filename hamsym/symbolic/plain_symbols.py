@@ -59,13 +59,8 @@ def plain_name(symbol: object) -> str | None:
 def with_plain_symbols(expression: Any) -> Any:
     """Replace elements and functions of time by symbols; other things are returned unchanged.
 
-    Raises
-    ------
-    VariableError
-        If an index is not a number, a function depends on something else than one time, or a name
-        is taken.
-    InputError
-        If the expression contains a unit.
+    Raise VariableError if an index is not a number, a function depends on something else than one
+    time, or a name is taken. Raise InputError if the expression contains a unit.
 
     Examples
     --------

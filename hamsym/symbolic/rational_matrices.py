@@ -83,12 +83,8 @@ def _null_vector(matrix: DomainMatrix, ring: _Polynomials) -> Rows:
 class _Polynomials:
     """Polynomials and rational functions of the symbols and functions in some expressions.
 
-    Attributes
-    ----------
-    back : dict of sympy.Dummy to sympy.Expr
-        What the generators are.
-    relations : list
-        sin**2 + cos**2 - 1 for each argument of both functions.
+    - back: What the generators are.
+    - relations: sin**2 + cos**2 - 1 for each argument of both functions.
     """
 
     def __init__(self, entries: Sequence[sympy.Expr]) -> None:

@@ -30,10 +30,8 @@ def states_array(z0: Any, names: Sequence[str], *, finite: bool = True) -> np.nd
 
     In a mapping, numbers and arrays are broadcast to one shape.
 
-    Raises
-    ------
-    VariableError
-        If a component is missing, unknown, not a number, or, with ``finite``, not finite.
+    Raise VariableError if a component is missing, unknown, not a number, or, with ``finite``, not
+    finite.
     """
     order = _order(names)
     try:
@@ -82,12 +80,8 @@ def _in_order(z0: Mapping[Any, Any], names: Sequence[str]) -> list[np.ndarray]:
 def parameter_arrays(parameters: Mapping[Any, Any], names: Sequence[str]) -> dict[str, np.ndarray]:
     """Convert values of parameters, numbers or arrays, to finite arrays by name.
 
-    Raises
-    ------
-    InputError
-        If the argument is not a mapping.
-    ParameterError
-        If a name is not among ``names``, or a value is empty or not finite.
+    Raise InputError if the argument is not a mapping. Raise ParameterError if a name is not among
+    ``names``, or a value is empty or not finite.
     """
     if not isinstance(parameters, Mapping):
         raise InputError(

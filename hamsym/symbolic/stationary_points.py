@@ -52,16 +52,9 @@ def exact_gradient(form: Equations) -> list[sympy.Expr]:
 def stationary_points(form: Equations) -> list[Solution] | None:
     """Real zeros of the gradient, in closed form.
 
-    Parameters
-    ----------
-    form : Equations
-
-    Returns
-    -------
-    list of dict, or None
-        Values by component of z; components that are free in a continuum of zeros are left out.
-        None if no closed form was found within the limit, or some were too long to be read. Of
-        transcendental equations some zeros may be missing.
+    - returns: Values by component of z; components that are free in a continuum of zeros are left
+      out. None if no closed form was found within the limit, or some were too long to be read. Of
+      transcendental equations some zeros may be missing.
 
     Examples
     --------

@@ -27,10 +27,7 @@ _DIGITS = 40  # of the arithmetic that locates them
 def with_steps(expr: sympy.Expr) -> sympy.Expr:
     """Replace Piecewise by Heaviside functions of the bounds of its conditions.
 
-    Raises
-    ------
-    InputError
-        If a condition is not a comparison, or no condition holds somewhere.
+    Raise InputError if a condition is not a comparison, or no condition holds somewhere.
 
     Examples
     --------
@@ -80,16 +77,9 @@ def _indicator(condition: sympy.Basic) -> sympy.Expr:
 def switch_times(equations: Equations, span: tuple[float, float]) -> list[float]:
     """Times inside a span at which an argument of a switch is zero, ascending.
 
-    Parameters
-    ----------
-    equations : Equations
-        With a value for every parameter.
-    span : (float, float)
+    Raise InputError if there are more than 5000.
 
-    Raises
-    ------
-    InputError
-        If there are more than 5000.
+    - equations: With a value for every parameter.
 
     Examples
     --------

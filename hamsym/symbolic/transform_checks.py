@@ -32,14 +32,9 @@ _EPSILONS = 16 * float(np.finfo(float).eps)  # of w: what any formula may lose
 class TransformChecks:
     """Checks of candidates for the transform of one function.
 
-    Parameters
-    ----------
-    expr : sympy.Expr
-        F.
-    slots, duals : sequence of sympy.Symbol
-        s and w.
-    parameters : mapping of sympy.Symbol to float
-        Values of constants; others are random.
+    - expr: F.
+    - slots, duals: s and w.
+    - parameters: Values of constants; others are random.
     """
 
     def __init__(

@@ -130,24 +130,14 @@ def checked_units(
 ) -> dict[str, str]:
     """Check the units of H by dimension and return them, with that of the time.
 
-    Parameters
-    ----------
-    units : mapping of name to str
-        Of all components, and of parameters; parameters without one are plain numbers. That of the
-        time follows from the others.
-    expr : sympy.Expr
-        H.
-    q, p : sequence of sympy.Symbol
-    time : str
-        Name of the time.
+    Raise VariableError if a name does not occur in H, or a component has no unit. Raise InputError
+    if a unit is not known, terms of different units are added, a function has an argument with a
+    unit, or pairs have different units of action.
 
-    Raises
-    ------
-    VariableError
-        If a name does not occur in H, or a component has no unit.
-    InputError
-        If a unit is not known, terms of different units are added, a function has an argument with
-        a unit, or pairs have different units of action.
+    - units: Of all components, and of parameters; parameters without one are plain numbers. That of
+      the time follows from the others.
+    - expr: H.
+    - time: Name of the time.
 
     Examples
     --------

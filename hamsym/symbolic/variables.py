@@ -33,27 +33,18 @@ _TWICE = "the force of '{}' is given twice; give their sum once"
 
 
 class Variables(NamedTuple):
-    """An expression and the roles of its symbols.
-
-    Attributes
-    ----------
-    expr : sympy.Expr
-    q, p, z : tuple of sympy.Symbol
-        Coordinates, momenta, and the state (q, p).
-    parameters : mapping of str to float
-        Values of the parameters that have a value.
-    time : sympy.Symbol or None
-        The time, if the expression or a force depends on it.
-    forces : mapping of str to sympy.Expr
-        Forces that do not vanish, by the names of their momenta.
-    """
+    """An expression and the roles of its symbols."""
 
     expr: sympy.Expr
+    #: q, p, z: Coordinates, momenta, and the state (q, p).
     q: tuple[sympy.Symbol, ...]
     p: tuple[sympy.Symbol, ...]
     z: tuple[sympy.Symbol, ...]
+    #: Values of the parameters that have a value.
     parameters: Mapping[str, float]
+    #: The time, if the expression or a force depends on it.
     time: sympy.Symbol | None
+    #: Forces that do not vanish, by the names of their momenta.
     forces: Mapping[str, sympy.Expr]
 
 
@@ -66,15 +57,9 @@ def assign_variables(
 ) -> Variables:
     """Check the arguments of a Hamiltonian and assign a role to each symbol.
 
-    Raises
-    ------
-    ParseError, InputError
-        If the expression or a force is not a formula.
-    VariableError
-        If the pairs are ambiguous, missing, or do not fit the expression, or a force belongs to no
-        momentum.
-    ParameterError
-        If a value is not a finite real number or belongs to no symbol.
+    Raise ParseError, InputError if the expression or a force is not a formula. Raise VariableError
+    if the pairs are ambiguous, missing, or do not fit the expression, or a force belongs to no
+    momentum. Raise ParameterError if a value is not a finite real number or belongs to no symbol.
     """
     text = isinstance(expression, str)
     expression = with_plain_symbols(expression)
@@ -152,10 +137,7 @@ def _by_momentum(
 ) -> dict[str, sympy.Expr]:
     """Forces that do not vanish, by the names of their momenta and in the order of the state.
 
-    Raises
-    ------
-    VariableError
-        If a name is not that of a momentum, or occurs twice.
+    Raise VariableError if a name is not that of a momentum, or occurs twice.
     """
     momenta = {canonical_name(symbol.name): symbol.name for symbol in state[half:]}
     coordinates = {canonical_name(symbol.name) for symbol in state[:half]}

@@ -94,12 +94,8 @@ def mathml(expr: sympy.Expr | sympy.MatrixBase) -> str:
 def equation(left: str, right: sympy.Expr) -> list[str]:
     """Return an equation as pieces of MathML, between which a line may end.
 
-    Parameters
-    ----------
-    left : str
-        MathML of the left-hand side.
-    right : sympy.Expr
-        A sum becomes a piece for each of its terms.
+    - left: MathML of the left-hand side.
+    - right: A sum becomes a piece for each of its terms.
 
     Examples
     --------

@@ -11,10 +11,7 @@ import jinja2
 def page_environment(**layout: Any) -> jinja2.Environment:
     """Return an environment that escapes texts and refuses names without a value.
 
-    Parameters
-    ----------
-    **layout
-        Further arguments of :class:`jinja2.Environment`.
+    - **layout: Further arguments of :class:`jinja2.Environment`.
 
     Examples
     --------

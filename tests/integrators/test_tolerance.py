@@ -147,7 +147,7 @@ def test_round_off_limits_success() -> None:
 
 def test_a_changed_energy_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        tolerance._Search, "_energy_changes", lambda self, rows, *_: np.full(len(rows), 2.0)
+        tolerance.ToleranceSearch, "_energy_changes", lambda self, rows, *_: np.full(len(rows), 2.0)
     )
     found = hamsym.integrate("p**2/2 + x**2/2", [1.0, 0.0], (0, 5), tol=1e-4)
     assert found.success is False
@@ -257,14 +257,14 @@ def _sigint_handled() -> object:
 
 @pytest.mark.usefixtures("_sigint_handled")
 def test_ctrl_c_keeps_finished_members(monkeypatch: pytest.MonkeyPatch) -> None:
-    original = tolerance._Search._judged
+    original = tolerance.ToleranceSearch._judged
 
-    def interrupted(self: tolerance._Search, result: object) -> np.ndarray:
+    def interrupted(self: tolerance.ToleranceSearch, result: object) -> np.ndarray:
         if self._found.success.any():
             raise KeyboardInterrupt
         return original(self, result)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(tolerance._Search, "_judged", interrupted)
+    monkeypatch.setattr(tolerance.ToleranceSearch, "_judged", interrupted)
     starts = np.array([ellipse(0.0), ellipse(0.7)])
     found = hamsym.integrate(KEPLER, starts, (0, 6), tol=1e-6, saves=1)
     assert found.interrupted

@@ -16,7 +16,7 @@ import torch
 import hamsym
 from hamsym import InputError, Solution
 from hamsym.networks import equal_windows
-from hamsym.networks.chain_training import ChainSettings, Layout, TrainedChain, train_chain
+from hamsym.networks.chain_training import ChainRun, ChainSettings, Layout, TrainedChain
 from hamsym.networks.equal_windows import train_windows
 from hamsym.networks.window_training import _damped
 
@@ -115,7 +115,7 @@ def windows_of_pendulum(count: int, **others: Any) -> TrainedChain:
     layout = Layout((8,), "sin", "exponential", 3.0)
     generator = torch.Generator().manual_seed(0)
     wide = Layout((50, 50), "sin", "exponential", 3.0)
-    guess = train_chain(H, np.array([2.0, 0.3]), (0.0, 4.0), wide, settings(), generator)
+    guess = ChainRun(H, np.array([2.0, 0.3]), (0.0, 4.0), wide, settings(), generator).trained()
     assert guess.chain is not None
     return train_windows(H, guess.chain, count, layout, settings(**others), generator)
 

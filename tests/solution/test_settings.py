@@ -110,5 +110,5 @@ def test_foreign_values_are_refused(change: dict[str, Any], tmp_path: Path) -> N
     arrays, values = read_tensors(path, "solution")
     values["settings"] |= change
     write_tensors(path, "solution", arrays, values)
-    with pytest.raises(FileError, match="not a valid solution file"):
+    with pytest.raises(FileError, match="not a valid file of a solution"):
         hamsym.load(path)

@@ -26,7 +26,7 @@ from PIL import Image
 from hamsym.errors import FileError, InputError
 from hamsym.plotting.figure import Figure
 from hamsym.suggestions import checked_keywords
-from hamsym.support.atomic import write_atomically
+from hamsym.support.atomic import write_file
 from hamsym.support.validation import require_number, require_positive, require_whole
 from hamsym.workbench.animations.film import Film
 from hamsym.workbench.animations.motion import Motion, motion_of
@@ -136,10 +136,7 @@ class Animation:
         content = {".html": self._page, ".gif": self._gif, ".mp4": self._mp4}[suffix](
             float(dpi), largest * 1e6
         )
-        try:
-            write_atomically(target, content)
-        except OSError as error:
-            raise FileError(f"'{target}' cannot be written: {error.strerror or error}") from None
+        write_file(target, content)
 
     def _repr_html_(self) -> str:
         try:

@@ -39,19 +39,9 @@ def _colors(count: int) -> np.ndarray:
 class Film:
     """The frames of an animation.
 
-    Parameters
-    ----------
-    times : numpy.ndarray
-        Of the frames, equally spaced, shape (frames,).
-    tail : float
-        Part of the span that a tail covers.
-
-    Attributes
-    ----------
-    figure : Figure
-    states : numpy.ndarray
-        Shape (frames, members, dim).
-    title : str
+    - times: Of the frames, equally spaced, shape (frames,).
+    - tail: Part of the span that a tail covers.
+    - states: Shape (frames, members, dim).
     """
 
     def __init__(self, motion: Motion, scene: Scene, times: np.ndarray, tail: float) -> None:

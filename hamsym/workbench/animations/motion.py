@@ -22,41 +22,27 @@ MOST_MEMBERS = 50
 
 @dataclass(frozen=True)
 class Motion:
-    """States of one or several trajectories over a time span.
-
-    Attributes
-    ----------
-    H : Hamiltonian
-    span : (float, float)
-        From where states are finite to where they are.
-    at : callable
-        Times of shape (n,) to states of shape (n, members, dim).
-    closed : bool
-        Whether it repeats after the span.
-    varied : tuple of str
-        Parameters that differ between the members.
-    notes : tuple of str
-        What is not drawn, in words.
-    failure : str
-        What did not succeed, in words; empty if all did.
-    """
+    """States of one or several trajectories over a time span."""
 
     H: Hamiltonian
+    #: From where states are finite to where they are.
     span: tuple[float, float]
+    #: Times of shape (n,) to states of shape (n, members, dim).
     at: Callable[[np.ndarray], np.ndarray]
+    #: Whether it repeats after the span.
     closed: bool = False
+    #: Parameters that differ between the members.
     varied: tuple[str, ...] = ()
+    #: What is not drawn, in words.
     notes: tuple[str, ...] = ()
+    #: What did not succeed, in words; empty if all did.
     failure: str = ""
 
 
 def motion_of(result: Any) -> Motion:
     """Return the motion of a solution, of solutions, a trajectory or a periodic orbit.
 
-    Raises
-    ------
-    InputError
-        If the result is of another type, or ends where it begins.
+    Raise InputError if the result is of another type, or ends where it begins.
     """
     if isinstance(result, Solution):
         found = _of_solution(result)
@@ -98,7 +84,7 @@ def _of_trajectory(trajectory: Trajectory) -> Motion:
     z = trajectory.z.reshape(-1, *trajectory.z.shape[-2:])
     count, z = len(z), z[:MOST_MEMBERS]
     system, members = trajectory.ensemble.H.compile("numpy"), trajectory.ensemble
-    values = members.parameters[:MOST_MEMBERS, None] if members.varied else None
+    values = members.own_parameters(np.s_[:MOST_MEMBERS, None])
     with np.errstate(all="ignore"):  # beyond the last finite state of a member
         arguments = system.arguments(z, trajectory.t)
         rates = np.asarray(system.vector_field(*arguments, **system.keywords(values)))

@@ -38,38 +38,25 @@ _MOST_RODS = 3  # of a pendulum that is recognised by the names of its angles al
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture of states.
+    """A picture of states."""
 
-    Attributes
-    ----------
-    places : callable
-        States, shape (..., dim), and times, shape (...), to places of points, (..., points, 2).
-    labels : pair of (str, str)
-        Of the axes: a text and a unit each.
-    points : tuple of str
-        Names of the points for a legend; empty for one without.
-    rods : tuple of (int, int)
-        Pairs of points that are joined.
-    traced : tuple of int
-        Points that leave a tail.
-    pivots : tuple of int
-        Points that are drawn small.
-    equal : bool
-        Whether a unit is as long on both axes.
-    level_sets : (int, int) or None
-        The components of the axes, if level sets of H belong to the picture.
-    note : str
-        What was chosen, in words.
-    """
-
+    #: States, shape (..., dim), and times, shape (...), to places of points, (..., points, 2).
     places: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    #: Of the axes: a text and a unit each.
     labels: tuple[tuple[str, str], tuple[str, str]]
+    #: Names of the points for a legend; empty for one without.
     points: tuple[str, ...] = ()
+    #: Pairs of points that are joined.
     rods: tuple[tuple[int, int], ...] = ()
+    #: Points that leave a tail.
     traced: tuple[int, ...] = (0,)
+    #: Points that are drawn small.
     pivots: tuple[int, ...] = ()
+    #: Whether a unit is as long on both axes.
     equal: bool = True
+    #: The components of the axes, if level sets of H belong to the picture.
     level_sets: tuple[int, int] | None = None
+    #: What was chosen, in words.
     note: str = ""
 
 
@@ -83,10 +70,7 @@ def scene_of(
 ) -> Scene:
     """Return the picture that was asked for, or the one that the names of coordinates suggest.
 
-    Raises
-    ------
-    InputError
-        If a name is unknown, options do not fit together, or no picture is suggested.
+    Raise InputError if a name is unknown, options do not fit together, or no picture is suggested.
     """
     H = motion.H
     if points is not None:

@@ -41,12 +41,7 @@ def new_token() -> str:
 class Guard:
     """An ASGI application in front of another, which refuses what does not come from the page.
 
-    Parameters
-    ----------
-    app : ASGI application
-    token : str
-    port : int
-        That the server is bound to.
+    - port: That the server is bound to.
     """
 
     def __init__(self, app: _Application, token: str, port: int) -> None:

@@ -9,28 +9,19 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Derivation:
-    """What follows from the formula alone.
-
-    Attributes
-    ----------
-    names, parameter_names : tuple of str
-    equations, hessian : str
-        MathML, for an element of a page.
-    facts : tuple of str
-        Sentences on the structure of H.
-    has_energy : bool
-        Whether H is conserved.
-    surface : str
-        A surface for a section, empty if there is none.
-    """
+    """What follows from the formula alone."""
 
     names: tuple[str, ...]
     parameter_names: tuple[str, ...]
+    #: equations, hessian: MathML, for an element of a page.
     equations: str
     hessian: str
+    #: Sentences on the structure of H.
     facts: tuple[str, ...]
+    #: Whether H is conserved.
     has_energy: bool
     separable: bool
+    #: A surface for a section, empty if there is none.
     surface: str
 
     @property
@@ -41,42 +32,28 @@ class Derivation:
 
 @dataclass(frozen=True)
 class Picture:
-    """A solution, sampled for the page.
-
-    Attributes
-    ----------
-    success : bool
-    message : str
-    t : numpy.ndarray
-        Shape (n,).
-    z : numpy.ndarray
-        Shape (n, dim).
-    energy_error, error : numpy.ndarray
-        |H - E0|, without the work of forces and of a changing H, relative to the size of the terms
-        of H, the largest sum of |z_i dH/dz_i|; the largest estimated error relative to the size of
-        its component. Both have shape (n,).
-    levels : list of arrays
-        Level sets of H around the orbit, each of shape (m, 2); for one degree of freedom.
-    box : tuple of float
-        Their range: q and p, each from and to.
-    largest : float
-        The largest estimated error relative to the size of its component.
-    seconds : float
-        Time of solve and of sampling.
-    coarse : bool
-        Whether the motion may be too fast for the times that are drawn.
-    """
+    """A solution, sampled for the page."""
 
     success: bool
     message: str
+    #: Shape (n,).
     t: np.ndarray
+    #: Shape (n, dim).
     z: np.ndarray
+    #: energy_error, error: |H - E0|, without the work of forces and of a changing H, relative to
+    #: the size of the terms of H, the largest sum of |z_i dH/dz_i|; the largest estimated error
+    #: relative to the size of its component. Both have shape (n,).
     energy_error: np.ndarray
     error: np.ndarray
+    #: Level sets of H around the orbit, each of shape (m, 2); for one degree of freedom.
     levels: list[np.ndarray]
+    #: Their range: q and p, each from and to.
     box: tuple[float, float, float, float] | None
+    #: The largest estimated error relative to the size of its component.
     largest: float
+    #: Time of solve and of sampling.
     seconds: float
+    #: Whether the motion may be too fast for the times that are drawn.
     coarse: bool
 
 
@@ -92,15 +69,7 @@ class SectionPicture:
 
 @dataclass(frozen=True)
 class JobResult:
-    """The answer to a button.
-
-    Attributes
-    ----------
-    statement : str
-    header : tuple of str
-    rows : list of tuple of str
-    success : bool
-    """
+    """The answer to a button."""
 
     statement: str
     header: tuple[str, ...] = ()

@@ -23,21 +23,12 @@ def explore(
 ) -> None:
     """Serve the page until Ctrl-C.
 
-    Parameters
-    ----------
-    formula : str
-        The H that a new tab begins with; by default an oscillator.
-    port : int
-        0 for a free one.
-    browser : bool
-        Open the page in the browser.
-    announce : callable
-        Takes the address, once the port is bound.
+    Raise InputError if the packages of the page are missing, or the port is taken.
 
-    Raises
-    ------
-    InputError
-        If the packages of the page are missing, or the port is taken.
+    - formula: The H that a new tab begins with; by default an oscillator.
+    - port: 0 for a free one.
+    - browser: Open the page in the browser.
+    - announce: Takes the address, once the port is bound.
     """
     try:
         import nicegui

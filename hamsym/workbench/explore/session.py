@@ -32,10 +32,7 @@ class Latest:
     A request that comes while the action runs makes it run once more at its end; those in between
     are dropped, as the positions that a slider passes.
 
-    Parameters
-    ----------
-    action : callable
-        () -> awaitable.
+    - action: () -> awaitable.
     """
 
     def __init__(self, action: Callable[[], Awaitable[None]]) -> None:
@@ -63,15 +60,9 @@ MOST_TABS = 8
 class Session:
     """The setting of one tab, with three processes: what is live, the background, and the buttons.
 
-    Attributes
-    ----------
-    setting : Setting
-    derivation : Derivation or None
-        Of the formula; None before the first one.
-    surface : str
-        Of the section.
-    closed : bool
-        Whether the tab was closed, which ended its processes.
+    - derivation: Of the formula; None before the first one.
+    - surface: Of the section.
+    - closed: Whether the tab was closed, which ended its processes.
     """
 
     def __init__(self, setting: Setting = FIRST) -> None:
@@ -152,10 +143,7 @@ class Session:
     def set_value(self, name: str, value: float) -> None:
         """Set a component of the initial state, a parameter, or the end of the span, ``t``.
 
-        Raises
-        ------
-        InputError
-            If the value is not finite or the name is unknown.
+        Raise InputError if the value is not finite or the name is unknown.
         """
         if not math.isfinite(value):
             raise InputError(f"{name} = {value} is not finite; give a number such as 1.3")
@@ -245,10 +233,7 @@ class Session:
 class Sessions:
     """The sessions of all tabs.
 
-    Parameters
-    ----------
-    setting : Setting
-        With which each begins.
+    - setting: With which each begins.
     """
 
     def __init__(self, setting: Setting = FIRST) -> None:
@@ -260,10 +245,7 @@ class Sessions:
     def open(self) -> Session:
         """Return a new session; the first one has started its process already.
 
-        Raises
-        ------
-        InputError
-            If too many tabs are open: each has three processes.
+        Raise InputError if too many tabs are open: each has three processes.
         """
         if len(self._open) >= MOST_TABS:
             raise InputError(

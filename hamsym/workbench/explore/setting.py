@@ -18,12 +18,6 @@ class SliderRange:
     Sliders of browsers count in decimals and are useless for a momentum of 1e-24, so that the
     positions are whole numbers and the values are computed here.
 
-    Attributes
-    ----------
-    low, high : float
-        Values at the ends.
-    positions : int
-
     Examples
     --------
     >>> slider = SliderRange.around(1.3)
@@ -33,6 +27,7 @@ class SliderRange:
     1.29
     """
 
+    #: low, high: Values at the ends.
     low: float
     high: float
     positions: int = _POSITIONS
@@ -41,18 +36,10 @@ class SliderRange:
     def around(cls, value: float, size: float = 0.0, *, positive: bool = False) -> SliderRange:
         """Make a range with round ends that contains a value and as much again.
 
-        Parameters
-        ----------
-        value : float
-        size : float
-            Usual size of such values, for a value of zero.
-        positive : bool
-            Begin above zero, at a hundredth of the largest value.
+        Raise InputError if the value is not finite.
 
-        Raises
-        ------
-        InputError
-            If the value is not finite.
+        - size: Usual size of such values, for a value of zero.
+        - positive: Begin above zero, at a hundredth of the largest value.
         """
         if not math.isfinite(value):
             raise InputError(f"{value} is not a finite number; give one such as 1.3")
@@ -103,22 +90,14 @@ def usual_state(names: Sequence[str]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Setting:
-    """A problem as the page has it, ready to be sent to a worker.
+    """A problem as the page has it, ready to be sent to a worker."""
 
-    Attributes
-    ----------
-    formula, q, p : str
-        H; coordinates and momenta between commas, or empty to find them from the names.
-    forces : str
-        Lines such as ``p = -c*p``.
-    z0, parameters : mapping of str to float
-    span : (float, float)
-    tol : float
-    """
-
+    #: formula, q, p: H; coordinates and momenta between commas, or empty to find them from the
+    #: names.
     formula: str
     q: str = ""
     p: str = ""
+    #: Lines such as ``p = -c*p``.
     forces: str = ""
     z0: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)

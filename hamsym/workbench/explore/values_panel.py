@@ -36,13 +36,8 @@ class _Row:
 class ValuesPanel:
     """Sliders with fields beside them.
 
-    Parameters
-    ----------
-    session : Session
-    changed : callable
-        Awaited after a change of a value.
-    complain : callable
-        Takes a sentence on a value that cannot be used.
+    - changed: Awaited after a change of a value.
+    - complain: Takes a sentence on a value that cannot be used.
     """
 
     def __init__(

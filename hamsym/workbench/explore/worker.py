@@ -20,12 +20,8 @@ from hamsym.errors import HamsymError, ParseError
 class TaskError(HamsymError):
     """A task that failed; the message is one sentence for the user.
 
-    Attributes
-    ----------
-    token : str
-        The invalid part of a formula, if that was the reason; else empty.
-    column : int
-        Its first column, counted from 1; 0 if there is none.
+    - token: The invalid part of a formula, if that was the reason; else empty.
+    - column: Its first column, counted from 1; 0 if there is none.
     """
 
     def __init__(self, message: str, token: str = "", column: int = 0) -> None:
@@ -44,10 +40,7 @@ class CancelledError(TaskError):
 class Worker:
     """A process that carries out one task at a time.
 
-    Parameters
-    ----------
-    module : str
-        Name of a module whose ``TASKS`` has the functions by name.
+    - module: Name of a module whose ``TASKS`` has the functions by name.
     """
 
     def __init__(self, module: str) -> None:
@@ -79,22 +72,11 @@ class Worker:
     def run(self, task: str, seconds: float, *arguments: Any) -> Any:
         """Carry out a task and return its result.
 
-        Parameters
-        ----------
-        task : str
-        seconds : float
-            Time limit, which includes the start of a new process.
-        *arguments
-            Of the task; they are pickled.
+        Raise TimeLimitError if the task took longer. Raise CancelledError if :meth:`cancel` was
+        called meanwhile. Raise TaskError if the task raised an error.
 
-        Raises
-        ------
-        TimeLimitError
-            If the task took longer.
-        CancelledError
-            If :meth:`cancel` was called meanwhile.
-        TaskError
-            If the task raised an error.
+        - seconds: Time limit, which includes the start of a new process.
+        - *arguments: Of the task; they are pickled.
         """
         with self._lock:
             with self._state:

@@ -34,50 +34,34 @@ _PLAIN_NAME = re.compile(r"\w+\Z")
 
 @dataclass
 class Card:
-    """Contents of the representation of a result.
+    """Contents of the representation of a result."""
 
-    Attributes
-    ----------
-    kind : str
-        Type of the result.
-    headline : str
-        What is asked first.
-    success : bool or None
-        None if nothing can fail.
-    verdict : str
-        The same as a word.
-    formulas : list of Markup
-        As MathML or text.
-    more_formulas : str
-        How many were left out.
-    facts : list of (str, str)
-        Names and values.
-    header, rows : list of str, list of list of str
-        A table; the first ``left`` columns are texts.
-    left_out : str
-        How many rows were left out.
-    notes : list of str
-        Sentences below.
-    details_title, details : str, Markup
-        What unfolds on a click.
-    numbers_drawn : float
-        Numbers that a figure of the result evaluates, about; infinite if there is no figure.
-    """
-
+    #: Type of the result.
     kind: str
+    #: What is asked first.
     headline: str = ""
+    #: None if nothing can fail.
     success: bool | None = None
+    #: The same as a word.
     verdict: str = ""
+    #: As MathML or text.
     formulas: list[Markup] = field(default_factory=list)
+    #: How many were left out.
     more_formulas: str = ""
+    #: Names and values.
     facts: list[tuple[str, str]] = field(default_factory=list)
+    #: header, rows: A table; the first ``left`` columns are texts.
     header: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = field(default_factory=list)
     left: int = 1
+    #: How many rows were left out.
     left_out: str = ""
+    #: Sentences below.
     notes: list[str] = field(default_factory=list)
+    #: details_title, details: What unfolds on a click.
     details_title: str = ""
     details: Markup | None = None
+    #: Numbers that a figure of the result evaluates, about; infinite if there is no figure.
     numbers_drawn: float = math.inf
 
 
@@ -89,10 +73,7 @@ CARDS: dict[str, Callable[[Any], Card]] = {}
 def card_of(result: Any) -> Card:
     """Return the card of a result.
 
-    Raises
-    ------
-    TypeError
-        If there is none for results of this type.
+    Raise TypeError if there is none for results of this type.
     """
     for kind in type(result).__mro__:
         if kind.__module__.startswith("hamsym.") and kind.__name__ in CARDS:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hamsym.numerics.scales import ratios
 from hamsym.workbench.notebooks.cards import (
     ROWS,
     Card,
@@ -49,9 +50,7 @@ def _solution(solution: Solution) -> Card:
         largest, scale = np.asarray(error.largest), np.asarray(error.scale)
         settings = solution.settings
         asked = None if settings is None else settings.allowed(scale)
-        with np.errstate(all="ignore"):
-            share = np.where(largest == 0, 0.0, largest / (scale if asked is None else asked))
-        worst = int(np.argmax(np.nan_to_num(share, nan=np.inf, posinf=np.inf)))
+        worst = int(np.argmax(ratios(largest, scale if asked is None else asked)))
         card.headline = _largest_error(
             H, worst, largest[worst], scale[worst], None if asked is None else asked[worst]
         )
@@ -143,8 +142,7 @@ def _trajectory(trajectory: Trajectory) -> Card:
     ]
     if members.shape:
         card.facts.insert(1, ("members", " x ".join(map(str, members.shape))))
-        for name in members.varied:
-            own = members.parameters[:, H.parameter_names.index(name)]
+        for name, own in members.columns.items():
             card.facts.append((name, f"{number(own.min())} to {number(own.max())}"))
     card.numbers_drawn = z.size
     if members.shape:

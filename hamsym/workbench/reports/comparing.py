@@ -35,27 +35,18 @@ _START = (
 
 @dataclass(frozen=True)
 class Compared:
-    """Errors of a solution and of integrators, as a page shows them.
+    """Errors of a solution and of integrators, as a page shows them."""
 
-    Attributes
-    ----------
-    rows : list of dict
-        With ``label``, ``amount``, ``evaluations``, ``error``, ``energy_error`` and ``seconds``.
-    matches : list of dict
-        What each integrator needs for the error of the solution: ``label``, ``needs``,
-        ``evaluations``, ``error``, ``seconds``.
-    reference : str
-        What errors are measured against, with its error.
-    figure : str
-        As SVG.
-    reason : str
-        Why there is no comparison; empty if there is one.
-    """
-
+    #: With ``label``, ``amount``, ``evaluations``, ``error``, ``energy_error`` and ``seconds``.
     rows: list[dict[str, str]]
+    #: What each integrator needs for the error of the solution: ``label``, ``needs``,
+    #: ``evaluations``, ``error``, ``seconds``.
     matches: list[dict[str, str]]
+    #: What errors are measured against, with its error.
     reference: str = ""
+    #: As SVG.
     figure: str = ""
+    #: Why there is no comparison; empty if there is one.
     reason: str = ""
 
 

@@ -19,6 +19,7 @@ from hamsym.conservation import KnownInvariants
 from hamsym.errors import HamsymError
 from hamsym.formula.printer import FormulaPrinter
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.numerics.scales import ratios
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.invariant_check import judged_by_invariants
@@ -65,18 +66,11 @@ def _in_unit(value: str, unit: str) -> str:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a solution is what was asked for, in sentences.
-
-    Attributes
-    ----------
-    success : bool
-    headline : str
-    asked, error : str
-        What was asked, and the largest estimated error against it.
-    """
+    """Whether a solution is what was asked for, in sentences."""
 
     success: bool
     headline: str
+    #: asked, error: What was asked, and the largest estimated error against it.
     asked: str
     error: str
 
@@ -97,10 +91,8 @@ def _asked_and_error(solution: Solution) -> tuple[str, str]:
     allowed, largest = solution.allowed_error, solution.largest_error
     relative = size(solution.relative_error_estimate)
     if allowed is not None and solution.settings is not None:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.where(largest == 0, 0.0, largest / allowed)
-        ratios = np.where(np.isnan(ratios), np.inf, ratios)
-        worst = int(np.argmax(ratios))
+        shares = ratios(largest, allowed)
+        worst = int(np.argmax(shares))
         unit = H.units.get(H.names[worst], "")
         wanted = (
             f"For t from {span}, each component with an error of at most "
@@ -108,10 +100,10 @@ def _asked_and_error(solution: Solution) -> tuple[str, str]:
         )
         if any(solution.settings.atol):
             wanted += f", and {', '.join(f'{value:g}' for value in solution.settings.atol)} more"
-        if not math.isfinite(ratios[worst]):
+        if not math.isfinite(shares[worst]):
             return wanted, f"unknown: the estimate is infinite for {H.names[worst]}"
         return wanted, (
-            f"{ratios[worst]:.2g} times what was asked, in {H.names[worst]}: "
+            f"{shares[worst]:.2g} times what was asked, in {H.names[worst]}: "
             f"{_in_unit(size(largest[worst]), unit)} where "
             f"{_in_unit(size(allowed[worst]), unit)} is allowed"
         )
@@ -299,10 +291,8 @@ def _check(solution: Solution) -> str:
     if solution.record.seconds > 20:
         return "The estimate was not repeated at a finer resolution, which would take long."
     t = np.linspace(*solution.span, 1_001)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        change = solution.error_estimate_check(t).max(axis=0)
-        share = np.where(change == 0, 0.0, change / solution.largest_error)
-    worst = float(np.nan_to_num(share, nan=np.inf).max())
+    change = solution.error_estimate_check(t).max(axis=0)
+    worst = float(ratios(change, solution.largest_error).max())
     return (
         "At a finer resolution the estimate changes by at most "
         f"{size(worst)} of itself, so that it is {'' if worst < 0.5 else 'not '}resolved."
@@ -340,10 +330,8 @@ def windows(solution: Solution) -> dict[str, Any] | None:
     for k in chosen.tolist():
         t = np.linspace(times[k], times[k + 1], 26)[1:-1]
         found = np.abs(error(t)).max(axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.where(found == 0, 0.0, found / sizes)
-        ratios = np.where(np.isnan(ratios), np.inf, ratios)
-        worst = int(np.argmax(ratios))
+        shares = ratios(found, sizes)
+        worst = int(np.argmax(shares))
         rows.append(
             {
                 "number": f"{k + 1:,}",
@@ -351,7 +339,7 @@ def windows(solution: Solution) -> dict[str, Any] | None:
                 "end": number(times[k + 1]),
                 "error": size(float(found[worst])),
                 "component": solution.H.names[worst],
-                "ratio": size(float(ratios[worst])),
+                "ratio": size(float(shares[worst])),
             }
         )
     return {
@@ -369,19 +357,12 @@ def windows(solution: Solution) -> dict[str, Any] | None:
 
 @dataclass(frozen=True)
 class Proof:
-    """A certificate that was verified, or the reason why there is none.
-
-    Attributes
-    ----------
-    certificate : Certificate or None
-    sentence : str
-        The outcome in one sentence.
-    how : str
-        Where the certificate is from.
-    """
+    """A certificate that was verified, or the reason why there is none."""
 
     certificate: Certificate | None
+    #: The outcome in one sentence.
     sentence: str
+    #: Where the certificate is from.
     how: str = ""
 
     @property
@@ -411,10 +392,9 @@ def proof(solution: Solution, certificate: Certificate | None, how: str) -> Proo
         name = solution.H.names[worst]
         sentence = f"Proven: the error of {name} is at most {bound}, the largest for its size"
         return Proof(certificate, sentence, how)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = np.where(bounds == 0, 0.0, bounds / allowed)
-    worst = int(np.argmax(ratios))
-    largest = f"at most {size(float(ratios[worst]))} times that, in {solution.H.names[worst]}"
+    shares = ratios(bounds, allowed)
+    worst = int(np.argmax(shares))
+    largest = f"at most {size(float(shares[worst]))} times that, in {solution.H.names[worst]}"
     if (bounds <= allowed).all():
         sentence = f"Proven: every error is within what was asked, {largest}"
     else:

@@ -20,13 +20,8 @@ def inline_svg(figure: Figure, prefix: str, label: str) -> str:
 
     Texts are drawn as paths, so that no font is needed.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-    prefix : str
-        Beginning of all identifiers; different for each figure of a page.
-    label : str
-        The figure in words, for readers who do not see it.
+    - prefix: Beginning of all identifiers; different for each figure of a page.
+    - label: The figure in words, for readers who do not see it.
 
     Examples
     --------

@@ -31,7 +31,7 @@ from hamsym.proof.prove import verify
 from hamsym.recipe import command_line, omissions, python_lines
 from hamsym.solution.solution import Solution
 from hamsym.suggestions import checked_keywords
-from hamsym.support.atomic import write_atomically
+from hamsym.support.atomic import write_file
 from hamsym.support.validation import require_positive
 from hamsym.workbench.page_templates import page_environment, page_template
 from hamsym.workbench.reports import contents
@@ -124,11 +124,8 @@ def report(
         compared=_compared(found, compare),
         backend=backend,
     )
-    try:
-        # A file name may have bytes that are no text, which Python has as lone surrogates.
-        write_atomically(target, text.encode(errors="backslashreplace"))
-    except OSError as error:
-        raise FileError(f"'{target}' cannot be written: {error.strerror or error}") from None
+    # A file name may have bytes that are no text, which Python has as lone surrogates.
+    write_file(target, text.encode(errors="backslashreplace"))
     return proof
 
 
