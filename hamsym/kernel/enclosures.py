@@ -67,14 +67,9 @@ _SIGNATURES = {
 class Models(Record):
     """Models in rows, with the tables between values and series.
 
-    Parameters
-    ----------
-    values, series : numpy.ndarray
-        Shape (terms, terms): values[k, j] = T_k at point j, series[j, k] the inverse.
-    high, low : numpy.ndarray
-        Shape (rows, terms).
-    radius, length : numpy.ndarray
-        Shape (rows,).
+    - values, series: Shape (terms, terms): values[k, j] = T_k at point j, series[j, k] the inverse.
+    - high, low: Shape (rows, terms).
+    - radius, length: Shape (rows,).
     """
 
     _fields_ = [*counts("terms"), *arrays("values series high low radius length")]
@@ -109,12 +104,7 @@ class _Lemma(Record):
 
 
 class Enclosures:
-    """The functions of a library.
-
-    Parameters
-    ----------
-    library : ctypes.CDLL
-    """
+    """The functions of a library."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._functions = {}
@@ -292,24 +282,15 @@ class Enclosures:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """Compute the bounds of the lemma: on |z - y|, |d - K xi|, |V_d - K|; and m.
 
-        Parameters
-        ----------
-        jacobian, jacobian_radius, jacobian_length
-            Models of the entries of DG over the tube, in the order of ``entries``.
-        entries, signs : numpy.ndarray
-            Rows (i, j, place); signs.
-        start : numpy.ndarray
-            Bounds on \\|xi\\|, shape (columns,).
-        hull : numpy.ndarray
-            Bounds on \\|V xi\\| over the window, shape (dim,).
-        V : numpy.ndarray
-            Coefficients, shape (dim, columns, terms).
-        D : numpy.ndarray
-            Bounds on \\|D\\|, shape (dim,).
-        half : float
-            An upper bound on w.
-        units : numpy.ndarray
-            Shape (dim,), any numbers > 0.
+        - jacobian, jacobian_radius, jacobian_length: Models of the entries of DG over the tube, in
+          the order of ``entries``.
+        - entries, signs: Rows (i, j, place); signs.
+        - start: Bounds on \\|xi\\|, shape (columns,).
+        - hull: Bounds on \\|V xi\\| over the window, shape (dim,).
+        - V: Coefficients, shape (dim, columns, terms).
+        - D: Bounds on \\|D\\|, shape (dim,).
+        - half: An upper bound on w.
+        - units: Shape (dim,), any numbers > 0.
         """
         _, columns, terms = V.shape
         if jacobian.shape[1:] != (terms,):
@@ -449,10 +430,7 @@ class Enclosures:
     ) -> None:
         """Add products of coefficients of Taylor models, shape (terms, cells), to their places.
 
-        Parameters
-        ----------
-        rows, others, targets : numpy.ndarray
-            Places in ``first``, ``second`` and ``found`` of each product.
+        - rows, others, targets: Places in ``first``, ``second`` and ``found`` of each product.
         """
         given = found, _reals(first), _reals(second), rows, others, targets
         self._call("add_products", *given, len(rows), found.shape[1])

@@ -32,14 +32,9 @@ _LACKING = {
 def kernel_library() -> ctypes.CDLL:
     """Load the library for this processor.
 
-    Raises
-    ------
-    FileError
-        If it was not compiled.
-    InputError
-        If ``HAMSYM_KERNEL_LEVEL`` names no level, or one that the processor lacks.
-    HamsymError
-        If the processor is older than all levels, or its arithmetic is not that of IEEE 754.
+    Raise FileError if it was not compiled. Raise InputError if ``HAMSYM_KERNEL_LEVEL`` names no
+    level, or one that the processor lacks. Raise HamsymError if the processor is older than all
+    levels, or its arithmetic is not that of IEEE 754.
     """
     library = open_library(chosen_level())
     require_arithmetic(library)

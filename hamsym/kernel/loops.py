@@ -127,19 +127,10 @@ def arrays(names: str) -> list[tuple[str, Any]]:
 class Program(Record):
     """Formulas as a straight-line program over rows, or as a function of rows.
 
-    Parameters
-    ----------
-    dim, parameters, results : int
-    numbers : sequence of float
-    steps : sequence of (operation, out, first, second)
-        Numbers of operations and of rows; see ``program.h``.
-    function : callable, optional
-        In place of the steps.
+    Raise ValueError if a step reads a row that is not written before, or a row does not exist.
 
-    Raises
-    ------
-    ValueError
-        If a step reads a row that is not written before, or a row does not exist.
+    - steps: Numbers of operations and of rows; see ``program.h``.
+    - function: In place of the steps.
     """
 
     _fields_ = [

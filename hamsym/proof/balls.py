@@ -31,12 +31,8 @@ def working(bits: int, terms: int = 2) -> Iterator[None]:
 
     Both are global to the process, so that other threads wait until they are restored.
 
-    Parameters
-    ----------
-    bits : int
-        Precision.
-    terms : int
-        Coefficients that a series keeps.
+    - bits: Precision.
+    - terms: Coefficients that a series keeps.
     """
     with _LOCK:
         before = ctx.prec, ctx.cap

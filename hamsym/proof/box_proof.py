@@ -336,10 +336,7 @@ class _Result:
 def _coarseness(models: StepModels, goal: np.ndarray) -> float:
     """How far a step is from one on which models are sharp; at most 1 if they are.
 
-    Parameters
-    ----------
-    goal : numpy.ndarray
-        Error that the radii of the defect may add over the whole span, per time; shape (dim,).
+    - goal: Error that the radii of the defect may add over the whole span, per time; shape (dim,).
     """
     radii = np.array([entry.radius for entry in models.forced])
     growth = np.array([[entry.size() for entry in row] for row in models.fundamental])

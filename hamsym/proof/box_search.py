@@ -58,15 +58,9 @@ _Box = tuple[list[float], list[float]]
 
 @dataclass(frozen=True)
 class Undecided:
-    """A part of a box in which zeros were neither found nor excluded.
+    """A part of a box in which zeros were neither found nor excluded."""
 
-    Attributes
-    ----------
-    low, high : tuple of float
-        Its corners, in the components of the block.
-    reason : str
-    """
-
+    #: low, high: Its corners, in the components of the block.
     low: tuple[float, ...]
     high: tuple[float, ...]
     reason: str
@@ -74,19 +68,12 @@ class Undecided:
 
 @dataclass
 class Search:
-    """The result of :func:`search_box`.
+    """The result of :func:`search_box`."""
 
-    Attributes
-    ----------
-    roots : list of Root
-        Distinct zeros, each in the box or on its edge within the width of its enclosure.
-    undecided : list of Undecided
-    boxes, rough : int
-        Boxes that were examined, and those among them where g is not smooth.
-    """
-
+    #: Distinct zeros, each in the box or on its edge within the width of its enclosure.
     roots: list[Root] = field(default_factory=list)
     undecided: list[Undecided] = field(default_factory=list)
+    #: boxes, rough: Boxes that were examined, and those among them where g is not smooth.
     boxes: int = 0
     rough: int = 0
 
@@ -220,26 +207,13 @@ def search_box(
 ) -> Search:
     """Find all zeros of the gradient in a box, with proof.
 
-    Parameters
-    ----------
-    balls : DerivativeBalls
-    block : sequence of int
-        The components of the box; the gradient in these must depend on them only.
-    low, high : sequence of float
-        Corners of the box.
-    known : sequence of Root
-        Zeros that are proven already, in the components of the block.
-    most : int
-        Number of boxes after which the rest is undecided.
-    deadline : Deadline
-        Time after which the rest is undecided.
-    finest : float
-        Width of boxes that are not divided further, as a share of the width of the whole.
-
-    Returns
-    -------
-    Search
-        If its ``undecided`` is empty, ``roots`` are all zeros in the box.
+    - block: The components of the box; the gradient in these must depend on them only.
+    - low, high: Corners of the box.
+    - known: Zeros that are proven already, in the components of the block.
+    - most: Number of boxes after which the rest is undecided.
+    - deadline: Time after which the rest is undecided.
+    - finest: Width of boxes that are not divided further, as a share of the width of the whole.
+    - returns: If its ``undecided`` is empty, ``roots`` are all zeros in the box.
 
     Examples
     --------

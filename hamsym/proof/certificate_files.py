@@ -18,10 +18,7 @@ _LARGEST = 2**25  # bytes
 def certificate_from(text: str) -> Any:
     """Read the text of a certificate of a solution, a flow map or an orbit; nothing is proven.
 
-    Raises
-    ------
-    FileError
-        If the text is not a certificate.
+    Raise FileError if the text is not a certificate.
     """
     kinds: dict[str, Any] = {BOX_KIND: BoxCertificate, ORBIT_KIND: hamsym.OrbitCertificate}
     return kinds.get(kind_of(text), Certificate).from_json(text)
@@ -30,10 +27,7 @@ def certificate_from(text: str) -> Any:
 def read_certificate(path: Path) -> Any:
     """Read the file of a certificate; nothing is proven.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be read, or has no certificate.
+    Raise FileError if the file cannot be read, or has no certificate.
     """
     try:
         status = path.stat()

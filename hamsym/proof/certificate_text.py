@@ -35,10 +35,7 @@ def sealed(values: dict[str, Any]) -> str:
 def opened(text: Any, longest: int) -> dict[str, Any]:
     """Read values that :func:`sealed` wrote.
 
-    Raises
-    ------
-    ValueError
-        If the text is not JSON of an object, is too long, or was edited.
+    Raise ValueError if the text is not JSON of an object, is too long, or was edited.
     """
     if not isinstance(text, str) or len(text) > longest:
         raise ValueError(f"expected a str of up to {longest} characters")

@@ -75,19 +75,12 @@ class DerivativeBalls:
     NaN in a result means that some term of it may not be smooth in the balls. Every operation on
     NaN gives NaN, so that a finite result proves that all of its terms are smooth there.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-        Without explicit time.
-    rounded : bool
-        Take all numbers of H that are not whole as balls of relative radius 2**-52: results hold
-        for every H that rounds to this one.
+    Raise CertificationError if H contains a function that is not smooth or has no enclosure, or
+    arithmetic does not round as IEEE 754 has it.
 
-    Raises
-    ------
-    CertificationError
-        If H contains a function that is not smooth or has no enclosure, or arithmetic does not
-        round as IEEE 754 has it.
+    - H: Without explicit time.
+    - rounded: Take all numbers of H that are not whole as balls of relative radius 2**-52: results
+      hold for every H that rounds to this one.
 
     Examples
     --------

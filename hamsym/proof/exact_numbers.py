@@ -84,10 +84,7 @@ def _networks_of(trial: Any) -> list[Any]:
 def _network_fits(network: Any, dim: int) -> bool:
     """Whether the weights have the shapes that their layers need, and the outputs are dim.
 
-    Raises
-    ------
-    CertificationError
-        If ``t0`` or ``tau`` cannot be used.
+    Raise CertificationError if ``t0`` or ``tau`` cannot be used.
     """
     from hamsym.networks.network import weights_of  # needs torch
 

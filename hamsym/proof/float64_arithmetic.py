@@ -71,11 +71,8 @@ _PLACES = {name: np.array([k for k, own in enumerate(_NAMES) if own == name]) fo
 def require_float64(basic_operations: Callable[..., Any] | None = None) -> None:
     """Require IEEE 754 arithmetic in this thread, in numpy and in the library of the kernel.
 
-    Parameters
-    ----------
-    basic_operations : callable, optional
-        In place of that of the library: arrays a, b, c -> a + b, a b, a / b, sqrt(|a|) and a b + c
-        with one rounding.
+    - basic_operations: In place of that of the library: arrays a, b, c -> a + b, a b, a / b,
+      sqrt(|a|) and a b + c with one rounding.
 
     Raises
     ------

@@ -192,11 +192,8 @@ class Arithmetic:
 
     Each function of :data:`FUNCTIONS` is an attribute.
 
-    Parameters
-    ----------
-    apply : callable, optional
-        (function, *arguments) -> result, in place of ``function(*arguments)``: functions of other
-        objects than balls and series.
+    - apply: (function, *arguments) -> result, in place of ``function(*arguments)``: functions of
+      other objects than balls and series.
 
     Examples
     --------

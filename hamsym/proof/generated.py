@@ -27,23 +27,11 @@ from hamsym.proof.functions import Arithmetic, SingularityError
 class GeneratedFunctions:
     """The functions of a Hamiltonian in an arithmetic.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-        With a value for every parameter that does not vary.
-    arithmetic : Arithmetic
-    varied : collection of str
-        Parameters that are arguments of the functions.
+    Raise CertificationError if H contains a function that is not smooth or has no enclosure.
 
-    Attributes
-    ----------
-    keywords : list of str
-        The arguments of the parameters that vary, in the order of ``varied``.
-
-    Raises
-    ------
-    CertificationError
-        If H contains a function that is not smooth or has no enclosure.
+    - H: With a value for every parameter that does not vary.
+    - varied: Parameters that are arguments of the functions.
+    - keywords: The arguments of the parameters that vary, in the order of ``varied``.
     """
 
     def __init__(
@@ -73,10 +61,7 @@ class GeneratedFunctions:
     def __call__(self, name: str, state: Sequence[Any], t: Any, **varied: Any) -> Any:
         """A function of the generated module.
 
-        Raises
-        ------
-        SingularityError
-            If the arguments contain a point where H is not smooth.
+        Raise SingularityError if the arguments contain a point where H is not smooth.
         """
         if name not in self._functions:
             function = self._system.function(name)
@@ -90,10 +75,8 @@ class GeneratedFunctions:
 def evaluated(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Any:
     """The result of a generated function.
 
-    Raises
-    ------
-    SingularityError
-        If an operation has no result; with the subexpression, in the caller's symbols.
+    Raise SingularityError if an operation has no result; with the subexpression, in the caller's
+    symbols.
     """
     try:
         return function(*arguments, **keywords)

@@ -14,20 +14,13 @@ class TimeLimitError(CertificationError):
 
 @dataclass(frozen=True)
 class Deadline:
-    """A limit on wall time.
+    """A limit on wall time."""
 
-    Attributes
-    ----------
-    limit : float, optional
-        Seconds.
-    began : float
-        Start, by ``time.monotonic``.
-    origin : str
-        Origin of the limit, for the message.
-    """
-
+    #: Seconds.
     limit: float | None
+    #: Start, by ``time.monotonic``.
     began: float
+    #: Origin of the limit, for the message.
     origin: str = ""
 
     @classmethod

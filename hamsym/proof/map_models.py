@@ -44,12 +44,8 @@ Cells = list[tuple[tuple[Fraction, Fraction], ...]]  # intervals of the inputs, 
 class Step:
     """A step of the time within a piece of a leg.
 
-    Attributes
-    ----------
-    number : int
-        Of the piece.
-    middle, half : fractions.Fraction
-        Elapsed time t - t_a = middle + half tau.
+    - number: Of the piece.
+    - middle, half: Elapsed time t - t_a = middle + half tau.
     """
 
     def __init__(self, number: int, low: Fraction, high: Fraction) -> None:
@@ -93,12 +89,7 @@ def _rounded(value: Fraction) -> tuple[float, float]:
 class LegModels:
     """Models of one leg on cells.
 
-    Parameters
-    ----------
-    leg : Leg
-    space : Space
-    inputs : list of Model
-        The inputs of the leg.
+    - inputs: The inputs of the leg.
     """
 
     def __init__(self, leg: Leg, space: Space, inputs: list[Model]) -> None:

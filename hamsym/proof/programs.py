@@ -48,18 +48,12 @@ BITS = 240  # of numbers
 class Program:
     """Operations on registers, of which the first hold the variables.
 
-    Attributes
-    ----------
-    steps, still : numpy.ndarray
-        Rows (operation, target, first, second); ``still`` are those that do not depend on the
-        state, to be run first.
-    still_places : numpy.ndarray
-        Registers that they set.
-    constants : numpy.ndarray
-        Registers of numbers, shape (c,), and ``numbers`` their balls (high, low, radius), (c, 3).
-    results : numpy.ndarray
-        Registers of the results.
-    registers : int
+    - steps, still: Rows (operation, target, first, second); ``still`` are those that do not depend
+      on the state, to be run first.
+    - still_places: Registers that they set.
+    - constants: Registers of numbers, shape (c,), and ``numbers`` their balls (high, low, radius),
+      (c, 3).
+    - results: Registers of the results.
     """
 
     def __init__(self, recorder: Recorder, results: Sequence[Any]) -> None:
@@ -79,12 +73,9 @@ class Program:
 class Recorder:
     """Records the operations of formulas in variables, which stand for its first registers.
 
-    Parameters
-    ----------
-    variables : int
-    state : int, optional
-        Number of the first ones, which are the state; by default all. Of the sum of an angle of
-        the state and of one that time turns, the latter is taken modulo 2 pi before they are added.
+    - state: Number of the first ones, which are the state; by default all. Of the sum of an angle
+      of the state and of one that time turns, the latter is taken modulo 2 pi before they are
+      added.
     """
 
     def __init__(self, variables: int, state: int | None = None) -> None:

@@ -45,18 +45,12 @@ def require_same(
 ) -> None:
     """Require that values of a public object are those of the function that was proven.
 
-    Parameters
-    ----------
-    what : str
-        The public object.
-    names : sequence of str
-        Of the components.
-    public : numpy.ndarray
-        Shape (n, dim).
-    proven, allowed : numpy.ndarray
-        Values and bounds on the difference, shape (m, n, dim): at a joint that of either window.
-    places : callable
-        The number of a value -> where it is.
+    - what: The public object.
+    - names: Of the components.
+    - public: Shape (n, dim).
+    - proven, allowed: Values and bounds on the difference, shape (m, n, dim): at a joint that of
+      either window.
+    - places: The number of a value -> where it is.
 
     Raises
     ------
@@ -87,11 +81,7 @@ def check_solution(
 ) -> None:
     """Require that a solution evaluates the function that :func:`trial_pieces` encloses.
 
-    Parameters
-    ----------
-    solution : Solution
-    evaluate : callable, optional
-        Times, shape (n,), -> states, shape (n, dim), where it is not the solution itself.
+    - evaluate: Times, shape (n,), -> states, shape (n, dim), where it is not the solution itself.
 
     Raises
     ------
@@ -218,11 +208,8 @@ def check_enclosure(enclosure: Any) -> None:
 def check_map(flow: FlowMap, regions: Sequence[tuple[Any, ...]]) -> None:
     """Require that a flow map evaluates the function that :class:`LegModels` enclose.
 
-    Parameters
-    ----------
-    flow : FlowMap
-    regions : sequence
-        Parts of the box with one sequence of legs each: legs, joints, kept inputs, intervals.
+    - regions: Parts of the box with one sequence of legs each: legs, joints, kept inputs,
+      intervals.
 
     Raises
     ------
@@ -300,14 +287,9 @@ def _along(
 class _LegAtPoints:
     """Models of a leg at points.
 
-    Parameters
-    ----------
-    leg : Leg
-    space : Space
-    models : list of Model
-        The inputs of the leg.
-    values, errors : numpy.ndarray
-        The same as numbers, and the roundings that they have in the evaluation, shape (n, d).
+    - models: The inputs of the leg.
+    - values, errors: The same as numbers, and the roundings that they have in the evaluation, shape
+      (n, d).
     """
 
     def __init__(

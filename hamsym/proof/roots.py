@@ -35,17 +35,11 @@ _CONTRACTIONS = 40
 
 @dataclass(frozen=True)
 class Root:
-    """A proven zero of the gradient.
+    """A proven zero of the gradient."""
 
-    Attributes
-    ----------
-    enclosure : list of arb
-        Contains the zero.
-    unique : list of arb
-        Contains the enclosure, and no other zero.
-    """
-
+    #: Contains the zero.
     enclosure: Balls
+    #: Contains the enclosure, and no other zero.
     unique: Balls
 
 
@@ -126,15 +120,9 @@ def newton(system: Block, point: Balls, rounds: int = _NEWTON) -> Balls:
 def refined(system: Block, proven: Balls, unique: Balls, start: Balls) -> Balls:
     """A narrower enclosure of the only zero in a box, by repeated contraction.
 
-    Parameters
-    ----------
-    system : Block
-    proven : list of arb
-        Contains the zero.
-    unique : list of arb
-        Contains the zero, and no other one.
-    start : list of arb
-        Approximation of the zero.
+    - proven: Contains the zero.
+    - unique: Contains the zero, and no other one.
+    - start: Approximation of the zero.
     """
     current = _near(system, unique, start) or proven
     for _ in range(_CONTRACTIONS):
@@ -172,20 +160,10 @@ def enclosed_root(
 ) -> Root | None:
     """Prove that the gradient has exactly one zero near a point.
 
-    Parameters
-    ----------
-    balls : DerivativeBalls
-    point : sequence of float
-    sizes : sequence of float
-        Radii of the largest box, in the units of the components. Smaller ones are tried as long as
-        the proof fails.
-    block : sequence of int, optional
-        Components of the point, if the gradient in these depends on them only; by default all.
-
-    Returns
-    -------
-    Root or None
-        None if nothing is proven, for example where the Hessian is singular.
+    - sizes: Radii of the largest box, in the units of the components. Smaller ones are tried as
+      long as the proof fails.
+    - block: Components of the point, if the gradient in these depends on them only; by default all.
+    - returns: None if nothing is proven, for example where the Hessian is singular.
 
     Examples
     --------
@@ -219,12 +197,7 @@ def polynomial_roots(
 
     They are isolated in exact arithmetic of fractions (Sturm, Collins & Akritas, by sympy).
 
-    Parameters
-    ----------
-    slope : sympy.Expr
-        With rational coefficients, and not zero.
-    symbol : sympy.Symbol
-    low, high : float
+    - slope: With rational coefficients, and not zero.
 
     Examples
     --------

@@ -28,31 +28,21 @@ _BITS = 128
 
 @dataclass(frozen=True)
 class BlockSpectrum:
-    """Eigenvalues of J Hess for pairs (q, p) that are coupled with each other only.
+    """Eigenvalues of J Hess for pairs (q, p) that are coupled with each other only."""
 
-    Attributes
-    ----------
-    components : list of int
-        Their places in z, those of q first.
-    definite : int
-        1 or -1 if the Hessian is proven to be positive or negative definite, else 0.
-    natural : int
-        1 if there are no mixed terms and those of p are proven to be definite, -1 if those of q
-        are, else 0; and no eigenvalue is zero.
-    centres : int or None
-        Number of pairs of imaginary eigenvalues, if the Hessian is definite or natural.
-    eigenvalues : numpy.ndarray or None
-        Rounded to nearest, with exact zeros for real and imaginary parts that are proven to vanish;
-        None if they were not separated from each other.
-    unstable : bool
-        Whether an eigenvalue is proven to have a positive real part.
-    """
-
+    #: Their places in z, those of q first.
     components: list[int]
+    #: 1 or -1 if the Hessian is proven to be positive or negative definite, else 0.
     definite: int
+    #: 1 if there are no mixed terms and those of p are proven to be definite, -1 if those of q are,
+    #: else 0; and no eigenvalue is zero.
     natural: int
+    #: Number of pairs of imaginary eigenvalues, if the Hessian is definite or natural.
     centres: int | None
+    #: Rounded to nearest, with exact zeros for real and imaginary parts that are proven to vanish;
+    #: None if they were not separated from each other.
     eigenvalues: np.ndarray | None
+    #: Whether an eigenvalue is proven to have a positive real part.
     unstable: bool
 
     @property
@@ -64,10 +54,7 @@ class BlockSpectrum:
 def block_spectra(hessian: Sequence[Sequence[Any]]) -> list[BlockSpectrum]:
     """Classify the eigenvalues of J Hess.
 
-    Parameters
-    ----------
-    hessian : sequence of sequence of arb
-        Rows of a symmetric matrix; entries that are exactly zero do not couple.
+    - hessian: Rows of a symmetric matrix; entries that are exactly zero do not couple.
 
     Examples
     --------

@@ -79,17 +79,9 @@ def space_of(inputs: int, time_degree: int, degree: int) -> Space:
 class Space:
     """The terms of Taylor models.
 
-    Parameters
-    ----------
-    inputs : int
-        Number d of the variables s.
-    time_degree, degree : int
-        m_t and m_y.
-
-    Attributes
-    ----------
-    exponents : numpy.ndarray
-        Of tau and s in each term, shape (n, 1 + d); the constant term is the first.
+    - inputs: Number d of the variables s.
+    - time_degree, degree: m_t and m_y.
+    - exponents: Of tau and s in each term, shape (n, 1 + d); the constant term is the first.
     """
 
     def __init__(self, inputs: int, time_degree: int, degree: int) -> None:
@@ -210,12 +202,8 @@ class Space:
 class Model:
     """A polynomial and a radius for each cell.
 
-    Attributes
-    ----------
-    coefficients : numpy.ndarray
-        Shape (terms, cells).
-    radius : numpy.ndarray
-        Shape (cells,).
+    - coefficients: Shape (terms, cells).
+    - radius: Shape (cells,).
     """
 
     def __init__(self, space: Space, coefficients: np.ndarray, radius: np.ndarray) -> None:
@@ -345,10 +333,7 @@ def _padded(series: Any) -> list[arb]:
 def _applied(function: Callable[..., Any], *arguments: Any) -> Any:
     """A function of balls, of models, or of both.
 
-    Raises
-    ------
-    SingularityError
-        If the function has no model.
+    Raise SingularityError if the function has no model.
     """
     if not any(isinstance(argument, Model) for argument in arguments):
         return function(*arguments)

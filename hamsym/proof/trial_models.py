@@ -26,28 +26,19 @@ from hamsym.random_features.trial import FeatureTrial
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A part of the span.
+    """A part of the span."""
 
-    Attributes
-    ----------
-    start, end : fractions.Fraction
-        Elapsed time.
-    models : callable
-        (start, half, terms) -> models of z^ and of dz^/ds on start + half (1 + x).
-    """
-
+    #: start, end: Elapsed time.
     start: Fraction
     end: Fraction
+    #: (start, half, terms) -> models of z^ and of dz^/ds on start + half (1 + x).
     models: Callable[[Fraction, Fraction, int], tuple[Rows, Rows]]
 
 
 def trial_pieces(trial: Any, span: tuple[float, float]) -> list[Piece]:
     """The smooth pieces of a trial solution, in the direction of its span.
 
-    Raises
-    ------
-    CertificationError
-        If the pieces do not cover the span.
+    Raise CertificationError if the pieces do not cover the span.
     """
     begin, end = (Fraction(value) for value in span)
     direction = 1 if end > begin else -1

@@ -181,30 +181,21 @@ class _Nodes:
 
 @dataclass
 class StepModels:
-    """What a step of the proof needs, without the bounds on the error so far.
-
-    Attributes
-    ----------
-    states, defect : list of Model
-        z^ and r.
-    fundamental, adjoint : list of list of Model
-        M and S.
-    matrices : numpy.ndarray
-        M at the nodes at the end of the step.
-    mismatch : numpy.ndarray
-        Bounds on the entries of S' + S A, shape (dim, dim, cells).
-    rest : numpy.ndarray
-        Bounds on the entries of 1 - M S.
-    """
+    """What a step of the proof needs, without the bounds on the error so far."""
 
     step: Step
     arguments: list[Model]
+    #: states, defect: z^ and r.
     states: list[Model]
     defect: list[Model]
+    #: fundamental, adjoint: M and S.
     fundamental: list[list[Model]]
     adjoint: list[list[Model]]
+    #: M at the nodes at the end of the step.
     matrices: np.ndarray
+    #: Bounds on the entries of S' + S A, shape (dim, dim, cells).
     mismatch: np.ndarray
+    #: Bounds on the entries of 1 - M S.
     rest: np.ndarray
 
     @cached_property
@@ -248,10 +239,7 @@ class Stepper:
     ) -> StepModels:
         """The models of a step from z^ and dz^/dtau.
 
-        Raises
-        ------
-        SingularityError
-            If H is not smooth on a part of the step in every cell.
+        Raise SingularityError if H is not smooth on a part of the step in every cell.
         """
         flow, space = self.flow, self.space
         arguments = [*states, clock, *parameters]
@@ -343,12 +331,8 @@ class Stepper:
 class Tube:
     """Bounds on the error of the map from step to step, for many cells at once.
 
-    Attributes
-    ----------
-    bound : numpy.ndarray
-        Largest bound so far, shape (dim, cells); infinite where there is none.
-    sharp : numpy.ndarray
-        What it would be without second order and radii, not a proven number.
+    - bound: Largest bound so far, shape (dim, cells); infinite where there is none.
+    - sharp: What it would be without second order and radii, not a proven number.
     """
 
     def __init__(self, stepper: Stepper, start: list[Model]) -> None:

@@ -49,29 +49,20 @@ _FINE = 0.02  # rtol that every verification tries
 
 @dataclass(frozen=True, eq=False)
 class WindowBounds:
-    """Proven bounds on largest magnitudes over the span.
+    """Proven bounds on largest magnitudes over the span."""
 
-    Attributes
-    ----------
-    uppers, lowers : numpy.ndarray
-        Of the 2-norm of the error, its components, the energy error and the residual, shape
-        (dim + 3,).
-    floors : numpy.ndarray
-        Differences of upper and lower bounds that are always small enough, shape (dim + 3,).
-    start, direction : fractions.Fraction, int
-        Time and sign of the span.
-    edges : tuple of fractions.Fraction
-        Ends of the windows in elapsed time.
-    pieces : tuple of float
-        Upper bounds on the 2-norm of the error in each window.
-    """
-
+    #: uppers, lowers: Of the 2-norm of the error, its components, the energy error and the
+    #: residual, shape (dim + 3,).
     uppers: np.ndarray
     lowers: np.ndarray
+    #: Differences of upper and lower bounds that are always small enough, shape (dim + 3,).
     floors: np.ndarray
+    #: start, direction: Time and sign of the span.
     start: Fraction
     direction: int
+    #: Ends of the windows in elapsed time.
     edges: tuple[Fraction, ...]
+    #: Upper bounds on the 2-norm of the error in each window.
     pieces: tuple[float, ...]
 
     def time(self, elapsed: Fraction) -> Fraction:
@@ -100,12 +91,7 @@ class WindowBounds:
 class WindowProof:
     """Bounds on the error of one solution.
 
-    Parameters
-    ----------
-    solution : Solution
-    deadline : Deadline
-    progress : callable, optional
-        Called with the completed share of the span.
+    - progress: Called with the completed share of the span.
     """
 
     def __init__(
@@ -126,10 +112,7 @@ class WindowProof:
     def bounds(self, rtol: float, asked: Sequence[float] | None) -> WindowBounds:
         """Bounds that are as close as required, or decide whether errors are as small as asked.
 
-        Raises
-        ------
-        CertificationError
-            If there are none.
+        Raise CertificationError if there are none.
         """
         samples = _samples(rtol if asked is None else 1.0)
         failure: CertificationError | None = None
@@ -173,10 +156,8 @@ class WindowProof:
     def require(self, claims: Certificate) -> None:
         """Prove every claim of a certificate.
 
-        Raises
-        ------
-        CertificationError
-            If a claim is not proven, naming the first one, or if there are no bounds.
+        Raise CertificationError if a claim is not proven, naming the first one, or if there are no
+        bounds.
         """
         uppers = [claims.bound, *claims.component_bounds, claims.energy_bound, claims.ell_max_bound]
         lowers = [claims.lower, *claims.component_lowers, claims.energy_lower, claims.ell_max_lower]

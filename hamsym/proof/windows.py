@@ -60,22 +60,13 @@ _ABRUPT = 1e3  # drop of the coefficients to round-off, which is that of a polyn
 class Equation:
     """dz/dt = G(t, z, k), its derivatives and H as programs.
 
-    Parameters
-    ----------
-    H : Hamiltonian
-        With a value for every parameter.
-    unknown : sequence of str
-        Names of parameters that are arguments k of the programs.
-
-    Attributes
-    ----------
-    dim, columns : int
-        2 dof, and dim plus the number of unknown parameters.
-    rates, jacobian, energy : Program
-    slopes : Program
-        Derivatives of H with forces; without them ``rates``, which are those up to order and sign.
-    entries, signs : numpy.ndarray
-        Rows (i, j, place): DG_ij is a sign times the result ``place`` of ``jacobian``.
+    - H: With a value for every parameter.
+    - unknown: Names of parameters that are arguments k of the programs.
+    - dim, columns: 2 dof, and dim plus the number of unknown parameters.
+    - slopes: Derivatives of H with forces; without them ``rates``, which are those up to order and
+      sign.
+    - entries, signs: Rows (i, j, place): DG_ij is a sign times the result ``place`` of
+      ``jacobian``.
     """
 
     def __init__(self, H: Hamiltonian, unknown: Sequence[str] = ()) -> None:
@@ -167,18 +158,12 @@ def set_sizes(V: np.ndarray, G: np.ndarray, R: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ErrorSet:
-    """Sets {G r} with \\|r\\| <= R, one for each column of R.
+    """Sets {G r} with \\|r\\| <= R, one for each column of R."""
 
-    Attributes
-    ----------
-    G, R : numpy.ndarray
-        Shapes (columns, m) and (m, kinds).
-    initial : int
-        Number of the first columns of G, which are kept.
-    """
-
+    #: G, R: Shapes (columns, m) and (m, kinds).
     G: np.ndarray
     R: np.ndarray
+    #: Number of the first columns of G, which are kept.
     initial: int
 
     @classmethod
@@ -214,43 +199,30 @@ class ErrorSet:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """One window: z(t) in y(x) + V(x) G r + balls of the radii ``beside``, \\|r\\| <= R.
+    """One window: z(t) in y(x) + V(x) G r + balls of the radii ``beside``, \\|r\\| <= R."""
 
-    Attributes
-    ----------
-    start, half : fractions.Fraction
-        Elapsed time; start + half (1 + x).
-    high, low : numpy.ndarray
-        Coefficients of y, shape (dim, terms).
-    V : numpy.ndarray
-        Shape (dim, columns, terms).
-    G, R : numpy.ndarray
-        The set at the start, shapes (columns, m) and (m,).
-    beside : numpy.ndarray
-        Bounds on everything else, shape (dim,).
-    derivative : numpy.ndarray
-        Bounds on V_d, shape (dim, columns).
-    J, J_error : numpy.ndarray
-        V(1) with rows of the identity for the constants, and bounds on its rounding.
-    tube : numpy.ndarray
-        Bounds on |z - y|, shape (dim,).
-    units : numpy.ndarray
-        Of the components and constants, powers of two, in which DG is nearly balanced, shape
-        (columns,).
-    """
-
+    #: start, half: Elapsed time; start + half (1 + x).
     start: Fraction
     half: Fraction
+    #: high, low: Coefficients of y, shape (dim, terms).
     high: np.ndarray
     low: np.ndarray
+    #: Shape (dim, columns, terms).
     V: np.ndarray
+    #: G, R: The set at the start, shapes (columns, m) and (m,).
     G: np.ndarray
     R: np.ndarray
+    #: Bounds on everything else, shape (dim,).
     beside: np.ndarray
+    #: Bounds on V_d, shape (dim, columns).
     derivative: np.ndarray
+    #: J, J_error: V(1) with rows of the identity for the constants, and bounds on its rounding.
     J: np.ndarray
     J_error: np.ndarray
+    #: Bounds on |z - y|, shape (dim,).
     tube: np.ndarray
+    #: Of the components and constants, powers of two, in which DG is nearly balanced, shape
+    #: (columns,).
     units: np.ndarray
 
     @property
@@ -260,17 +232,11 @@ class Window:
 
 @dataclass(frozen=True)
 class _Place:
-    """A window that is tried: half its length, exact and rounded, and balls of time.
-
-    Attributes
-    ----------
-    half, w : fractions.Fraction, float
-    middle, slope : (float, float, float)
-        The time is middle + slope x.
-    """
+    """A window that is tried: half its length, exact and rounded, and balls of time."""
 
     half: Fraction
     w: float
+    #: middle, slope: The time is middle + slope x.
     middle: tuple[float, float, float]
     slope: tuple[float, float, float]
 
@@ -278,20 +244,10 @@ class _Place:
 class WindowStepper:
     """Encloses one window after the other.
 
-    Parameters
-    ----------
-    equation : Equation
-    start_time : fractions.Fraction
-    direction : int
-    total : fractions.Fraction
-        Length of the span.
-    centre : numpy.ndarray
-        Middle of the initial set, shape (columns,); the constants are the last.
-    radii : numpy.ndarray
-        Of the initial set.
-    accuracy : float
-        Of the polynomials, relative to the components.
-    deadline : Deadline
+    - total: Length of the span.
+    - centre: Middle of the initial set, shape (columns,); the constants are the last.
+    - radii: Of the initial set.
+    - accuracy: Of the polynomials, relative to the components.
     """
 
     def __init__(
@@ -335,10 +291,7 @@ class WindowStepper:
     def step(self, limit: Fraction) -> Window:
         """The next window, which ends at ``limit`` or before.
 
-        Raises
-        ------
-        CertificationError
-            If there is none.
+        Raise CertificationError if there is none.
         """
         time = float(self._time + self._direction * self.elapsed)
         room = limit - self.elapsed
