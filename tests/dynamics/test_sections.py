@@ -378,7 +378,7 @@ def test_events_on_a_trained_network_and_backward() -> None:
         tau=0.25,
         schedule="cosine",
         learning_rate=0.02,
-        epochs=400,
+        epochs=200,
     )
     found = trained.events("x = 0")
     np.testing.assert_allclose(found.t_events[0], [np.pi / 2], atol=0.05)
