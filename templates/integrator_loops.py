@@ -643,10 +643,8 @@ def doubled(
                             time[0] = starts[trajectory] + sizes[trajectory] * elapsed
                         side = 1 if flow == 1 or flow == 2 else 0
                         known = fresh and flow == 0
-                        _flow(
-                            state, tangents, DIM * side, half, slopes[side], second, time, known,
-                            values,
-                        )  # fmt: skip
+                        at, rates = DIM * side, slopes[side]
+                        _flow(state, tangents, at, half, rates, second, time, known, values)
                     fresh = True
                 done[trajectory, 0] += 1
             for component in range(DIM):
