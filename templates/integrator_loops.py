@@ -8,7 +8,8 @@ have the types that ``read_q`` and ``read_p`` return. The other kernels are ``wr
 ``slope_curvature``, ``shear_q`` and ``shear_p`` for tangent vectors, ``_velocity_jacobian`` and
 ``_slope_jacobian`` for implicit halves, and ``_gradient``, ``_vector_field``, ``_hessian`` and
 ``_rate_curvature`` at arrays of points. They take the parameters as the tuple that
-``read_parameters`` returns.
+``read_parameters`` returns. Functions here whose names begin with an underscore are called by
+compiled code alone, so they have no wrappers, which take long to compile.
 """
 # ruff: noqa: F821
 
@@ -34,7 +35,7 @@ from numba import njit
 # every coefficient would slow down short steps.
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def splitting(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     stages, parameters,
@@ -75,7 +76,7 @@ def splitting(
         done[trajectory, 0] += saves * save_every
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def splitting_ensemble(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     stages, parameters,
@@ -145,7 +146,7 @@ def splitting_ensemble(
 # -- tangents ------------------------------------------------------------------------------------
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def splitting_tangent(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     stages, parameters,
@@ -181,7 +182,7 @@ def splitting_tangent(
         done[trajectory, 0] += saves * save_every
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def splitting_tangent_ensemble(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     stages, parameters,
@@ -235,7 +236,7 @@ def splitting_tangent_ensemble(
 # -- linear equations ----------------------------------------------------------------------------
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _factor(matrix, pivots):
     """Compute LU factors with partial pivoting, in place."""
     size = matrix.shape[0]
@@ -256,7 +257,7 @@ def _factor(matrix, pivots):
                 matrix[row, entry] -= matrix[row, column] * matrix[column, entry]
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _substitute(matrix, pivots, right):
     """Solve a linear system with the LU factors of its matrix, in place."""
     size = matrix.shape[0]
@@ -275,7 +276,17 @@ def _substitute(matrix, pivots, right):
 # -- symplectic Euler ----------------------------------------------------------------------------
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _largest(values):
+    """Return the largest magnitude, infinite if a value is not finite."""
+    largest = 0.0
+    for value in values:
+        if not abs(value) <= largest:
+            largest = abs(value) if math.isfinite(value) else math.inf
+    return largest
+
+
+@njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots):
     """Solve the implicit half of a step for q (for p unless q_first), in place.
 
@@ -307,17 +318,19 @@ def _newton(z, time, h, q_first, parameters, slopes, mixed, matrix, pivots):
         _substitute(matrix, pivots, correction)
         for row in range(DOF):
             unknown[row] -= correction[row]
-        change = np.max(np.abs(correction))
-        scale = terms + np.max(np.abs(old)) + np.max(np.abs(unknown))
+        change = _largest(correction)
+        scale = terms + _largest(old) + _largest(unknown)
         # Converged when the corrections are round-off: negligible, or small and no longer
         # shrinking.
+        if not math.isfinite(change):
+            return False, attempt + 1
         if change <= 2e-16 * scale or (change >= previous and change <= 1e-11 * scale):
             return True, attempt + 1
         previous = change
     return False, 50
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _euler_tangents(tangents, second, h, q_first, matrix, pivots):
     """Propagate tangent vectors by the derivative of a step (implicit function theorem)."""
     unknown, given, h = (0, DOF, h) if q_first else (DOF, 0, -h)
@@ -345,7 +358,7 @@ def _euler_tangents(tangents, second, h, q_first, matrix, pivots):
             tangents[given + row, column] = right[row]
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def euler(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     q_first, parameters,
@@ -387,13 +400,14 @@ def euler(
                 done[trajectory, 0] += 1
             if not converged:
                 break
-            out[trajectory, offset + save] = z[0]
+            for component in range(DIM):
+                out[trajectory, offset + save, component] = z[0, component]
 
 
 # -- implicit Runge-Kutta ------------------------------------------------------------------------
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _stage_matrix(matrix, coefficients, second, h):
     """Newton's matrix 1 - h a_ij J C_j, where C_j = second[j] is the Hessian at stage j
     or, with forces, the derivative of -J dz/dt."""
@@ -410,7 +424,7 @@ def _stage_matrix(matrix, coefficients, second, h):
         matrix[row, row] += 1.0
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def implicit(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     coefficients, weights, nodes, continued, parameters,
@@ -551,7 +565,7 @@ def implicit(
 # -- doubled phase space -------------------------------------------------------------------------
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _flow(state, columns, at, h, slopes, second, times, fresh, parameters):
     """Apply the flow of H(q, y), at = 0, or of H(x, p), at = DIM, to a state (q, p, x, y).
 
@@ -582,7 +596,7 @@ def _flow(state, columns, at, h, slopes, second, times, fresh, parameters):
                 columns[at + DOF + row, column] -= h * change
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _couple(vectors, angle):
     """Rotate (q - x, p - y) by an angle, for the columns (q, p, x, y) of vectors."""
     cosine, sine = math.cos(angle), math.sin(angle)
@@ -598,14 +612,13 @@ def _couple(vectors, angle):
             vectors[DIM + DOF + row, column] -= change
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+@njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def doubled(
     states, low, columns, out, offset, done, starts, sizes, first, saves, save_every,
     weights, coupling, parameters,
 ):  # fmt: skip
     """Explicit steps for any H in the phase space of (q, p, x, y); see Tao 2016."""
-    slopes = np.empty((1, DIM))
-    others = np.empty((1, DIM))
+    slopes = np.empty((2, 1, DIM))
     second = np.zeros((1, DIM, DIM))
     time = np.empty(1)
     for trajectory in range(states.shape[0]):
@@ -621,14 +634,17 @@ def doubled(
                     h = sizes[trajectory] * weight
                     half = h / 2
                     time[0] = starts[trajectory] + sizes[trajectory] * elapsed
-                    _flow(state, tangents, 0, half, slopes, second, time, fresh, values)
-                    _flow(state, tangents, DIM, half, others, second, time, False, values)
-                    _couple(vectors, 2 * coupling * h)
-                    _couple(tangents, 2 * coupling * h)
-                    elapsed += weight
-                    time[0] = starts[trajectory] + sizes[trajectory] * elapsed
-                    _flow(state, tangents, DIM, half, others, second, time, False, values)
-                    _flow(state, tangents, 0, half, slopes, second, time, False, values)
+                    # A loop, because numba compiles a function for each literal argument.
+                    for flow in range(4):
+                        if flow == 2:
+                            _couple(vectors, 2 * coupling * h)
+                            _couple(tangents, 2 * coupling * h)
+                            elapsed += weight
+                            time[0] = starts[trajectory] + sizes[trajectory] * elapsed
+                        side = 1 if flow == 1 or flow == 2 else 0
+                        known = fresh and flow == 0
+                        at, rates = DIM * side, slopes[side]
+                        _flow(state, tangents, at, half, rates, second, time, known, values)
                     fresh = True
                 done[trajectory, 0] += 1
             for component in range(DIM):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -114,11 +115,13 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[object]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    began, compiled = _used(), _COMPILING.seconds
+    began, compiled, imported = _used(), _COMPILING.seconds, "torch" in sys.modules
     try:
         return (yield)
     finally:
-        item.stash[_SECONDS] = _used() - began - (_COMPILING.seconds - compiled)
+        own = _used() - began - (_COMPILING.seconds - compiled)
+        # Whichever case comes first imports torch for all, which takes seconds.
+        item.stash[_SECONDS] = own if imported or "torch" not in sys.modules else 0.0
 
 
 @pytest.hookimpl(wrapper=True)

@@ -20,10 +20,11 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
-from numba.core.caching import NullCache
+from numba.core.caching import FunctionCache, NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
+from hamsym.codegen.numba_cache import load_module
 from hamsym.support.atomic import write_atomically
 
 _DIGEST = hashlib.sha256
@@ -31,6 +32,22 @@ _VERSIONS = (
     *(platform.python_implementation(), platform.python_version()),
     *(numba.__version__, llvmlite.__version__, np.__version__),
 )
+
+
+def load_compiled(source: str, name: str) -> ModuleType:
+    """Execute a source as a module, whose functions marked with ``cache=True`` are cached here.
+
+    The arguments are those of :func:`hamsym.codegen.numba_cache.load_module`.
+    """
+    module = load_module(source, name)
+    functions = vars(module).items()
+    marked = [key for key, value in functions if _cache_of(value) is FunctionCache]
+    cache_functions(module, marked, source)
+    return module
+
+
+def _cache_of(value: object) -> type:
+    return type(getattr(value, "_cache", None))
 
 
 def cache_functions(module: ModuleType, names: Iterable[str], source: str) -> None:

@@ -1,9 +1,9 @@
-"""Cache on disk: source files of compiled modules, which numba's cache needs, and derived texts.
+"""Cache on disk: source files of compiled modules, with their compiled code, and derived texts.
 
-numba stores compiled code next to the source as pickles, so anybody with write access there can run
-code. The cache is therefore one directory that only the user can write. Entries that were not used
-for a long time are removed. Integrators and proofs compile code, and so do functions of the backend
-"numba".
+Compiled code is stored next to the source as pickles (:mod:`hamsym.codegen.checked_cache`), so
+anybody with write access there can run code. The cache is therefore one directory that only the
+user can write. Entries that were not used for a long time are removed. Integrators and proofs
+compile code, and so do functions of the backend "numba".
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _digest(key: str, text: str) -> str:
 def _is_stored(path: Path, source: str) -> bool:
     """Whether a file contains this source; its access time is set to now.
 
-    The modification time is unchanged, because numba uses it to validate its compiled code.
+    The modification time is unchanged: it is that of the content.
     """
     try:
         os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))

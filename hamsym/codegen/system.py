@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.codegen import numba_cache
 from hamsym.codegen.backends import BACKENDS
 from hamsym.codegen.generate import Source, generate
 from hamsym.errors import InputError
@@ -132,7 +131,9 @@ class System(Shown):
         """Load a function by its name: also a function of rows, or with numba a loop."""
         if self.backend == "numba":
             if name not in self._compiled:
-                module = numba_cache.load_module(self._source.module(name), "numba")
+                from hamsym.codegen.checked_cache import load_compiled  # imports numba
+
+                module = load_compiled(self._source.module(name), "numba")
                 self._compiled[name] = getattr(module, name)
             return self._compiled[name]
         for part in self._source.needed(name):

@@ -18,7 +18,6 @@ from __future__ import annotations
 import functools
 import importlib.resources
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -77,7 +76,7 @@ def extrapolate(
     sizes, errors, round_off = np.empty((number, dim)), np.empty((number, times)), np.empty(number)
     # A perturbation stands for the independent rounding errors of several steps.
     unit = _PERTURBATION / (rounding * math.sqrt(steps / count))
-    _compiled("extrapolate_rows")(
+    _loops().extrapolate_rows(
         coarse,
         perturbed,
         unit,
@@ -102,7 +101,7 @@ def perturb(states: np.ndarray, coarse: np.ndarray, number: int) -> None:
     - coarse: Shape (n, times, dim).
     - number: Number of the perturbation, which determines its direction.
     """
-    _compiled("perturb_rows")(states, coarse, _changes(number, states.shape[1]))
+    _loops().perturb_rows(states, coarse, _changes(number, states.shape[1]))
 
 
 @functools.lru_cache(maxsize=256)
@@ -114,17 +113,18 @@ def _changes(number: int, dim: int) -> np.ndarray:
 
 
 @functools.cache
-def _compiled(name: str) -> Callable[..., None]:
-    """Compile a loop, which takes about a second the first time on a machine."""
+def _loops() -> ModuleType:
+    """The loops, each of which takes about a second to compile the first time on a machine."""
     import numba
 
-    compiler = numba.njit(cache=True, error_model="numpy", nogil=True)
-    loop: Callable[..., None] = compiler(getattr(_module(), name))
-    return loop
+    from hamsym.codegen.checked_cache import cache_functions  # imports numba
 
-
-@functools.cache
-def _module() -> ModuleType:
     folder = importlib.resources.files("hamsym.integrators")
     source = folder.joinpath("extrapolation_loop.py").read_text("utf-8")
-    return load_module(source, "extrapolation_loop")
+    module = load_module(source, "extrapolation_loop")
+    names = ("extrapolate_rows", "perturb_rows")
+    for name in names:
+        compiled = numba.njit(error_model="numpy", nogil=True)(getattr(module, name))
+        setattr(module, name, compiled)
+    cache_functions(module, names, source)
+    return module

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Mapping, Sequence
 
@@ -56,15 +57,16 @@ def _terms_of(expr: sympy.Expr, H: Hamiltonian) -> list[str]:
             negative = text.startswith("-")
             text = (r"-\," if negative else r"+\,") + text.removeprefix("-").strip()
         large = text.replace(r"\frac", r"\dfrac")
-        drawable = [form for form in (f"${large}$", f"${text}$") if _drawable(form)]
-        if not drawable:
+        drawable = next(filter(_drawable, (f"${large}$", f"${text}$")), None)
+        if drawable is None:
             return []
-        found.append(drawable[0])
+        found.append(drawable)
     if len(terms) > _MAX_TERMS:
         found += ["+", "…", f"({len(terms) - _MAX_TERMS:,}", "more", "terms)"]
     return found
 
 
+@functools.lru_cache(maxsize=4096)  # matplotlib parses mathematics for hundredths of a second
 def _drawable(text: str) -> bool:
     """Whether matplotlib can draw this mathematics, and it fits into a column."""
     if len(text) > 800:

@@ -9,11 +9,13 @@ import stat
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hamsym import Hamiltonian
 from hamsym.codegen import numba_cache
 from hamsym.codegen.generate import Source
+from hamsym.codegen.system import System
 from hamsym.symbolic import derivatives
 
 # -- the cache -------------------------------------------------------------------------------------
@@ -77,6 +79,25 @@ def test_derived_text_serves_the_next_process(fresh_cache, tmp_path: Path) -> No
     again = Hamiltonian(H.expr, q=H.q, p=H.p).real_equations
     again.__dict__["is_separable"] = True
     assert Source(again, "numba").module("splitting") == written
+
+
+@pytest.mark.parametrize("damage", [b"", b"damaged", None])
+def test_damaged_code_is_compiled_again(fresh_cache, tmp_path: Path, damage: bytes | None) -> None:
+    """Of a generated function: cut, replaced, or with one bit changed."""
+    fresh_cache.setenv("HAMSYM_CACHE_DIR", str(tmp_path))
+    form = Hamiltonian("p**2/2 + x**2/2").real_equations
+
+    def hits() -> int:
+        energy = System(Source(form, "numba")).function("energy")
+        assert energy(np.array([1.0, 2.0])) == 2.5
+        return sum(energy.__globals__["_energy"].stats.cache_hits.values())
+
+    assert (hits(), hits()) == (0, 1)
+    for file in (tmp_path / "__pycache__").iterdir():
+        content = bytearray(file.read_bytes())
+        content[len(content) // 2] ^= 1
+        file.write_bytes(content if damage is None else damage)
+    assert (hits(), hits()) == (0, 1)
 
 
 def _entry(cache: Path, source: str, days: float, size: int) -> list[Path]:

@@ -16,6 +16,8 @@ from hamsym.dynamics.growth import first_vectors
 from hamsym.integrators.fixed_step import Stepper
 from hamsym.systems import henon_heiles, pendulum
 
+from .linear_systems import linear, saddle
+
 # Starts of Skokos, Antonopoulos, Bountis & Vrahatis (2004), J. Phys. A 37, 6269, at E = 1/8.
 ORDERED = {"x": 0.0, "y": 0.55, "p_y": 0.0}
 CHAOTIC = {"x": 0.0, "y": -0.016, "p_y": 0.0}
@@ -26,16 +28,6 @@ def start_of(plane: dict[str, float]) -> np.ndarray:
 
 
 # -- exact values ------------------------------------------------------------------------------
-
-
-def linear(k: float) -> Hamiltonian:
-    return Hamiltonian("p**2/2 + k*x**2/2", parameters={"k": k})
-
-
-def saddle(a: float, b: float) -> Hamiltonian:
-    """A system with the exponents a, b, -b, -a."""
-    values = {"a": a, "b": b}
-    return Hamiltonian("(p_x**2 - a**2*x**2 + p_y**2 - b**2*y**2)/2", parameters=values)
 
 
 def exact(H: Hamiltonian, t: float, seed: int) -> tuple[float, float, float]:

@@ -21,11 +21,11 @@ K = Hamiltonian(
 FALLING = Hamiltonian("p**2/2 - x**4/4")
 GRID = {"x": [[1.0, 2.0], [3.0, 4.0]], "p": 0.0}
 MADE: dict[str, Callable[[], Trajectory]] = {
-    "one": lambda: hamsym.integrate(K, [1, 0], (0, 10), "gauss4", steps=100),
+    "one": lambda: hamsym.integrate(K, [1, 0], (0, 10), "blanes_moan6", steps=100),
     "backwards": lambda: hamsym.integrate(K, [1, 0], (10, 0), tol=1e-9),
     "grid": lambda: hamsym.integrate(K, GRID, (0, 3), tol=1e-9),
     "parameters": lambda: hamsym.integrate(
-        K, [1, 0], (0, 3), "gauss4", steps=30, parameters={"k": [1.0, 2.0, 3.0]}
+        K, [1, 0], (0, 3), "blanes_moan6", steps=30, parameters={"k": [1.0, 2.0, 3.0]}
     ),
     "stopped": lambda: hamsym.integrate(FALLING, [1, 0], (0, 10), tol=1e-9),
     "members that stopped": lambda: hamsym.integrate(
@@ -138,7 +138,7 @@ def test_tables_have_times_names_and_units() -> None:
     np.testing.assert_array_equal(table, trajectory.z)
     assert table.attrs["H"] == K.formula
     assert (table.attrs["k"], table.attrs["unit of x"]) == (1.0, "m")
-    assert table.attrs["method"] == "gauss4"
+    assert table.attrs["method"] == "blanes_moan6"
     assert table.attrs["hamsym"] == hamsym.__version__
 
 

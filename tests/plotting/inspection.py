@@ -35,11 +35,10 @@ def drawn_texts(figure: Figure) -> list[Any]:
 
 def check_layout(figure: Figure) -> None:
     """Assert that no text leaves the canvas or overlaps another, and that no panel is empty."""
-    figure.savefig(io.BytesIO(), format="png", dpi=100)
     figure.set_dpi(100)
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    renderer = canvas.get_renderer()
+    figure.savefig(io.BytesIO(), format="png", dpi=100)
+    renderer = canvas.get_renderer()  # places are those of the saved picture
     boxes = [(text, text.get_window_extent(renderer)) for text in drawn_texts(figure)]
     frame = figure.bbox.padded(1)
     for text, box in boxes:

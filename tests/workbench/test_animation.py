@@ -24,7 +24,7 @@ def pendulum():
 @pytest.fixture(scope="module")
 def bodies():
     problem = systems.three_bodies()
-    return hamsym.integrate(problem.H, problem.z0, problem.span, "gauss6", steps=400)
+    return hamsym.integrate(problem.H, problem.z0, problem.span, "dop853", steps=400)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def oscillators():
     H = hamsym.Hamiltonian("p**2/2 + k*x**2/2")
     z0 = {"x": np.linspace(1, 2, 60), "p": 0.0}
     k = np.append(np.ones(59), 4.0)
-    return hamsym.integrate(H, z0, (0, 5), "gauss6", steps=500, parameters={"k": k})
+    return hamsym.integrate(H, z0, (0, 5), "dop853", steps=500, parameters={"k": k})
 
 
 def places(animation, number):
@@ -52,14 +52,14 @@ def test_frames_have_equal_times_and_states_of_the_solution(pendulum):
 
 
 def test_frames_of_a_trajectory_lie_between_its_steps():
-    trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 6), "gauss6", dt=0.05)
+    trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 6), "dop853", dt=0.05)
     animation = trajectory.animate("x", "p", frames=77)
     exact = np.column_stack((np.cos(animation.times), -np.sin(animation.times)))
     assert np.abs(animation.states[:, 0] - exact).max() < 1e-7
 
 
 def test_motion_backwards_in_time_is_played_in_its_order():
-    trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, -3), "gauss6", dt=0.05)
+    trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, -3), "dop853", dt=0.05)
     animation = trajectory.animate(frames=5)
     assert animation.times[-1] == -3
     assert animation.states[-1, 0, 0] == pytest.approx(np.cos(3), abs=1e-7)
@@ -92,7 +92,7 @@ def test_number_of_members_that_are_left_out_is_said(oscillators):
 @pytest.mark.slow
 def test_member_that_escapes_disappears_with_a_note():
     start = {"x": [0.1, 3.0], "p": 0.0}
-    found = hamsym.integrate("p**2/2 - x**4", start, (0, 4), "gauss4", steps=4_000)
+    found = hamsym.integrate("p**2/2 - x**4", start, (0, 4), "dop853", steps=4_000)
     animation = found.animate(frames=20)
     assert np.isfinite(animation.states[:, 0]).all()
     assert np.isnan(animation.states[-1, 1]).all()
@@ -108,7 +108,7 @@ def test_pendulum_hangs_from_the_origin_by_rods_of_its_lengths():
         "p1**2/(2*l1**2) + p2**2/(2*l2**2) - l1*cos(theta1) - l2*cos(theta2)",
         parameters={"l1": 2.0, "l2": 0.5},
     )
-    found = hamsym.integrate(H, [0.5, -1.0, 0, 0], (0, 3), "gauss6", dt=0.01)
+    found = hamsym.integrate(H, [0.5, -1.0, 0, 0], (0, 3), "dop853", dt=0.01)
     with pytest.raises(InputError, match="theta1, theta2 have no usual picture"):
         found.animate()  # neither carries the other
     pivot, first, second = places(found.animate(kind="pendulum", frames=3), 0)
@@ -121,7 +121,7 @@ def test_pendulum_hangs_from_the_origin_by_rods_of_its_lengths():
 @pytest.mark.parametrize(("lengths", "expected"), [(3, 3), ([3.0], 3), ("g", 9.81), (["g"], 9.81)])
 def test_lengths_are_numbers_or_parameters(lengths, expected):
     H = hamsym.Hamiltonian("p**2/2 - g*cos(q)", parameters={"g": 9.81})
-    found = hamsym.integrate(H, [np.pi / 2, 0], (0, 1), "gauss4", dt=0.1)
+    found = hamsym.integrate(H, [np.pi / 2, 0], (0, 1), "dop853", dt=0.1)
     at = places(found.animate(lengths=lengths, frames=2), 0)
     np.testing.assert_allclose(at[1], [expected, 0], atol=1e-12)
 
@@ -140,7 +140,7 @@ def test_bodies_move_in_one_plane(bodies):
 @pytest.mark.slow
 def test_many_bodies_have_different_colours():
     problem = systems.pleiades()
-    found = hamsym.integrate(problem.H, problem.z0, (0, 0.1), "gauss6", dt=0.01)
+    found = hamsym.integrate(problem.H, problem.z0, (0, 0.1), "dop853", dt=0.01)
     colors = found.animate(frames=2).frame(0).axes[0].collections[-1].get_facecolors()
     assert len({tuple(color) for color in colors}) == 7
 
@@ -163,14 +163,14 @@ def test_phase_plane_of_one_coordinate_has_level_sets(pendulum):
 @pytest.mark.parametrize("H", ["p**2/2 + x**2/2 + x*cos(t)", "p_x**2/2 + p_y**2/2 + x**2 + y**2"])
 def test_level_sets_are_left_out_where_they_mean_nothing(H):
     z0 = [1, 0] if "t" in H else [1, 0, 0, 1]
-    found = hamsym.integrate(H, z0, (0, 3), "gauss6", dt=0.05)
+    found = hamsym.integrate(H, z0, (0, 3), "dop853", dt=0.05)
     axis = found.animate("x", found.names[len(z0) // 2], frames=3).frame(0).axes[0]
     assert not any(hasattr(artist, "levels") for artist in axis.collections)
 
 
 @pytest.mark.slow
 def test_points_are_functions_of_the_state_and_the_time():
-    found = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 2), "gauss6", dt=0.05)
+    found = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 2), "dop853", dt=0.05)
     one = found.animate(points=lambda z: [z[0], 2.0], frames=3)
     two = found.animate(points=lambda z, t: [[t, 0], [z[0], t]], rods=[(0, 1)], frames=3)
     np.testing.assert_allclose(places(one, 2), [[one.states[2, 0, 0], 2.0]])
@@ -206,7 +206,7 @@ def test_time_is_shown_with_its_unit():
     H = hamsym.Hamiltonian(
         "p**2/(2*m) + k*x**2/2", parameters={"m": 9.1e-31, "k": 3.6e-13}, units=units
     )
-    found = hamsym.integrate(H, [1e-6, 0], (0, 1e-8), "gauss6", steps=200)
+    found = hamsym.integrate(H, [1e-6, 0], (0, 1e-8), "dop853", steps=200)
     figure = found.animate(frames=5).frame(2)
     assert figure.axes[0].get_title(loc="left") == "t = 5.00e-09 s"
     figure.canvas.draw()
@@ -261,7 +261,7 @@ def test_film_without_ffmpeg_is_refused_in_a_sentence(pendulum, tmp_path, monkey
 
 @pytest.mark.slow
 def test_formula_is_no_markup(tmp_path):
-    found = hamsym.integrate("p**2/2 + max(x, 0)**2", [1, 0], (0, 1), "gauss4", dt=0.1)
+    found = hamsym.integrate("p**2/2 + max(x, 0)**2", [1, 0], (0, 1), "dop853", dt=0.1)
     animation = found.animate(frames=2)
     animation._film.title = "<script>alert(1)</script>"
     animation.save(tmp_path / "a.html", dpi=40)
@@ -337,7 +337,7 @@ def test_polar_coordinates_hang_along_the_weight(H, direction):
     known = hamsym.Hamiltonian(H)
     distance, angle = sorted(known.names[:2], key=lambda name: name != "r")
     start = {distance: 1.2, angle: 0.7, f"p_{distance}": 0, f"p_{angle}": 0}
-    animation = hamsym.integrate(known, start, (0, 2), "gauss6", dt=0.01).animate(frames=4)
+    animation = hamsym.integrate(known, start, (0, 2), "dop853", dt=0.01).animate(frames=4)
     state = dict(zip(known.names, animation.states[2, 0], strict=True))
     r, angle = state[distance], state[angle]
     pivot, body = places(animation, 2)
@@ -350,7 +350,7 @@ def test_polar_coordinates_hang_along_the_weight(H, direction):
 def test_polar_coordinates_of_a_central_force_are_those_of_the_plane():
     H = hamsym.Hamiltonian("p_rho**2/2 + p_phi**2/(2*rho**2) - 1/rho")
     found = hamsym.integrate(
-        H, {"rho": 1, "phi": 0, "p_rho": 0, "p_phi": 1}, (0, 6), "gauss6", dt=0.01
+        H, {"rho": 1, "phi": 0, "p_rho": 0, "p_phi": 1}, (0, 6), "dop853", dt=0.01
     )
     animation = found.animate(frames=4)
     state = dict(zip(H.names, animation.states[3, 0], strict=True))
@@ -363,7 +363,7 @@ def test_polar_coordinates_of_a_central_force_are_those_of_the_plane():
 @pytest.mark.parametrize("names", [(), ("r", "theta"), ("r",)])
 def test_distance_is_not_drawn_as_an_angle(names):
     problem = systems.swinging_atwood()
-    found = hamsym.integrate(problem.H, problem.z0, (0, 1), "gauss6", dt=0.1)
+    found = hamsym.integrate(problem.H, problem.z0, (0, 1), "dop853", dt=0.1)
     with pytest.raises(InputError, match="'r' is no angle of a pendulum"):
         found.animate(*names, kind="pendulum")
     pivot, body = places(found.animate(frames=2), 0)
@@ -372,7 +372,7 @@ def test_distance_is_not_drawn_as_an_angle(names):
 
 def test_coordinates_without_a_usual_picture_are_asked_for():
     H = "p_r**2/2 + p_theta**2/2 + r**2 + theta**2"  # no polar coordinates in spite of their names
-    found = hamsym.integrate(H, [1, 0, 0, 1], (0, 1), "gauss6", dt=0.1)
+    found = hamsym.integrate(H, [1, 0, 0, 1], (0, 1), "dop853", dt=0.1)
     with pytest.raises(InputError, match=r"r, theta have no usual picture.*points=") as caught:
         found.animate()
     assert "pendulum" not in str(caught.value)
