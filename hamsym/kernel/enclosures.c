@@ -22,6 +22,7 @@ static void run_values(const series_step *program, long steps, double *rows, lon
       case INVERSE_ROOT: for (long c = 0; c < n; c++) out[c] = a[c] > 0 ? 1 / sqrt(a[c]) : NAN; break;
       case EXPONENTIAL: hamsym_exp(a, out, n); break;
       case SINE_COSINE: hamsym_sin(a, out, n), hamsym_cos(a, b, n); break;
+      case REDUCED_ANGLE: fill(out, NAN, n); break; /* it is part of what does not depend on the state */
       default: functions[program->operation - LOGARITHM](a, out, n);
     }
   }

@@ -11,6 +11,7 @@ import functools
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hamsym.kernel.library import kernel_library
 from hamsym.kernel.loops import KINDS, Record, arrays, counts, numbers, require_memory
@@ -35,7 +36,8 @@ BALL_FUNCTIONS = (
     *("inverse_hyperbolic_tangent", "error_function", "sine_cosine"),
 )
 
-# Result (v: none) and arguments of each function: p a pointer, i an integer, d a number.
+# Result (v: none) and arguments of each function: p and n pointers to numbers and to integers, s to
+# a structure, i an integer, d a number.
 _SIGNATURES = {
     "balls": "v iippp",
     "norm": "d ppi",
@@ -43,23 +45,23 @@ _SIGNATURES = {
     "integrate_series": "d ppippi",
     "differentiate_series": "d ppippi",
     "end_values": "v ppiiiip",
-    "run_series": "v pipi",
-    "run_values": "v pipi",
-    "collocate": "i pippippidi",
-    "tangents": "i pppiiipidpip",
-    "correction": "i pppiipidppip",
-    "defects": "v pippippp",
-    "lemma": "i ppppp",
+    "run_series": "v nisi",
+    "run_values": "v nipi",
+    "collocate": "i ninpippidi",
+    "tangents": "i pnpiiipidpip",
+    "correction": "i pnpiipidppip",
+    "defects": "v ninsippp",
+    "lemma": "i spppp",
     "moved_set": "i ppppiiiipp",
     "set_radius": "i ppppiiiip",
     "boxed_set": "i pppiiipp",
     "chebyshev_balls": "v pip",
     "matrix_value": "v ppiipp",
     "vector_value": "v pppiip",
-    "dense": "v ppiipp",
-    "clenshaw": "v ppiippp",
+    "dense": "v ppiiss",
+    "clenshaw": "v ppiipps",
     "exact_products": "v ppiiippp",
-    "add_products": "v ppppppii",
+    "add_products": "v pppnnnii",
     "basic_operations": "v pppip",
 }
 
@@ -86,8 +88,9 @@ class Models(Record):
         terms = high.shape[1]
         if terms > MOST_TERMS:
             raise ValueError(f"series of {terms} terms; the library has room for {MOST_TERMS}")
-        for array in (values, series, high, low, radius, length):
-            _pointer(array)
+        for array in (values, series, high, low, radius):
+            _pointer(array, "p")
+        _pointer(length, "n")
         rows = {"high": high, "low": low, "radius": radius, "length": length}
         super().__init__(terms=terms, values=values, series=series, **rows)
 
@@ -112,13 +115,14 @@ class Enclosures:
             result, kinds = signature.split()
             function = getattr(library, f"hamsym_{name}")
             function.restype = None if result == "v" else KINDS[result]
-            function.argtypes = [KINDS[kind] for kind in kinds]
-            self._functions[name] = function
+            function.argtypes = [KINDS["p" if kind in "ns" else kind] for kind in kinds]
+            self._functions[name] = function, kinds
 
     def _call(self, name: str, *arguments: Any) -> Any:
         """Call a function; arrays, which must have their numbers in one piece, become pointers."""
-        pointers = [_pointer(a) if isinstance(a, np.ndarray) else a for a in arguments]
-        return self._functions[name](*pointers)
+        function, kinds = self._functions[name]
+        given = zip(arguments, kinds, strict=True)
+        return function(*[_pointer(a, k) if isinstance(a, np.ndarray) else a for a, k in given])
 
     # -- balls -----------------------------------------------------------------------------------
 
@@ -131,6 +135,7 @@ class Enclosures:
         x = _reals(x)
         out = np.empty((len(x), 2, 3)) if function == "sine_cosine" else np.empty((len(x), 3))
         second = x if y is None else _reals(y)
+        _require(len(x) == len(second))
         self._call("balls", BALL_FUNCTIONS.index(function), len(x), x, second, out)
         return out
 
@@ -261,7 +266,7 @@ class Enclosures:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute coefficients of D, shape (dim, terms + 1), and bounds on \\|D\\|."""
         found, sizes = np.empty((dim, models.terms + 1)), np.empty(dim)
-        given = program, len(program), results, ctypes.byref(models), dim, np.array(half)
+        given = program, len(program), results, ctypes.byref(models), dim, _reals(half)
         self._call("defects", *given, found, sizes)
         return found, sizes
 
@@ -326,6 +331,7 @@ class Enclosures:
         The bounds hold for all r, shape (columns, kinds), with \\|r\\| <= r0.
         """
         (n, k), (columns, kinds) = J.shape, r0.shape
+        _require(J_error.shape == (n, k) and C.shape == (k, columns))
         found, rest = np.empty((n, columns)), np.empty((n, kinds))
         given = [_reals(array) for array in (J, J_error, C, r0)]
         require_memory(self._call("moved_set", *given, n, k, columns, kinds, found, rest))
@@ -336,6 +342,7 @@ class Enclosures:
     ) -> np.ndarray:
         """Bound components of (value +- error) G r with \\|r\\| <= R, shape (n, kinds)."""
         (n, k), (columns, kinds) = value.shape, R.shape
+        _require(error.shape == (n, k) and G.shape == (k, columns))
         found = np.empty((n, kinds))
         given = [_reals(array) for array in (value, error, G, R)]
         require_memory(self._call("set_radius", *given, n, k, columns, kinds, found))
@@ -346,6 +353,7 @@ class Enclosures:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Cover sets {G r} with \\|r\\| <= R by {P r'} in as many columns as rows: P and R'."""
         (n, count), kinds = G.shape, R.shape[1]
+        _require(len(R) == count and len(units) == n)
         P, found = np.empty((n, n)), np.empty((n, kinds))
         given = [_reals(array) for array in (G, R, units)]
         require_memory(self._call("boxed_set", *given, n, count, kinds, P, found))
@@ -356,19 +364,21 @@ class Enclosures:
     def chebyshev_balls(self, x: tuple[float, float, float], terms: int) -> np.ndarray:
         """Compute balls of T_0(x) .. T_terms-1(x) for a ball x, shape (terms, 3)."""
         out = np.empty((terms, 3))
-        self._call("chebyshev_balls", np.array(x), terms, out)
+        self._call("chebyshev_balls", _reals(x), terms, out)
         return out
 
     def matrix_value(self, series: np.ndarray, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute values of series, shape (..., terms), and bounds on their errors."""
         series = _reals(series)
         found, error = np.empty((2, *series.shape[:-1]))
+        _require(series.shape[-1] <= len(basis))
         self._call("matrix_value", series, basis, found.size, series.shape[-1], found, error)
         return found, error
 
     def vector_value(self, high: np.ndarray, low: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Compute values of series, shape (n, terms), as balls, shape (n, 3)."""
         found = np.empty((len(high), 3))
+        _require(high.shape == low.shape and high.shape[1] <= len(basis))
         self._call("vector_value", _reals(high), _reals(low), basis, *high.shape, found)
         return found
 
@@ -385,6 +395,7 @@ class Enclosures:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Compute models of weights @ f + bias: (high, low, radius, length)."""
         found = _empty_models(len(weights), high.shape[1])
+        _require(weights.shape == (len(bias), len(high)))
         none = np.empty(0)
         given, out = Models(none, none, high, low, radius, length), Models(none, none, *found)
         pointers = [ctypes.byref(rows) for rows in (given, out)]
@@ -404,8 +415,9 @@ class Enclosures:
         \\|a\\| + \\|b\\| must be at most one, up to rounding.
         """
         found = _empty_models(ch.shape[1], terms)
+        _require(ch.shape == cl.shape)
         out = Models(np.empty(0), np.empty(0), *found)
-        given = _reals(ch), _reals(cl), *ch.shape, np.array(a), np.array(b)
+        given = _reals(ch), _reals(cl), *ch.shape, _reals(a), _reals(b)
         self._call("clenshaw", *given, ctypes.byref(out))
         return found
 
@@ -414,6 +426,7 @@ class Enclosures:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute series @ readout in twice float64; bound the sum of errors of each column."""
         (rows, inner), columns = series.shape, readout.shape[1]
+        _require(len(readout) == inner)
         (high, low), error = np.empty((2, rows, columns)), np.empty(columns)
         given = _reals(series), _reals(readout), rows, inner, columns
         self._call("exact_products", *given, high, low, error)
@@ -442,14 +455,20 @@ def enclosures() -> Enclosures:
     return Enclosures(kernel_library())
 
 
-def _pointer(array: np.ndarray) -> int:
-    if not array.flags.c_contiguous or array.dtype not in (np.float64, np.int64):
-        raise ValueError(f"the library needs contiguous numbers of 64 bits, not {array.dtype}")
+def _pointer(array: np.ndarray, kind: str) -> int:
+    if array.dtype.char not in ("d" if kind == "p" else "lq") or not array.flags.c_contiguous:
+        raise ValueError(f"the library needs another layout or type than {array.dtype}")
     return int(array.ctypes.data)
 
 
-def _reals(array: np.ndarray) -> np.ndarray:
+def _reals(array: ArrayLike) -> np.ndarray:
     return np.ascontiguousarray(array, dtype=float)
+
+
+def _require(fits: bool) -> None:
+    """Refuse arrays of which the library would read beyond the end."""
+    if not fits:
+        raise ValueError("the shapes of the arrays do not fit")
 
 
 def _points(rows: np.ndarray) -> int:

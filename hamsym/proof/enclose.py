@@ -48,9 +48,8 @@ def enclose(
 
     The result contains the true state at every time of the span, for every choice of the initial
     state and of the parameters in the balls that were given, and its derivatives by both. Every
-    rounding is covered. The method is explained, and proven, in
-    :mod:`hamsym.proof.window_steps`, :mod:`hamsym.proof.chebyshev_models` and
-    :mod:`hamsym.proof.ball_arithmetic`.
+    rounding is covered. The method is explained, and proven, in the headers ``enclosures.h``,
+    ``series.h`` and ``balls.h`` of ``hamsym/kernel``.
 
     Parameters
     ----------
@@ -338,7 +337,7 @@ class Enclosure(Shown):
 
     def _derivative_before(self, k: int) -> tuple[np.ndarray, ErrorSet]:
         """dz/d(z0, k) at the start of window k: a matrix and the set of its errors."""
-        known = self._derivatives
+        known = list(self._derivatives)  # another thread may compute them too
         if not known:
             columns = len(self.windows[0].J)
             known.append((np.eye(columns), ErrorSet.of_radii(np.zeros((columns, columns)))))
@@ -350,4 +349,5 @@ class Enclosure(Shown):
             error *= 1 + 1e-9
             fresh, rounding = enclosures().moved_set(window.J, error, middle, np.eye(len(middle)))
             known.append((fresh, rest.moved(window.J, error, rounding, window.units)))
+        self._derivatives[:] = known
         return known[k]

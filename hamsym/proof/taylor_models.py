@@ -164,7 +164,7 @@ class Space:
 
     def product(self, first: Model, second: Model) -> Model:
         a, b = first.coefficients, second.coefficients
-        found = np.zeros_like(a)
+        found = np.zeros(a.shape)
         enclosures().add_products(found, a, b, *self._pairs)
         size, other = np.abs(a), np.abs(b)
         tail = (size * (self._left_out @ other)).sum(axis=0)

@@ -2,7 +2,7 @@
 
 Each window has a polynomial y near the solution, which collocation in float64 finds and linear
 corrections complete to twice float64, a polynomial matrix V near its derivatives, and the bounds of
-:mod:`hamsym.proof.window_steps`. The set of the states at the start of a window is
+``hamsym/kernel/enclosures.h``. The set of the states at the start of a window is
 
     z(t_a) in y(-1) + G r,   r: all vectors with |r_i| <= R_i.
 

@@ -1,9 +1,13 @@
 """hamsym.enclose contains the true solution and its derivatives, or says until when it can."""
 
+import dataclasses
 import math
 import pickle
+import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -602,3 +606,24 @@ def test_two_hundred_random_problems_contain_references_of_fifty_digits(seeds):
             refused.append((seed, str(error)))
     assert missed == []
     assert len(refused) <= 1
+
+
+def test_derivatives_of_several_threads_are_those_of_one() -> None:
+    names = range(6)
+    kinetic = " + ".join(f"p{i}**2/2" for i in names)
+    springs = " + ".join(f"(x{i} - x{i + 1})**2/2 + (x{i} - x{i + 1})**4/4" for i in range(5))
+    enclosure = hamsym.enclose(f"{kinetic} + {springs}", [1.0, *[0.0] * 11], (0, 8))
+    alone = dataclasses.replace(enclosure, _derivatives=[]).derivative(8.0)
+    for _ in range(3):
+        shared = dataclasses.replace(enclosure, _derivatives=[])
+        barrier = threading.Barrier(4)
+
+        def found(shared: hamsym.Enclosure = shared, barrier: Any = barrier) -> Any:
+            barrier.wait()
+            return shared.derivative(8.0)
+
+        with ThreadPoolExecutor(4) as pool:
+            results = [pool.submit(found) for _ in range(4)]
+        for result in results:
+            np.testing.assert_array_equal(result.result().mid, alone.mid)
+        assert len(shared._derivatives) == len(shared.windows)

@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from hamsym.kernel.enclosures import enclosures
+from hamsym.kernel.enclosures import REDUCED_ANGLE, enclosures
 from tests.proof.misses import (
     Transport,
     clenshaw_misses,
@@ -204,3 +204,17 @@ def test_series_of_lines_contain_the_exact_values(L):
 
 def test_products_of_matrices_contain_the_exact_sums(L):
     assert product_misses(L, 60, seed=1) == []
+
+
+def test_arrays_of_another_type_or_shape_are_refused(L):
+    with pytest.raises(ValueError, match="another layout or type"):
+        L.run_values(np.zeros((1, 4)), np.zeros((3, 8)))
+    with pytest.raises(ValueError, match="do not fit"):
+        L.moved_set(np.eye(2), np.eye(2), np.eye(3), np.ones((3, 1)))
+    assert L.chebyshev_balls((1, 0, 0), 3)[:, 0].tolist() == [1.0, 1.0, 1.0]
+
+
+def test_reduced_angle_has_no_value_beside_the_state(L):
+    rows = np.ones((2, 8))
+    L.run_values(np.array([[REDUCED_ANGLE, 1, 0, 0]]), rows)
+    assert np.isnan(rows[1]).all()
