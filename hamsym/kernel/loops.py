@@ -255,7 +255,7 @@ class Settings(Record):
     """Constants of a march."""
 
     _fields_ = [
-        *counts("stops width"),
+        *counts("stops width patient"),
         *numbers("tolerance shortest longest"),
         *arrays("stop floor sign parameters"),
     ]

@@ -27,6 +27,9 @@
    Newton's method take most of its time. */
 #define SMALL 600
 #define RETRIES 3
+/* Of a length at which the iteration failed: the longest of the next windows, and the growth of it with each. */
+#define RETRIED 0.9
+#define LATER 1.02
 #define SMALL_MATRIX 100.0
 
 /* -- memory ------------------------------------------------------------------------------------ */
@@ -268,7 +271,8 @@ int march(marching *m, const equations *H, const tables *t, const settings *s, p
   double pays = PAYS * (1.0 + (unknowns / SMALL_MATRIX) * (unknowns / SMALL_MATRIX));
   /* Where the iteration fails, Newton's method follows; in large systems only after shorter windows failed
      too, or right after a window that needed it. */
-  int stiff = given, failures = 0, retries = unknowns <= SMALL ? 0 : RETRIES;
+  double failed = INFINITY; /* length at which the iteration failed last, and more after each window since then */
+  int stiff = given, failures = 0, retries = unknowns <= SMALL && !s->patient ? 0 : RETRIES;
   set_parameters(&m->velocity, s->parameters, m->stride);
   set_parameters(&m->force, s->parameters, m->stride);
   while (counts[2] < s->stops) {
@@ -293,6 +297,7 @@ int march(marching *m, const equations *H, const tables *t, const settings *s, p
       if (!iterations) {
         if (stiff || failures >= retries || counts[3] >= PATIENCE) return NEWTON;
         failures++;
+        failed = length;
         clock[1] = length * SHRINK;
         continue;
       }
@@ -324,7 +329,8 @@ int march(marching *m, const equations *H, const tables *t, const settings *s, p
     double growth = lesser(GROW, power(AIM / greater(error, 1e-30), 1.0 / t->order));
     if (error <= GOOD) growth = greater(growth, 1.0);
     last_length = length;
-    clock[1] = length * (slow ? SHRINK : growth);
+    clock[1] = lesser(length * (slow ? SHRINK : growth), s->patient ? RETRIED * failed : INFINITY);
+    failed *= LATER;
     if (slow) {
       counts[3]++;
       clock[2] = length;

@@ -30,6 +30,7 @@ typedef struct {
 
 typedef struct {
   int64_t stops, width;           /* width of a row of signs */
+  int64_t patient;                /* whether shorter windows are tried before Newton's method in systems of any size */
   double tolerance, shortest, longest;
   const double *stop;             /* times at which a window must end, the last the end of the march */
   const double *floor;            /* sizes below which no component is counted */

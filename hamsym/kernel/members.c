@@ -117,7 +117,7 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
     windows w = {r->room - done, r->readout, r->edge + first, r->state + first * dim,
                  r->coefficient + done * r->readout * dim};
     double *size = r->size + member * dim, *largest = r->largest + member * dim;
-    settings s = {1, width, span->local, span->shortest, span->longest, &stop, floors, signs, values};
+    settings s = {1, width, 1, span->local, span->shortest, span->longest, &stop, floors, signs, values};
     progress p = {clock, counts, size, tail, found};
     set_parameters(&m.velocity, values, m.stride);
     set_parameters(&m.force, values, m.stride);
