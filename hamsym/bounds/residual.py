@@ -35,6 +35,7 @@ _GENERATIONS = 60
 _SHORT_POLYNOMIAL = 8  # degree of a vector field that hides nothing between the places of a march
 _ULPS = 16.0  # of the time, below which a part is not divided
 _EPS = 2.0**-52
+_TINY = np.finfo(float).tiny
 
 
 class Places(NamedTuple):
@@ -193,7 +194,7 @@ class _Search:
         places, limits = self._trial(parts), self._limits[parts.window]
         weight = self._lengths[parts.window] * parts.width
         bounds, _ = bounds_on_parts(self._programs, places, self._edges, parts, self._parameters)
-        upper = _ratios(bounds * weight[:, None], limits)
+        upper = largest_ratios(bounds * weight[:, None], limits)
         lower, times = np.zeros(len(parts)), places.t[:, PLACES // 2].copy()
         large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
         if len(large):
@@ -201,10 +202,12 @@ class _Search:
             rounded, own = self._noise * _round_off(self._rates, at, some), weight[large, None]
             rounded = np.where(rounded < math.inf, rounded, 0.0)  # infinite or NaN excuses nothing
             found = _residuals(self._rates, at, some)
-            upper[large] = _ratios(np.maximum(bounds[large] - rounded, 0.0) * own, limits[large])
+            upper[large] = largest_ratios(
+                np.maximum(bounds[large] - rounded, 0.0) * own, limits[large]
+            )
             mean = np.maximum(found.mean(axis=1) - rounded, 0.0)
-            lower[large] = _ratios(mean * own, limits[large])
-            peaks = _ratios(found, limits[large, None]).argmax(axis=1)
+            lower[large] = largest_ratios(mean * own, limits[large])
+            peaks = largest_ratios(found, limits[large, None]).argmax(axis=1)
             times[large] = at.t[np.arange(len(large)), peaks]
         return upper, lower, times
 
@@ -265,8 +268,9 @@ def _round_off(
     return np.asarray(np.median(change.reshape(count, PLACES, dim), axis=1))
 
 
-def _ratios(values: np.ndarray, limits: np.ndarray) -> np.ndarray:
+def largest_ratios(values: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """Return the largest ratio of each row, infinite where it is NaN or a limit is infinite."""
-    ratios = np.where(limits < np.inf, values / np.maximum(limits, np.finfo(float).tiny), np.inf)
-    largest = ratios.max(axis=-1)
+    with np.errstate(all="ignore"):
+        ratios = np.where(limits < np.inf, values / np.maximum(limits, _TINY), np.inf)
+        largest = ratios.max(axis=-1)
     return np.where(np.isnan(largest), np.inf, largest)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hamsym.kernel.library import kernel_library
-from hamsym.kernel.loops import KINDS, Record, arrays, counts, numbers, require_memory
+from hamsym.kernel.loops import Record, arrays, counts, numbers, require_memory, typed
 
 # Operations of programs on series, and their numbers in the library.
 ADD, SUBTRACT, NEGATE, MULTIPLY, RECIPROCAL, RECIPROCAL_ROOT, EXPONENTIAL, SINE_COSINE = range(8)
@@ -36,8 +36,7 @@ BALL_FUNCTIONS = (
     *("inverse_hyperbolic_tangent", "error_function", "sine_cosine"),
 )
 
-# Result (v: none) and arguments of each function: p and n pointers to numbers and to integers, s to
-# a structure, i an integer, d a number.
+# Result and arguments of each function, whose names begin with hamsym_; see loops._KINDS.
 _SIGNATURES = {
     "balls": "v iippp",
     "norm": "d ppi",
@@ -110,13 +109,10 @@ class Enclosures:
     """The functions of a library."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
-        self._functions = {}
-        for name, signature in _SIGNATURES.items():
-            result, kinds = signature.split()
-            function = getattr(library, f"hamsym_{name}")
-            function.restype = None if result == "v" else KINDS[result]
-            function.argtypes = [KINDS["p" if kind in "ns" else kind] for kind in kinds]
-            self._functions[name] = function, kinds
+        self._functions = {
+            name: (typed(library, f"hamsym_{name}", signature), signature.split()[1])
+            for name, signature in _SIGNATURES.items()
+        }
 
     def _call(self, name: str, *arguments: Any) -> Any:
         """Call a function; arrays, which must have their numbers in one piece, become pointers."""

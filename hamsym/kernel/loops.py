@@ -40,7 +40,7 @@ RowFunction = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
 _ROW_FUNCTION = ctypes.CFUNCTYPE(None, c_void_p, c_void_p, c_void_p, c_void_p, c_int64)
 
 
-# Result and arguments of each function: p a pointer, i an integer, d a number.
+# Result and arguments of each function, as in _KINDS.
 _SIGNATURES = {
     "hamsym_check_program": "i p",
     "hamsym_run": "i ppppip",
@@ -53,7 +53,9 @@ _SIGNATURES = {
     "hamsym_resolved": "i ppppp",
     "hamsym_piece": "i pippiip",
 }
-KINDS = {"p": c_void_p, "i": c_int64, "d": c_double}
+#: A pointer, also to numbers (p), integers (n) or a structure (s), where that is checked; an
+#: integer (i); a number (d); no result (v).
+_KINDS = dict(zip("pnsidv", (*[c_void_p] * 3, c_int64, c_double, None), strict=True))
 
 
 @functools.cache
@@ -61,11 +63,17 @@ def library() -> ctypes.CDLL:
     """Return the library with the types of its functions."""
     found = kernel_library()
     for name, signature in _SIGNATURES.items():
-        result, arguments = signature.split()
-        function = getattr(found, name)
-        function.restype = KINDS[result]
-        function.argtypes = [KINDS[kind] for kind in arguments]
+        typed(found, name, signature)
     return found
+
+
+def typed(found: ctypes.CDLL, name: str, signature: str) -> Any:
+    """Return a function of a library with the types of its signature, which are set."""
+    result, arguments = signature.split()
+    function = getattr(found, name)
+    function.restype = _KINDS[result]
+    function.argtypes = [_KINDS[kind] for kind in arguments]
+    return function
 
 
 class Record(ctypes.Structure):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hamsym.bounds.models import NODES, resolved
-from hamsym.bounds.residual import Excess, Parts, Places, excesses
+from hamsym.bounds.residual import Excess, Parts, Places, excesses, largest_ratios
 from hamsym.kernel import loops
 from hamsym.numerics.collocation import collocation
 from hamsym.random_features.basis import FeatureBasis
@@ -26,7 +26,6 @@ from hamsym.random_features.windows import Windows
 SLACK = 10.0  # times the residual that the march allows at its own places
 _ROUND_OFF = 256 * 2.0**-52  # of the residual, relative to the rates
 _NOISE = 8.0  # times the typical change of the rates for one unit in the last place of the states
-_TINY = np.finfo(float).tiny
 # Distance of places from the ends of their window, as in the march: units in the last place of the
 # time at least, and at most where that is a small share of the window.
 _LEAST_INSIDE, _INSIDE, _SMALL_INSIDE = 1.0, 4.0, 1e-6
@@ -163,7 +162,7 @@ class WindowChecks:
         size = np.maximum(np.abs(z[:-1]), np.abs(z[1:]))
         rounding = _ROUND_OFF * (np.abs(energies[:-1]) + (slopes * size).sum(axis=1))
         allowed = self.tolerance * (slopes * sizes).sum(axis=1) + rounding
-        return _excess(np.abs(np.diff(energies))[:, None], SLACK * allowed[:, None])
+        return largest_ratios(np.abs(np.diff(energies))[:, None], SLACK * allowed[:, None])
 
     def _energy_jump(self, windows: Windows, index: int) -> float:
         """Locate the time in a window at which H changes fastest."""
@@ -242,11 +241,3 @@ def _rows(basis: FeatureBasis) -> tuple[np.ndarray, np.ndarray]:
 def _columns(basis: FeatureBasis, places: bytes) -> tuple[np.ndarray, np.ndarray]:
     """Return the columns and their derivatives at places in [-1, 1] of a whole window."""
     return basis.columns((np.frombuffer(places) + 1) / 2)
-
-
-def _excess(values: np.ndarray, allowed: np.ndarray) -> np.ndarray:
-    """Return the largest ratio in each row, infinite where it is NaN or a limit is infinite."""
-    with np.errstate(all="ignore"):
-        ratios = np.where(allowed < np.inf, values / np.maximum(allowed, _TINY), np.inf)
-        largest = ratios.max(axis=1)
-    return np.where(np.isnan(largest), np.inf, largest)
