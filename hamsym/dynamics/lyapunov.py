@@ -35,8 +35,8 @@ from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
 from hamsym.ensemble import ensemble_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.integrators.fixed_step import Stepper
-from hamsym.integrators.integrate import usual_method
+from hamsym.integrators.stepper import Stepper
+from hamsym.integrators.table import usual_method
 from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.shown import Shown

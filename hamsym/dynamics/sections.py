@@ -25,10 +25,12 @@ from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError, StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.integrators.automatic_steps import AIM, choose_steps
 from hamsym.integrators.coefficients import Doubled
-from hamsym.integrators.energy_drift import AIM, COARSE, EnergyDrift
+from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.hidden_features import hidden_features, passed_over
-from hamsym.integrators.integrate import choose_steps, fixed_step, usable_method, usual_method
+from hamsym.integrators.stepper import Stepper
+from hamsym.integrators.table import usable_method, usual_method
 from hamsym.numerics.intervals import Intervals, Ranges
 from hamsym.numerics.isolation import Cells, component_ranges, isolated_zeros, rate_bends
 from hamsym.numerics.roots import suspects, zeros
@@ -317,7 +319,7 @@ def section(
     if chosen:
         choice = choose_steps(members, method, span, progress=progress)
         steps = choice.steps
-        if not choice.met and not choice.attempt.interrupted:
+        if not choice.met and not choice.run.interrupted:
             advice = f"steps were chosen for {AIM:.0e}, {choice.found:.1e} was reached"
     size = (end - start) / steps
     share = max(AIM, min(choice.found, COARSE)) if chosen else COARSE
@@ -402,7 +404,7 @@ class _Crossings:
 
     def __init__(self, members: Ensemble, setting: _Setting) -> None:
         count, method = len(members), setting.method
-        self._stepper = fixed_step(
+        self._stepper = Stepper(
             members.H,
             method,
             members.states,
@@ -568,7 +570,7 @@ class _Steps:
         before = self.before[index]
         if not len(index):
             return before
-        stepper = fixed_step(
+        stepper = Stepper(
             self.members.H,
             self.setting.method,
             before,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from hamsym.integrators.integrate import Trajectory
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import Figure, figure_of, label, legend, one_panel, require_no_axes
 from hamsym.plotting.motions import LARGEST, label_time, log_lines

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from hamsym.errors import InputError
-from hamsym.integrators.integrate import Trajectory
 from hamsym.integrators.interpolation import Interpolant
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.plotting.figure import figure_of, label, one_panel, require_no_axes
 from hamsym.plotting.motions import (
     Motion,

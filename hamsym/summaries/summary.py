@@ -6,7 +6,7 @@ from functools import singledispatch
 from typing import Any
 
 from hamsym.errors import InputError
-from hamsym.integrators.integrate import Trajectory
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.solution.solution import Solution
 from hamsym.summaries.solutions import solution_summary
 from hamsym.summaries.trajectories import trajectory_summary

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hamsym.integrators.integrate import Trajectory
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.numerics.scales import ratios
 from hamsym.support.text_tables import ROWS, left_out, share, table, wrapped
 
