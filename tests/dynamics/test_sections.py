@@ -11,7 +11,7 @@ import scipy.integrate
 
 import hamsym
 from hamsym import Hamiltonian, InputError
-from hamsym.dynamics import sections
+from hamsym.dynamics import crossings
 from hamsym.errors import EventWarning, StepSizeWarning
 from hamsym.integrators import stepper
 from hamsym.numerics.roots import refine, sign_changes
@@ -567,7 +567,7 @@ def test_zero_at_start_is_not_an_event() -> None:
 def test_ctrl_c_keeps_earlier_crossings(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = harmonic_oscillator()
     full = hamsym.section(problem.H, problem.z0, (0, 100), "x = 0", dt=0.1)
-    monkeypatch.setattr(sections, "_HELD", 400)
+    monkeypatch.setattr(crossings, "_HELD", 400)
     calls = []
     original = stepper.Stepper.step
 
