@@ -18,14 +18,13 @@ from hamsym.plotting.motions import (
     chosen_members,
     component_of,
     draw_motion,
-    label_time,
-    log_lines,
     parameters_of,
     varying,
 )
 from hamsym.plotting.names import energy_unit
 from hamsym.plotting.sampling import resolved
 from hamsym.plotting.style import SAMPLES, style_for, styled
+from hamsym.plotting.time_axes import label_time, log_lines
 
 _SAVE_MORE = "Dots: the saved states, which are too far apart for lines between them; save more"
 
