@@ -57,11 +57,9 @@ def states_at_energy(
         ) from None
     energies, times, *values = (np.broadcast_to(array, shape).ravel() for array in numbers)
     found = np.array(np.broadcast_to(states, (*shape, dim)).reshape(-1, dim))
-    own = dict(zip(given, values, strict=True))
-    every = [
-        np.broadcast_to(own.get(name, value), len(found))
-        for name, (_, value) in equations.parameters.items()
-    ]
+    columns: dict[str, Any] = {name: value for name, (_, value) in equations.parameters.items()}
+    columns |= dict(zip(given, values, strict=True))
+    every = [np.broadcast_to(column, len(found)) for column in columns.values()]
     rows = np.array(every).T if given else None
 
     def excess(value: np.ndarray, index: np.ndarray) -> np.ndarray:
