@@ -327,12 +327,7 @@ class _Run:
                 yield part, rate, steps, blocks
 
     def _advance(
-        self,
-        index: np.ndarray,
-        rate: float,
-        steps: int,
-        blocks: int,
-        report: Callable[[int], None],
+        self, index: np.ndarray, rate: float, steps: int, blocks: int, report: Callable[[int], None]
     ) -> _Outcome:
         """Step a chunk through the span."""
         (start, end), states = self._span, self._members.states[index]

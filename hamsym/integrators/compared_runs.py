@@ -72,7 +72,7 @@ class ComparedRuns:
         saves: int,
         compensated: bool,
     ) -> None:
-        self._members, self._method, self._span, self._tol = members, method, span, tol
+        self.members, self._method, self.span, self.tol = members, method, span, tol
         scheme = INTEGRATORS[method].scheme
         assert isinstance(scheme, Scheme)
         self.scheme: Scheme = scheme
@@ -105,11 +105,11 @@ class ComparedRuns:
 
     def _is_searched(self, coarse: int) -> bool:
         """Whether features between the steps are looked for, which takes all states."""
-        return self._hidden is not None and 2 * coarse * self._members.H.dim <= MAX_NARROW
+        return self._hidden is not None and 2 * coarse * self.members.H.dim <= MAX_NARROW
 
     def compare(self, rows: np.ndarray, coarse: int) -> Round:
         """Integrate members with three numbers of steps and compare the results."""
-        starts = self._members.states[rows]
+        starts = self.members.states[rows]
         first, one = self._path(rows, starts, coarse, self.sampled)
         other, count, two = self._perturbed(rows, first, coarse)
         dense, three = self._path(rows, starts, 2 * coarse, self.middle_saves(coarse))
@@ -130,14 +130,14 @@ class ComparedRuns:
         )
         narrow, narrow_times = np.zeros(len(rows)), np.zeros(len(rows))
         if self.narrow is not None:
-            times = np.linspace(*self._span, dense.shape[1])
+            times = np.linspace(*self.span, dense.shape[1])
             narrow, place = self.narrow.unresolved(
-                dense, times, self._members.own_parameters(rows), self._tol * found.sizes
+                dense, times, self.members.own_parameters(rows), self.tol * found.sizes
             )
             narrow_times = times[place]
         states = found.states[:, self.kept]
         changes = self._energy_changes(rows, states, found.sizes, 4 * coarse)
-        good = (found.errors[:, -1] <= self._tol) & (changes <= 1) & (narrow <= 1) & finite
+        good = (found.errors[:, -1] <= self.tol) & (changes <= 1) & (narrow <= 1) & finite
         rounding = np.zeros(len(rows))
         if good.any() and self._is_searched(coarse):
             hidden = self._hidden_features(rows[good], dense[good], found.sizes[good])
@@ -158,10 +158,10 @@ class ComparedRuns:
     def _hidden_features(self, rows: np.ndarray, path: np.ndarray, sizes: np.ndarray) -> Hidden:
         """Search for features of the force between all states of members."""
         assert self._hidden is not None
-        times = np.linspace(*self._span, path.shape[1])
-        allowed = self._tol * sizes
+        times = np.linspace(*self.span, path.shape[1])
+        allowed = self.tol * sizes
         return self._hidden.search(
-            path, times, self._members.own_parameters(rows), lambda i: allowed[i]
+            path, times, self.members.own_parameters(rows), lambda i: allowed[i]
         )
 
     def _rounding(self, rows: np.ndarray) -> float:
@@ -196,14 +196,14 @@ class ComparedRuns:
         return path, count, stepper.evaluations
 
     def _stepper(self, rows: np.ndarray, starts: np.ndarray, steps: int) -> Stepper:
-        start, end = self._span
+        start, end = self.span
         return Stepper(
-            self._members.H,
+            self.members.H,
             self._method,
             starts,
             np.full(len(rows), start),
             np.full(len(rows), (end - start) / steps),
-            parameters=self._members.parameters[rows],
+            parameters=self.members.parameters[rows],
             compensated=bool(self.compensated[rows[0]]),  # equal in a block
         )
 
@@ -211,15 +211,15 @@ class ComparedRuns:
         self, rows: np.ndarray, states: np.ndarray, sizes: np.ndarray, steps: int
     ) -> np.ndarray:
         """Largest change of H, in units of the change that errors of the tolerance can cause."""
-        if not self._members.H.conserves_energy:
+        if not self.members.H.conserves_energy:
             return np.zeros(len(rows))
         z = states.transpose(1, 0, 2)
-        given = self.system.keywords(self._members.own_parameters(rows))
+        given = self.system.keywords(self.members.own_parameters(rows))
         with np.errstate(all="ignore"):
             energy = np.asarray(self.system.energy(z, **given))
             slopes = np.abs(np.asarray(self.system.gradient(z, **given)))
             # Of the sizes, by the tolerance; of the states and of H, by round-off.
-            allowed = np.einsum("tni,ni->tn", slopes, SLACK * self._tol * sizes)
+            allowed = np.einsum("tni,ni->tn", slopes, SLACK * self.tol * sizes)
             noise = 4 * _EPS * math.sqrt(steps)
             allowed += noise * np.einsum("tni,tni->tn", slopes, np.abs(z)) + noise * np.abs(energy)
             change = np.abs(energy - energy[0])

@@ -225,12 +225,7 @@ def _between_steps(
 
 
 def _every_step(
-    members: Ensemble,
-    name: str,
-    z: np.ndarray,
-    times: np.ndarray,
-    steps: int,
-    omega: float | None,
+    members: Ensemble, name: str, z: np.ndarray, times: np.ndarray, steps: int, omega: float | None
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the states after every step and their times, in parts of the span.
 

@@ -140,12 +140,7 @@ class Stepper:
         return np.array(self.states)
 
     def advance(
-        self,
-        saves: int,
-        save_every: int = 1,
-        *,
-        show: bool | None = None,
-        cores: int | None = None,
+        self, saves: int, save_every: int = 1, *, show: bool | None = None, cores: int | None = None
     ) -> Stepping:
         """Do saves*save_every steps and return the states after every save_every steps.
 

@@ -92,10 +92,7 @@ INTEGRATORS: dict[str, Integrator] = {
         8, "composition of Stormer-Verlet, solution D", "Yoshida 1990", coefficients.YOSHIDA8
     ),
     "implicit_midpoint": Integrator(
-        2,
-        "implicit, any H",
-        "Hairer, Lubich & Wanner 2006, II.1",
-        coefficients.IMPLICIT_MIDPOINT,
+        2, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", coefficients.IMPLICIT_MIDPOINT
     ),
     "gauss4": Integrator(
         4, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", coefficients.GAUSS4

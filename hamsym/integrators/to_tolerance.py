@@ -72,7 +72,8 @@ def integrate_to_tolerance(
     """Integrate every member until its estimated error is at most tol."""
     require_memory(2 * saves, members)  # states and error estimates
     began, times = time.perf_counter(), np.linspace(*span, saves + 1)
-    found = ToleranceSearch(members, name, span, tol, saves, compensated).run(progress)
+    runs = ComparedRuns(members, name, span, tol, saves, compensated)
+    found = ToleranceSearch(runs, saves).run(progress)
     found.tol = tol
     drifts, _ = invariant_drifts(members, known, found.z, times, found, tol)
     seconds = time.perf_counter() - began
@@ -109,25 +110,17 @@ class ToleranceSearch:
     The error of each component is relative to its largest magnitude at the compared times, or, for
     a component that is zero or tiny, to 1e-8 of the size that the terms of its equation give it.
 
-    - members: States that are not finite are refused by themselves.
-    - method, saves, compensated: Of :class:`ComparedRuns`.
+    Starts that are not finite are refused by themselves. States are returned at the ends of
+    ``saves`` equal intervals.
     """
 
-    def __init__(
-        self,
-        members: Ensemble,
-        method: str,
-        span: tuple[float, float],
-        tol: float,
-        saves: int,
-        compensated: bool,
-    ) -> None:
-        self._members, self._span, self._tol = members, span, tol
-        self._runs = ComparedRuns(members, method, span, tol, saves, compensated)
+    def __init__(self, runs: ComparedRuns, saves: int) -> None:
+        self._runs, self._members, self._span, self._tol = runs, runs.members, runs.span, runs.tol
+        members = runs.members
         count, dim = members.states.shape
         #: Largest number of steps of the finest run of a member.
-        self._most = _MAX_UPDATES / (self._runs.scheme.stages * dim)
-        if self._runs.narrow is not None:
+        self._most = _MAX_UPDATES / (runs.scheme.stages * dim)
+        if runs.narrow is not None:
             self._most = min(self._most, 2 * MAX_NARROW / dim)
         self._coarse = np.zeros(count, dtype=np.int64)
         self._best, self._stalled = np.full(count, np.inf), np.zeros(count, dtype=np.int64)

@@ -376,9 +376,7 @@ class Trajectory(Shown):
             variables["error_estimate"] = (states, self.error_estimate)
         varied = {name: (axes, own.reshape(shape)) for name, own in self.ensemble.columns.items()}
         return data_set(
-            variables,
-            {"time": self.t, "component": list(self.names), **varied},
-            self._attributes,
+            variables, {"time": self.t, "component": list(self.names), **varied}, self._attributes
         )
 
     @property

@@ -129,12 +129,7 @@ def _draw_bound(axes: Axes, found: Certificate) -> None:
 
 def _draw_components(axes: Axes, found: Certificate, names: Sequence[str]) -> None:
     """Draw the interval in which the largest error of each component lies."""
-    _draw_intervals(
-        axes,
-        names,
-        np.array(found.component_lowers),
-        np.array(found.component_bounds),
-    )
+    _draw_intervals(axes, names, np.array(found.component_lowers), np.array(found.component_bounds))
     if found.asked is not None:
         x = np.arange(min(len(found.asked), _MOST_BARS))
         style: dict[str, Any] = {

@@ -19,14 +19,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import Figure, figure_of, label, legend, legend_above, one_panel
-from hamsym.plotting.names import (
-    known_name,
-    math_name,
-    number,
-    quantity,
-    time_name,
-    with_unit,
-)
+from hamsym.plotting.names import known_name, math_name, number, quantity, time_name, with_unit
 from hamsym.plotting.phase_portraits import draw_levels
 from hamsym.plotting.style import (
     COLUMN,

@@ -22,13 +22,7 @@ from hamsym.plotting.motions import (
 )
 from hamsym.plotting.names import energy_unit, quantity, time_name
 from hamsym.plotting.sampling import resolved, thinned
-from hamsym.plotting.style import (
-    SAMPLES,
-    WARNING,
-    color_of,
-    style_for,
-    styled,
-)
+from hamsym.plotting.style import SAMPLES, WARNING, color_of, style_for, styled
 from hamsym.plotting.time_axes import (
     LARGEST,
     component_curves,

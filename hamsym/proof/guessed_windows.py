@@ -196,13 +196,7 @@ class WindowGuess:
         models.length[:dim] = self._terms
         models.radius[:dim] = 0.0
         self.start(models)
-        arguments = (
-            equation.rates.steps,
-            equation.rates.results,
-            models.models,
-            dim,
-            place.slope,
-        )
+        arguments = (equation.rates.steps, equation.rates.results, models.models, dim, place.slope)
         series, D = enclosures().defects(*arguments)
         for _ in range(_CORRECTIONS):
             before = D

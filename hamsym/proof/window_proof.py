@@ -252,12 +252,7 @@ class _Comparison:
     """z^ beside the enclosure of z."""
 
     def __init__(
-        self,
-        equation: Equation,
-        begin: Fraction,
-        direction: int,
-        z0: np.ndarray,
-        samples: int,
+        self, equation: Equation, begin: Fraction, direction: int, z0: np.ndarray, samples: int
     ) -> None:
         self._equation, self._samples = equation, samples
         self._begin, self._direction = begin, direction
@@ -329,10 +324,7 @@ class _Comparison:
         return uppers, lowers, scale
 
     def _energy_of(
-        self,
-        state: Rows,
-        centre: tuple[float, float, float],
-        slope: tuple[float, float, float],
+        self, state: Rows, centre: tuple[float, float, float], slope: tuple[float, float, float]
     ) -> Rows:
         rows = self._energy
         rows.set_models(0, state)

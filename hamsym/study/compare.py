@@ -325,9 +325,7 @@ def chosen_methods(H: Hamiltonian, methods: str | Sequence[str] | None = None) -
 
 
 def measure(
-    solution: Solution,
-    truth: Callable[[np.ndarray], np.ndarray],
-    label: str = "network",
+    solution: Solution, truth: Callable[[np.ndarray], np.ndarray], label: str = "network"
 ) -> Row:
     """Return the errors of a solution against an exact one or a reference, at 4,001 times.
 

@@ -873,6 +873,13 @@ def test_ctrl_c_in_adaptive_method_keeps_the_start(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.slow
+def test_states_fit_into_the_memory_of_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a container, which has less than its machine."""
+    monkeypatch.setattr(stepper, "memory_size", lambda: 1e5)
+    with pytest.raises(InputError, match="more than half of the memory of"):
+        hamsym.integrate("p**2/2 + x**2/2", [1.0, 0.0], (0, 1), "gauss4", steps=10_000)
+
+
 def test_non_finite_hessian_requires_omega() -> None:
     H = Hamiltonian("p**2/2 + abs(x)**1.5")
     with pytest.raises(InputError, match="the Hessian of H is not finite at z0; give omega"):
