@@ -16,12 +16,7 @@ from hamsym.proof.ball import Ball
 from hamsym.proof.balls import decimal_above
 from hamsym.proof.certificate_text import ORBIT_KIND, opened, sealed
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.checked_data import (
-    checked_list,
-    checked_number,
-    checked_type,
-    require_names,
-)
+from hamsym.support.checked_data import checked_list, checked_number, checked_type, require_names
 from hamsym.support.shown import Shown
 
 if TYPE_CHECKING:
