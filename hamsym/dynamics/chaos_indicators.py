@@ -32,9 +32,8 @@ from hamsym.dynamics.growth import (
     growth_limit,
     orthonormal,
 )
-from hamsym.dynamics.history import history
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
-from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
+from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps, history
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.table import usual_method

@@ -22,10 +22,9 @@ import numpy as np
 import hamsym
 from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.dynamics.growth import APART, PARALLEL, first_vectors, growth_limit, orthonormal
-from hamsym.dynamics.history import history
 from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
-from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
+from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps, history
 from hamsym.ensemble import ensemble_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike

@@ -141,20 +141,13 @@ class Section(Shown):
         >>> dict(found.to_xarray().sizes)
         {'crossing': 3, 'component': 2}
         """
+        axes = ["crossing", "component"]
+        along = {"time": self.t, "trajectory": self.trajectory}
+        along |= {name: values[self.trajectory] for name, values in self.parameters.items()}
+        coordinates = {name: (["crossing"], values) for name, values in along.items()}
         return data_set(
-            {
-                "state": (["crossing", "component"], self.z),
-                "z0": (["crossing", "component"], self._starts),
-            },
-            {
-                "component": list(self.names),
-                "time": (["crossing"], self.t),
-                "trajectory": (["crossing"], self.trajectory),
-                **{
-                    name: (["crossing"], values[self.trajectory])
-                    for name, values in self.parameters.items()
-                },
-            },
+            {"state": (axes, self.z), "z0": (axes, self._starts)},
+            {"component": list(self.names), **coordinates},
             self._attributes,
         )
 

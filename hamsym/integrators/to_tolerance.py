@@ -324,10 +324,8 @@ class ToleranceSearch:
         start, end = self._span
         worst = float(result.found.errors[position, -1])
         if not result.finite[position]:
-            states, times = (
-                result.found.states[position],
-                np.linspace(start, end, self._runs.sampled + 1),
-            )
+            states = result.found.states[position]
+            times = np.linspace(start, end, self._runs.sampled + 1)
             there = np.logical_and.accumulate(np.isfinite(states).all(axis=1))
             last = times[max(int(there.sum()) - 1, 0)]
             return (

@@ -19,8 +19,7 @@ from hamsym.formula.printer import FormulaPrinter
 from hamsym.support.shown import Shown
 from hamsym.support.validation import require_positive, require_whole
 from hamsym.symbolic import brackets, derivatives
-from hamsym.symbolic.equations import Equations, free_symbols
-from hamsym.symbolic.formulas import Formulas
+from hamsym.symbolic.equations import Equations, Formulas, free_symbols
 from hamsym.symbolic.invariant import Invariants
 from hamsym.symbolic.invariants import find_invariants, is_conserved, suggested_basis
 from hamsym.symbolic.pairing import natural_order

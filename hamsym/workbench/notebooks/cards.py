@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     import sympy
 
     from hamsym import Hamiltonian, Invariant, Invariants, System
-    from hamsym.symbolic.equations import Equations
-    from hamsym.symbolic.formulas import Formulas
+    from hamsym.symbolic.equations import Equations, Formulas
 
 ROWS = 12  # of a table
 _FORMULAS = 12  # lines
