@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import numpy as np
 
@@ -42,10 +42,11 @@ from hamsym.integrators.hidden_features import hidden_features, passed_over
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.table import ALIASES, INTEGRATORS
-from hamsym.integrators.tolerance import ToleranceSearch, Tolerated
+from hamsym.integrators.tolerance import ToleranceSearch, Tolerated, Verdicts
 from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes, unknown
-from hamsym.support.shown import Shown
+from hamsym.support.records import UNSAVED, AnyFloat, Count, Size, flags, floats
+from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
 from hamsym.support.text_tables import ROWS
 from hamsym.support.validation import require_number, require_positive, require_whole
@@ -65,9 +66,12 @@ _MAX_SAVED, _MAX_SAVED_COMPONENTS = (
 _MAX_TESTED = 20_001  # saved states of a trajectory at which the drift of H is computed
 
 
+_STATES = floats("*shape", "times", "dim", finite=False)
+
+
 @suggest_attributes
 @dataclass(frozen=True)
-class Trajectory(Shown):
+class Trajectory(Saved):
     """States along a trajectory, or along each trajectory of an ensemble.
 
     An ensemble has the shape to which the initial states and the parameters broadcast, (batch,) for
@@ -113,29 +117,29 @@ class Trajectory(Shown):
     error_estimate : numpy.ndarray, optional
         With ``tol``: largest estimated error of each component up to each time, shape of z, in the
         units of the components; infinite where it is unknown.
-    verdicts : Tolerated, optional
+    verdicts : Verdicts, optional
         With ``tol``: steps, largest relative error and problem of each trajectory, in a flat order.
     invariant_drift : mapping of str to float or numpy.ndarray
         Largest change of each of the ``invariants`` at the saved times, by its formula, (*shape);
         not part of files.
     """
 
-    t: np.ndarray = field(repr=False)
-    z: np.ndarray = field(repr=False)
+    t: Annotated[np.ndarray, floats("times")] = field(repr=False)
+    z: Annotated[np.ndarray, _STATES] = field(repr=False)
     names: tuple[str, ...]
     method: str
-    steps: int
+    steps: Count
     dt: float
-    evaluations: int
-    seconds: float
-    success: bool | np.ndarray
+    evaluations: Count
+    seconds: Size
+    success: bool | Annotated[np.ndarray, flags("*shape")]
     message: str
     ensemble: Ensemble = field(repr=False)
     interrupted: bool = False
-    drift: float = math.nan
-    error_estimate: np.ndarray | None = field(default=None, repr=False)
-    verdicts: Tolerated | None = field(default=None, repr=False)
-    invariant_drift: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    drift: AnyFloat = math.nan
+    error_estimate: Annotated[np.ndarray, _STATES] | None = field(default=None, repr=False)
+    verdicts: Verdicts | None = field(default=None, repr=False)
+    invariant_drift: Mapping[str, Any] = field(default_factory=dict, repr=False, metadata=UNSAVED)
 
     def __repr__(self) -> str:
         success, found = np.asarray(self.success), self.verdicts
@@ -376,16 +380,6 @@ class Trajectory(Shown):
     def _attributes(self) -> dict[str, Any]:
         known = attributes_of(self.ensemble.H, self.ensemble.varied if self.ensemble.shape else ())
         return {**known, "method": self.method, "dt": self.dt, "steps": self.steps}
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the trajectory to a file that :func:`hamsym.load` reads; see :func:`hamsym.save`.
-
-        Raises
-        ------
-        FileError
-            If the file cannot be written, or the trajectory is not valid.
-        """
-        hamsym.save(self, path)
 
     def plot(self, *names: Any, ax: Any = None) -> Figure:
         """Draw the trajectory or the ensemble: an overview, or what the names say.
@@ -711,7 +705,7 @@ def _to_tolerance(
         ensemble=members,
         interrupted=found.interrupted,
         error_estimate=errors.reshape(*shape, *errors.shape[1:]),
-        verdicts=found,
+        verdicts=found.verdicts,
         invariant_drift=drifts,
     )
 
@@ -751,7 +745,7 @@ def _invariant_drifts(
     return {n: own.reshape(shape) if shape else float(own[0]) for n, own in drifts.items()}, first
 
 
-def _verdict(found: Tolerated, index: int, name: str, end: float) -> str:
+def _verdict(found: Tolerated | Verdicts, index: int, name: str, end: float) -> str:
     """Describe the outcome of one trajectory."""
     if index in found.problems:
         return found.problems[index]

@@ -25,7 +25,7 @@ import math
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,7 @@ from hamsym.integrators.table import INTEGRATORS
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
+from hamsym.support.records import Size, counts, floats
 
 _SAMPLES = 5  # fewest times at which the three runs are compared
 _MIDDLE_SAVES = 64  # most saved states of the middle run between two of these times
@@ -62,6 +63,19 @@ _HIDDEN = 16.0  # factor by which steps over a feature that was found between th
 _EPS = float(np.finfo(float).eps)
 
 
+@dataclass(frozen=True)
+class Verdicts:
+    """How far each trajectory of an ensemble meets the tolerance."""
+
+    #: Steps of the finest run of each trajectory.
+    steps: Annotated[np.ndarray, counts("members")]
+    #: Largest estimated error of each trajectory relative to the sizes of its components.
+    largest: Annotated[np.ndarray, floats("members", finite=False)]
+    #: Reason for each trajectory that did not succeed, by its index.
+    problems: dict[int, str]
+    tol: Size
+
+
 @dataclass
 class Tolerated:
     """Trajectories of an ensemble, and how far each of them meets the tolerance."""
@@ -81,6 +95,11 @@ class Tolerated:
     evaluations: int = 0
     interrupted: bool = False
     tol: float = math.nan
+
+    @property
+    def verdicts(self) -> Verdicts:
+        """The verdicts without the trajectories."""
+        return Verdicts(self.steps, self.largest, self.problems, self.tol)
 
 
 class _Round(NamedTuple):

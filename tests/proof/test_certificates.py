@@ -21,7 +21,7 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof import prove
 from hamsym.proof.balls import exact
 from hamsym.proof.certificate import Certificate
-from hamsym.proof.certificate_text import sealed
+from hamsym.support.sealed_text import sealed
 from hamsym.proof.functions import BALLS
 from hamsym.proof.generated import GeneratedFunctions
 from hamsym.proof.prove import verify

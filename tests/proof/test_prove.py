@@ -12,7 +12,7 @@ import hamsym
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof import prove
 from hamsym.proof.certificate import Certificate, rounded_down
-from hamsym.proof.certificate_text import sealed
+from hamsym.support.sealed_text import sealed
 from hamsym.proof.prove import verify
 from hamsym.proof.window_proof import WindowProof
 

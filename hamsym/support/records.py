@@ -1,0 +1,546 @@
+"""Results as data: dataclasses to JSON values with named arrays and back, by their annotations.
+
+The annotation of a field says what a file may contain for it: numbers, texts, tuples and mappings,
+arrays (:class:`Array`), other dataclasses. :func:`packed` and :func:`unpacked` check the same, and
+call the method ``check`` of a dataclass, if it has one, for what types cannot say. Everything that
+differs from what ``packed`` writes raises ValueError. Fields with the metadata :data:`UNSAVED`,
+which need defaults, are left out.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib
+import inspect
+import json
+import math
+import reprlib
+import sys
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from enum import StrEnum
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+import numpy as np
+
+from hamsym.errors import HamsymError, InputError
+
+R = TypeVar("R")
+Arrays = dict[str, np.ndarray]
+
+#: Errors that parts of the package raise for values that are not those of a solution.
+MALFORMED = (
+    *(ArithmeticError, AssertionError, AttributeError, HamsymError, LookupError, RuntimeError),
+    *(TypeError, ValueError),
+)
+#: Metadata of a field that is not part of files.
+UNSAVED = {"saved": False}
+
+_MOST_ENTRIES = 10_000  # of a tuple, unless a Limit says otherwise
+_DEEPEST = 200  # parts inside each other
+_FORM = "form"
+_NONE: dict[str, Any] = {}
+
+
+class NotDataError(InputError):
+    """A part of a record that is code."""
+
+
+@dataclass(frozen=True)
+class Array:
+    """Contents of an array."""
+
+    #: Lengths: numbers, names, names with a sum ("windows + 1"), or "*name" for several axes. A
+    #: name means the same length in a whole record; forms and the entries of tuples and mappings
+    #: share the names that are known before them, and have others of their own. A Hamiltonian defines "dim".
+    shape: tuple[str | int, ...]
+    #: Admitted types.
+    dtypes: tuple[Any, ...] = (np.float64,)
+    #: Whether its numbers must be finite.
+    finite: bool = True
+    #: least, most: Range of its numbers; with one of them NaN is out of range.
+    least: float = -math.inf
+    most: float = math.inf
+    #: Type in the file, if it is another one.
+    stored: Any = None
+
+    def check(self, name: str, array: Any, lengths: dict[str, Any]) -> None:
+        """Raise ValueError unless an array has this type, shape and range."""
+        if not isinstance(array, np.ndarray) or array.dtype not in self.dtypes:
+            raise ValueError(f"'{name}' is not of type {self._types}")
+        expected = self._expected(array.shape, lengths)
+        if array.shape != expected:
+            shape = ", ".join(map(str, expected)) + "," * (len(expected) == 1)
+            raise ValueError(f"'{name}' has shape {array.shape}, not ({shape})")
+        if self.finite and not np.isfinite(array).all():
+            raise ValueError(f"'{name}' is not finite")
+        bounded = (self.least, self.most) != (-math.inf, math.inf)
+        if bounded and not ((array >= self.least) & (array <= self.most)).all():
+            raise ValueError(f"'{name}' has numbers out of range")
+
+    @property
+    def _types(self) -> str:
+        return " or ".join(np.dtype(kind).name for kind in self.dtypes)
+
+    def _expected(self, found: tuple[int, ...], lengths: dict[str, Any]) -> tuple[Any, ...]:
+        """Return the shape, in which unknown lengths get the values found."""
+        spec: list[Any] = []
+        for entry in self.shape:
+            if isinstance(entry, str) and entry.startswith("*"):
+                count = max(0, len(found) - len(self.shape) + 1)
+                axes = found[len(spec) : len(spec) + count]
+                spec += lengths.setdefault(entry[1:], axes)
+            else:
+                spec.append(entry)
+        if len(spec) != len(found):
+            return tuple(spec)
+        for place, size in enumerate(found):
+            if isinstance(spec[place], str):
+                name, _, more = spec[place].partition(" + ")
+                extra = int(more or 0)
+                if size >= extra:
+                    spec[place] = lengths.setdefault(name, size - extra) + extra
+        return tuple(spec)
+
+
+def floats(
+    *shape: str | int, finite: bool = True, least: float = -math.inf, most: float = math.inf
+) -> Array:
+    """Make the contents of an array of float64."""
+    return Array(shape, finite=finite, least=least, most=most)
+
+
+def counts(*shape: str | int) -> Array:
+    """Make the contents of an array of whole numbers from 0 on."""
+    return Array(shape, (np.int64,), least=0)
+
+
+def flags(*shape: str | int) -> Array:
+    """Make the contents of an array of bool."""
+    return Array(shape, (np.bool_,), stored=np.uint8)
+
+
+_TEXT = Array(("bytes",), (np.uint8,))
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Range of a number, or of the number of entries of a tuple."""
+
+    least: float = -math.inf
+    most: float = math.inf
+    finite: bool = True
+
+
+Count = Annotated[int, Limit(0)]
+Size = Annotated[float, Limit(0)]
+#: A float that may be infinite or not a number.
+AnyFloat = Annotated[float, Limit(finite=False)]
+
+
+@dataclass(frozen=True)
+class Written:
+    """A float that is written as a text, and read only if it is exactly that text."""
+
+    text: Callable[[float], str]
+
+
+class AsText:
+    """Values that are stored as an array with their JSON text, because there may be many."""
+
+
+class OneOf:
+    """Classes of which a field has one, by the form that is written with it.
+
+    A class is given as "module:Class", unless the annotation can import it.
+    """
+
+    def __init__(self, **kinds: Any) -> None:
+        self._kinds = kinds
+
+    def form_of(self, kind: type) -> str | None:
+        """Return the form of a class, None if it is not one of these."""
+        own = f"{kind.__module__}:{kind.__qualname__}"
+        return next((form for form, each in self._kinds.items() if each in (kind, own)), None)
+
+    def kind_of(self, form: Any) -> Any:
+        """Return the class of a form."""
+        kind = self._kinds.get(form) if isinstance(form, str) else None
+        if kind is None:
+            raise ValueError(f"it has the unknown form {str(form)[:40]}")
+        if isinstance(kind, str):
+            module, _, name = kind.partition(":")
+            return getattr(importlib.import_module(module), name)
+        return kind
+
+
+# -- classes that are not their own data -----------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Conversion:
+    kind: Any
+    to_data: Callable[[Any], Any]
+    from_data: Callable[[Any], Any]
+    lengths: Callable[[Any], dict[str, int]]
+
+
+_CONVERSIONS: dict[type, _Conversion] = {}
+_FIELDS: dict[type, dict[str, Any]] = {}
+_CHECKS: dict[type, Callable[[Any], None]] = {}
+
+
+def convert(
+    own: type,
+    kind: Any,
+    to_data: Callable[[Any], Any],
+    from_data: Callable[[Any], Any],
+    lengths: Callable[[Any], dict[str, int]] = lambda value: {},
+) -> None:
+    """Pack a class as data of another kind.
+
+    - kind: Annotation of the data, for example a dataclass.
+    - to_data, from_data: Functions from the one to the other.
+    - lengths: Names of lengths that a value defines.
+    """
+    _CONVERSIONS[own] = _Conversion(kind, to_data, from_data, lengths)
+
+
+def declare(own: type, **annotations: Any) -> None:
+    """Annotate the attributes of a class that is no dataclass; they are its arguments too."""
+    _FIELDS[own] = annotations
+
+
+def check_also(own: type, check: Callable[[Any], None]) -> None:
+    """Add a check that needs what the module of a class must not import."""
+    _CHECKS[own] = check
+
+
+@functools.cache
+def fields_of(own: type) -> dict[str, Any]:
+    """Return the annotations of the fields of a class that are part of files."""
+    if own in _FIELDS:
+        return _FIELDS[own]
+    saved = [f.name for f in fields(own) if f.metadata.get("saved", True)]
+    found = {}
+    for name in saved:
+        base = next(k for k in own.__mro__ if name in inspect.get_annotations(k))
+        one = types.SimpleNamespace(__annotations__={name: inspect.get_annotations(base)[name]})
+        names = vars(sys.modules[base.__module__])
+        found |= typing.get_type_hints(one, names, include_extras=True)
+    return found
+
+
+# -- both ways -------------------------------------------------------------------------------------
+
+
+def packed(value: Any, kind: Any = None) -> tuple[Arrays, Any]:
+    """Return a record as arrays by name and values that JSON can store.
+
+    Raise ValueError, TypeError, HamsymError unless it is valid.
+
+    - kind: Its annotation, by default its class.
+
+    Examples
+    --------
+    >>> @dataclass
+    ... class Path:
+    ...     t: Annotated[np.ndarray, floats("times")]
+    ...     names: tuple[str, ...]
+    >>> arrays, values = packed(Path(np.array([0.0, 1.0]), ("x", "p")))
+    >>> arrays, values
+    ({'t': array([0., 1.])}, {'t': None, 'names': ['x', 'p']})
+    >>> unpacked(Path, {"t": np.array(["0"])}, values)
+    Traceback (most recent call last):
+    ...
+    ValueError: 't' is not of type float64
+    """
+    way = _Way({})
+    return way.arrays, way.write(type(value) if kind is None else kind, value, "")
+
+
+def unpacked(kind: type[R], arrays: Mapping[str, np.ndarray], values: Any) -> R:
+    """Return the record of its arrays and values.
+
+    Raise ValueError, TypeError, HamsymError unless they are what :func:`packed` writes.
+    """
+    way = _Way(dict(arrays))
+    found: R = way.read(kind, values, "")
+    if way.arrays:
+        raise ValueError(f"'{min(way.arrays)[:40]}' of its arrays is unknown")
+    return found
+
+
+def as_json(value: Any) -> Any:
+    """Return a record as values of JSON, with its arrays as lists."""
+    return _Way(None).write(type(value), value, "")
+
+
+def from_json(kind: type[R], values: Any) -> R:
+    """Return the record of :func:`as_json`."""
+    found: R = _Way(None).read(kind, values, "")
+    return found
+
+
+def digest_of(value: Any, kind: Any = None) -> str:
+    """Compute SHA-256 of a record, with types, shapes and bytes of its arrays."""
+    return digest_of_parts(*packed(value, kind))
+
+
+def digest_of_parts(arrays: Mapping[str, np.ndarray], values: Any) -> str:
+    """Compute SHA-256 of arrays and values."""
+    found = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
+    for name, array in sorted(arrays.items()):
+        found.update(f"{name} {array.dtype.name} {list(array.shape)} ".encode())
+        found.update((array if sys.byteorder == "little" else array.byteswap()).tobytes())
+    return found.hexdigest()
+
+
+class _Way:
+    """One record on its way to data and from data.
+
+    - arrays: By name; those that are read are removed. None: they are lists in the values.
+    """
+
+    def __init__(self, arrays: Arrays | None, lengths: Mapping[str, Any] = _NONE) -> None:
+        self.arrays = arrays
+        self._lengths = dict(lengths)
+
+    def write(self, kind: Any, value: Any, name: str) -> Any:
+        kind, note = _unwrapped(kind)
+        if isinstance(note, Array):
+            return self._write_array(note, value, name)
+        if isinstance(note, OneOf):
+            return self._write_form(note, value, name)
+        if note is AsText and self.arrays is not None:
+            text = json.dumps(_Way(None, self._lengths).write(kind, value, name))
+            return self._apart._write_array(
+                _TEXT, np.frombuffer(text.encode(), dtype=np.uint8), name
+            )
+        if _is_union(kind):
+            if value is None and type(None) in get_args(kind):
+                return None
+            return self.write(_member(kind, type(value)), value, name)
+        if kind in _CONVERSIONS:
+            way = _CONVERSIONS[kind]
+            if not isinstance(value, kind):
+                raise ValueError(f"'{name}' is not of type {kind.__name__}")
+            self._learn(way.lengths(value))
+            return self.write(way.kind, way.to_data(value), name)
+        if kind in _FIELDS or is_dataclass(kind):
+            _require_type(kind, value, name)
+            own = fields_of(kind).items()
+            found = {n: self.write(k, getattr(value, n), _inside(name, n)) for n, k in own}
+            _verify(value)
+            return found
+        if get_origin(kind) is tuple:
+            kinds = _kinds_of_entries(kind, note, value, name)
+            return [self._apart.write(*pair, f"{name}.{k}") for k, pair in enumerate(kinds)]
+        if get_origin(kind) in (dict, Mapping):
+            keys, inner = get_args(kind)
+            entries = {_key(keys, key, name): entry for key, entry in value.items()}
+            return {k: self._apart.write(inner, v, _inside(name, k)) for k, v in entries.items()}
+        if isinstance(note, Written):
+            return note.text(_scalar(float, value, name, Limit(finite=False)))
+        value = value.item() if isinstance(value, np.generic) else value
+        value = str(value) if isinstance(value, StrEnum) else value
+        if kind is float and type(value) is int and abs(value) < 2**1_023:
+            value = float(value)
+        return _scalar(kind, value, name, note)
+
+    def read(self, kind: Any, value: Any, name: str) -> Any:
+        if name.count(".") > _DEEPEST:
+            raise ValueError("it has too many parts inside each other")
+        kind, note = _unwrapped(kind)
+        if isinstance(note, Array):
+            return self._read_array(note, value, name)
+        if isinstance(note, OneOf):
+            given = _mapping(value, name)
+            rest = {key: entry for key, entry in given.items() if key != _FORM}
+            return self._apart.read(note.kind_of(given.get(_FORM)), rest, name)
+        if note is AsText and self.arrays is not None:
+            text = self._apart._read_array(_TEXT, value, name).tobytes()
+            return _Way(None, self._lengths).read(kind, json.loads(text), name)
+        if _is_union(kind):
+            inline = type(value) is list if self.arrays is None else value is None
+            is_array = inline and (self.arrays is None or name in self.arrays)
+            if value is None and type(None) in get_args(kind) and not is_array:
+                return None
+            return self.read(_member(kind, np.ndarray if is_array else type(value)), value, name)
+        if kind in _CONVERSIONS:
+            way = _CONVERSIONS[kind]
+            found = way.from_data(self.read(way.kind, value, name))
+            self._learn(way.lengths(found))
+            return found
+        if kind in _FIELDS or is_dataclass(kind):
+            own = fields_of(kind)
+            given = _mapping(value, name, {*own})
+            found = kind(**{n: self.read(k, given[n], _inside(name, n)) for n, k in own.items()})
+            _verify(found)
+            return found
+        if get_origin(kind) is tuple:
+            if not isinstance(value, list):
+                raise ValueError(f"'{name}' is not a list")
+            kinds = _kinds_of_entries(kind, note, value, name)
+            return tuple(self._apart.read(*pair, f"{name}.{k}") for k, pair in enumerate(kinds))
+        if get_origin(kind) in (dict, Mapping):
+            keys, inner = get_args(kind)
+            given = _mapping(value, name)
+            if any(_key(keys, key, name) != key for key in given):
+                raise ValueError(f"'{name}' has keys that are not numbers")
+            read = {k: self._apart.read(inner, v, _inside(name, k)) for k, v in given.items()}
+            return {keys(key): entry for key, entry in read.items()}
+        if isinstance(note, Written):
+            return _number(value, note.text, name)
+        return _scalar(kind, value, name, note)
+
+    @property
+    def _apart(self) -> _Way:
+        """The way of a form or an entry, with lengths of its own."""
+        return _Way(self.arrays, self._lengths)
+
+    def _learn(self, lengths: Mapping[str, int]) -> None:
+        for name, length in lengths.items():
+            if self._lengths.setdefault(name, length) != length:
+                raise ValueError(f"its {name} is {length} and {self._lengths[name]}")
+
+    def _write_form(self, note: OneOf, value: Any, name: str) -> dict[str, Any]:
+        form, found = note.form_of(type(value)), self._apart.write(type(value), value, name)
+        if form is None:
+            raise ValueError(f"'{name}' cannot be a {type(value).__name__}")
+        return {_FORM: form, **found}
+
+    def _write_array(self, spec: Array, value: Any, name: str) -> Any:
+        spec.check(name, value, self._lengths)
+        stored = value if spec.stored is None else value.astype(spec.stored)
+        if not np.array_equal(stored.astype(value.dtype), value, equal_nan=not spec.finite):
+            raise ValueError(f"'{name}' has numbers out of range")
+        if self.arrays is None:
+            return stored.tolist()
+        if name in self.arrays:
+            raise ValueError(f"two arrays have the name '{name}'")
+        self.arrays[name] = stored
+        return None
+
+    def _read_array(self, spec: Array, value: Any, name: str) -> np.ndarray:
+        if self.arrays is None:
+            array = np.array(_lists(value, name), dtype=float)
+        elif name not in self.arrays or value is not None:
+            raise ValueError(f"'{name}' of its arrays is missing")
+        else:
+            array = self.arrays.pop(name)
+        if spec.stored is not None:
+            if array.dtype != spec.stored:
+                raise ValueError(f"'{name}' is not of type {np.dtype(spec.stored)}")
+            stored, array = array, array.astype(spec.dtypes[0])
+            if not np.array_equal(array.astype(spec.stored), stored):
+                raise ValueError(f"'{name}' has numbers out of range")
+        spec.check(name, array, self._lengths)
+        return array
+
+
+def _unwrapped(kind: Any) -> tuple[Any, Any]:
+    """Return an annotation and what :class:`Annotated` adds to it."""
+    return get_args(kind)[:2] if get_origin(kind) is Annotated else (kind, None)
+
+
+def _is_union(kind: Any) -> bool:
+    return get_origin(kind) in (Union, types.UnionType)
+
+
+def _member(kind: Any, found: type) -> Any:
+    """Return the member of a union that a value of a type belongs to."""
+    members = [each for each in get_args(kind) if each is not type(None)]
+    arrays = [each for each in members if isinstance(_unwrapped(each)[1], Array)]
+    others = [each for each in members if each not in arrays]
+    if arrays and (found is np.ndarray or not others):
+        return arrays[0]
+    return next((each for each in others if _unwrapped(each)[0] is found), others[0])
+
+
+def _kinds_of_entries(kind: Any, note: Any, value: Any, name: str) -> list[tuple[Any, Any]]:
+    """Return the entries of a tuple, each behind its annotation."""
+    kinds = get_args(kind)
+    if kinds[-1] is Ellipsis:
+        most = note.most if isinstance(note, Limit) else _MOST_ENTRIES
+        if not len(value) <= most:
+            raise ValueError(f"'{name}' is not a list of at most {most:,} entries")
+        kinds = kinds[:1] * len(value)
+    if len(value) != len(kinds):
+        raise ValueError(f"'{name}' has {len(value)} entries, not {len(kinds)}")
+    return list(zip(kinds, value, strict=True))
+
+
+def _scalar(kind: Any, value: Any, name: str, limit: Limit | None) -> Any:
+    """Return a bool, an int, a float or a text, of exactly this type and in its range."""
+    if kind is Any:
+        return value
+    _require_type(kind, value, name)
+    if kind is float and not math.isfinite(value) and (limit is None or limit.finite):
+        raise ValueError(f"'{name}' is not finite")
+    if kind is int and abs(value) >= 2**63:
+        raise ValueError(f"'{name}' is out of range")
+    bounded = limit is not None and (limit.least, limit.most) != (-math.inf, math.inf)
+    if bounded and not limit.least <= value <= limit.most:  # type: ignore[union-attr]
+        raise ValueError(f"'{name}' is out of range")
+    return value
+
+
+def _require_type(kind: type, value: Any, name: str) -> None:
+    if type(value) is not kind:
+        raise ValueError(f"'{name}' is not of type {kind.__name__}")
+
+
+def _mapping(value: Any, name: str, names: set[str] | None = None) -> dict[str, Any]:
+    """Return a JSON object, with exactly these names if they are given."""
+    if not isinstance(value, dict):
+        raise ValueError(f"'{name}' is not a mapping")
+    different = sorted(value.keys() ^ names) if names is not None else []
+    if different:
+        problem = "unknown" if different[0] in value else "missing"
+        raise ValueError(f"'{different[0][:40]}' of its {name or 'values'} is {problem}")
+    return value
+
+
+def _key(kind: type, key: Any, name: str) -> str:
+    """Return a key as JSON has it."""
+    if kind is int and not isinstance(key, bool) and str(key).isdecimal():
+        return str(int(key))
+    _require_type(str, key, name)
+    if kind is int:
+        raise ValueError(f"'{name}' has keys that are not numbers")
+    return str(key)
+
+
+def _inside(name: str, part: str) -> str:
+    return f"{name}.{part}" if name else part
+
+
+def _verify(value: Any) -> None:
+    """Call the checks of a record."""
+    if (check := getattr(value, "check", None)) is not None:
+        check()
+    if (further := _CHECKS.get(type(value))) is not None:
+        further(value)
+
+
+def _lists(value: Any, name: str) -> Any:
+    """Return a float, or nested lists of floats."""
+    if isinstance(value, list):
+        return [_lists(entry, name) for entry in value]
+    _require_type(float, value, name)
+    return value
+
+
+def _number(text: Any, written: Callable[[float], str], name: str) -> float:
+    """Return the number of a text, which is exactly as it is written."""
+    try:
+        value = float(text) if isinstance(text, str) else math.nan
+    except ValueError:
+        value = math.nan
+    if written(value) != text:
+        raise ValueError(f"'{name}' is {reprlib.repr(text)}, not a number as it is written")
+    return value
