@@ -117,7 +117,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     if is_store(path):
         return open_store(path)
     kind = kind_of(path)
-    if kind is None and _begins_with(path, b"{"):
+    if kind is None and _is_text(path):
         return read_certificate(Path(path))
     return load_as(kind if kind in KINDS else "solution", path)
 
@@ -164,10 +164,14 @@ def read_certificate(path: Path) -> Any:
     return certificate_from(text)
 
 
-def _begins_with(path: str | os.PathLike[str], start: bytes) -> bool:
+def _is_text(path: str | os.PathLike[str]) -> bool:
+    """Return whether a regular file begins as the text of a certificate does."""
     try:
-        with open(Path(path), "rb") as file:
-            return stat.S_ISREG(os.fstat(file.fileno()).st_mode) and file.read(1) == start
+        file = Path(path)
+        if not file.is_file():  # to open a pipe may never end
+            return False
+        with file.open("rb") as opened:
+            return opened.read(1) == b"{"
     except (OSError, ValueError, TypeError):  # it is no path
         return False
 

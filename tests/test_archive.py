@@ -145,8 +145,10 @@ def test_invalid_paths_are_refused(path: object) -> None:
 def test_inconsistent_windows_are_refused(tmp_path: Path) -> None:
     solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
     trial = dataclasses.replace(solution.trial, states=solution.trial.states[:, :1])
+    arrays, values = packed(solution)
+    arrays["trial.states"] = trial.states
+    write_tensors(tmp_path / "a", "solution", arrays, values)
     solution = dataclasses.replace(solution, trial=trial)
-    write_tensors(tmp_path / "a", "solution", *packed(solution))
     with pytest.raises(FileError, match="states' has shape"):
         hamsym.load(tmp_path / "a")
     with pytest.raises(FileError, match="states' has shape"):
@@ -426,7 +428,7 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
     ),
     "permuted edges": ("features", _made("trial.edges", _swapped_edges), "not in order"),
     "equal edges": ("features", _made("trial.edges", lambda a: a * 0), "not in order"),
-    "no edges": ("features", _made("trial.edges", lambda a: a[:0]), "no windows"),
+    "no edges": ("features", _made("trial.edges", lambda a: a[:0]), "edges' has shape"),
     "NaN": ("features", _made("trial.readouts", _last(math.nan)), "not finite"),
     "infinity": ("features", _made("trial.states", _last(math.inf)), "not finite"),
     "NaN weight": ("network", _made("trial.weights", _last(math.nan)), "not finite"),

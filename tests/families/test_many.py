@@ -599,7 +599,7 @@ def test_windows_of_stores_are_read_late(store: Path) -> None:
 
 
 def test_damaged_stores_are_refused(store: Path) -> None:
-    for name in ("counts", "z0", "notes"):
+    for name in ("table.counts", "table.z0", "table.notes"):
         chunk = next(path for path in (store / name / "c").rglob("*") if path.is_file())
         whole = chunk.read_bytes()
         chunk.unlink()
