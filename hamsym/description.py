@@ -113,8 +113,9 @@ def _marked(expr: sympy.Expr, names_of_state: Collection[str] = ()) -> Formula:
 
 def require_formula(path: str | os.PathLike[str], H: Hamiltonian) -> None:
     """Raise FileError unless the formula of H is read back as it is."""
+    values = described(H)
     try:
-        same = hamiltonian_from(described(H)) == H
+        same = hamiltonian_from(values) == H
     except MALFORMED:
         same = False
     if not same:

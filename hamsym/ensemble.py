@@ -34,7 +34,7 @@ class Ensemble:
         return len(self.states)
 
     def check(self) -> None:
-        """Raise ValueError unless the members have its shape, and H the values of the first one."""
+        """Raise ValueError unless the members have its shape, and only known parameters vary."""
         self.H.require_parameters()
         names, varied = self.H.parameter_names, {*self.varied}
         if math.prod(self.shape) != len(self):
@@ -42,7 +42,7 @@ class Ensemble:
         if not varied <= {*names} or len(varied) != len(self.varied):
             raise ValueError("a parameter varies that H does not have")
         for name, column in zip(names, self.parameters.T, strict=True):
-            if not (column[: 1 if name in varied else None] == self.H.parameters[name]).all():
+            if name not in varied and not (column == self.H.parameters[name]).all():
                 raise ValueError(f"'{name[:40]}' differs from its value in H")
 
     def own_parameters(self, rows: Any = slice(None)) -> np.ndarray | None:

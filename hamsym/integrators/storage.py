@@ -17,6 +17,8 @@ def require_trajectory(trajectory: Trajectory) -> None:
         raise ValueError(f"'{trajectory.method[:40]}' is not a method")
     if trajectory.names != members.H.names:
         raise ValueError("its names are not those of H")
+    if len(members) and members.hamiltonian(0) != members.H:
+        raise ValueError("H does not have the parameters of the first trajectory")
     direction = math.copysign(1.0, trajectory.dt)
     if not len(t) or not (np.diff(t) * direction > 0).all():
         raise ValueError("its times are not in order")

@@ -495,7 +495,7 @@ def _tabled(**values: object) -> Callable[[dict, dict], None]:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (_edited("edges", lambda a: a[:-1]), "'edges' has shape"),
+        (_edited("edges", lambda a: a[:-1]), "has shape"),
         (_edited("edges", lambda a: a[::-1].copy()), "not in order"),
         (_edited("edges", _at(1, np.nan)), "'edges' is not finite"),
         (_edited("states", _at((0, 0), 0.125)), "does not start at its z0"),
