@@ -33,6 +33,11 @@ KINDS = {
     "solutions": "Solutions",
     "flow map": "FlowMap",
     "trajectory": "Trajectory",
+    "section": "Section",
+    "orbit": "PeriodicOrbit",
+    "orbit family": "OrbitFamily",
+    "fit": "Fit",
+    "enclosure": "Enclosure",
 }
 
 
@@ -51,9 +56,10 @@ def save(result: Any, path: str | os.PathLike[str]) -> None:
 
     Parameters
     ----------
-    result : Solution, Solutions, FlowMap or Trajectory
+    result : Solution, Solutions, FlowMap, Trajectory, Section, PeriodicOrbit, OrbitFamily, Fit, \
+Enclosure or a certificate
     path : path-like
-        File in the safetensors format, replaced in one step.
+        File in the safetensors format, or text of JSON for a certificate, replaced in one step.
 
     Raises
     ------
@@ -106,8 +112,9 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    Solution, Solutions, FlowMap or Trajectory
-        The windows of a store are read when they are needed.
+    Any
+        The result. The windows of a store are read when they are needed. A certificate or an
+        enclosure is not proven again; see :func:`hamsym.verify`.
 
     Raises
     ------

@@ -126,7 +126,10 @@ def test_foreign_and_damaged_files_are_refused(tmp_path: Path) -> None:
         ({"span": "long"}, "not a valid file of a solution"),
         ({"H": {"formula": "__import__('os')", "floats": {}}}, "not a valid file of a solution"),
         ({"trial": {"form": "network"}}, "not a valid file of a solution"),
-        ({"H": {"formula": {"formula": "p**2 + x**2", "floats": [1]}}}, "not a valid file of a solution"),
+        (
+            {"H": {"formula": {"formula": "p**2 + x**2", "floats": [1]}}},
+            "not a valid file of a solution",
+        ),
     ):
         changed(**values)
         with pytest.raises(FileError, match=message):
@@ -459,12 +462,28 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
         lambda tensors, values: tensors.update(more=tensors["z0"]),
         "'more'",
     ),
-    "missing tensor": ("features", lambda tensors, values: tensors.pop("error.floors"), "floors' of its arrays is missing"),
+    "missing tensor": (
+        "features",
+        lambda tensors, values: tensors.pop("error.floors"),
+        "floors' of its arrays is missing",
+    ),
     "further value": ("features", _set("more", to=1), "'more'"),
     "missing value": ("features", _set("record", "seed", to=None), "'seed'"),
-    "longer span": ("features", _set("span", to=[0.0, 3.0]), "span differs from that of its windows"),
-    "shorter span": ("features", _set("span", to=[0.0, 1.0]), "span differs from that of its windows"),
-    "turned span": ("backwards", _set("span", to=[-1.0, 2.0]), "span differs from that of its windows"),
+    "longer span": (
+        "features",
+        _set("span", to=[0.0, 3.0]),
+        "span differs from that of its windows",
+    ),
+    "shorter span": (
+        "features",
+        _set("span", to=[0.0, 1.0]),
+        "span differs from that of its windows",
+    ),
+    "turned span": (
+        "backwards",
+        _set("span", to=[-1.0, 2.0]),
+        "span differs from that of its windows",
+    ),
     "earlier span": ("network", _set("span", to=[-1.0, 2.0]), "span is not that of its network"),
     "three times": ("features", _set("span", to=[0.0, 1.0, 2.0]), "span"),
     "giant span": ("features", _set("span", to=[0.0, _GIANT]), "'span.1' is not of type float"),
@@ -518,8 +537,16 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
     "more components": ("networks", _set("H", "q", to=["x", "y"]), "not a valid file"),
     "endless names": ("networks", _set("H", "q", to=["x"] * 20_000), "10,000 entries"),
     "no H": ("networks", _set("H", to=3), "'H' is not a mapping"),
-    "long formula": ("networks", _set("H", "formula", "formula", to="x + " * 20_000 + "p"), "formula"),
-    "exponent": ("backwards", _set("H", "formula", "floats", "number0", to=[0, "1", 2**30, 53]), "range"),
+    "long formula": (
+        "networks",
+        _set("H", "formula", "formula", to="x + " * 20_000 + "p"),
+        "formula",
+    ),
+    "exponent": (
+        "backwards",
+        _set("H", "formula", "floats", "number0", to=[0, "1", 2**30, 53]),
+        "range",
+    ),
     "giant exponent": (
         "backwards",
         _set("H", "formula", "floats", "number0", to=[0, "1", _GIANT, 53]),
@@ -530,13 +557,21 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
         _set("H", "formula", "floats", "number0", to=[0, "1", -(2**30), 53]),
         "range",
     ),
-    "precision": ("backwards", _set("H", "formula", "floats", "number0", to=[0, "1", 0, 2**30]), "range"),
+    "precision": (
+        "backwards",
+        _set("H", "formula", "floats", "number0", to=[0, "1", 0, 2**30]),
+        "range",
+    ),
     "long mantissa": (
         "backwards",
         _set("H", "formula", "floats", "number0", to=[0, "9" * 99_999, 0, 53]),
         "invalid",
     ),
-    "short number": ("backwards", _set("H", "formula", "floats", "number0", to=[0, "1"]), "2 entries, not 4"),
+    "short number": (
+        "backwards",
+        _set("H", "formula", "floats", "number0", to=[0, "1"]),
+        "2 entries, not 4",
+    ),
     "tower": (
         "backwards",
         lambda tensors, values: values["H"]["formula"].update(

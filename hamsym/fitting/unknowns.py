@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from hamsym.errors import InputError, ParameterError
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.support.records import floats
 from hamsym.symbolic.checks import name_of
 
 
@@ -21,15 +22,14 @@ class Unknowns:
 
     #: With a value for every parameter: fixed, or the first guess.
     H: Hamiltonian
-    #: Components of the start, shape (dim,): fixed, or first guesses.
-    start: np.ndarray
+    #: Components of the start: fixed, or first guesses.
+    start: Annotated[np.ndarray, floats("dim")]
     #: The free quantities.
     names: tuple[str, ...]
-    #: guesses, low, high: Their first guesses and bounds, shape (k,); infinite where there are
-    #: none.
-    guesses: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    #: guesses, low, high: Their first guesses and bounds; infinite where there are none.
+    guesses: Annotated[np.ndarray, floats("free")]
+    low: Annotated[np.ndarray, floats("free", finite=False)]
+    high: Annotated[np.ndarray, floats("free", finite=False)]
 
     @property
     def components(self) -> dict[int, int]:

@@ -19,7 +19,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import sympy
@@ -33,6 +33,7 @@ from hamsym.proof.balls import number_of, working
 from hamsym.proof.generated import GeneratedFunctions, evaluated
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, tables
+from hamsym.support.records import floats
 from hamsym.symbolic.exact import rational
 
 TERMS = 32
@@ -204,26 +205,24 @@ class Window:
     #: start, half: Elapsed time; start + half (1 + x).
     start: Fraction
     half: Fraction
-    #: high, low: Coefficients of y, shape (dim, terms).
-    high: np.ndarray
-    low: np.ndarray
-    #: Shape (dim, columns, terms).
-    V: np.ndarray
-    #: G, R: The set at the start, shapes (columns, m) and (m,).
-    G: np.ndarray
-    R: np.ndarray
-    #: Bounds on everything else, shape (dim,).
-    beside: np.ndarray
-    #: Bounds on V_d, shape (dim, columns).
-    derivative: np.ndarray
+    #: high, low: Coefficients of y.
+    high: Annotated[np.ndarray, floats("dim", "terms")]
+    low: Annotated[np.ndarray, floats("dim", "terms")]
+    V: Annotated[np.ndarray, floats("dim", "columns", "slopes")]
+    #: G, R: The set at the start.
+    G: Annotated[np.ndarray, floats("columns", "kinds")]
+    R: Annotated[np.ndarray, floats("kinds", least=0)]
+    #: Bounds on everything else.
+    beside: Annotated[np.ndarray, floats("dim", least=0)]
+    #: Bounds on V_d.
+    derivative: Annotated[np.ndarray, floats("dim", "columns", least=0)]
     #: J, J_error: V(1) with rows of the identity for the constants, and bounds on its rounding.
-    J: np.ndarray
-    J_error: np.ndarray
-    #: Bounds on |z - y|, shape (dim,).
-    tube: np.ndarray
-    #: Of the components and constants, powers of two, in which DG is nearly balanced, shape
-    #: (columns,).
-    units: np.ndarray
+    J: Annotated[np.ndarray, floats("columns", "columns")]
+    J_error: Annotated[np.ndarray, floats("columns", "columns", least=0)]
+    #: Bounds on |z - y|.
+    tube: Annotated[np.ndarray, floats("dim", least=0)]
+    #: Of the components and constants, powers of two, in which DG is nearly balanced.
+    units: Annotated[np.ndarray, floats("columns", least=0)]
 
     @property
     def end(self) -> Fraction:

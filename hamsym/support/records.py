@@ -22,6 +22,7 @@ import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
+from fractions import Fraction
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import numpy as np
@@ -146,6 +147,15 @@ class Written:
     """A float that is written as a text, and read only if it is exactly that text."""
 
     text: Callable[[float], str]
+
+
+@dataclass(frozen=True)
+class As:
+    """Another annotation for files than for readers, with functions from the one to the other."""
+
+    kind: Any
+    to_data: Callable[[Any], Any] = lambda value: value
+    from_data: Callable[[Any], Any] = lambda value: value
 
 
 class AsText:
@@ -311,6 +321,8 @@ class _Way:
 
     def write(self, kind: Any, value: Any, name: str) -> Any:
         kind, note = _unwrapped(kind)
+        if isinstance(note, As):
+            return self.write(note.kind, note.to_data(value), name)
         if isinstance(note, Array):
             return self._write_array(note, value, name)
         if isinstance(note, OneOf):
@@ -355,6 +367,8 @@ class _Way:
         if name.count(".") > _DEEPEST:
             raise ValueError("it has too many parts inside each other")
         kind, note = _unwrapped(kind)
+        if isinstance(note, As):
+            return note.from_data(self.read(note.kind, value, name))
         if isinstance(note, Array):
             return self._read_array(note, value, name)
         if isinstance(note, OneOf):
@@ -458,7 +472,9 @@ def _member(kind: Any, found: type) -> Any:
     others = [each for each in members if each not in arrays]
     if arrays and (found is np.ndarray or not others):
         return arrays[0]
-    return next((each for each in others if _unwrapped(each)[0] is found), others[0])
+    found = tuple if found is list else found
+    kinds = {each: get_origin(_unwrapped(each)[0]) or _unwrapped(each)[0] for each in others}
+    return next((each for each, kind in kinds.items() if kind is found), others[0])
 
 
 def _kinds_of_entries(kind: Any, note: Any, value: Any, name: str) -> list[tuple[Any, Any]]:
@@ -544,3 +560,13 @@ def _number(text: Any, written: Callable[[float], str], name: str) -> float:
     if written(value) != text:
         raise ValueError(f"'{name}' is {reprlib.repr(text)}, not a number as it is written")
     return value
+
+
+def _fraction(text: str) -> Fraction:
+    found = Fraction(text)
+    if str(found) != text:
+        raise ValueError(f"{reprlib.repr(text)} is not a fraction in lowest terms")
+    return found
+
+
+convert(Fraction, str, str, _fraction)

@@ -78,8 +78,14 @@ def _set(array: np.ndarray, place: Any, value: Any) -> np.ndarray:
         (lambda a, v: a.update(success=a["success"] * np.uint8(2)), "numbers out of range"),
         (lambda a, v: a.update(success=a["success"] * np.uint8(0)), "contradicts its messages"),
         (lambda a, v: a.update(error_estimate=-a["error_estimate"] - 1), "negative"),
-        (lambda a, v: a.update({"verdicts.largest": a["verdicts.largest"] * np.nan}), "above its tolerance"),
-        (lambda a, v: a.update({"ensemble.parameters": a["ensemble.parameters"] + 1}), "'k' differs from its value"),
+        (
+            lambda a, v: a.update({"verdicts.largest": a["verdicts.largest"] * np.nan}),
+            "above its tolerance",
+        ),
+        (
+            lambda a, v: a.update({"ensemble.parameters": a["ensemble.parameters"] + 1}),
+            "'k' differs from its value",
+        ),
         (lambda a, v: a.update(extra=a["t"]), "'extra' of its arrays is unknown"),
         (lambda a, v: v.update(method="magic"), "'magic' is not a method"),
         (lambda a, v: v.update(steps=-1), "'steps' is out of range"),
@@ -93,7 +99,10 @@ def _set(array: np.ndarray, place: Any, value: Any) -> np.ndarray:
         (lambda a, v: v["verdicts"].update(problems={"9": "lost"}), "belongs to no trajectory"),
         (lambda a, v: v["verdicts"].update(tol=1e-300), "an error is above its tolerance"),
         (lambda a, v: v.update(more=1), "'more' of its values is unknown"),
-        (lambda a, v: v["ensemble"]["H"]["formula"].update(formula="p**2/2 + k*y**2/2"), "is not a valid file"),
+        (
+            lambda a, v: v["ensemble"]["H"]["formula"].update(formula="p**2/2 + k*y**2/2"),
+            "is not a valid file",
+        ),
     ],
 )
 def test_files_that_are_not_exactly_valid_are_refused(

@@ -21,10 +21,10 @@ from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof import prove
 from hamsym.proof.balls import exact
 from hamsym.proof.certificate import Certificate
-from hamsym.support.sealed_text import sealed
 from hamsym.proof.functions import BALLS
 from hamsym.proof.generated import GeneratedFunctions
 from hamsym.proof.prove import verify
+from hamsym.support.sealed_text import sealed
 from tests.audit.taylor import Equations, integrate
 
 _OPTIONS = {

@@ -12,9 +12,9 @@ import hamsym
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.proof import prove
 from hamsym.proof.certificate import Certificate, rounded_down
-from hamsym.support.sealed_text import sealed
 from hamsym.proof.prove import verify
 from hamsym.proof.window_proof import WindowProof
+from hamsym.support.sealed_text import sealed
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import hamsym
+from hamsym.archive import certificate_from
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.orbits.claims import statement_of
 from hamsym.orbits.proven_stability import WEAKER
-from hamsym.archive import certificate_from
 from hamsym.support.sealed_text import opened, sealed
 
 QUARTIC = "p**2/2 + x**2/2 + x**4/4"
