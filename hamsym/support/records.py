@@ -56,7 +56,8 @@ class Array:
 
     #: Lengths: numbers, names, names with a sum ("windows + 1"), or "*name" for several axes. A
     #: name means the same length in a whole record; forms and the entries of tuples and mappings
-    #: share the names that are known before them, and have others of their own. A Hamiltonian defines "dim".
+    #: share the names that are known before them, and have others of their own. A Hamiltonian
+    #: defines "dim".
     shape: tuple[str | int, ...]
     #: Admitted types.
     dtypes: tuple[Any, ...] = (np.float64,)
