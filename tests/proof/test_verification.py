@@ -183,7 +183,6 @@ def test_certificate_of_another_result_is_refused(flow, orbit, of_box, of_orbit)
     for certificate, result, needed in (
         (of_box, orbit, "FlowMap"),
         (of_orbit, flow, "PeriodicOrbit"),
-        (of_orbit, "orbit.hamsym", "PeriodicOrbit"),
         (3, flow, "certificate must be"),
     ):
         with pytest.raises(InputError, match=needed):
