@@ -14,6 +14,7 @@ import pytest
 import hamsym
 from hamsym import FileError, Hamiltonian, InputError
 from hamsym.archive import CERTIFICATES, KINDS
+from hamsym.support.shown import Saved
 from hamsym.support.tensor_files import kind_of, read_tensors, write_tensors
 
 QUARTIC = "p**2/2 + x**2/2 + x**4/4"
@@ -89,8 +90,13 @@ def test_results_are_read_back_as_they_were(name: str, tmp_path: Path) -> None:
 
 
 def test_all_kinds_of_files_are_tested() -> None:
-    names = {type(make()).__name__ for name, make in MADE.items() if " by " not in name}
-    assert names == {*KINDS.values(), *CERTIFICATES.values()}
+    assert {*KINDS} <= {*MADE}
+    saved = {kind for kind in vars(hamsym).values() if isinstance(kind, type)} & {*_below(Saved)}
+    assert {kind.__name__ for kind in saved} <= {*KINDS.values(), *CERTIFICATES.values()}
+
+
+def _below(kind: type) -> list[type]:
+    return [each for own in kind.__subclasses__() for each in (own, *_below(own))]
 
 
 def test_results_are_used_after_they_are_read(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.numerics.lower_sets import MOST_DEGREE
-from hamsym.support.records import Array, OneOf, check_also, declare, floats
+from hamsym.support.records import Array, As, OneOf, check_also, declare, floats
 
 MAPS = OneOf(leg=Leg, chain=Chain, split=Split)
 
@@ -36,11 +36,11 @@ declare(
     offset=Annotated[np.ndarray, floats("dim")],
     start_degrees=_whole("starts", "inputs", most=MOST_DEGREE),
     start=Annotated[np.ndarray, floats("starts", "dim")],
-    pieces=tuple[CompiledPiece, ...],
+    pieces=Annotated[Any, As(tuple[CompiledPiece, ...], tuple)],
 )
 declare(
     Chain,
-    maps=tuple[_MAP, ...],
+    maps=Annotated[Any, As(tuple[_MAP, ...], tuple)],
     joints=Annotated[np.ndarray, floats("joints")],
     kept=_whole("kept"),
 )

@@ -49,7 +49,7 @@ class MarchError(WindowError):
 
     def require_trial(self, trial: Any) -> None:
         """Raise ValueError unless it is the error of the trial solution."""
-        if not np.array_equal(self.edges, getattr(trial, "edges", None)):
+        if not np.array_equal(self.edges, getattr(trial, "edges", ())):
             raise ValueError("the windows of its error differ from those of its trial solution")
         if self.origin != trial.origin:
             raise ValueError("the origin of its error differs from that of its trial solution")

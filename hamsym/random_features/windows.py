@@ -67,7 +67,7 @@ class March:
     def require_trial(self, trial: Any) -> None:
         """Raise ValueError unless these are the windows of the trial solution."""
         for name in ("edges", "states", "readouts"):
-            if not np.array_equal(getattr(self, name), getattr(trial, name, None)):
+            if not np.array_equal(getattr(self, name), getattr(trial, name, ())):
                 raise ValueError(f"the {name} of its march differ from those of its trial solution")
         if self.origin != trial.origin or self.reached != self.origin + self.edges[-1]:
             raise ValueError("its march does not end at the end of its windows")

@@ -236,7 +236,7 @@ def fields_of(own: type) -> dict[str, Any]:
     if own in _FIELDS:
         return _FIELDS[own]
     saved = [f.name for f in fields(own) if f.metadata.get("saved", True)]
-    found = {}
+    found: dict[str, Any] = {}
     for name in saved:
         base = next(k for k in own.__mro__ if name in inspect.get_annotations(k))
         one = types.SimpleNamespace(__annotations__={name: inspect.get_annotations(base)[name]})
@@ -269,8 +269,8 @@ def packed(value: Any, kind: Any = None) -> tuple[Arrays, Any]:
     ...
     ValueError: 't' is not of type float64
     """
-    way = _Way({})
-    return way.arrays, way.write(type(value) if kind is None else kind, value, "")
+    arrays: Arrays = {}
+    return arrays, _Way(arrays).write(type(value) if kind is None else kind, value, "")
 
 
 def unpacked(kind: type[R], arrays: Mapping[str, np.ndarray], values: Any) -> R:
@@ -278,10 +278,10 @@ def unpacked(kind: type[R], arrays: Mapping[str, np.ndarray], values: Any) -> R:
 
     Raise ValueError, TypeError, HamsymError unless they are what :func:`packed` writes.
     """
-    way = _Way(dict(arrays))
-    found: R = way.read(kind, values, "")
-    if way.arrays:
-        raise ValueError(f"'{min(way.arrays)[:40]}' of its arrays is unknown")
+    left = dict(arrays)
+    found: R = _Way(left).read(kind, values, "")
+    if left:
+        raise ValueError(f"'{min(left)[:40]}' of its arrays is unknown")
     return found
 
 
@@ -350,6 +350,7 @@ class _Way:
             _verify(value)
             return found
         if get_origin(kind) is tuple:
+            _require_type(tuple, value, name)
             kinds = _kinds_of_entries(kind, note, value, name)
             return [self._apart.write(*pair, f"{name}.{k}") for k, pair in enumerate(kinds)]
         if get_origin(kind) in (dict, Mapping):

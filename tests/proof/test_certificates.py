@@ -481,7 +481,7 @@ def test_incomplete_windows_are_rejected():
         solution.H, solution.z0, (0.0, 4.01), solution.trial,
         method="features", record=solution.record,
     )  # fmt: skip
-    with pytest.raises(CertificationError, match="do not cover the span"):
+    with pytest.raises(CertificationError, match="span differs from that of its windows"):
         longer.certify()
 
 
