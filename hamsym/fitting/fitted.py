@@ -168,14 +168,26 @@ class Fit(Saved):
         for labels in (self.data, self.sigma, self.residuals):
             if [*labels] != [*self.expressions]:
                 raise ValueError("its observables differ")
-        if self.unknowns.H.names != self.H.names or self.span[0] == self.span[1]:
-            raise ValueError("its unknowns or its span are not valid")
-        known = {*self.H.names, *self.H.parameter_names}
-        if not {*self.names} <= known:
-            raise ValueError("it varies what H does not have")
-        good = self.covariance[np.asarray(self.success)]
-        if not np.isfinite(good).all():
-            raise ValueError("its success is true, but its covariance is not finite")
+        low, high = min(self.span), max(self.span)
+        slack = 1e-15 * max(abs(low), abs(high))
+        if not ((self.t >= low - slack) & (self.t <= high + slack)).all():
+            raise ValueError("its times are not within its span")
+        if self.unknowns.H.names != self.H.names:
+            raise ValueError("its unknowns are those of another system")
+        self._check_success()
+
+    def _check_success(self) -> None:
+        good = np.asarray(self.success)
+        estimates = [np.asarray(value)[good] for value in self.parameters.values()]
+        if not all(np.isfinite(part).all() for part in (self.covariance[good], *estimates)):
+            raise ValueError("its success is true, but its estimates are not finite")
+        for label, data in self.data.items():
+            missing = np.isnan(data[good])
+            residuals, sigma = self.residuals[label][good], self.sigma[label][good]
+            if not np.array_equal(np.isnan(residuals), missing) or not (sigma[~missing] > 0).all():
+                raise ValueError("its success is true, but its residuals are not those of its data")
+        if good.all() and self.solution is not None and self.solution.span != self.span:
+            raise ValueError("its solution has another span")
 
     def __repr__(self) -> str:
         if np.ndim(self.success):

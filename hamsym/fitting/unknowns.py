@@ -31,6 +31,16 @@ class Unknowns:
     low: Annotated[np.ndarray, floats("free", finite=False)]
     high: Annotated[np.ndarray, floats("free", finite=False)]
 
+    def check(self) -> None:
+        """Raise ValueError unless the names are those of H, and the guesses within the bounds."""
+        self.H.require_parameters()
+        if not {*self.names} <= {*self.H.names, *self.H.parameter_names}:
+            raise ValueError("it varies what H does not have")
+        if len(self.names) != len(self.guesses):
+            raise ValueError("its first guesses are not one for each free quantity")
+        if not ((self.low <= self.guesses) & (self.guesses <= self.high)).all():
+            raise ValueError("a first guess is not within its bounds")
+
     @property
     def components(self) -> dict[int, int]:
         """Places of free components: in the names -> in the state."""

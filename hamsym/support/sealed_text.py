@@ -12,7 +12,7 @@ import re
 from typing import Any, ClassVar, Self
 
 from hamsym.errors import FileError
-from hamsym.support.records import MALFORMED, as_json, fields_of, from_json
+from hamsym.support.records import MALFORMED, as_json, from_json
 from hamsym.support.shown import Saved
 
 _CHECKSUM = "sha256"
@@ -57,8 +57,8 @@ class SealedText(Saved):
             version = values.pop("version", None)
             if type(version) is not int or version != cls.VERSION:
                 raise ValueError(f"its version is not {cls.VERSION}")
-            own = "statement" in fields_of(cls)
-            claimed = values.get("statement") if own else values.pop("statement", None)
+            derived = hasattr(cls, "statement")  # a property, not a field
+            claimed = values.pop("statement", None) if derived else values.get("statement")
             found = from_json(cls, values)
             if not re.fullmatch("[0-9a-f]{64}", found.digest):
                 raise ValueError("its digest is not a SHA-256")
