@@ -23,7 +23,8 @@ from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 from hamsym.suggestions import checked_keywords
 from hamsym.support.atomic import write_file
-from hamsym.support.records import MALFORMED, NotDataError, check_also, packed, unpacked
+from hamsym.support.record_fields import NotDataError, check_also
+from hamsym.support.records import MALFORMED, packed, unpacked
 from hamsym.support.sealed_text import SealedText, kind_of_text
 from hamsym.support.tensor_files import kind_of, one_line, read_tensors, write_tensors
 

@@ -16,7 +16,8 @@ from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
 from hamsym.formula.parser import MAX_BITS, MAX_EFFORT, MAX_SECONDS, parse_expression
 from hamsym.formula.printer import FormulaPrinter
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.records import MALFORMED, as_json, convert, from_json
+from hamsym.support.record_fields import convert
+from hamsym.support.records import MALFORMED, as_json, from_json
 from hamsym.support.validation import plain
 
 _TAKEN = {"H", "confidence", "dt", "hamsym", "method", "reference_error", "span", "steps", "tol"}

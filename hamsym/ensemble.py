@@ -11,7 +11,7 @@ import numpy as np
 
 from hamsym.errors import VariableError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.support.records import Count, Limit, floats
+from hamsym.support.record_fields import Count, Limit, floats
 from hamsym.symbolic.states import parameter_arrays, states_array
 
 

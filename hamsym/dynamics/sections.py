@@ -34,7 +34,7 @@ from hamsym.numerics.isolation import Cells, component_ranges, isolated_zeros, r
 from hamsym.numerics.roots import suspects, zeros
 from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.records import AnyFloat, Size, counts, floats
+from hamsym.support.record_fields import AnyFloat, Size, counts, floats
 from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, time_name
 from hamsym.support.text_tables import ALL, table, wrapped

@@ -23,7 +23,8 @@ import safetensors.numpy
 from hamsym.errors import FileError
 from hamsym.families.blocks import Block
 from hamsym.families.windows import MARCHED, Table, Windows
-from hamsym.support.records import fields_of, packed, unpacked
+from hamsym.support.record_fields import fields_of
+from hamsym.support.records import packed, unpacked
 from hamsym.support.tables import optional_package
 from hamsym.support.tensor_files import one_line
 

@@ -44,17 +44,8 @@ from hamsym.random_features.basis import DEGREE
 from hamsym.random_features.options import FeatureOptions
 from hamsym.support.atomic import create_atomically
 from hamsym.support.locking import exclusive
-from hamsym.support.records import (
-    MALFORMED,
-    Count,
-    Limit,
-    convert,
-    counts,
-    digest_of_parts,
-    floats,
-    packed,
-    unpacked,
-)
+from hamsym.support.record_fields import Count, Limit, convert, counts, floats
+from hamsym.support.records import MALFORMED, digest_of_parts, packed, unpacked
 from hamsym.support.tensor_files import one_line
 
 _KIND = "solutions"

@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from hamsym.support.records import Array, AsText, counts, flags, floats
+from hamsym.support.record_fields import Array, AsText, counts, flags, floats
 
 # States of a member: not solved yet; accepted by the loop over members; solved by itself, with
 # success or without; without a solution.

@@ -20,16 +20,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.records import (
-    AnyFloat,
-    As,
-    Count,
-    Limit,
-    OneOf,
-    counts,
-    flags,
-    floats,
-)
+from hamsym.support.record_fields import AnyFloat, As, Count, Limit, OneOf, counts, flags, floats
 from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame
 from hamsym.support.text_tables import ROWS, left_out, table, wrapped

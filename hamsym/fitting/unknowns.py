@@ -12,7 +12,7 @@ import numpy as np
 from hamsym.errors import InputError, ParameterError
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.records import floats
+from hamsym.support.record_fields import floats
 from hamsym.symbolic.checks import name_of
 
 

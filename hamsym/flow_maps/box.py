@@ -19,7 +19,7 @@ from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.suggestions import did_you_mean, unknown
-from hamsym.support.records import floats
+from hamsym.support.record_fields import floats
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
 

@@ -22,7 +22,8 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.times import is_tensor
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.cores import available_cores
-from hamsym.support.records import AnyFloat, Count, Size, floats, packed
+from hamsym.support.record_fields import AnyFloat, Count, Size, floats
+from hamsym.support.records import packed
 from hamsym.support.shown import Saved
 
 if TYPE_CHECKING:

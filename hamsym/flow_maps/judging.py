@@ -27,7 +27,7 @@ from hamsym.flow_maps.domain import Domain, random_places
 from hamsym.flow_maps.narrow_places import narrow_places
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
-from hamsym.support.records import AnyFloat, Count, floats
+from hamsym.support.record_fields import AnyFloat, Count, floats
 
 _MARGIN = 1.5  # times the largest error found
 _CONFIDENCE = 0.95

@@ -9,7 +9,7 @@ import numpy as np
 from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.numerics.lower_sets import MOST_DEGREE
-from hamsym.support.records import Array, As, OneOf, check_also, declare, floats
+from hamsym.support.record_fields import Array, As, OneOf, check_also, declare, floats
 
 MAPS = OneOf(leg=Leg, chain=Chain, split=Split)
 

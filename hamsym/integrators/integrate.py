@@ -45,7 +45,7 @@ from hamsym.integrators.table import ALIASES, INTEGRATORS
 from hamsym.integrators.tolerance import ToleranceSearch, Tolerated, Verdicts
 from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes, unknown
-from hamsym.support.records import UNSAVED, AnyFloat, Count, Size, flags, floats
+from hamsym.support.record_fields import UNSAVED, AnyFloat, Count, Size, flags, floats
 from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
 from hamsym.support.text_tables import ROWS

@@ -39,7 +39,7 @@ from hamsym.integrators.table import INTEGRATORS
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
-from hamsym.support.records import Size, counts, floats
+from hamsym.support.record_fields import Size, counts, floats
 
 _SAMPLES = 5  # fewest times at which the three runs are compared
 _MIDDLE_SAVES = 64  # most saved states of the middle run between two of these times

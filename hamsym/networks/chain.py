@@ -11,7 +11,7 @@ from torch import Tensor
 
 from hamsym.networks.trial import TrialSolution
 from hamsym.numerics.windows import locate
-from hamsym.support.records import Count, Limit, Size, counts, floats
+from hamsym.support.record_fields import Count, Limit, Size, counts, floats
 
 #: Most windows of a chain.
 MAX_WINDOWS = 50_000

@@ -18,7 +18,7 @@ from torch.autograd import forward_ad
 
 from hamsym.errors import InputError
 from hamsym.networks.trial import EnvelopedNetwork
-from hamsym.support.records import NotDataError, convert
+from hamsym.support.record_fields import NotDataError, convert
 from hamsym.support.tensor_files import one_line
 
 _PROBES = 33  # inputs at which a module is tested

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from hamsym.support.records import AnyFloat, Count, Size, counts, floats
+from hamsym.support.record_fields import AnyFloat, Count, Size, counts, floats
 
 
 class Stopped(StrEnum):

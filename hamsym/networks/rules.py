@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import torch
 
 from hamsym.networks.record import Stopped, Training
-from hamsym.support.records import Count, Limit, Size
+from hamsym.support.record_fields import Count, Limit, Size
 from hamsym.support.validation import require_positive, require_whole
 
 _Level = Annotated[float, Limit(0, finite=False)]

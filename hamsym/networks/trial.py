@@ -23,7 +23,7 @@ from hamsym.networks.network import (
     has_explicit_gradient,
     weights_of,
 )
-from hamsym.support.records import Array, convert
+from hamsym.support.record_fields import Array, convert
 
 
 def _exponential(s: Tensor) -> tuple[Tensor, Tensor]:

@@ -24,7 +24,7 @@ from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.windows import locate
 from hamsym.orbits.period import Period
 from hamsym.orbits.symmetry import Closing
-from hamsym.support.records import AnyFloat, floats
+from hamsym.support.record_fields import AnyFloat, floats
 
 _FLOOR = 1e-8  # scale of a component relative to the largest of its kind
 

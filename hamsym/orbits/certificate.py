@@ -13,7 +13,7 @@ from hamsym.orbits.verification import verify_orbit
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import decimal_above
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.records import Limit, Size
+from hamsym.support.record_fields import Limit, Size
 from hamsym.support.sealed_text import SealedText
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from hamsym.orbits.newton_system import NewtonSystem
 from hamsym.orbits.orbit import PeriodicOrbit, solved_orbit
 from hamsym.orbits.period import period_of
 from hamsym.orbits.search import anchor_of
-from hamsym.support.records import Count, Size
+from hamsym.support.record_fields import Count, Size
 
 _FIRST, _SMALLEST = 0.02, 1e-6  # steps in scaled unknowns
 _GROWTH, _CUT = 1.4, 0.4  # of a step after an easy and after a failed orbit

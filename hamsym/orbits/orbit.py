@@ -26,7 +26,7 @@ from hamsym.random_features.flow import flow_of
 from hamsym.solution.discontinuities import first_jump, has_switches
 from hamsym.solution.path import Path
 from hamsym.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.records import AnyFloat, Limit, floats
+from hamsym.support.record_fields import AnyFloat, Limit, floats
 from hamsym.support.shown import Saved
 from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 from hamsym.support.validation import require_number, require_positive

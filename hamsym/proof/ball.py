@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.support.records import convert, floats
+from hamsym.support.record_fields import convert, floats
 
 _TEXT = re.compile(r"\s*(?P<middle>\S+)\s*(\+-|\+/-|±)\s*(?P<radius>\S+)\s*")
 

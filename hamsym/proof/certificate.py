@@ -15,7 +15,7 @@ from hamsym.errors import InputError
 from hamsym.formula.parser import check_name
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.records import Limit, Written
+from hamsym.support.record_fields import Limit, Written
 from hamsym.support.sealed_text import SealedText
 from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 

@@ -25,7 +25,7 @@ from hamsym.proof.public_check import check_enclosure
 from hamsym.proof.windows import ErrorSet, Window, WindowStepper, equation_of
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
-from hamsym.support.records import UNSAVED, Size
+from hamsym.support.record_fields import UNSAVED, Size
 from hamsym.support.shown import Saved
 from hamsym.support.validation import require_positive
 

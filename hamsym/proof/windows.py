@@ -33,7 +33,7 @@ from hamsym.proof.balls import number_of, working
 from hamsym.proof.generated import GeneratedFunctions, evaluated
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import BITS, ModelRows, Program, Recorder, tables
-from hamsym.support.records import floats
+from hamsym.support.record_fields import floats
 from hamsym.symbolic.exact import rational
 
 TERMS = 32

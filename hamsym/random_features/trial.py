@@ -12,7 +12,7 @@ from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.windows import locate
 from hamsym.random_features.basis import DEGREE, FeatureBasis, rate_series
 from hamsym.random_features.windows import March
-from hamsym.support.records import fields_of, floats
+from hamsym.support.record_fields import fields_of, floats
 
 if TYPE_CHECKING:  # only functions of tensors need torch
     from torch import Tensor

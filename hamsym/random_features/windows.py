@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from hamsym.random_features.basis import size_of
-from hamsym.support.records import Count, Size, floats
+from hamsym.support.record_fields import Count, Size, floats
 
 
 class Windows(NamedTuple):

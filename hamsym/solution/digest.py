@@ -10,7 +10,8 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.path import TRIALS, Trial
-from hamsym.support.records import MALFORMED, NotDataError, digest_of, floats
+from hamsym.support.record_fields import NotDataError, floats
+from hamsym.support.records import MALFORMED, digest_of
 
 if TYPE_CHECKING:
     from hamsym.solution.solution import Solution

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.records import OneOf
+from hamsym.support.record_fields import OneOf
 
 if TYPE_CHECKING:  # torch is imported only by functions of tensors
     from torch import Tensor

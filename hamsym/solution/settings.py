@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from hamsym.solution.window_error import allowed_errors
-from hamsym.support.records import Count, Limit, Size
+from hamsym.support.record_fields import Count, Limit, Size
 
 _MOST_OPTIONS = 100
 _LONGEST_TEXT = 10_000

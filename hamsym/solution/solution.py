@@ -29,7 +29,7 @@ from hamsym.solution.settings import Settings
 from hamsym.solution.times import evaluate_in_parts, is_tensor, tensor_of, times_in_span
 from hamsym.solution.work import Work
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.records import UNSAVED, Size, floats
+from hamsym.support.record_fields import UNSAVED, Size, floats
 from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, time_name
 from hamsym.support.text_tables import ROWS

@@ -12,7 +12,7 @@ from numpy.polynomial import chebyshev
 from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.scales import ratios
 from hamsym.numerics.windows import locate
-from hamsym.support.records import floats
+from hamsym.support.record_fields import floats
 
 
 @dataclass(frozen=True)

@@ -1,33 +1,43 @@
 """Results as data: dataclasses to JSON values with named arrays and back, by their annotations.
 
 The annotation of a field says what a file may contain for it: numbers, texts, tuples and mappings,
-arrays (:class:`Array`), other dataclasses. :func:`packed` and :func:`unpacked` check the same, and
-call the method ``check`` of a dataclass, if it has one, for what types cannot say. Everything that
-differs from what ``packed`` writes raises ValueError. Fields with the metadata :data:`UNSAVED`,
-which need defaults, are left out.
+arrays, other dataclasses (:mod:`hamsym.support.record_fields`). :func:`packed` and :func:`unpacked`
+check the same, and call the method ``check`` of a dataclass, if it has one, for what types cannot
+say. Everything that differs from what ``packed`` writes raises ValueError. Fields with the metadata
+``UNSAVED``, which need defaults, are left out.
 """
 
 from __future__ import annotations
 
-import functools
 import hashlib
-import importlib
-import inspect
 import json
 import math
 import reprlib
 import sys
 import types
-import typing
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import is_dataclass
 from enum import StrEnum
 from fractions import Fraction
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 
-from hamsym.errors import HamsymError, InputError
+from hamsym.errors import HamsymError
+from hamsym.support.record_fields import (
+    CHECKS,
+    CONVERSIONS,
+    FIELDS,
+    TEXT,
+    Array,
+    As,
+    AsText,
+    Limit,
+    OneOf,
+    Written,
+    convert,
+    fields_of,
+)
 
 R = TypeVar("R")
 Arrays = dict[str, np.ndarray]
@@ -37,215 +47,11 @@ MALFORMED = (
     *(ArithmeticError, AssertionError, AttributeError, HamsymError, LookupError, RuntimeError),
     *(TypeError, ValueError),
 )
-#: Metadata of a field that is not part of files.
-UNSAVED = {"saved": False}
 
 _MOST_ENTRIES = 10_000  # of a tuple, unless a Limit says otherwise
 _DEEPEST = 200  # parts inside each other
 _FORM = "form"
 _NONE: dict[str, Any] = {}
-
-
-class NotDataError(InputError):
-    """A part of a record that is code."""
-
-
-@dataclass(frozen=True)
-class Array:
-    """Contents of an array."""
-
-    #: Lengths: numbers, names, names with a sum ("windows + 1"), or "*name" for several axes. A
-    #: name means the same length in a whole record; forms and the entries of tuples and mappings
-    #: share the names that are known before them, and have others of their own. A Hamiltonian
-    #: defines "dim".
-    shape: tuple[str | int, ...]
-    #: Admitted types.
-    dtypes: tuple[Any, ...] = (np.float64,)
-    #: Whether its numbers must be finite.
-    finite: bool = True
-    #: least, most: Range of its numbers; with one of them NaN is out of range.
-    least: float = -math.inf
-    most: float = math.inf
-    #: Type in the file, if it is another one.
-    stored: Any = None
-
-    def check(self, name: str, array: Any, lengths: dict[str, Any]) -> None:
-        """Raise ValueError unless an array has this type, shape and range."""
-        if not isinstance(array, np.ndarray) or array.dtype not in self.dtypes:
-            raise ValueError(f"'{name}' is not of type {self._types}")
-        expected = self._expected(array.shape, lengths)
-        if array.shape != expected:
-            shape = ", ".join(map(str, expected)) + "," * (len(expected) == 1)
-            raise ValueError(f"'{name}' has shape {array.shape}, not ({shape})")
-        if self.finite and not np.isfinite(array).all():
-            raise ValueError(f"'{name}' is not finite")
-        bounded = (self.least, self.most) != (-math.inf, math.inf)
-        if bounded and not ((array >= self.least) & (array <= self.most)).all():
-            raise ValueError(f"'{name}' has numbers out of range")
-
-    @property
-    def _types(self) -> str:
-        return " or ".join(np.dtype(kind).name for kind in self.dtypes)
-
-    def _expected(self, found: tuple[int, ...], lengths: dict[str, Any]) -> tuple[Any, ...]:
-        """Return the shape, in which unknown lengths get the values found."""
-        spec: list[Any] = []
-        for entry in self.shape:
-            if isinstance(entry, str) and entry.startswith("*"):
-                count = max(0, len(found) - len(self.shape) + 1)
-                axes = found[len(spec) : len(spec) + count]
-                spec += lengths.setdefault(entry[1:], axes)
-            else:
-                spec.append(entry)
-        if len(spec) != len(found):
-            return tuple(spec)
-        for place, size in enumerate(found):
-            if isinstance(spec[place], str):
-                name, _, more = spec[place].partition(" + ")
-                extra = int(more or 0)
-                if size >= extra:
-                    spec[place] = lengths.setdefault(name, size - extra) + extra
-        return tuple(spec)
-
-
-def floats(
-    *shape: str | int, finite: bool = True, least: float = -math.inf, most: float = math.inf
-) -> Array:
-    """Make the contents of an array of float64."""
-    return Array(shape, finite=finite, least=least, most=most)
-
-
-def counts(*shape: str | int) -> Array:
-    """Make the contents of an array of whole numbers from 0 on."""
-    return Array(shape, (np.int64,), least=0)
-
-
-def flags(*shape: str | int) -> Array:
-    """Make the contents of an array of bool."""
-    return Array(shape, (np.bool_,), stored=np.uint8)
-
-
-_TEXT = Array(("bytes",), (np.uint8,))
-
-
-@dataclass(frozen=True)
-class Limit:
-    """Range of a number, or of the number of entries of a tuple."""
-
-    least: float = -math.inf
-    most: float = math.inf
-    finite: bool = True
-
-
-Count = Annotated[int, Limit(0)]
-Size = Annotated[float, Limit(0)]
-#: A float that may be infinite or not a number.
-AnyFloat = Annotated[float, Limit(finite=False)]
-
-
-@dataclass(frozen=True)
-class Written:
-    """A float that is written as a text, and read only if it is exactly that text."""
-
-    text: Callable[[float], str]
-
-
-@dataclass(frozen=True)
-class As:
-    """Another annotation for files than for readers, with functions from the one to the other."""
-
-    kind: Any
-    to_data: Callable[[Any], Any] = lambda value: value
-    from_data: Callable[[Any], Any] = lambda value: value
-
-
-class AsText:
-    """Values that are stored as an array with their JSON text, because there may be many."""
-
-
-class OneOf:
-    """Classes of which a field has one, by the form that is written with it.
-
-    A class is given as "module:Class", unless the annotation can import it.
-    """
-
-    def __init__(self, **kinds: Any) -> None:
-        self._kinds = kinds
-
-    def form_of(self, kind: type) -> str | None:
-        """Return the form of a class, None if it is not one of these."""
-        own = f"{kind.__module__}:{kind.__qualname__}"
-        return next((form for form, each in self._kinds.items() if each in (kind, own)), None)
-
-    def kind_of(self, form: Any) -> Any:
-        """Return the class of a form."""
-        kind = self._kinds.get(form) if isinstance(form, str) else None
-        if kind is None:
-            raise ValueError(f"it has the unknown form {str(form)[:40]}")
-        if isinstance(kind, str):
-            module, _, name = kind.partition(":")
-            return getattr(importlib.import_module(module), name)
-        return kind
-
-
-# -- classes that are not their own data -----------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Conversion:
-    kind: Any
-    to_data: Callable[[Any], Any]
-    from_data: Callable[[Any], Any]
-    lengths: Callable[[Any], dict[str, int]]
-
-
-_CONVERSIONS: dict[type, _Conversion] = {}
-_FIELDS: dict[type, dict[str, Any]] = {}
-_CHECKS: dict[type, Callable[[Any], None]] = {}
-
-
-def convert(
-    own: type,
-    kind: Any,
-    to_data: Callable[[Any], Any],
-    from_data: Callable[[Any], Any],
-    lengths: Callable[[Any], dict[str, int]] = lambda value: {},
-) -> None:
-    """Pack a class as data of another kind.
-
-    - kind: Annotation of the data, for example a dataclass.
-    - to_data, from_data: Functions from the one to the other.
-    - lengths: Names of lengths that a value defines.
-    """
-    _CONVERSIONS[own] = _Conversion(kind, to_data, from_data, lengths)
-
-
-def declare(own: type, **annotations: Any) -> None:
-    """Annotate the attributes of a class that is no dataclass; they are its arguments too."""
-    _FIELDS[own] = annotations
-
-
-def check_also(own: type, check: Callable[[Any], None]) -> None:
-    """Add a check that needs what the module of a class must not import."""
-    _CHECKS[own] = check
-
-
-@functools.cache
-def fields_of(own: type) -> dict[str, Any]:
-    """Return the annotations of the fields of a class that are part of files."""
-    if own in _FIELDS:
-        return _FIELDS[own]
-    saved = [f.name for f in fields(own) if f.metadata.get("saved", True)]
-    found: dict[str, Any] = {}
-    for name in saved:
-        base = next(k for k in own.__mro__ if name in inspect.get_annotations(k))
-        one = types.SimpleNamespace(__annotations__={name: inspect.get_annotations(base)[name]})
-        names = vars(sys.modules[base.__module__])
-        found |= typing.get_type_hints(one, names, include_extras=True)
-    return found
-
-
-# -- both ways -------------------------------------------------------------------------------------
 
 
 def packed(value: Any, kind: Any = None) -> tuple[Arrays, Any]:
@@ -257,6 +63,8 @@ def packed(value: Any, kind: Any = None) -> tuple[Arrays, Any]:
 
     Examples
     --------
+    >>> from dataclasses import dataclass
+    >>> from hamsym.support.record_fields import floats
     >>> @dataclass
     ... class Path:
     ...     t: Annotated[np.ndarray, floats("times")]
@@ -331,19 +139,19 @@ class _Way:
         if note is AsText and self.arrays is not None:
             text = json.dumps(_Way(None, self._lengths).write(kind, value, name))
             return self._apart._write_array(
-                _TEXT, np.frombuffer(text.encode(), dtype=np.uint8), name
+                TEXT, np.frombuffer(text.encode(), dtype=np.uint8), name
             )
         if _is_union(kind):
             if value is None and type(None) in get_args(kind):
                 return None
             return self.write(_member(kind, type(value)), value, name)
-        if kind in _CONVERSIONS:
-            way = _CONVERSIONS[kind]
+        if kind in CONVERSIONS:
+            way = CONVERSIONS[kind]
             if not isinstance(value, kind):
                 raise ValueError(f"'{name}' is not of type {kind.__name__}")
             self._learn(way.lengths(value))
             return self.write(way.kind, way.to_data(value), name)
-        if kind in _FIELDS or is_dataclass(kind):
+        if kind in FIELDS or is_dataclass(kind):
             _require_type(kind, value, name)
             own = fields_of(kind).items()
             found = {n: self.write(k, getattr(value, n), _inside(name, n)) for n, k in own}
@@ -378,7 +186,7 @@ class _Way:
             rest = {key: entry for key, entry in given.items() if key != _FORM}
             return self._apart.read(note.kind_of(given.get(_FORM)), rest, name)
         if note is AsText and self.arrays is not None:
-            text = self._apart._read_array(_TEXT, value, name).tobytes()
+            text = self._apart._read_array(TEXT, value, name).tobytes()
             return _Way(None, self._lengths).read(kind, json.loads(text), name)
         if _is_union(kind):
             inline = type(value) is list if self.arrays is None else value is None
@@ -386,12 +194,12 @@ class _Way:
             if value is None and type(None) in get_args(kind) and not is_array:
                 return None
             return self.read(_member(kind, np.ndarray if is_array else type(value)), value, name)
-        if kind in _CONVERSIONS:
-            way = _CONVERSIONS[kind]
+        if kind in CONVERSIONS:
+            way = CONVERSIONS[kind]
             found = way.from_data(self.read(way.kind, value, name))
             self._learn(way.lengths(found))
             return found
-        if kind in _FIELDS or is_dataclass(kind):
+        if kind in FIELDS or is_dataclass(kind):
             own = fields_of(kind)
             given = _mapping(value, name, {*own})
             found = kind(**{n: self.read(k, given[n], _inside(name, n)) for n, k in own.items()})
@@ -541,7 +349,7 @@ def _verify(value: Any) -> None:
     """Call the checks of a record."""
     if (check := getattr(value, "check", None)) is not None:
         check()
-    if (further := _CHECKS.get(type(value))) is not None:
+    if (further := CHECKS.get(type(value))) is not None:
         further(value)
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
-from hamsym.support.records import (
+from hamsym.support.record_fields import (
     UNSAVED,
     AnyFloat,
     AsText,
@@ -18,12 +18,10 @@ from hamsym.support.records import (
     Limit,
     Size,
     counts,
-    digest_of,
     flags,
     floats,
-    packed,
-    unpacked,
 )
+from hamsym.support.records import digest_of, packed, unpacked
 
 
 @dataclass(frozen=True, eq=False)
