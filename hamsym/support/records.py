@@ -63,19 +63,14 @@ def packed(value: Any, kind: Any = None) -> tuple[Arrays, Any]:
 
     Examples
     --------
-    >>> from dataclasses import dataclass
     >>> from hamsym.support.record_fields import floats
-    >>> @dataclass
-    ... class Path:
-    ...     t: Annotated[np.ndarray, floats("times")]
-    ...     names: tuple[str, ...]
-    >>> arrays, values = packed(Path(np.array([0.0, 1.0]), ("x", "p")))
-    >>> arrays, values
-    ({'t': array([0., 1.])}, {'t': None, 'names': ['x', 'p']})
-    >>> unpacked(Path, {"t": np.array(["0"])}, values)
+    >>> kind = tuple[Annotated[np.ndarray, floats("times")], tuple[str, ...]]
+    >>> packed((np.array([0.0, 1.0]), ("x", "p")), kind)
+    ({'0': array([0., 1.])}, [None, ['x', 'p']])
+    >>> unpacked(kind, {"0": np.array(["0"])}, [None, ["x"]])
     Traceback (most recent call last):
     ...
-    ValueError: 't' is not of type float64
+    ValueError: '0' is not of type float64
     """
     arrays: Arrays = {}
     return arrays, _Way(arrays).write(type(value) if kind is None else kind, value, "")
@@ -160,7 +155,7 @@ class _Way:
         if get_origin(kind) is tuple:
             _require_type(tuple, value, name)
             kinds = _kinds_of_entries(kind, note, value, name)
-            return [self._apart.write(*pair, f"{name}.{k}") for k, pair in enumerate(kinds)]
+            return [self._apart.write(*pair, _inside(name, str(k))) for k, pair in enumerate(kinds)]
         if get_origin(kind) in (dict, Mapping):
             keys, inner = get_args(kind)
             entries = {_key(keys, key, name): entry for key, entry in value.items()}
@@ -209,7 +204,9 @@ class _Way:
             if not isinstance(value, list):
                 raise ValueError(f"'{name}' is not a list")
             kinds = _kinds_of_entries(kind, note, value, name)
-            return tuple(self._apart.read(*pair, f"{name}.{k}") for k, pair in enumerate(kinds))
+            return tuple(
+                self._apart.read(*pair, _inside(name, str(k))) for k, pair in enumerate(kinds)
+            )
         if get_origin(kind) in (dict, Mapping):
             keys, inner = get_args(kind)
             given = _mapping(value, name)
