@@ -57,10 +57,10 @@ class OrbitCertificate(SealedText):
         SHA-256 of the orbit: H, its parameters, the conditions, and the states of its arc.
     """
 
-    KIND = "hamsym orbit certificate"
-    VERSION = 2
-    LONGEST = 2**22
-    OF = " of an orbit"
+    _KIND = "hamsym orbit certificate"
+    _VERSION = 2
+    _LONGEST = 2**22
+    _OF = " of an orbit"
 
     z0: Ball
     period: Ball

@@ -48,10 +48,10 @@ class BoxCertificate(SealedText):
         Run time of the proof. ``parts`` and ``seconds`` are not part of the claim.
     """
 
-    KIND = "hamsym flow map certificate"
-    VERSION = 3
-    LONGEST = 2**20
-    OF = " of a flow map"
+    _KIND = "hamsym flow map certificate"
+    _VERSION = 3
+    _LONGEST = 2**20
+    _OF = " of a flow map"
 
     bound: tuple[Size, ...]
     components: tuple[str, ...]

@@ -65,10 +65,10 @@ class Certificate(SealedText):
         The bound on each component's error that was asked for, and is proven.
     """
 
-    KIND = "hamsym certificate"
-    VERSION = 4
-    LONGEST = 16 * 2**20
-    OF = ""
+    _KIND = "hamsym certificate"
+    _VERSION = 4
+    _LONGEST = 16 * 2**20
+    _OF = ""
 
     bound: _Bound
     lower: _Bound

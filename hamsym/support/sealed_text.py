@@ -25,10 +25,10 @@ class SealedText(Saved):
     has a digest and a statement, which is checked against its numbers where it follows from them.
     """
 
-    KIND: ClassVar[str]
-    VERSION: ClassVar[int]
-    LONGEST: ClassVar[int]
-    OF: ClassVar[str]
+    _KIND: ClassVar[str]
+    _VERSION: ClassVar[int]
+    _LONGEST: ClassVar[int]
+    _OF: ClassVar[str]
     digest: Any
     statement: Any
 
@@ -38,7 +38,7 @@ class SealedText(Saved):
         Numbers have all digits. Bounds of solutions are decimals of nine digits, upper bounds
         rounded up, lower bounds down; they hold as written.
         """
-        head = {"kind": self.KIND, "version": self.VERSION, "statement": self.statement}
+        head = {"kind": self._KIND, "version": self._VERSION, "statement": self.statement}
         return sealed(head | as_json(self))
 
     @classmethod
@@ -51,12 +51,12 @@ class SealedText(Saved):
             If the text is not a certificate of this kind, or is one of another version.
         """
         try:
-            values = opened(text, cls.LONGEST)
-            if values.pop("kind") != cls.KIND:
-                raise ValueError(f"its kind is not '{cls.KIND}'")
+            values = opened(text, cls._LONGEST)
+            if values.pop("kind") != cls._KIND:
+                raise ValueError(f"its kind is not '{cls._KIND}'")
             version = values.pop("version", None)
-            if type(version) is not int or version != cls.VERSION:
-                raise ValueError(f"its version is not {cls.VERSION}")
+            if type(version) is not int or version != cls._VERSION:
+                raise ValueError(f"its version is not {cls._VERSION}")
             derived = hasattr(cls, "statement")  # a property, not a field
             claimed = values.pop("statement", None) if derived else values.get("statement")
             found = from_json(cls, values)
@@ -67,7 +67,7 @@ class SealedText(Saved):
             return found
         except MALFORMED as error:
             raise FileError(
-                f"the text is not a certificate{cls.OF} of this version: {error}"
+                f"the text is not a certificate{cls._OF} of this version: {error}"
             ) from None
 
 
