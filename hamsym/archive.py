@@ -1,79 +1,74 @@
-"""Files of solutions, of one or of many, of flow maps and trajectories: save and load.
+"""Files of results: save and load.
 
-A file is accepted only if it describes exactly a solution that a solver returns: every type, shape,
-order and value is checked when it is loaded and when it is saved.
+A file is accepted only if it is exactly what is written: every type, shape, order and value is
+checked when it is loaded and when it is saved (:mod:`hamsym.support.records`).
 """
 
 from __future__ import annotations
 
-import math
 import os
+import stat
 from dataclasses import fields
-from types import SimpleNamespace
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from hamsym.description import described, hamiltonian_from, read_result, write_result
-from hamsym.families.solutions import Solutions
-from hamsym.families.storage import KIND, is_store, open_store, read_solutions, write_solutions
-from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.flow_maps.storage import KIND as FLOW_MAP
-from hamsym.flow_maps.storage import read_flow_map, write_flow_map
-from hamsym.integrators.storage import KIND as TRAJECTORY
-from hamsym.integrators.storage import read_trajectory, write_trajectory
+import hamsym
+from hamsym.description import require_formula
+from hamsym.errors import FileError, InputError
+from hamsym.families.storage import is_store, open_store
+from hamsym.integrators.storage import require_trajectory
 from hamsym.integrators.trajectory import Trajectory
 from hamsym.methods import METHODS
-from hamsym.random_features.error_estimate import MarchError
 from hamsym.random_features.trial import FeatureTrial
-from hamsym.random_features.windows import March
-from hamsym.solution.digest import check_definition
-from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.suggestions import checked_keywords
-from hamsym.support.checked_data import (
-    arrays_of,
-    checked_list,
-    checked_record,
-    checked_values,
-    numbers_of,
-    require_array,
-    taken,
-)
-from hamsym.support.tensor_files import kind_of
+from hamsym.support.atomic import write_file
+from hamsym.support.record_fields import NotDataError, check_also
+from hamsym.support.records import MALFORMED, packed, unpacked
+from hamsym.support.sealed_text import SealedText, kind_of_text
+from hamsym.support.tensor_files import kind_of, one_line, read_tensors, write_tensors
 
-_KIND = "solution"
-_PLAIN = {
-    "span": "tuple[float, float]",
-    "method": "str",
-    "energy_weight": "float",
-    "success": "bool",
-    "message": "str",
+#: Public classes of results by the kinds of their files.
+KINDS = {
+    "solution": "Solution",
+    "solutions": "Solutions",
+    "flow map": "FlowMap",
+    "trajectory": "Trajectory",
+    "section": "Section",
+    "orbit": "PeriodicOrbit",
+    "orbit family": "OrbitFamily",
+    "fit": "Fit",
+    "enclosure": "Enclosure",
 }
-_TYPES = _PLAIN | dict.fromkeys(("H", "trial"), "Mapping[str, Any]")
-_OPTIONAL = dict.fromkeys(("error", "settings"), "Mapping[str, Any]")
-# Arrays of a march that are also arrays of its trial solution, and are stored once.
-_IN_TRIAL = ("edges", "states", "readouts")
+
+
+#: Those of certificates, whose files are text.
+CERTIFICATES = {
+    "hamsym certificate": "Certificate",
+    "hamsym flow map certificate": "BoxCertificate",
+    "hamsym orbit certificate": "OrbitCertificate",
+}
+_LARGEST = 2**25  # bytes of a certificate
 
 
 @checked_keywords
-def save(
-    solution: Solution | Solutions | FlowMap | Trajectory, path: str | os.PathLike[str]
-) -> None:
-    """Write a solution, or many, a flow map or a trajectory to a file that :func:`load` reads.
+def save(result: Any, path: str | os.PathLike[str]) -> None:
+    """Write a result to a file that :func:`load` reads.
 
     Parameters
     ----------
-    solution : Solution, Solutions, FlowMap or Trajectory
+    result : Solution, Solutions, FlowMap, Trajectory, Section, PeriodicOrbit, OrbitFamily, Fit, \
+Enclosure or a certificate
     path : path-like
-        File in the safetensors format, replaced in one step.
+        File in the safetensors format, or text of JSON for a certificate, replaced in one step.
 
     Raises
     ------
     FileError
-        If the file cannot be written, or the solution is invalid.
+        If the file cannot be written, or the result is invalid.
     InputError
-        If its network is a module of the caller's, whose code is not data.
+        If it is no result that has files, or its network is a module of the caller's, whose code
+        is not data.
 
     Examples
     --------
@@ -85,16 +80,26 @@ def save(
     >>> bool((again([1.0, 2.0]) == solution([1.0, 2.0])).all())
     True
     """
-    if isinstance(solution, Solutions):
-        write_solutions(solution, path)
+    if isinstance(result, SealedText):
+        text = result.to_json()
+        certificate_from(text)
+        write_file(path, text.encode())
         return
-    if isinstance(solution, FlowMap):
-        write_flow_map(solution, path)
-        return
-    if isinstance(solution, Trajectory):
-        write_trajectory(solution, path)
-        return
-    write_result(path, _KIND, solution.H, lambda: _check(solution), lambda: parts(solution))
+    found = [kind for kind, name in KINDS.items() if name == type(result).__name__]
+    if not found:
+        known = ", ".join(KINDS.values())
+        raise InputError(f"a {type(result).__name__} has no files; give one of {known}")
+    try:
+        arrays, values = packed(result)
+    except (FileError, NotDataError):
+        raise
+    except MALFORMED as error:
+        verb = "are" if found[0].endswith("s") else "is"
+        raise FileError(
+            f"'{path}' was not written, because the {found[0]} {verb} not valid: {one_line(error)}"
+        ) from None
+    require_formula(path, result.ensemble.H if hasattr(result, "ensemble") else result.H)
+    write_tensors(path, found[0], arrays, values)
 
 
 @checked_keywords
@@ -108,8 +113,9 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    Solution, Solutions, FlowMap or Trajectory
-        The windows of a store are read when they are needed.
+    Any
+        The result. The windows of a store are read when they are needed. A certificate or an
+        enclosure is not proven again; see :func:`hamsym.verify`.
 
     Raises
     ------
@@ -119,142 +125,74 @@ def load(path: str | os.PathLike[str]) -> Any:
     if is_store(path):
         return open_store(path)
     kind = kind_of(path)
-    if kind == FLOW_MAP:
-        return read_flow_map(path)
-    if kind == TRAJECTORY:
-        return read_trajectory(path)
-    return read_solutions(path) if kind == KIND else load_solution(path)
+    if kind is None and _is_text(path):
+        return read_certificate(Path(path))
+    return load_as(kind if kind in KINDS else "solution", path)
+
+
+def load_as(kind: str, path: str | os.PathLike[str]) -> Any:
+    """Read a file of one kind; see :func:`load`."""
+    arrays, values = read_tensors(path, kind)
+    try:
+        return unpacked(getattr(hamsym, KINDS[kind]), arrays, values)
+    except MALFORMED as error:
+        noun = kind if kind.endswith("s") else f"a {kind}"
+        raise FileError(f"'{path}' is not a valid file of {noun}: {one_line(error)}") from None
 
 
 def load_solution(path: str | os.PathLike[str]) -> Solution:
     """Read a file of one solution; see :func:`load`."""
-    return read_result(path, _KIND, _checked)
+    found: Solution = load_as("solution", path)
+    return found
 
 
-def _checked(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution:
-    solution = assembled(arrays, values)
-    _check(solution)
-    return solution
+def certificate_from(text: str) -> Any:
+    """Read the text of a certificate of a solution, a flow map or an orbit; nothing is proven.
+
+    Raise FileError if the text is not a certificate.
+    """
+    name = CERTIFICATES.get(kind_of_text(text), "Certificate")
+    return getattr(hamsym, name).from_json(text)
 
 
-def parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Return the arrays and JSON values from which :func:`assembled` builds the solution."""
-    record, error = solution.record, solution.error
-    arrays = {f"trial.{name}": array for name, array in solution.trial.arrays().items()}
-    arrays["z0"] = solution.z0
-    values: dict[str, Any] = {
-        "H": described(solution.H),
-        "span": [float(time) for time in solution.span],
-        "method": solution.method,
-        "energy_weight": float(solution.energy_weight),
-        "success": bool(solution.success),
-        "message": solution.message,
-        "trial": solution.trial.describe(),
-    }
-    if isinstance(record, March):
-        values["march"] = numbers_of(record)
-        own = arrays_of("march", record)
-        arrays |= {n: a for n, a in own.items() if n.partition(".")[2] not in _IN_TRIAL}
-    elif record.history is record:
-        values["chain"] = numbers_of(record)
-        arrays |= arrays_of("chain", record)
-    else:
-        values["training"] = numbers_of(record)
-        arrays |= arrays_of("history", record.history)
-    if error is not None:
-        values["error"] = numbers_of(error)
-        arrays |= arrays_of("error", error)
-    if solution.settings is not None:
-        values["settings"] = solution.settings.described()
-    return arrays, values
+def read_certificate(path: Path) -> Any:
+    """Read the file of a certificate; nothing is proven.
+
+    Raise FileError if the file cannot be read, or has no certificate.
+    """
+    try:
+        status = path.stat()
+        if stat.S_ISREG(status.st_mode) and status.st_size > _LARGEST:
+            raise FileError(f"'{path}' is too large for a certificate")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"'{path}' cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise FileError(f"'{path}' is not a certificate") from None
+    return certificate_from(text)
 
 
-def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution:
-    """Build a solution from its :func:`parts`."""
-    record_name = next((name for name in ("training", "chain") if name in values), "march")
-    present = {name: kind for name, kind in _OPTIONAL.items() if name in values}
-    types = _TYPES | {record_name: "Mapping[str, Any]"} | present
-    found = checked_values("values", values, types)
-    given = dict(arrays)
-    z0 = given.pop("z0")
-    formula = found["H"]
-    dim = len(checked_list("q", formula["q"])) + len(checked_list("p", formula["p"]))
-    # The numbers of components and names are compared before anything is built from them.
-    require_array("z0", z0, (dim,))
-    form, own = found["trial"], taken(given, "trial")
-    if form["form"] == "features":
-        trial: Any = FeatureTrial.from_description(form, own, dim)
-    else:
-        networks = _of_networks()
-        kind = networks.Chain if form["form"] == "chain" else networks.TrialSolution
-        trial = kind.from_description(form, own, dim)
-    error = None
-    if "error" in found:
-        kind = _of_networks().ChainError if record_name == "chain" else MarchError
-        error = checked_record(kind, found["error"], taken(given, "error"))
-    if record_name == "training":
-        history = checked_record(_of_networks().History, {}, taken(given, "history"))
-        record: Any = checked_record(
-            _of_networks().Training, found[record_name], {"history": history}
-        )
-    elif record_name == "chain":
-        record = checked_record(
-            _of_networks().ChainTraining, found[record_name], taken(given, "chain")
-        )
-    else:
-        march = {name: own[name] for name in _IN_TRIAL} | taken(given, "march")
-        record = checked_record(March, found["march"], march)
-    if given:
-        raise ValueError(f"'{min(given)[:40]}' is not a part of a solution")
-    settings = Settings.from_description(found["settings"], dim) if "settings" in found else None
-    return Solution(
-        H=hamiltonian_from(formula),
-        z0=z0,
-        trial=trial,
-        record=record,
-        error=error,
-        settings=settings,
-        **{name: found[name] for name in _PLAIN},
-    )
+def _is_text(path: str | os.PathLike[str]) -> bool:
+    """Return whether a regular file begins as the text of a certificate does."""
+    try:
+        file = Path(path)
+        if not file.is_file():  # to open a pipe may never end
+            return False
+        with file.open("rb") as opened:
+            return opened.read(1) == b"{"
+    except (OSError, ValueError, TypeError):  # it is no path
+        return False
 
 
-def _of_networks() -> Any:
-    """Return the classes of networks, whose modules import torch, which marches do not need."""
-    from hamsym.networks.chain import Chain, ChainTraining
-    from hamsym.networks.chain_error import ChainError
-    from hamsym.networks.record import History, Training
-    from hamsym.networks.trial import TrialSolution
-
-    kinds = (Chain, ChainTraining, ChainError, History, Training, TrialSolution)
-    return SimpleNamespace(**{kind.__name__: kind for kind in kinds})
-
-
-def _check(solution: Solution) -> None:
-    """Raise ValueError unless a solution is valid."""
-    check_definition(solution)
-    trial, record, error = solution.trial, solution.record, solution.error
-    if not isinstance(solution.success, (bool, np.bool_)):
-        raise ValueError("its success is not a bool")
-    if not 0 <= solution.energy_weight < math.inf:
-        raise ValueError("its energy_weight is negative or not finite")
-    marched = isinstance(trial, FeatureTrial)
-    if marched != isinstance(record, March):
-        raise ValueError("its record does not belong to its trial solution")
+def _check_method(solution: Solution) -> None:
+    """Raise ValueError unless the method of a solution can return it."""
     method = METHODS.get(solution.method)
-    if method is None or method.marches != marched:
+    if method is None or method.marches != isinstance(solution.trial, FeatureTrial):
         raise ValueError(f"method '{solution.method}' does not return such a trial solution")
     if solution.settings is not None:
-        solution.settings.check({entry.name for entry in fields(method.options)}, solution.span)
-    record.check(trial)
-    windows = record.edges is not None
-    if error is not None:
-        if not windows or marched != isinstance(error, MarchError):
-            raise ValueError("its error estimate is that of another method")
-        error.check(trial, finite=solution.success)
-    elif windows and solution.success:
-        raise ValueError("its error estimate is missing")
-    if solution.success:
-        for part in (record, error):
-            for name, value in numbers_of(part).items() if part is not None else ():
-                if isinstance(value, float) and not math.isfinite(value):
-                    raise ValueError(f"its success is true, but its {name} is not finite")
+        names = {entry.name for entry in fields(method.options)}
+        solution.settings.require_method(names, solution.H.dim, solution.span)
+
+
+check_also(Solution, _check_method)
+check_also(Trajectory, require_trajectory)

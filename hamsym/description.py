@@ -1,63 +1,94 @@
-"""Conversion of a Hamiltonian to JSON values and back, and files of results of one."""
+"""Conversion of a Hamiltonian to JSON values and back, and to attributes of tables."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import fields
-from typing import Any, TypeVar
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import sympy
 
 import hamsym
-from hamsym.errors import FileError, HamsymError
+from hamsym.errors import FileError
 from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
 from hamsym.formula.parser import MAX_BITS, MAX_EFFORT, MAX_SECONDS, parse_expression
 from hamsym.formula.printer import FormulaPrinter
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.checked_data import checked_list, checked_mapping, checked_type, checked_values
-from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
+from hamsym.support.record_fields import convert
+from hamsym.support.records import MALFORMED, as_json, from_json
 from hamsym.support.validation import plain
-
-R = TypeVar("R")
 
 _TAKEN = {"H", "confidence", "dt", "hamsym", "method", "reference_error", "span", "steps", "tol"}
 _LARGEST_POWER = 1_100  # of two, in a number of the formula; float64 ends at 1,024
-_FORMULA = {"formula": "str", "floats": "Mapping[str, Any]"}
-_TYPES = _FORMULA | {
-    **dict.fromkeys(("q", "p"), "tuple[str, ...]"),
-    "parameters": "Mapping[str, float]",
-}
-#: Errors that parts of the package raise for values that are not those of a solution.
-MALFORMED = (
-    *(ArithmeticError, AssertionError, AttributeError, HamsymError, LookupError, RuntimeError),
-    *(TypeError, ValueError),
-)
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A formula as text.
+
+    Its binary fractions are listed separately, since numbers in text are parsed as decimals.
+    """
+
+    formula: str
+    #: Sign, mantissa, exponent and precision, by name.
+    floats: Mapping[str, tuple[int, str, int, int]]
+
+
+@dataclass(frozen=True)
+class HamiltonianData:
+    """A Hamiltonian as data."""
+
+    formula: Formula
+    q: tuple[str, ...]
+    p: tuple[str, ...]
+    parameters: Mapping[str, float]
+    units: Mapping[str, str]
+    forces: Mapping[str, Formula]
 
 
 def described(H: Hamiltonian) -> dict[str, Any]:
     """Return a Hamiltonian as JSON values.
 
-    The formula is text; its binary fractions are listed separately, since numbers in text
-    are parsed as decimals.
-
     Raise FileError if it has a constant that is written as a rounded decimal.
     """
-    values = {
-        **_marked(H.expr, H.names),
-        "q": [symbol.name for symbol in H.q],
-        "p": [symbol.name for symbol in H.p],
-        "parameters": dict(H.parameters),
-    }
-    if H.units:
-        values["units"] = dict(H.units)
-    if H.forces:
-        values["forces"] = {name: _marked(force, H.names) for name, force in H.forces.items()}
-    return values
+    found: dict[str, Any] = as_json(H)
+    return found
 
 
-def _marked(expr: sympy.Expr, names_of_state: Collection[str]) -> dict[str, Any]:
+def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
+    """Return the Hamiltonian of the values of :func:`described`.
+
+    Raise ValueError, HamsymError if the values are invalid.
+    """
+    return from_json(Hamiltonian, values)
+
+
+def _data_of(H: Hamiltonian) -> HamiltonianData:
+    return HamiltonianData(
+        _marked(H.expr, H.names),
+        tuple(symbol.name for symbol in H.q),
+        tuple(symbol.name for symbol in H.p),
+        dict(H.parameters),
+        dict(H.units),
+        {name: _marked(force, H.names) for name, force in H.forces.items()},
+    )
+
+
+def _from_data(data: HamiltonianData) -> Hamiltonian:
+    forces = {name: _expression(force) for name, force in data.forces.items()}
+    return Hamiltonian(
+        _expression(data.formula),
+        q=data.q,
+        p=data.p,
+        parameters=data.parameters,
+        units=data.units,
+        forces=forces,
+    )
+
+
+def _marked(expr: sympy.Expr, names_of_state: Collection[str] = ()) -> Formula:
     """A formula as text, with its binary fractions beside it."""
     constants = expr.atoms(sympy.NumberSymbol) - {sympy.pi, sympy.E}
     if constants:
@@ -72,51 +103,13 @@ def _marked(expr: sympy.Expr, names_of_state: Collection[str]) -> dict[str, Any]
             name += "_"
         names.append(name)
     marked = expr.xreplace(dict(zip(floats, map(sympy.Symbol, names), strict=True)))
-    return {
-        "formula": FormulaPrinter()(marked),
-        "floats": {
-            name: [int(number._mpf_[0]), str(number._mpf_[1]), int(number._mpf_[2]), number._prec]
+    return Formula(
+        FormulaPrinter()(marked),
+        {
+            name: (int(number._mpf_[0]), str(number._mpf_[1]), int(number._mpf_[2]), number._prec)
             for name, number in zip(names, floats, strict=True)
         },
-    }
-
-
-def write_result(
-    path: str | os.PathLike[str],
-    kind: str,
-    H: Hamiltonian,
-    check: Callable[[], None],
-    parts: Callable[[], tuple[Mapping[str, np.ndarray], dict[str, Any]]],
-) -> None:
-    """Write the arrays and values of a result to a file of its kind, if it passes its check.
-
-    Raise FileError if it does not, H has no formula that is read back as it is, or the file cannot
-    be written.
-    """
-    try:
-        check()
-    except MALFORMED as error:
-        verb = "are" if kind.endswith("s") else "is"
-        raise FileError(
-            f"'{path}' was not written, because the {kind} {verb} not valid: {one_line(error)}"
-        ) from None
-    require_formula(path, H)
-    write_tensors(path, kind, *parts())
-
-
-def read_result(
-    path: str | os.PathLike[str], kind: str, assembled: Callable[[dict[str, Any], Any], R]
-) -> R:
-    """Return what a function makes of the arrays and values of a file of this kind.
-
-    Raise FileError if the file cannot be read, is damaged or not valid.
-    """
-    arrays, values = read_tensors(path, kind)
-    try:
-        return assembled(arrays, values)
-    except MALFORMED as error:
-        noun = kind if kind.endswith("s") else f"a {kind}"
-        raise FileError(f"'{path}' is not a valid file of {noun}: {one_line(error)}") from None
+    )
 
 
 def require_formula(path: str | os.PathLike[str], H: Hamiltonian) -> None:
@@ -178,32 +171,13 @@ def settings_text(
     }
 
 
-def hamiltonian_from(values: dict[str, Any]) -> Hamiltonian:
-    """Return the Hamiltonian of the values of :func:`described`.
-
-    Raise ValueError, HamsymError if the values are invalid.
-    """
-    optional = {"forces", "units"} & values.keys()  # absent without any
-    types = _TYPES | dict.fromkeys(optional, "Mapping[str, Any]")
-    given = {"forces": {}, "units": {}} | checked_values("H", values, types)
-    forces = {
-        name: _expression(checked_values("force", checked_mapping("force", force), _FORMULA))
-        for name, force in given["forces"].items()
-    }
-    about = {name: given[name] for name in ("q", "p", "parameters", "units")}
-    return Hamiltonian(_expression(given), forces=forces, **about)
-
-
-def _expression(values: Mapping[str, Any]) -> sympy.Expr:
+def _expression(data: Formula) -> sympy.Expr:
     """The expression of a formula and its binary fractions."""
-    floats = values["floats"]
-    expr = parse_expression(values["formula"])
+    expr = parse_expression(data.formula)
     symbols = {symbol.name: symbol for symbol in expr.free_symbols}
-    if not floats.keys() <= symbols.keys():
+    if not data.floats.keys() <= symbols.keys():
         raise ValueError("a number is listed that does not occur in its formula")
-    numbers = {
-        symbols[name]: _float(*checked_list(name, number, 4)) for name, number in floats.items()
-    }
+    numbers = {symbols[name]: _float(*number) for name, number in data.floats.items()}
     try:
         with call_limit(MAX_EFFORT, MAX_SECONDS):
             return _with_numbers(expr, numbers)
@@ -211,18 +185,15 @@ def _expression(values: Mapping[str, Any]) -> sympy.Expr:
         raise ValueError("its formula takes too long to evaluate") from None
 
 
-def _float(sign: Any, mantissa: Any, exponent: Any, precision: Any) -> sympy.Float:
+def _float(sign: int, mantissa: str, exponent: int, precision: int) -> sympy.Float:
     """Return a binary fraction from its parts, whose sizes are limited."""
-    plain = isinstance(mantissa, str) and mantissa.isascii() and mantissa.isdigit()
-    if checked_type("sign", sign, "int") not in (0, 1) or not plain or len(mantissa) > MAX_BITS:
+    plain = mantissa.isascii() and mantissa.isdigit()
+    if sign not in (0, 1) or not plain or len(mantissa) > MAX_BITS:
         raise ValueError("a number of its formula is invalid")
     digits = int(mantissa)
     size = digits.bit_length()
-    if not (
-        0 < checked_type("precision", precision, "int") <= MAX_BITS
-        and size <= MAX_BITS
-        and abs(checked_type("exponent", exponent, "int") + size) <= _LARGEST_POWER
-    ):
+    limited = 0 < precision <= MAX_BITS and size <= MAX_BITS
+    if not (limited and abs(exponent + size) <= _LARGEST_POWER):
         raise ValueError("a number of its formula is out of range")
     return sympy.Float((sign, digits, exponent, size), precision=precision)
 
@@ -244,3 +215,7 @@ def _with_numbers(expr: sympy.Expr, numbers: Mapping[sympy.Symbol, sympy.Float])
             if (not value.is_Float and not value.is_Rational) or abs(value) > 1e308:
                 raise ValueError("a number of its formula is not finite")
     return expr
+
+
+convert(sympy.Expr, Formula, _marked, _expression)
+convert(Hamiltonian, HamiltonianData, _data_of, _from_data, lambda H: {"dim": H.dim})

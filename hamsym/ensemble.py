@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from hamsym.errors import VariableError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
+from hamsym.support.record_fields import Count, Limit, floats
 from hamsym.symbolic.states import parameter_arrays, states_array
 
 
@@ -19,17 +21,29 @@ class Ensemble:
 
     #: With a value for every parameter; those of the first member where they differ.
     H: Hamiltonian
-    #: Initial states, shape (count, dim).
-    states: np.ndarray
-    #: Values in the order of ``H.parameter_names``, shape (count, parameters).
-    parameters: np.ndarray
-    #: Shape in which the caller arranged the members, of ``count`` entries; () for one start.
-    shape: tuple[int, ...]
+    #: Initial states.
+    states: Annotated[np.ndarray, floats("members", "dim", finite=False)]
+    #: Values in the order of ``H.parameter_names``.
+    parameters: Annotated[np.ndarray, floats("members", "parameters")]
+    #: Shape in which the caller arranged the members; () for one start.
+    shape: Annotated[tuple[Count, ...], Limit(most=32)]
     #: Names of the parameters that were given as arguments.
     varied: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.states)
+
+    def check(self) -> None:
+        """Raise ValueError unless the members have its shape, and only known parameters vary."""
+        self.H.require_parameters()
+        names, varied = self.H.parameter_names, {*self.varied}
+        if math.prod(self.shape) != len(self):
+            raise ValueError("its shape differs from its number of members")
+        if not varied <= {*names} or len(varied) != len(self.varied):
+            raise ValueError("a parameter varies that H does not have")
+        for name, column in zip(names, self.parameters.T, strict=True):
+            if name not in varied and not (column == self.H.parameters[name]).all():
+                raise ValueError(f"'{name[:40]}' differs from its value in H")
 
     def own_parameters(self, rows: Any = slice(None)) -> np.ndarray | None:
         """Return the parameters of some members, or None where all have those of H."""

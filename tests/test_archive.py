@@ -27,9 +27,9 @@ import torch
 
 import hamsym
 from hamsym import FileError, Hamiltonian, InputError
-from hamsym.archive import parts
 from hamsym.random_features.basis import rate_series
 from hamsym.solution.digest import digest
+from hamsym.support.records import packed
 from hamsym.support.tensor_files import kind_of, read_tensors, write_tensors
 from hamsym.systems import Problem
 
@@ -111,20 +111,25 @@ def test_foreign_and_damaged_files_are_refused(tmp_path: Path) -> None:
     def changed(**values: object) -> None:
         header = json.loads(whole[8 : 8 + length])
         metadata = json.loads(header["__metadata__"]["hamsym"])
-        header["__metadata__"]["hamsym"] = json.dumps({**metadata, **values})
+        head = {key: values.pop(key) for key in ("version", "kind", "sha256") if key in values}
+        metadata["values"] |= values
+        header["__metadata__"]["hamsym"] = json.dumps({**metadata, **head})
         text = json.dumps(header).encode()
         path.write_bytes(sealed(struct.pack("<Q", len(text)) + text + whole[8 + length :]))
 
     for values, message in (
-        ({"version": 99}, "version 99; this hamsym reads version 2"),
-        ({"version": 1}, "file version 1; this hamsym reads version 2"),
+        ({"version": 99}, "version 99; this hamsym reads version 3"),
+        ({"version": 2}, "file version 2; this hamsym reads version 3"),
         ({"kind": "checkpoint"}, "of kind checkpoint, not solution"),
         ({"sha256": "0" * 63}, "damaged"),
         ({"sha256": 3}, "damaged"),
         ({"span": "long"}, "not a valid file of a solution"),
         ({"H": {"formula": "__import__('os')", "floats": {}}}, "not a valid file of a solution"),
         ({"trial": {"form": "network"}}, "not a valid file of a solution"),
-        ({"H": {"formula": "p**2 + x**2", "floats": [1]}}, "not a valid file of a solution"),
+        (
+            {"H": {"formula": {"formula": "p**2 + x**2", "floats": [1]}}},
+            "not a valid file of a solution",
+        ),
     ):
         changed(**values)
         with pytest.raises(FileError, match=message):
@@ -143,11 +148,13 @@ def test_invalid_paths_are_refused(path: object) -> None:
 def test_inconsistent_windows_are_refused(tmp_path: Path) -> None:
     solution = hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1))
     trial = dataclasses.replace(solution.trial, states=solution.trial.states[:, :1])
+    arrays, values = packed(solution)
+    arrays["trial.states"] = trial.states
+    write_tensors(tmp_path / "a", "solution", arrays, values)
     solution = dataclasses.replace(solution, trial=trial)
-    write_tensors(tmp_path / "a", "solution", *parts(solution))
-    with pytest.raises(FileError, match="'states' has shape"):
+    with pytest.raises(FileError, match="states' has shape"):
         hamsym.load(tmp_path / "a")
-    with pytest.raises(FileError, match="'states' has shape"):
+    with pytest.raises(FileError, match="states' has shape"):
         solution.save(tmp_path / "b")
     assert not (tmp_path / "b").exists()
 
@@ -410,7 +417,7 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
     ),
     "float64 weights": (
         "network",
-        _made("trial.network.theta", _as(np.float64)),
+        _made("trial.weights", _as(np.float64)),
         "size and type",
     ),
     "another z0": ("features", _made("z0", _next), "does not start at its z0"),
@@ -424,10 +431,10 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
     ),
     "permuted edges": ("features", _made("trial.edges", _swapped_edges), "not in order"),
     "equal edges": ("features", _made("trial.edges", lambda a: a * 0), "not in order"),
-    "no edges": ("features", _made("trial.edges", lambda a: a[:0]), "no windows"),
+    "no edges": ("features", _made("trial.edges", lambda a: a[:0]), "edges' has shape"),
     "NaN": ("features", _made("trial.readouts", _last(math.nan)), "not finite"),
     "infinity": ("features", _made("trial.states", _last(math.inf)), "not finite"),
-    "NaN weight": ("network", _made("trial.network.theta", _last(math.nan)), "not finite"),
+    "NaN weight": ("network", _made("trial.weights", _last(math.nan)), "not finite"),
     "NaN z0": ("features", _made("z0", _last(math.nan)), "not finite"),
     "NaN error": ("features", _made("error.series", _last(math.nan)), "not finite"),
     "infinite floor": ("features", _made("error.floors", _last(math.inf)), "not finite"),
@@ -455,19 +462,35 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
         lambda tensors, values: tensors.update(more=tensors["z0"]),
         "'more'",
     ),
-    "missing tensor": ("features", lambda tensors, values: tensors.pop("error.floors"), "'floors'"),
+    "missing tensor": (
+        "features",
+        lambda tensors, values: tensors.pop("error.floors"),
+        "floors' of its arrays is missing",
+    ),
     "further value": ("features", _set("more", to=1), "'more'"),
-    "missing value": ("features", _set("march", "seed", to=None), "'seed'"),
-    "longer span": ("features", _set("span", to=[0, 3]), "span differs from that of its windows"),
-    "shorter span": ("features", _set("span", to=[0, 1]), "span differs from that of its windows"),
-    "turned span": ("backwards", _set("span", to=[-1, 2]), "span differs from that of its windows"),
-    "earlier span": ("network", _set("span", to=[-1, 2]), "span is not that of its network"),
-    "three times": ("features", _set("span", to=[0, 1, 2]), "span"),
-    "giant span": ("features", _set("span", to=[0, _GIANT]), "'span' is too large"),
-    "endless span": ("network", _set("span", to=[0, math.inf]), "'span' is not finite"),
-    "NaN span": ("network", _set("span", to=[0, math.nan]), "'span' is not finite"),
-    "NaN tau": ("network", _set("trial", "tau", to=math.nan), "'tau' is not finite"),
-    "giant tau": ("network", _set("trial", "tau", to=_GIANT), "'tau' is too large"),
+    "missing value": ("features", _set("record", "seed", to=None), "'seed'"),
+    "longer span": (
+        "features",
+        _set("span", to=[0.0, 3.0]),
+        "span differs from that of its windows",
+    ),
+    "shorter span": (
+        "features",
+        _set("span", to=[0.0, 1.0]),
+        "span differs from that of its windows",
+    ),
+    "turned span": (
+        "backwards",
+        _set("span", to=[-1.0, 2.0]),
+        "span differs from that of its windows",
+    ),
+    "earlier span": ("network", _set("span", to=[-1.0, 2.0]), "span is not that of its network"),
+    "three times": ("features", _set("span", to=[0.0, 1.0, 2.0]), "span"),
+    "giant span": ("features", _set("span", to=[0.0, _GIANT]), "'span.1' is not of type float"),
+    "endless span": ("network", _set("span", to=[0.0, math.inf]), "'span.1' is not finite"),
+    "NaN span": ("network", _set("span", to=[0.0, math.nan]), "'span.1' is not finite"),
+    "NaN tau": ("network", _set("trial", "tau", to=math.nan), "tau' is not finite"),
+    "giant tau": ("network", _set("trial", "tau", to=_GIANT), "tau' is not of type float"),
     "tau of zero": ("network", _set("trial", "tau", to=0.0), "span is not that of its network"),
     "negative tau": ("network", _set("trial", "tau", to=-1.0), "span is not that of its network"),
     "huge sizes": (
@@ -482,59 +505,76 @@ _EDITS: dict[str, tuple[str, Callable[[dict, dict], None], str]] = {
     ),
     "negative sizes": ("network", _set("trial", "sizes", to=[1, 50, -50, 2]), "layer sizes"),
     "NaN frequency": ("network", _set("trial", "frequency", to=math.nan), "frequency"),
-    "another form": ("network", _set("trial", "form", to="features"), "unknown"),
+    "another form": ("network", _set("trial", "form", to="features"), "is missing|unknown"),
     "another method": ("features", _set("method", to="adam"), "does not return such"),
     "number of success": ("features", _set("success", to=1), "'success' is not of type bool"),
     "NaN weight of energy": ("network", _set("energy_weight", to=math.nan), "not finite"),
-    "giant weight of energy": ("network", _set("energy_weight", to=_GIANT), "too large"),
-    "another time reached": ("features", _set("march", "reached", to=1.0), "does not end at"),
-    "fewer iterations": ("network", _set("training", "iterations", to=3), "has shape"),
-    "giant seed": ("features", _set("march", "seed", to=10**300), "'seed' is out of range"),
-    "truth as seed": ("features", _set("march", "seed", to=True), "'seed' is not of type int"),
+    "giant weight of energy": ("network", _set("energy_weight", to=_GIANT), "not of type float"),
+    "another time reached": ("features", _set("record", "reached", to=1.0), "does not end at"),
+    "fewer iterations": ("network", _set("record", "iterations", to=3), "number of iterations"),
+    "giant seed": ("features", _set("record", "seed", to=10**300), "seed' is out of range"),
+    "truth as seed": ("features", _set("record", "seed", to=True), "seed' is not of type int"),
     "infinite parameter": (
         "networks",
         _set(
             "H",
             to={
-                "formula": "p**2/2 - k*cos(x)",
-                "floats": {},
+                "formula": {"formula": "p**2/2 - k*cos(x)", "floats": {}},
                 "q": ["x"],
                 "p": ["p"],
                 "parameters": {"k": math.inf},
+                "units": {},
+                "forces": {},
             },
         ),
-        "'k' is not finite",
+        "k' is not finite",
     ),
     "unbound parameter": (
         "networks",
-        _set("H", "formula", to="p**2/2 - k*cos(x)"),
+        _set("H", "formula", "formula", to="p**2/2 - k*cos(x)"),
         "k has no value",
     ),
-    "more components": ("networks", _set("H", "q", to=["x", "y"]), "has shape"),
+    "more components": ("networks", _set("H", "q", to=["x", "y"]), "not a valid file"),
     "endless names": ("networks", _set("H", "q", to=["x"] * 20_000), "10,000 entries"),
     "no H": ("networks", _set("H", to=3), "'H' is not a mapping"),
-    "long formula": ("networks", _set("H", "formula", to="x + " * 20_000 + "p"), "formula"),
-    "exponent": ("backwards", _set("H", "floats", "number0", to=[0, "1", 2**30, 53]), "range"),
+    "long formula": (
+        "networks",
+        _set("H", "formula", "formula", to="x + " * 20_000 + "p"),
+        "formula",
+    ),
+    "exponent": (
+        "backwards",
+        _set("H", "formula", "floats", "number0", to=[0, "1", 2**30, 53]),
+        "range",
+    ),
     "giant exponent": (
         "backwards",
-        _set("H", "floats", "number0", to=[0, "1", _GIANT, 53]),
+        _set("H", "formula", "floats", "number0", to=[0, "1", _GIANT, 53]),
         "range",
     ),
     "tiny exponent": (
         "backwards",
-        _set("H", "floats", "number0", to=[0, "1", -(2**30), 53]),
+        _set("H", "formula", "floats", "number0", to=[0, "1", -(2**30), 53]),
         "range",
     ),
-    "precision": ("backwards", _set("H", "floats", "number0", to=[0, "1", 0, 2**30]), "range"),
+    "precision": (
+        "backwards",
+        _set("H", "formula", "floats", "number0", to=[0, "1", 0, 2**30]),
+        "range",
+    ),
     "long mantissa": (
         "backwards",
-        _set("H", "floats", "number0", to=[0, "9" * 99_999, 0, 53]),
+        _set("H", "formula", "floats", "number0", to=[0, "9" * 99_999, 0, 53]),
         "invalid",
     ),
-    "short number": ("backwards", _set("H", "floats", "number0", to=[0, "1"]), "2 entries, not 4"),
+    "short number": (
+        "backwards",
+        _set("H", "formula", "floats", "number0", to=[0, "1"]),
+        "2 entries, not 4",
+    ),
     "tower": (
         "backwards",
-        lambda tensors, values: values["H"].update(
+        lambda tensors, values: values["H"]["formula"].update(
             formula=_TOWER, floats={"number0": [0, "21", 0, 53]}
         ),
         "not finite",
@@ -599,7 +639,7 @@ def test_edited_file_loads_only_if_rewritten_equal(saved: dict[str, Path], tmp_p
             continue
         loaded += 1
         tensors, values = read_tensors(path, "solution")
-        again_tensors, again_values = parts(solution)
+        again_tensors, again_values = packed(solution)
         assert tensors.keys() == again_tensors.keys()
         for name, tensor in tensors.items():
             assert tensor.tobytes() == again_tensors[name].tobytes(), name
@@ -632,16 +672,16 @@ def test_digest_refuses_other_types(name: str, saved: dict[str, Path]) -> None:
     for dtype in (np.complex64, np.complex128, np.int64, np.float32):
         trial = dataclasses.replace(solution.trial, **{name: original.astype(dtype)})
         changed = dataclasses.replace(solution, trial=trial)
-        with pytest.raises(InputError, match=f"'{name}' is not of type float64"):
+        with pytest.raises(InputError, match=f"{name}' is not of type float64"):
             digest(changed)
-        with pytest.raises(FileError, match=f"'{name}' is not of type float64"):
+        with pytest.raises(FileError, match=f"{name}' is not of type float64"):
             changed.save("never written")
 
 
 def test_success_needs_finite_numbers(saved: dict[str, Path], tmp_path: Path) -> None:
     solution = hamsym.load(saved["features"])
     solution.error.largest[0] = math.nan
-    with pytest.raises(FileError, match="'largest error' is not finite"):
+    with pytest.raises(FileError, match="'largest' of its error is not finite"):
         solution.save(tmp_path / "a")
     # A failure may have an error that cannot be estimated.
     solution.judged(False, "failed").save(tmp_path / "a")

@@ -50,7 +50,7 @@ def export(file: str, output: str, certificate: str | None, allow_failed: bool) 
 
 def _certificate(path: Path, solution: Any) -> Any:
     """Return the certificate in a file, if it is that of a solution."""
-    from hamsym.proof.certificate_files import read_certificate
+    from hamsym.archive import read_certificate
     from hamsym.solution.digest import digest
 
     found = read_certificate(path)

@@ -70,9 +70,9 @@ def verify(file: str, certificate: str | None, time_limit: float | None) -> Repo
 
     Exit 1 if a bound of the certificate is not proven.
     """
+    from hamsym.archive import read_certificate
     from hamsym.proof.balls import decimal
     from hamsym.proof.box_certificate import BoxCertificate
-    from hamsym.proof.certificate_files import read_certificate
     from hamsym.proof.prove import verify as run
 
     claims = read_certificate(Path(certificate or f"{file}{CERTIFICATE}"))

@@ -11,7 +11,7 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -26,7 +26,8 @@ from hamsym.integrators.hidden_features import passed_over
 from hamsym.integrators.table import usable_method, usual_method
 from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.shown import Shown
+from hamsym.support.record_fields import AnyFloat, Size, counts, floats
+from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, time_name
 from hamsym.support.text_tables import ALL, table, wrapped
 from hamsym.support.validation import require_number, require_whole
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 @suggest_attributes
 @dataclass(frozen=True)
-class Section(Shown):
+class Section(Saved):
     """Crossings of a surface, ordered by trajectory and then in the direction of time.
 
     Attributes
@@ -79,20 +80,36 @@ class Section(Shown):
 
     surface: str
     names: tuple[str, ...]
-    t: np.ndarray = field(repr=False)
-    z: np.ndarray = field(repr=False)
-    trajectory: np.ndarray = field(repr=False)
-    z0: np.ndarray = field(repr=False)
-    energy_error: float
+    t: Annotated[np.ndarray, floats("crossings")] = field(repr=False)
+    z: Annotated[np.ndarray, floats("crossings", "dim")] = field(repr=False)
+    trajectory: Annotated[np.ndarray, counts("crossings")] = field(repr=False)
+    z0: Annotated[np.ndarray, floats("starts", "dim", finite=False)] = field(repr=False)
+    energy_error: AnyFloat
     method: str
     dt: float
-    seconds: float
+    seconds: Size
     success: bool
     message: str
     axes: tuple[str, str] = field(repr=False)
-    drift: float = math.nan
+    drift: AnyFloat = math.nan
     H: Hamiltonian | None = field(default=None, repr=False)
-    parameters: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
+    parameters: Mapping[str, Annotated[np.ndarray, floats("starts")]] = field(
+        default_factory=dict, repr=False
+    )
+
+    def check(self) -> None:
+        """Raise ValueError unless the crossings are those of trajectories of H, in order."""
+        if self.H is None or self.names != self.H.names or not {*self.axes} <= {*self.names}:
+            raise ValueError("its names are not those of H")
+        if not {*self.parameters} <= {*self.H.parameter_names}:
+            raise ValueError("a parameter varies that H does not have")
+        parse_surface(self.H, self.surface)
+        if not (self.trajectory < len(self.z0)).all():
+            raise ValueError("a crossing is that of no trajectory")
+        later = np.diff(self.t) * math.copysign(1.0, self.dt) >= 0
+        same, next_one = np.diff(self.trajectory) == 0, np.diff(self.trajectory) > 0
+        if not (next_one | (same & later)).all():
+            raise ValueError("its crossings are not in order")
 
     def __repr__(self) -> str:
         starts = len(np.unique(self.trajectory))

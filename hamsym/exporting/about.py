@@ -10,10 +10,10 @@ from typing import Any
 import hamsym
 from hamsym.errors import InputError
 from hamsym.proof.balls import decimal
-from hamsym.proof.certificate import check
 from hamsym.recipe import command_line, omissions, python_lines
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
+from hamsym.support.records import as_json
 
 _WIDTH = 96  # characters of a line
 
@@ -191,7 +191,7 @@ def checked_certificate(
             "solution.certify(), or Certificate.from_json(text)"
         )
     try:
-        check(certificate)
+        as_json(certificate)
     except ValueError as error:
         raise InputError(
             f"the certificate is not valid: {error}; give the result of solution.certify()"

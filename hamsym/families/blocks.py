@@ -18,14 +18,14 @@ from hamsym.conservation import KnownInvariants
 from hamsym.ensemble import Ensemble
 from hamsym.errors import InputError
 from hamsym.families.solutions import Family
-from hamsym.families.windows import ACCEPTED, MARCHED, REFUSED, Packed, Table
+from hamsym.families.windows import ACCEPTED, MARCHED, REFUSED, Note, Packed, Table
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.problem import InitialValueProblem
 from hamsym.random_features.members import Batch, MemberSolver
 from hamsym.random_features.method import basis_for, solve_by_march
 from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.solution.solution import Solution
-from hamsym.support.checked_data import numbers_of
+from hamsym.support.records import packed
 
 _CHECKED = 65_536  # members whose starts are checked at once
 
@@ -163,11 +163,11 @@ class BlockSolver:
         whole = self.packed(batch)
         edges = np.cumsum(np.where(accepted, table.counts + 1, 0))
         places = np.cumsum(np.where(accepted, table.counts, 0))
-        notes: dict[int, dict[str, Any]] = {}
+        notes: dict[int, Note] = {}
         parts, edge, window = [], 0, 0
         for place, solution in sorted(found.items()):
             if isinstance(solution, str):
-                table.status[place], notes[place] = REFUSED, {"message": solution}
+                table.status[place], notes[place] = REFUSED, Note(solution)
                 continue
             parts.append(_between(whole, (edge, int(edges[place])), (window, int(places[place]))))
             edge, window = int(edges[place]), int(places[place])
@@ -198,14 +198,10 @@ class BlockSolver:
         return Packed(march.edges, march.states, march.readouts, error.series, error.floors)
 
 
-def _note(solution: Solution) -> dict[str, Any]:
+def _note(solution: Solution) -> Note:
     """Return what the table and the windows do not contain of a solution."""
     error: Any = solution.error
-    return {
-        "message": solution.message,
-        "march": numbers_of(solution.record),
-        "scale": error.scale.tolist(),
-    }
+    return Note(solution.message, packed(solution.record)[1], tuple(error.scale.tolist()))
 
 
 def _between(packed: Packed, edges: tuple[int, int], windows: tuple[int, int]) -> Packed:

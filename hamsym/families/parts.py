@@ -8,7 +8,6 @@ Each process of a cluster may write its own.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import os
 import re
@@ -24,6 +23,8 @@ import safetensors.numpy
 from hamsym.errors import FileError
 from hamsym.families.blocks import Block
 from hamsym.families.windows import MARCHED, Table, Windows
+from hamsym.support.record_fields import fields_of
+from hamsym.support.records import packed, unpacked
 from hamsym.support.tables import optional_package
 from hamsym.support.tensor_files import one_line
 
@@ -89,10 +90,7 @@ def write_part(path: Path, block: Block) -> Part:
     if place.is_dir():
         return part
     aside = path / FOLDER / f".{part.name}-{uuid.uuid4().hex}"
-    columns = block.table.arrays() | {"members": block.members}
-    columns["success"] = columns["success"].astype(np.uint8)
-    notes = json.dumps({str(place): note for place, note in sorted(block.table.notes.items())})
-    columns["notes"] = np.frombuffer(notes.encode(), dtype=np.uint8)
+    columns = packed(block.table)[0] | {"members": block.members}
     table = safetensors.numpy.save({k: np.array(v, order="C") for k, v in columns.items()})
     try:
         group = zarr_of().open_group(aside, mode="w")
@@ -121,10 +119,8 @@ def read_parts(path: Path) -> list[Block]:
         try:
             content = np.asarray(_array(path, name, _TABLE)[...]).tobytes()
             columns: dict[str, Any] = safetensors.numpy.load(content)
-            notes = {int(k): v for k, v in json.loads(columns.pop("notes").tobytes()).items()}
             members = columns.pop("members")
-            columns["success"] = columns["success"].astype(bool)
-            table = Table(**columns, notes=notes, stopped="")
+            table = unpacked(Table, columns, dict.fromkeys(fields_of(Table)) | {"stopped": ""})
         except Exception as error:  # of any codec
             raise FileError(
                 f"'{path / FOLDER / name}' is damaged: {one_line(error)}; remove it, and its "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
@@ -37,8 +36,8 @@ from hamsym.solution.settings import settings_of
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.checked_data import checked_record
-from hamsym.support.shown import Shown
+from hamsym.support.records import unpacked
+from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
 
 if TYPE_CHECKING:  # optional packages
@@ -100,7 +99,7 @@ class Family:
 
 
 @suggest_attributes
-class Solutions(Shown):
+class Solutions(Saved):
     """Many trajectories z^(t) over one time span, from :func:`hamsym.solve_many`.
 
     Members are arranged in an array; ``...`` below is its shape. Call it with times to get the
@@ -218,7 +217,7 @@ class Solutions(Shown):
             return success_message(self.tol, table.counts[member], table.excess[member])
         if table.status[member] == OPEN:
             return table.stopped
-        return str(table.notes[member]["message"])
+        return table.notes[member].message
 
     # -- members -----------------------------------------------------------------------------
 
@@ -311,15 +310,13 @@ class Solutions(Shown):
         table = self.table
         own, note = table.packed(self.windows, member, member + 1), table.notes[member]
         arrays = {name: getattr(own, name).copy() for name in ("edges", "states", "readouts")}
-        march: March = checked_record(
-            March, note["march"], {**arrays, "scale": table.sizes[member].copy()}
-        )
+        march = unpacked(March, {**arrays, "scale": table.sizes[member].copy()}, note.march)
         error = MarchError(
             march.edges,
             own.error.copy(),
             own.floors.copy(),
             table.largest[member].copy(),
-            np.array(note["scale"], dtype=float),
+            np.array(note.scale),
             np.array(march.origin),
         )
         trial = FeatureTrial(
@@ -433,16 +430,6 @@ class Solutions(Shown):
         return hamsym.animate(self, *names, **options)
 
     # -- files and tables --------------------------------------------------------------------
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the solutions to one file that :func:`hamsym.load` reads; see :func:`hamsym.save`.
-
-        Raises
-        ------
-        FileError
-            If the file cannot be written.
-        """
-        hamsym.save(self, path)
 
     def to_xarray(self, t: Any) -> xarray.Dataset:
         """Return states at times t, with success and error estimates, as a dataset of xarray.

@@ -1,34 +1,26 @@
 """Solutions in one file, and in stores of zarr to which windows are written as they are found.
 
-Both have the same arrays: the columns of the table, the windows, the basis, and the notes of
-members as JSON text. They are accepted only if they are exactly what is written. The windows of a
-store are read, and checked against their checksums, when they are needed.
+Both have the same columns of the table. The windows of a store are read, and checked against their
+checksums, when they are needed.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
 import shutil
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 import hamsym
-from hamsym.description import (
-    MALFORMED,
-    described,
-    hamiltonian_from,
-    read_result,
-    require_formula,
-    write_result,
-)
+from hamsym.description import described, require_formula
 from hamsym.ensemble import Ensemble
 from hamsym.errors import FileError
 from hamsym.families.blocks import Block
@@ -45,72 +37,131 @@ from hamsym.families.parts import (
     zarr_of,
 )
 from hamsym.families.solutions import Family, Solutions
-from hamsym.families.windows import (
-    ACCEPTED,
-    MARCHED,
-    OPEN,
-    REFUSED,
-    Packed,
-    Pieces,
-    Table,
-    Windows,
-    pieces_of,
-)
+from hamsym.families.windows import MARCHED, Packed, Pieces, Table, Windows, pieces_of
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.problem import checked_span
 from hamsym.random_features.basis import DEGREE
 from hamsym.random_features.options import FeatureOptions
 from hamsym.support.atomic import create_atomically
-from hamsym.support.checked_data import (
-    checked_list,
-    checked_mapping,
-    checked_type,
-    checked_values,
-    numbers_of,
-    require_array,
-    require_names,
-)
 from hamsym.support.locking import exclusive
+from hamsym.support.record_fields import Count, Limit, convert, counts, floats
+from hamsym.support.records import MALFORMED, digest_of_parts, packed, unpacked
 from hamsym.support.tensor_files import one_line
-from hamsym.support.validation import require_whole
 
-KIND = "solutions"
-_VALUES = {
-    **dict.fromkeys(("H", "options"), "Mapping[str, Any]"),
-    "span": "tuple[float, float]",
-    "seed": "int",
-    "varied": "tuple[str, ...]",
-    "shape": "tuple[int, ...]",
-    "stopped": "str",
-}
-_OPTIONS = {"tol": "float", "atol": "tuple[float, ...]", "max_window": "float | None"}
-_VERSION = 2  # of stores
+_KIND = "solutions"
+_VERSION = 3  # of stores
 _BEGUN = "hamsym_begun"  # attribute of a store that is being written
-_ORDER = "order"  # numbers of the members in the order of the table of a store
+_MOST_PARTS = 1_000_000
 
 
-def write_solutions(solutions: Solutions, path: str | os.PathLike[str]) -> None:
-    """Write solutions to one file; see :func:`hamsym.save`."""
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """Solutions without their windows."""
+
+    H: Hamiltonian
+    span: tuple[float, float]
+    tol: float
+    atol: tuple[float, ...]
+    max_window: float | None
+    seed: Count
+    varied: tuple[str, ...]
+    shape: Annotated[tuple[Count, ...], Limit(most=32)]
+    table: Table
+    basis: Annotated[np.ndarray, floats(DEGREE + 1, "columns")]
+
+    @classmethod
+    def of(cls, solutions: Solutions, **windows: Any) -> Any:
+        """Make them from solutions, with windows or what stands for them."""
+        family, found = solutions.family, solutions.family.accuracy
+        longest = family.options.max_window
+        return cls(
+            H=family.H,
+            span=family.span,
+            tol=float(found.tol),
+            atol=tuple(found.absolute.tolist()),
+            max_window=None if longest is None else float(longest),
+            seed=family.seed,
+            varied=family.varied,
+            shape=solutions.shape,
+            table=solutions.table,
+            basis=family.series,
+            **windows,
+        )
+
+    def check(self) -> None:
+        """Raise ValueError unless its members and options are those of one call."""
+        table = self.table
+        Ensemble(self.H, table.z0, table.parameters, self.shape, self.varied).check()
+        if not all(length > 0 for length in self.shape):
+            raise ValueError("'shape' is out of range")
+        if not self.family.accuracy.tol == self.tol:
+            raise ValueError("its tolerance is not valid")
+
+    @property
+    def family(self) -> Family:
+        """The problem of the members."""
+        options = FeatureOptions(tol=self.tol, atol=self.atol, max_window=self.max_window)
+        span = checked_span(self.span)
+        return Family(self.H, span, options, self.seed, self.varied, self.basis)
+
+    def solutions(self, windows: Windows, order: np.ndarray | None = None) -> Solutions:
+        """Return the solutions with their windows.
+
+        - order: Numbers of the members in the order of the table.
+        """
+        members = np.arange(len(self.table.status)) if order is None else np.argsort(order)
+        return Solutions(self.family, self.table, windows, members.reshape(self.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class FileContents(Contents):
+    """Solutions with all their windows."""
+
+    edges: Annotated[np.ndarray, floats("edges")]
+    states: Annotated[np.ndarray, floats("edges", "dim")]
+    readouts: Annotated[np.ndarray, floats("windows", "columns", "dim")]
+    error: Annotated[np.ndarray, floats("errors", "terms", "dim", finite=False)]
+    floors: Annotated[np.ndarray, floats("errors", "dim", finite=False)]
+
+    def check(self) -> None:
+        """Raise ValueError unless the windows are those of the members."""
+        super().check()
+        windows = Windows(*(Pieces([getattr(self, name)]) for name in Windows._fields))
+        _require_windows(self.solutions(windows), Packed(*(w.rows(0, len(w)) for w in windows)))
+
+
+@dataclass(frozen=True, eq=False)
+class StoreContents(Contents):
+    """Solutions whose windows are in parts of a store."""
+
+    #: Numbers of the members in the order of the table.
+    order: Annotated[np.ndarray, counts("members")]
+    #: Names and numbers of rows of the parts.
+    parts: Annotated[tuple[tuple[str, tuple[Count, ...]], ...], Limit(most=_MOST_PARTS)]
+
+    def check(self) -> None:
+        """Raise ValueError unless the members are in an order."""
+        super().check()
+        if not np.array_equal(np.sort(self.order), np.arange(len(self.order))):
+            raise ValueError("the order of its members is not one")
+        if not all(NAME.fullmatch(name) and len(rows) == 5 for name, rows in self.parts):
+            raise ValueError("a part has no valid name")
+
+
+def _contents_of(solutions: Solutions) -> FileContents:
     solutions = _compact(solutions)
-    H = solutions.family.H
-    write_result(path, KIND, H, lambda: _check(solutions), lambda: _parts(solutions))
-
-
-def _parts(solutions: Solutions) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     windows = {name: rows.rows(0, len(rows)) for name, rows in solutions.windows._asdict().items()}
-    return _columns(solutions.family, solutions.table) | windows, _values(solutions)
+    found: FileContents = FileContents.of(solutions, **windows)
+    return found
 
 
-def read_solutions(path: str | os.PathLike[str]) -> Solutions:
-    """Read solutions that :func:`write_solutions` wrote; see :func:`hamsym.load`."""
-    return read_result(path, KIND, _checked)
+def _solutions_of(contents: FileContents) -> Solutions:
+    return contents.solutions(
+        Windows(*(Pieces([getattr(contents, name)]) for name in Windows._fields))
+    )
 
 
-def _checked(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solutions:
-    require_names("arrays", {**arrays}, _COLUMNS | {*Packed._fields})
-    windows = Windows(*(Pieces([arrays[name]]) for name in Windows._fields))
-    solutions = _assembled(arrays, values, windows)
-    _check(solutions)
-    return solutions
+convert(Solutions, FileContents, _contents_of, _solutions_of)
 
 
 class WindowStore:
@@ -189,15 +240,16 @@ class WindowStore:
         windows = windows_of(self._path, parts, _row_shapes(self._family))
         index = np.argsort(order).reshape(members.shape)
         solutions = Solutions(self._family, table, windows, index)
-        columns, values = _columns(self._family, table) | {_ORDER: order}, _values(solutions)
+        rows = tuple((part.name, part.rows) for part in parts)
+        columns, values = packed(StoreContents.of(solutions, order=order, parts=rows))
         self._group.attrs.pop("hamsym", None)
         for name, column in columns.items():
             create_array(self._group, name, column.shape, column.dtype.name, max(1, len(column)))
             if column.size:
                 self._group[name][...] = column
-        head = {"kind": KIND, "version": _VERSION, "parts": [[*part] for part in parts], **values}
+        head = {"kind": _KIND, "version": _VERSION, "sha256": digest_of_parts(columns, values)}
         # Last: a store without it is not complete.
-        self._group.attrs["hamsym"] = json.dumps({**head, "sha256": _digest(columns, head)})
+        self._group.attrs["hamsym"] = json.dumps({**head, "values": values})
         if not table.stopped:
             for leftover in (self._path / FOLDER).glob(".*"):  # of processes that were killed
                 shutil.rmtree(leftover, ignore_errors=True)
@@ -217,7 +269,7 @@ def _request(family: Family, members: Ensemble) -> str:
         "shape": list(members.shape),
     }
     arrays = {"z0": members.states, "parameters": members.parameters, "basis": family.series}
-    return _digest(arrays, values)
+    return digest_of_parts(arrays, values)
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
@@ -242,130 +294,22 @@ def open_store(path: str | os.PathLike[str]) -> Solutions:
     if text is None:
         raise FileError(f"'{path}' is not a store of solutions, or was not finished; solve again")
     try:
-        values = checked_mapping("values", json.loads(text))
-        claimed = values.pop("sha256", None)
-        if (values.get("kind"), values.get("version")) != (KIND, _VERSION):
-            raise ValueError(f"it is not of kind {KIND} and version {_VERSION}")
-        arrays = {name: np.asarray(group[name][...]) for name in (*_COLUMNS, _ORDER)}
-        if claimed != _digest(arrays, values):
+        head = json.loads(text)
+        claimed, values = head.pop("sha256", None), head.pop("values", None)
+        if head != {"kind": _KIND, "version": _VERSION}:
+            raise ValueError(f"it is not of kind {_KIND} and version {_VERSION}")
+        arrays = {name: np.asarray(group[name][...]) for name in group.array_keys()}
+        if claimed != digest_of_parts(arrays, values):
             raise ValueError("its checksum does not match its content")
-        del values["kind"], values["version"]
-        parts = [_part(entry) for entry in checked_list("parts", values.pop("parts"))]
-        order = arrays.pop(_ORDER)
-        solutions = _assembled(arrays, values, Windows(*(Pieces([order[:0]]),) * 5))
-        require_array(_ORDER, order, (len(solutions.table.status),), np.int64)
-        if not np.array_equal(np.sort(order), np.arange(len(order))):
-            raise ValueError("the order of its members is not one")
-        windows = windows_of(Path(os.path.abspath(path)), parts, _row_shapes(solutions.family))
-        members = np.argsort(order).reshape(solutions.shape)
-        solutions = Solutions(solutions.family, solutions.table, windows, members)
-        _check_table(solutions)
+        contents = unpacked(StoreContents, arrays, values)
+        parts = [Part(*part) for part in contents.parts]
+        windows = windows_of(Path(os.path.abspath(path)), parts, _row_shapes(contents.family))
+        solutions = contents.solutions(windows, contents.order)
         if [len(rows) for rows in windows] != list(_row_counts(solutions.table)):
             raise ValueError("windows are missing")
     except (*MALFORMED, OSError) as error:
         raise FileError(f"'{path}' is damaged: {one_line(error)}") from None
     return solutions
-
-
-def _part(entry: Any) -> Part:
-    """Return a part from its values in the head of a store."""
-    name, rows = checked_list("part", entry, 2)
-    if not NAME.fullmatch(checked_type("part", name, "str")):
-        raise ValueError("a part has no valid name")
-    return Part(name, tuple(checked_type("rows", n, "int") for n in checked_list("rows", rows, 5)))
-
-
-def _digest(columns: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> str:
-    """Compute SHA-256 of columns and values."""
-    found = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
-    for name, column in sorted(columns.items()):
-        found.update(f"{name} {column.dtype.name} {column.shape} ".encode())
-        found.update(np.ascontiguousarray(column).tobytes())
-    return found.hexdigest()
-
-
-# -- parts -----------------------------------------------------------------------------------------
-
-_COLUMNS = {
-    *("z0", "parameters", "status", "success", "counts", "evaluations", "excess", "largest"),
-    *("sizes", "notes", "basis"),
-}
-
-
-def _columns(family: Family, table: Table) -> dict[str, np.ndarray]:
-    """Return all arrays but for the windows."""
-    notes = json.dumps({str(member): note for member, note in sorted(table.notes.items())})
-    return {
-        **table.arrays(),
-        "success": table.success.astype(np.uint8),
-        "notes": np.frombuffer(notes.encode(), dtype=np.uint8),
-        "basis": family.series,
-    }
-
-
-def _values(solutions: Solutions) -> dict[str, Any]:
-    """Return what is not an array, as values that JSON can store."""
-    family, found = solutions.family, solutions.family.accuracy
-    longest = family.options.max_window
-    return {
-        "H": described(family.H),
-        "span": [float(time) for time in family.span],
-        "options": {
-            "tol": float(found.tol),
-            "atol": found.absolute.tolist(),
-            "max_window": None if longest is None else float(longest),
-        },
-        "seed": family.seed,
-        "varied": list(family.varied),
-        "shape": list(solutions.shape),
-        "stopped": solutions.table.stopped,
-    }
-
-
-def _assembled(
-    arrays: Mapping[str, np.ndarray], values: Mapping[str, Any], windows: Windows
-) -> Solutions:
-    """Build solutions from :func:`_columns`, :func:`_values` and their windows."""
-    given = checked_values("values", values, _VALUES)
-    options = checked_values("options", given["options"], _OPTIONS)
-    require_whole("seed", given["seed"], 0)
-    shape = given["shape"]
-    if len(shape) > 32 or any(not 0 < n < 2**63 for n in shape):
-        raise ValueError("'shape' is out of range")
-    if math.prod(shape) != len(arrays["status"]):
-        raise ValueError("its shape differs from its number of members")
-    own = {name: arrays[name] for name in _COLUMNS - {"notes", "basis"}}
-    require_array("success", own["success"], own["status"].shape, np.uint8)
-    if (own["success"] > 1).any():
-        raise ValueError("'success' is out of range")
-    family = Family(
-        H=hamiltonian_from(given["H"]),
-        span=checked_span(given["span"]),
-        options=FeatureOptions(**options),
-        seed=given["seed"],
-        varied=given["varied"],
-        series=arrays["basis"],
-    )
-    table = Table(
-        **{**own, "success": own["success"].astype(bool)},
-        notes=_notes(arrays["notes"]),
-        stopped=given["stopped"],
-    )
-    members = np.arange(len(table.status)).reshape(shape)
-    return Solutions(family, table, windows, members)
-
-
-def _notes(text: np.ndarray) -> dict[int, dict[str, Any]]:
-    if text.dtype != np.uint8:
-        raise ValueError("'notes' is not of type uint8")
-    found = {}
-    for member, note in checked_mapping("notes", json.loads(text.tobytes())).items():
-        alone = len(checked_mapping("note", note)) == 1
-        names = {"message"} if alone else {"message", "march", "scale"}
-        require_names("notes", note, names)
-        checked_type("message", note["message"], "str")
-        found[int(member)] = note
-    return found
 
 
 def _compact(solutions: Solutions) -> Solutions:
@@ -381,62 +325,6 @@ def _compact(solutions: Solutions) -> Solutions:
         pieces_of([*parts, none]),
         np.arange(len(members)).reshape(solutions.shape),
     )
-
-
-# -- checks ----------------------------------------------------------------------------------------
-
-
-def _check(solutions: Solutions) -> None:
-    """Raise ValueError unless solutions are what solve_many returns."""
-    _check_table(solutions)
-    windows = solutions.windows
-    arrays = [rows.rows(0, len(rows)) for rows in windows]
-    _check_shapes(solutions, arrays)
-    _check_windows(solutions, Packed(*arrays))
-
-
-def _check_table(solutions: Solutions) -> None:
-    family, table = solutions.family, solutions.table
-    H, count = family.H, len(table.status)
-    H.require_parameters()
-    if not family.accuracy.tol == family.options.tol:
-        raise ValueError("its tolerance is not valid")
-    require_array("basis", family.series, (DEGREE + 1, family.series.size // (DEGREE + 1)))
-    if not set(family.varied) <= set(H.parameter_names):
-        raise ValueError("it varies a parameter that H does not have")
-    names = H.parameter_names
-    require_array("z0", table.z0, (count, H.dim), finite=False)
-    require_array("parameters", table.parameters, (count, len(names)))
-    for name, column in zip(names, table.parameters.T, strict=True):
-        if name not in family.varied and not (column == H.parameters[name]).all():
-            raise ValueError(f"'{name}' differs from its value in H")
-    require_array("status", table.status, (count,), np.uint8)
-    require_array("success", table.success, (count,), bool)
-    for name in ("counts", "evaluations"):
-        require_array(name, getattr(table, name), (count,), np.int64)
-    require_array("excess", table.excess, (count,), finite=False)
-    require_array("largest", table.largest, (count, H.dim), finite=False)
-    require_array("sizes", table.sizes, (count, H.dim))
-    for name in ("counts", "evaluations", "excess", "largest", "sizes"):
-        if not (getattr(table, name) >= 0).all():
-            raise ValueError(f"'{name}' is negative or not a number")
-    solved = (table.status == ACCEPTED) | (table.status == MARCHED)
-    good = table.success
-    if (table.status > REFUSED).any() or ((table.counts > 0) != solved).any():
-        raise ValueError("members without windows have a solution, or the reverse")
-    if (good & ~solved).any() or (~good & (table.status == ACCEPTED)).any():
-        raise ValueError("success contradicts the state of a member")
-    if not ((table.excess <= 1) | ~good).all() or not np.isfinite(table.largest[good]).all():
-        raise ValueError("a member's success is true, but its error exceeds the tolerance")
-    if not np.isfinite(table.z0[solved]).all():
-        raise ValueError("a member with a solution starts at a state that is not finite")
-    noted = np.flatnonzero((table.status == MARCHED) | (table.status == REFUSED)).tolist()
-    if sorted(table.notes) != noted:
-        raise ValueError("members without messages, or messages without members")
-    if any((len(n) > 1) != (table.status[m] == MARCHED) for m, n in table.notes.items()):
-        raise ValueError("a note does not belong to the state of its member")
-    if (table.status == OPEN).any() != bool(table.stopped):
-        raise ValueError("members are not solved without a reason")
 
 
 def _row_shapes(family: Family) -> dict[str, tuple[int, ...]]:
@@ -459,20 +347,13 @@ def _row_counts(table: Table) -> tuple[int, ...]:
     return edges, edges, windows, errors, errors
 
 
-def _check_shapes(solutions: Solutions, arrays: Sequence[Any]) -> None:
-    """Raise ValueError unless the arrays of windows have the shapes that the table states."""
-    counts = _row_counts(solutions.table)
-    rows = _row_shapes(solutions.family).items()
-    for (name, row), count, array in zip(rows, counts, arrays, strict=True):
-        if array.dtype != np.float64 or tuple(array.shape) != (count, *row):
-            raise ValueError(f"'{name}' is not of type float64 and shape {(count, *row)}")
-
-
-def _check_windows(solutions: Solutions, packed: Packed) -> None:
+def _require_windows(solutions: Solutions, packed: Packed) -> None:
+    """Raise ValueError unless the windows are those of the members."""
     family, table = solutions.family, solutions.table
-    for name in ("edges", "states", "readouts"):
-        if not np.isfinite(getattr(packed, name)).all():
-            raise ValueError(f"'{name}' is not finite")
+    rows = _row_shapes(family).items()
+    for (name, row), count, array in zip(rows, _row_counts(table), packed, strict=True):
+        if array.shape != (count, *row):
+            raise ValueError(f"'{name}' has shape {array.shape}, not {(count, *row)}")
     solved = table.counts > 0
     first, last = table.first_edge[:-1][solved], table.first_edge[1:][solved] - 1
     start, end = family.span
@@ -494,8 +375,9 @@ def _check_windows(solutions: Solutions, packed: Packed) -> None:
         success = bool(table.success[member])
         if march.origin != family.origin:
             raise ValueError("the times of a member have another origin")
-        march.check(trial)
-        error.check(trial, finite=success)
-        numbers = [v for v in numbers_of(march).values() if isinstance(v, float)]
-        if success and not np.isfinite(numbers).all():
-            raise ValueError("a member's success is true, but a number of its march is not finite")
+        trial.check()
+        march.require_trial(trial)
+        error.check()
+        error.require_trial(trial)
+        if success:
+            error.require_finite()

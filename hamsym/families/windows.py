@@ -10,9 +10,11 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
+
+from hamsym.support.record_fields import Array, AsText, counts, flags, floats
 
 # States of a member: not solved yet; accepted by the loop over members; solved by itself, with
 # success or without; without a solution.
@@ -87,31 +89,60 @@ def pieces_of(parts: Sequence[Packed]) -> Windows:
     return Windows(*(Pieces(arrays) for arrays in zip(*parts, strict=True)))
 
 
+@dataclass(frozen=True)
+class Note:
+    """What is known of one member beside its row."""
+
+    message: str
+    #: Of a marched member: the values of its march, and the sizes to which its tolerance is
+    #: relative.
+    march: Any = None
+    scale: tuple[float, ...] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Table:
     """Results of n members."""
 
-    #: z0, parameters: Initial states, shape (n, dim), and values of all parameters, shape (n, k).
-    z0: np.ndarray
-    parameters: np.ndarray
-    #: State of each member, shape (n,), of uint8.
-    status: np.ndarray
-    #: Shape (n,), of bool.
-    success: np.ndarray
-    #: counts, evaluations: Windows, and evaluations of the vector field, shape (n,), of int64.
-    counts: np.ndarray
-    evaluations: np.ndarray
+    #: z0, parameters: Initial states, and values of all parameters.
+    z0: Annotated[np.ndarray, floats("members", "dim", finite=False)]
+    parameters: Annotated[np.ndarray, floats("members", "parameters")]
+    #: State of each member.
+    status: Annotated[np.ndarray, Array(("members",), (np.uint8,), most=REFUSED)]
+    success: Annotated[np.ndarray, flags("members")]
+    #: counts, evaluations: Windows, and evaluations of the vector field.
+    counts: Annotated[np.ndarray, counts("members")]
+    evaluations: Annotated[np.ndarray, counts("members")]
     #: Largest ratio of the estimated to the allowed error, infinite where it is unknown.
-    excess: np.ndarray
-    #: largest, sizes: Largest estimated error, infinite where it is unknown, and largest magnitude
-    #: of each component, shape (n, dim).
-    largest: np.ndarray
-    sizes: np.ndarray
-    #: The message of each marched or refused member; of a marched one also the numbers of its march
-    #: and the sizes to which its tolerance is relative.
-    notes: Mapping[int, dict[str, Any]] = field(default_factory=dict)
+    excess: Annotated[np.ndarray, floats("members", finite=False, least=0)]
+    #: Largest estimated error, infinite where it is unknown.
+    largest: Annotated[np.ndarray, floats("members", "dim", finite=False, least=0)]
+    #: Largest magnitude of each component.
+    sizes: Annotated[np.ndarray, floats("members", "dim", least=0)]
+    #: Of each marched or refused member.
+    notes: Annotated[dict[int, Note], AsText] = field(default_factory=dict)
     #: Why members are open.
     stopped: str = ""
+
+    def check(self) -> None:
+        """Raise ValueError unless the columns agree with each other."""
+        status, good = self.status, self.success
+        solved = (status == ACCEPTED) | (status == MARCHED)
+        if ((self.counts > 0) != solved).any():
+            raise ValueError("members without windows have a solution, or the reverse")
+        if (good & ~solved).any() or (~good & (status == ACCEPTED)).any():
+            raise ValueError("success contradicts the state of a member")
+        if not ((self.excess <= 1) | ~good).all() or not np.isfinite(self.largest[good]).all():
+            raise ValueError("a member's success is true, but its error exceeds the tolerance")
+        if not np.isfinite(self.z0[solved]).all():
+            raise ValueError("a member with a solution starts at a state that is not finite")
+        if sorted(self.notes) != np.flatnonzero((status == MARCHED) | (status == REFUSED)).tolist():
+            raise ValueError("members without messages, or messages without members")
+        for member, note in self.notes.items():
+            if {note.march is not None, note.scale is not None} != {status[member] == MARCHED}:
+                raise ValueError("a note does not belong to the state of its member")
+        if (status == OPEN).any() != bool(self.stopped):
+            raise ValueError("members are not solved without a reason")
 
     @classmethod
     def empty(cls, z0: np.ndarray, parameters: np.ndarray) -> Table:
@@ -139,14 +170,14 @@ class Table:
         stopped: str,
     ) -> Table:
         """Make the table of all members from numbers of members with their tables."""
-        table, notes = cls.empty(z0, parameters), {}
+        table, notes = cls.empty(z0, parameters), dict[int, Note]()
         for members, part in parts:
             for name, column in part.arrays().items():
                 if name not in ("z0", "parameters"):
                     getattr(table, name)[members] = column
             notes.update({int(members[place]): note for place, note in part.notes.items()})
         for member, message in refused.items():
-            table.status[member], notes[member] = REFUSED, {"message": message}
+            table.status[member], notes[member] = REFUSED, Note(message)
         # Without open members there is nothing that was stopped.
         stopped = stopped if (table.status == OPEN).any() else ""
         return replace(table, notes=notes, stopped=stopped)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import sympy
@@ -20,7 +20,8 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.shown import Shown
+from hamsym.support.record_fields import AnyFloat, As, Count, Limit, OneOf, counts, flags, floats
+from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame
 from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 
@@ -35,14 +36,30 @@ class Minimum:
 
     #: The free quantities.
     parameters: dict[str, float]
-    chi_square: float
+    chi_square: AnyFloat
     #: Number of starts that reached it.
-    starts: int
+    starts: Count
+
+
+_PER_SET = AnyFloat | Annotated[np.ndarray, floats("*sets", finite=False)]
+_WHOLE_PER_SET = Annotated[Any, As(int | Annotated[np.ndarray, counts("*sets")])]
+_TEXTS = Annotated[tuple[str, ...], Limit(most=1_000_000)]
+_Number = Annotated[Any, As(_PER_SET)]
+_Series = Annotated[np.ndarray, floats("*sets", "times", finite=False)]
+_MOTIONS = OneOf(solution=Solution, solutions=Solutions, map="hamsym.flow_maps.flow_map:FlowMap")
+
+
+def _texts(message: Any) -> Any:
+    return message if isinstance(message, str) else tuple(message.tolist())
+
+
+def _messages(texts: Any) -> Any:
+    return texts if isinstance(texts, str) else np.array(texts, dtype=object)
 
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(Shown):
+class Fit(Saved):
     """Free quantities estimated from observations, from :func:`hamsym.fit`.
 
     Of several sets of data, every array has a leading axis (sets,), written "..." below; of one
@@ -99,27 +116,69 @@ class Fit(Shown):
 
     H: Hamiltonian
     names: tuple[str, ...]
-    parameters: dict[str, Any]
-    covariance: np.ndarray
-    confidence: float
-    confidence_intervals: dict[str, tuple[Any, Any]]
-    z0: np.ndarray
+    parameters: dict[str, _Number]
+    covariance: Annotated[np.ndarray, floats("*sets", "free", "free", finite=False)]
+    confidence: Annotated[float, Limit(0, 1)]
+    confidence_intervals: dict[str, tuple[_Number, _Number]]
+    z0: Annotated[np.ndarray, floats("*sets", "dim")]
     span: tuple[float, float]
-    t: np.ndarray
-    data: dict[str, np.ndarray]
-    sigma: dict[str, np.ndarray]
-    residuals: dict[str, np.ndarray]
-    chi_square: Any
-    degrees_of_freedom: Any
-    p_value: Any
-    success: Any
-    message: Any
+    t: Annotated[np.ndarray, floats("times")]
+    data: dict[str, _Series]
+    sigma: dict[str, _Series]
+    residuals: dict[str, _Series]
+    chi_square: _Number
+    degrees_of_freedom: _WHOLE_PER_SET
+    p_value: _Number
+    success: Annotated[Any, As(bool | Annotated[np.ndarray, flags("*sets")])]
+    message: Annotated[Any, As(str | _TEXTS, _texts, _messages)]
     minima: tuple[Minimum, ...]
-    starts_reached: Any
-    solution: Solution | Solutions | None
+    starts_reached: _WHOLE_PER_SET
+    solution: Annotated[Solution | Solutions, _MOTIONS] | None
     unknowns: Unknowns = field(repr=False)
     expressions: Mapping[str, sympy.Expr] = field(repr=False)
-    flow: FlowLike | None = field(repr=False)
+    flow: Annotated[FlowLike, _MOTIONS] | None = field(repr=False)
+
+    def check(self) -> None:
+        """Raise ValueError unless its parts are those of one fit."""
+        numbers = [
+            *self.parameters.values(),
+            *(end for ends in self.confidence_intervals.values() for end in ends),
+            *(self.chi_square, self.degrees_of_freedom, self.p_value, self.starts_reached),
+        ]
+        if {np.shape(value) for value in numbers} != {np.shape(self.success)}:
+            raise ValueError("its numbers are not those of its sets")
+        if np.shape(_messages(self.message)) != np.shape(self.success):
+            raise ValueError("its messages are not those of its sets")
+        for names in (
+            self.unknowns.names,
+            tuple(self.parameters),
+            tuple(self.confidence_intervals),
+        ):
+            if names != self.names:
+                raise ValueError("its free quantities differ")
+        for labels in (self.data, self.sigma, self.residuals):
+            if [*labels] != [*self.expressions]:
+                raise ValueError("its observables differ")
+        low, high = min(self.span), max(self.span)
+        slack = 1e-15 * max(abs(low), abs(high))
+        if not ((self.t >= low - slack) & (self.t <= high + slack)).all():
+            raise ValueError("its times are not within its span")
+        if self.unknowns.H.names != self.H.names:
+            raise ValueError("its unknowns are those of another system")
+        self._check_success()
+
+    def _check_success(self) -> None:
+        good = np.asarray(self.success)
+        estimates = [np.asarray(value)[good] for value in self.parameters.values()]
+        if not all(np.isfinite(part).all() for part in (self.covariance[good], *estimates)):
+            raise ValueError("its success is true, but its estimates are not finite")
+        for label, data in self.data.items():
+            missing = np.isnan(data[good])
+            residuals, sigma = self.residuals[label][good], self.sigma[label][good]
+            if not np.array_equal(np.isnan(residuals), missing) or not (sigma[~missing] > 0).all():
+                raise ValueError("its success is true, but its residuals are not those of its data")
+        if good.all() and self.solution is not None and self.solution.span != self.span:
+            raise ValueError("its solution has another span")
 
     def __repr__(self) -> str:
         if np.ndim(self.success):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from hamsym.errors import InputError, ParameterError
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.support.record_fields import floats
 from hamsym.symbolic.checks import name_of
 
 
@@ -21,15 +22,24 @@ class Unknowns:
 
     #: With a value for every parameter: fixed, or the first guess.
     H: Hamiltonian
-    #: Components of the start, shape (dim,): fixed, or first guesses.
-    start: np.ndarray
+    #: Components of the start: fixed, or first guesses.
+    start: Annotated[np.ndarray, floats("dim")]
     #: The free quantities.
     names: tuple[str, ...]
-    #: guesses, low, high: Their first guesses and bounds, shape (k,); infinite where there are
-    #: none.
-    guesses: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    #: guesses, low, high: Their first guesses and bounds; infinite where there are none.
+    guesses: Annotated[np.ndarray, floats("free")]
+    low: Annotated[np.ndarray, floats("free", finite=False)]
+    high: Annotated[np.ndarray, floats("free", finite=False)]
+
+    def check(self) -> None:
+        """Raise ValueError unless the names are those of H, and the guesses within the bounds."""
+        self.H.require_parameters()
+        if not {*self.names} <= {*self.H.names, *self.H.parameter_names}:
+            raise ValueError("it varies what H does not have")
+        if len(self.names) != len(self.guesses):
+            raise ValueError("its first guesses are not one for each free quantity")
+        if not ((self.low <= self.guesses) & (self.guesses <= self.high)).all():
+            raise ValueError("a first guess is not within its bounds")
 
     @property
     def components(self) -> dict[int, int]:

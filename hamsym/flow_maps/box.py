@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import sympy
@@ -19,6 +19,7 @@ from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.suggestions import did_you_mean, unknown
+from hamsym.support.record_fields import floats
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
 
@@ -36,9 +37,9 @@ class Box:
     H: Hamiltonian
     #: The inputs.
     names: tuple[str, ...]
-    #: low, high: Ends of their intervals, shape (d,).
-    low: np.ndarray
-    high: np.ndarray
+    #: low, high: Ends of their intervals.
+    low: Annotated[np.ndarray, floats("inputs")]
+    high: Annotated[np.ndarray, floats("inputs")]
     #: Components of z0 that do not vary.
     fixed: Mapping[str, float]
     #: Components of z0 that are functions of parameters.
@@ -65,7 +66,8 @@ class Box:
     def check(self) -> None:
         """Raise ValueError unless it is a box as :func:`checked_box` makes them."""
         names, components = self.names, self.components
-        if not (names and len(set(names)) == len(names) and (self.low < self.high).all()):
+        distinct = len(set(names)) == len(names) == len(self.low) > 0
+        if not (distinct and (self.low < self.high).all()):
             raise ValueError("its box has no intervals")
         if names[: len(components)] != components:
             raise ValueError("its box has components of z0 after parameters")

@@ -26,9 +26,6 @@ class Piece:
         self.degrees, self.readouts, self.columns = degrees, readouts, columns
         self.chunk = max(16, CHUNK // len(degrees))
 
-    def arrays(self):
-        return {"degrees": self.degrees, "readouts": self.readouts, "columns": self.columns}
-
     def states(self, time, y, xp):
         """Return N at scaled times and inputs."""
         values = products(self.degrees, tables(self.degrees, y, xp))
@@ -62,18 +59,6 @@ class Leg:
         self.scaling, self.shift = scaling, shift
         self.selection, self.offset = selection, offset
         self.start_degrees, self.start = start_degrees, start
-
-    def describe(self):
-        """Return what the arrays do not contain, as values of JSON."""
-        return {"form": "leg", "begin": float(self.begin), "pieces": len(self.pieces)}
-
-    def arrays(self):
-        """Return all arrays that define the map, by name."""
-        own = ("edges", "scaling", "shift", "selection", "offset", "start_degrees", "start")
-        found = {name: getattr(self, name) for name in own}
-        for number, piece in enumerate(self.pieces):
-            found |= {f"{number}.{name}": array for name, array in piece.arrays().items()}
-        return found
 
     def evaluate(self, t, inputs, xp=np):
         y = affine(inputs, self.scaling, self.shift, xp)
@@ -121,17 +106,6 @@ class Chain:
         self.maps, self.joints, self.kept = maps, joints, kept
         self.begin = maps[0].begin
 
-    def describe(self):
-        """Return what the arrays do not contain, as values of JSON."""
-        return {"form": "chain", "maps": [part.describe() for part in self.maps]}
-
-    def arrays(self):
-        """Return all arrays that define the map, by name."""
-        found = {"joints": self.joints, "kept": self.kept}
-        for number, part in enumerate(self.maps):
-            found |= {f"{number}.{name}": array for name, array in part.arrays().items()}
-        return found
-
     def evaluate(self, t, inputs, xp=np):
         numbers = interval_numbers([self.begin, *self.joints, None], t)
         parts, order, left = [], [], np.arange(len(numbers))
@@ -177,18 +151,6 @@ class Split:
     def __init__(self, normal, threshold, low, high):
         self.normal, self.threshold, self.low, self.high = normal, threshold, low, high
         self.begin = low.begin
-
-    def describe(self):
-        """Return what the arrays do not contain, as values of JSON."""
-        sides = {"low": self.low.describe(), "high": self.high.describe()}
-        return {"form": "split", "threshold": float(self.threshold), **sides}
-
-    def arrays(self):
-        """Return all arrays that define the map, by name."""
-        found = {"normal": self.normal}
-        for name, part in (("low", self.low), ("high", self.high)):
-            found |= {f"{name}.{key}": array for key, array in part.arrays().items()}
-        return found
 
     def evaluate(self, t, inputs, xp=np):
         first, second, places = self.sides(inputs)

@@ -120,7 +120,7 @@ def _form(map: Any, numbers: list[np.ndarray]) -> dict[str, Any]:
             "begin": map.begin,
             "arrays": [[name, _placed(getattr(map, name), numbers)] for name in names],
             "pieces": [
-                [_placed(array, numbers) for array in piece.arrays().values()]
+                [_placed(a, numbers) for a in (piece.degrees, piece.readouts, piece.columns)]
                 for piece in map.pieces
             ],
         }

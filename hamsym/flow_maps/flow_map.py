@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -16,11 +16,15 @@ from hamsym.errors import InputError
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.export import export_flow_map
 from hamsym.flow_maps.judging import Judgement
+from hamsym.flow_maps.storage import MAPS
+from hamsym.flow_maps.time_order import require_inputs, require_order
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.times import is_tensor
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.cores import available_cores
-from hamsym.support.shown import Shown
+from hamsym.support.record_fields import AnyFloat, Count, Size, floats
+from hamsym.support.records import packed
+from hamsym.support.shown import Saved
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +35,7 @@ _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class FlowMap(Shown):
+class FlowMap(Saved):
     """All trajectories from a box of initial states and parameters, as one function.
 
     Call it with times, initial states and parameters to get states; see :meth:`__call__`.
@@ -65,15 +69,22 @@ class FlowMap(Shown):
 
     region: Box
     span: tuple[float, float]
-    map: Any
+    map: Annotated[Any, MAPS]
     tol: float
     success: bool
     message: str
-    error_estimate: np.ndarray
-    excess: float
+    error_estimate: Annotated[np.ndarray, floats("dim", finite=False)]
+    excess: AnyFloat
     judgement: Judgement
-    solutions: int
-    seconds: float
+    solutions: Count
+    seconds: Size
+
+    def check(self) -> None:
+        """Raise ValueError unless its parts follow each other, and success has an error."""
+        require_order(self.map, self.span)
+        require_inputs(self.map, self.H.dim, len(self.inputs))
+        if self.success and not (self.excess <= 1 and np.isfinite(self.error_estimate).all()):
+            raise ValueError("its success is true, but its error is not within the tolerance")
 
     def __repr__(self) -> str:
         start, end = self.span
@@ -117,7 +128,8 @@ class FlowMap(Shown):
     @property
     def nbytes(self) -> int:
         """Bytes of the numbers that define the map."""
-        return sum(array.nbytes for array in self.map.arrays().values())
+        arrays, _ = packed(self)
+        return sum(array.nbytes for name, array in arrays.items() if name.startswith("map."))
 
     # -- evaluation --------------------------------------------------------------------------
 
@@ -351,10 +363,6 @@ class FlowMap(Shown):
         return hamsym.certify(self, box=box, time_limit=time_limit, max_parts=max_parts)
 
     # -- files -------------------------------------------------------------------------------
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the map to a file that :func:`hamsym.load` reads; see :func:`hamsym.save`."""
-        hamsym.save(self, path)
 
     def export(self, path: str | os.PathLike[str]) -> None:
         """Write the map as a module of Python that needs only numpy.

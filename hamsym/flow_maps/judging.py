@@ -17,7 +17,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from hamsym.flow_maps.domain import Domain, random_places
 from hamsym.flow_maps.narrow_places import narrow_places
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.collocation import collocation
+from hamsym.support.record_fields import AnyFloat, Count, floats
 
 _MARGIN = 1.5  # times the largest error found
 _CONFIDENCE = 0.95
@@ -45,20 +46,20 @@ _INSIDE = 5e-9  # of a piece; the square is round-off
 class Judgement:
     """Estimated error of a map over its box."""
 
-    #: Estimated largest error of each component, shape (dim,).
-    error: np.ndarray
-    #: Largest error by the linear equation at the places where it was solved, shape (dim,).
-    linear: np.ndarray
-    worst_time: float
-    #: Where the largest error was found, shape (d,).
-    worst_inputs: np.ndarray
+    #: Estimated largest error of each component.
+    error: Annotated[np.ndarray, floats("dim", finite=False)]
+    #: Largest error by the linear equation at the places where it was solved.
+    linear: Annotated[np.ndarray, floats("dim", finite=False)]
+    worst_time: AnyFloat
+    #: Where the largest error was found.
+    worst_inputs: Annotated[np.ndarray, floats("inputs")]
     #: points, share: Number of random points, and the share of the box for which these bound the
     #: error, with a confidence of 95 %.
-    points: int
-    share: float
+    points: Count
+    share: AnyFloat
     #: Largest entry of M^T J M - J in units of the components, M = dz^/dz0; None unless all
     #: components vary.
-    symplecticity: float | None
+    symplecticity: AnyFloat | None
     #: A solution that could not be compared, or a narrow feature that the map misses; empty if
     #: there is none.
     failure: str

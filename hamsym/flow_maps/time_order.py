@@ -46,6 +46,18 @@ def require_order(map: Any, span: tuple[float, float]) -> None:
             raise ValueError("a leg does not end where the next one starts, or with its span")
 
 
+def require_inputs(map: Any, dim: int, count: int) -> None:
+    """Raise ValueError unless chains keep the inputs that are no components of the state."""
+    if isinstance(map, Chain):
+        if not np.array_equal(map.kept, np.arange(dim, count)):
+            raise ValueError("its legs do not fit each other")
+        parts = map.maps
+    else:
+        parts = [map.low, map.high] if isinstance(map, Split) else []
+    for part in parts:
+        require_inputs(part, dim, count)
+
+
 def _require_pieces(leg: Leg, direction: float) -> None:
     edges = np.asarray(leg.edges, dtype=float)
     if edges.shape != (len(leg.pieces) + 1,) or not leg.pieces:

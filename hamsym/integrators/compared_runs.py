@@ -8,6 +8,7 @@ Output: :class:`Round`: extrapolated states with estimated errors, and what the 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import INTEGRATORS
+from hamsym.integrators.trajectory import Verdicts
 
 #: Change of H in units of the change that the tolerance allows, at which a trajectory fails; errors
 #: of several components may add up.
@@ -38,6 +40,32 @@ _ROUNDING = {"implicit": 4.0, "plain": 8.0, "compensated": 0.25}
 # Factor by which steps over a feature that was found between them are said to be too long.
 _HIDDEN = 16.0
 _EPS = float(np.finfo(float).eps)
+
+
+@dataclass
+class Tolerated:
+    """Trajectories of an ensemble, and how far each of them meets the tolerance."""
+
+    #: States, shape (count, 1 + saves, dim); nan after the end of a trajectory.
+    z: np.ndarray = field(repr=False)
+    #: Estimated errors in the units of the components, shape of z; infinite where unknown.
+    errors: np.ndarray = field(repr=False)
+    #: Shape (count,).
+    success: np.ndarray
+    #: Steps of the finest run of each trajectory, shape (count,).
+    steps: np.ndarray
+    #: Largest estimated error of each trajectory relative to the sizes of its components.
+    largest: np.ndarray
+    #: Reason for each trajectory that did not succeed, by its index.
+    problems: dict[int, str]
+    evaluations: int = 0
+    interrupted: bool = False
+    tol: float = math.nan
+
+    @property
+    def verdicts(self) -> Verdicts:
+        """The verdicts without the trajectories."""
+        return Verdicts(self.steps, self.largest, self.problems, self.tol)
 
 
 class Round(NamedTuple):

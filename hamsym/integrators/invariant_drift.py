@@ -8,7 +8,7 @@ import numpy as np
 
 from hamsym.conservation import KnownInvariants
 from hamsym.ensemble import Ensemble
-from hamsym.integrators.trajectory import Tolerated
+from hamsym.integrators.compared_runs import Tolerated
 
 
 def invariant_drifts(

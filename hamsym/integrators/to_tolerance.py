@@ -31,10 +31,10 @@ import numpy as np
 from hamsym.conservation import KnownInvariants
 from hamsym.ensemble import Ensemble
 from hamsym.integrators.coefficients import Splitting
-from hamsym.integrators.compared_runs import MAX_NARROW, SLACK, ComparedRuns, Round
+from hamsym.integrators.compared_runs import MAX_NARROW, SLACK, ComparedRuns, Round, Tolerated
 from hamsym.integrators.invariant_drift import invariant_drifts
 from hamsym.integrators.stepper import INTERRUPTED, require_memory
-from hamsym.integrators.trajectory import Tolerated, Trajectory
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
 from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
@@ -81,9 +81,9 @@ def integrate_to_tolerance(
     if not shape:
         end = max(int(np.isfinite(z[0]).all(axis=-1).sum()), 1)
         z, errors, times = z[:, :end], errors[:, :end], times[:end]
-        message = found.outcome(0, name, span[1])
+        message = found.verdicts.outcome(0, name, span[1])
     else:
-        message = found.outcome_of_all(name, span[1])
+        message = found.verdicts.outcome_of_all(name, span[1])
     steps = int(found.steps.max())
     return Trajectory(
         t=times,
@@ -99,7 +99,7 @@ def integrate_to_tolerance(
         ensemble=members,
         interrupted=found.interrupted,
         error_estimate=errors.reshape(*shape, *errors.shape[1:]),
-        verdicts=found,
+        verdicts=found.verdicts,
         invariant_drift=drifts,
     )
 

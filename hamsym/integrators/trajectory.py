@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import numpy as np
 
@@ -18,7 +17,8 @@ from hamsym.errors import InputError
 from hamsym.integrators.energy_drift import work_of
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.suggestions import suggest_attributes, unknown
-from hamsym.support.shown import Shown
+from hamsym.support.record_fields import UNSAVED, AnyFloat, Count, Size, counts, flags, floats
+from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
 from hamsym.support.text_tables import ROWS
 
@@ -28,25 +28,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass
-class Tolerated:
-    """Trajectories of an ensemble, and how far each of them meets the tolerance."""
+@dataclass(frozen=True)
+class Verdicts:
+    """How far each trajectory of an ensemble meets the tolerance."""
 
-    #: States, shape (count, 1 + saves, dim); nan after the end of a trajectory.
-    z: np.ndarray = field(repr=False)
-    #: Estimated errors in the units of the components, shape of z; infinite where unknown.
-    errors: np.ndarray = field(repr=False)
-    #: Shape (count,).
-    success: np.ndarray
-    #: Steps of the finest run of each trajectory, shape (count,).
-    steps: np.ndarray
+    #: Steps of the finest run of each trajectory.
+    steps: Annotated[np.ndarray, counts("members")]
     #: Largest estimated error of each trajectory relative to the sizes of its components.
-    largest: np.ndarray
+    largest: Annotated[np.ndarray, floats("members", finite=False)]
     #: Reason for each trajectory that did not succeed, by its index.
     problems: dict[int, str]
-    evaluations: int = 0
-    interrupted: bool = False
-    tol: float = math.nan
+    tol: Size
 
     def outcome(self, index: int, method: str, end: float) -> str:
         """Describe the outcome of one trajectory."""
@@ -59,7 +51,7 @@ class Tolerated:
 
     def outcome_of_all(self, method: str, end: float) -> str:
         """Describe the outcome of an ensemble."""
-        count, failed = len(self.success), sorted(self.problems)
+        count, failed = len(self.steps), sorted(self.problems)
         if failed:
             return (
                 f"{len(failed):,} of {count:,} trajectories failed, number {failed[0]:,} first: "
@@ -72,9 +64,12 @@ class Tolerated:
         )
 
 
+_STATES = floats("*shape", "times", "dim", finite=False)
+
+
 @suggest_attributes
 @dataclass(frozen=True)
-class Trajectory(Shown):
+class Trajectory(Saved):
     """States along a trajectory, or along each trajectory of an ensemble.
 
     An ensemble has the shape to which the initial states and the parameters broadcast, (batch,) for
@@ -120,29 +115,29 @@ class Trajectory(Shown):
     error_estimate : numpy.ndarray, optional
         With ``tol``: largest estimated error of each component up to each time, shape of z, in the
         units of the components; infinite where it is unknown.
-    verdicts : Tolerated, optional
+    verdicts : Verdicts, optional
         With ``tol``: steps, largest relative error and problem of each trajectory, in a flat order.
     invariant_drift : mapping of str to float or numpy.ndarray
         Largest change of each of the ``invariants`` at the saved times, by its formula, (*shape);
         not part of files.
     """
 
-    t: np.ndarray = field(repr=False)
-    z: np.ndarray = field(repr=False)
+    t: Annotated[np.ndarray, floats("times")] = field(repr=False)
+    z: Annotated[np.ndarray, _STATES] = field(repr=False)
     names: tuple[str, ...]
     method: str
-    steps: int
+    steps: Count
     dt: float
-    evaluations: int
-    seconds: float
-    success: bool | np.ndarray
+    evaluations: Count
+    seconds: Size
+    success: bool | Annotated[np.ndarray, flags("*shape")]
     message: str
     ensemble: Ensemble = field(repr=False)
     interrupted: bool = False
-    drift: float = math.nan
-    error_estimate: np.ndarray | None = field(default=None, repr=False)
-    verdicts: Tolerated | None = field(default=None, repr=False)
-    invariant_drift: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    drift: AnyFloat = math.nan
+    error_estimate: Annotated[np.ndarray, _STATES] | None = field(default=None, repr=False)
+    verdicts: Verdicts | None = field(default=None, repr=False)
+    invariant_drift: Mapping[str, Any] = field(default_factory=dict, repr=False, metadata=UNSAVED)
 
     def __repr__(self) -> str:
         success, found = np.asarray(self.success), self.verdicts
@@ -383,16 +378,6 @@ class Trajectory(Shown):
     def _attributes(self) -> dict[str, Any]:
         known = attributes_of(self.ensemble.H, self.ensemble.varied if self.ensemble.shape else ())
         return {**known, "method": self.method, "dt": self.dt, "steps": self.steps}
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the trajectory to a file that :func:`hamsym.load` reads; see :func:`hamsym.save`.
-
-        Raises
-        ------
-        FileError
-            If the file cannot be written, or the trajectory is not valid.
-        """
-        hamsym.save(self, path)
 
     def plot(self, *names: Any, ax: Any = None) -> Figure:
         """Draw the trajectory or the ensemble: an overview, or what the names say.

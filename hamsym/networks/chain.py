@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -12,14 +11,7 @@ from torch import Tensor
 
 from hamsym.networks.trial import TrialSolution
 from hamsym.numerics.windows import locate
-from hamsym.support.checked_data import (
-    checked_list,
-    checked_mapping,
-    checked_number,
-    require_array,
-    require_counts,
-    require_names,
-)
+from hamsym.support.record_fields import Count, Limit, Size, counts, floats
 
 #: Most windows of a chain.
 MAX_WINDOWS = 50_000
@@ -34,7 +26,7 @@ class Chain:
     """One trial solution for each window; each starts at the end of the one before."""
 
     #: In the order of the span. Piece k is used from its own ``t0`` to that of the next.
-    pieces: tuple[TrialSolution, ...] = field(repr=False)
+    pieces: Annotated[tuple[TrialSolution, ...], Limit(most=MAX_WINDOWS)] = field(repr=False)
     #: End of the last window.
     end: float
 
@@ -72,53 +64,15 @@ class Chain:
         z, dz = (torch.cat(columns)[back] for columns in zip(*parts, strict=True))
         return z, dz
 
-    # -- as data -------------------------------------------------------------------------------
-
-    def describe(self) -> dict[str, Any]:
-        """Return form and settings as JSON values."""
-        return {
-            "form": "chain",
-            "end": float(self.end),
-            "pieces": [piece.describe() for piece in self.pieces],
-        }
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return the weights and starts of all pieces by name."""
-        return {
-            f"{k}.{name}": array
-            for k, piece in enumerate(self.pieces)
-            for name, array in piece.arrays().items()
-        }
-
-    @classmethod
-    def from_description(
-        cls, values: Mapping[str, Any], arrays: Mapping[str, np.ndarray], dim: int
-    ) -> Chain:
-        """Build a chain from the results of :meth:`describe` and :meth:`arrays`.
-
-        Raise ValueError if they do not describe a chain with ``dim`` components.
-        """
-        require_names("trial solution", values, {"form", "end", "pieces"})
-        forms = checked_list("pieces", values["pieces"], most=MAX_WINDOWS)
-        groups: list[dict[str, np.ndarray]] = [{} for _ in forms]
-        for name, array in arrays.items():
-            number, _, rest = name.partition(".")
-            if not number.isdecimal() or str(int(number)) != number or int(number) >= len(forms):
-                raise ValueError(f"'{name[:40]}' does not belong to a piece of its chain")
-            groups[int(number)][rest] = array
-        pieces = tuple(
-            TrialSolution.from_description(checked_mapping("piece", form), own, dim)
-            for form, own in zip(forms, groups, strict=True)
-        )
-        return cls(pieces, checked_number("end", values["end"]))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Chain.from_description, (self.describe(), self.arrays(), len(self.pieces[0].z0))
-
-    def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
-        """Raise ValueError unless this is a chain from z0 over the span."""
+    def check(self) -> None:
+        """Raise ValueError unless it has pieces of float64."""
         if not self.pieces:
             raise ValueError("its chain has no pieces")
+        if any(piece.dtype != np.float64 for piece in self.pieces):
+            raise ValueError("its weights are not float64")
+
+    def require_path(self, z0: np.ndarray, span: tuple[float, float]) -> None:
+        """Raise ValueError unless this is a chain from z0 over the span."""
         start, allowed = z0, np.zeros(len(z0))
         edges = self.edges
         if not np.isfinite(edges).all() or edges[0] != span[0] or edges[-1] != span[1]:
@@ -128,9 +82,7 @@ class Chain:
             raise ValueError("its windows are not in order")
         for piece, low, high in zip(self.pieces, edges[:-1], edges[1:], strict=True):
             own = piece.z0.numpy()
-            if own.dtype != np.float64:
-                raise ValueError("its weights are not float64")
-            piece.check(own, (float(low), float(high)))
+            piece.require_path(own, (float(low), float(high)))
             if not (np.abs(own - start) <= allowed).all():
                 raise ValueError("a window of its chain does not start at the end of that before")
             start = piece.states_at(np.array([high]))[0]
@@ -149,24 +101,24 @@ def _terms(piece: TrialSolution, t: float) -> np.ndarray:
 class ChainTraining:
     """Record of the training of a chain."""
 
-    #: Ends of the windows, shape (n + 1,).
-    edges: np.ndarray = field(repr=False)
-    #: Least-squares steps of each window, shape (n,).
-    steps: np.ndarray = field(repr=False)
+    #: Ends of the windows.
+    edges: Annotated[np.ndarray, floats("windows + 1")] = field(repr=False)
+    #: Least-squares steps of each window.
+    steps: Annotated[np.ndarray, counts("windows")] = field(repr=False)
     #: Those of them that changed the hidden layers.
-    hidden_steps: np.ndarray = field(repr=False)
+    hidden_steps: Annotated[np.ndarray, counts("windows")] = field(repr=False)
     #: Largest residual between the points in each window, relative to the size of the motion.
-    residuals: np.ndarray = field(repr=False)
+    residuals: Annotated[np.ndarray, floats("windows", least=0)] = field(repr=False)
     #: Collocation points of all windows.
-    points: int
+    points: Count
     #: Evaluations of the vector field, each at one point, those of rejected windows included.
-    point_evaluations: int
+    point_evaluations: Count
     #: Windows that were trained in vain and tried again, shorter.
-    rejected: int
+    rejected: Count
     #: Chains trained until one met the tolerance.
-    passes: int
-    seconds: float
-    cpu_seconds: float
+    passes: Count
+    seconds: Size
+    cpu_seconds: Size
     origin: float = 0.0
 
     @property
@@ -185,20 +137,9 @@ class ChainTraining:
         within = self.edges[:-1, None] + np.diff(self.edges)[:, None] * inside
         return np.append(within.ravel(), self.edges[-1])
 
-    def check(self, trial: Any) -> None:
+    def require_trial(self, trial: Any) -> None:
         """Raise ValueError if this is not the record of a chain."""
         if not isinstance(trial, Chain) or not np.array_equal(self.edges, trial.edges):
             raise ValueError("the windows of its training differ from those of its chain")
-        count = len(trial.pieces)
         if self.origin != 0:
             raise ValueError("its windows are not counted from zero")
-        for name, dtype in (
-            ("steps", np.int64),
-            ("hidden_steps", np.int64),
-            ("residuals", np.float64),
-        ):
-            array = getattr(self, name)
-            require_array(name, array, (count,), dtype)
-            if (array < 0).any():
-                raise ValueError(f"its {name} are negative")
-        require_counts(self)

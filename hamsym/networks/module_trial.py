@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from torch.autograd import forward_ad
 
 from hamsym.errors import InputError
 from hamsym.networks.trial import EnvelopedNetwork
+from hamsym.support.record_fields import NotDataError, convert
 from hamsym.support.tensor_files import one_line
 
 _PROBES = 33  # inputs at which a module is tested
@@ -77,24 +78,8 @@ class ModuleTrial(EnvelopedNetwork):
                     reset()
         self.network.load_state_dict(fresh.state_dict())
 
-    def describe(self) -> dict[str, Any]:
-        """Raise InputError: the code of the module is not data."""
-        raise InputError(
-            "a file of hamsym holds networks of hamsym only, not a module of your own; save "
-            "solution.trial.network.state_dict() with torch.save"
-        )
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Raise InputError, as :meth:`describe`."""
-        self.describe()
-        return {}
-
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self.network, self.z0, self.t0, self.tau, self.envelope, self.held)
-
-    def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
-        """Raise ValueError if this is not a trial solution from z0 over the span."""
-        self.check_start(z0, span)
 
 
 def _restored(
@@ -247,3 +232,13 @@ def _defect(
     areas = (end - start) / (6 * _INTERVALS) * (rate[:-2:2] + 4 * rate[1::2] + rate[2::2])
     change = value[2::2] - value[0]
     return np.abs(change - areas.cumsum(0)).max(0), np.abs(change).max(0)
+
+
+def _not_data(trial: ModuleTrial) -> NoReturn:
+    raise NotDataError(
+        "a file of hamsym holds networks of hamsym only, not a module of your own; save "
+        "solution.trial.network.state_dict() with torch.save"
+    )
+
+
+convert(ModuleTrial, Any, _not_data, _not_data)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from hamsym.support.checked_data import require_array, require_counts
+from hamsym.support.record_fields import AnyFloat, Count, Size, counts, floats
 
 
 class Stopped(StrEnum):
@@ -63,11 +63,12 @@ class History:
         residual, and the time since the start.
     """
 
-    loss: np.ndarray = field(repr=False)
-    iteration: np.ndarray = field(repr=False)
-    fixed_loss: np.ndarray = field(repr=False)
-    ell_max: np.ndarray = field(repr=False)
-    seconds: np.ndarray = field(repr=False)
+    # The losses of a training that restarted may not be finite.
+    loss: Annotated[np.ndarray, floats("iterations", finite=False)] = field(repr=False)
+    iteration: Annotated[np.ndarray, counts("checks")] = field(repr=False)
+    fixed_loss: Annotated[np.ndarray, floats("checks", finite=False)] = field(repr=False)
+    ell_max: Annotated[np.ndarray, floats("checks", finite=False)] = field(repr=False)
+    seconds: Annotated[np.ndarray, floats("checks")] = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -93,14 +94,14 @@ class Training:
     """
 
     history: History
-    points: int
-    iterations: int
-    restarts: int
-    best_loss: float
-    best_ell_max: float
+    points: Count
+    iterations: Count
+    restarts: Count
+    best_loss: AnyFloat
+    best_ell_max: AnyFloat
     stopped: str
-    seconds: float
-    cpu_seconds: float
+    seconds: Size
+    cpu_seconds: Size
 
     # A network is one smooth function over the whole span.
     edges: ClassVar[None] = None
@@ -115,17 +116,12 @@ class Training:
         """Return ``count`` equally spaced times over a span."""
         return np.linspace(*span, count)
 
-    def check(self, trial: Any) -> None:
-        """Raise ValueError if this is not the record of a training."""
-        history = self.history
-        checks = len(history.iteration)
-        # The record of a training that restarted can contain losses that are not finite.
-        for name, dtype, count in (
-            ("loss", np.float64, self.iterations),
-            ("iteration", np.int64, checks),
-            ("fixed_loss", np.float64, checks),
-            ("ell_max", np.float64, checks),
-            ("seconds", np.float64, checks),
-        ):
-            require_array(name, getattr(history, name), (count,), dtype, finite=False)
-        require_counts(self)
+    def check(self) -> None:
+        """Raise ValueError unless its history has a loss for each iteration."""
+        if len(self.history.loss) != self.iterations:
+            raise ValueError("its history does not have its number of iterations")
+
+    def require_trial(self, trial: Any) -> None:
+        """Raise ValueError if this is not the record of one network."""
+        if hasattr(trial, "edges"):
+            raise ValueError("its training is not that of its windows")

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import torch
 
 from hamsym.networks.record import Stopped, Training
+from hamsym.support.record_fields import Count, Limit, Size
 from hamsym.support.validation import require_positive, require_whole
+
+_Level = Annotated[float, Limit(0, finite=False)]
 
 
 @dataclass
@@ -19,26 +22,20 @@ class Progress:
 
     #: iteration, stage, in_stage, restarts, improved: Iterations done, the current stage from 1,
     #: iterations in it, restarts, and the iteration of the best loss.
-    iteration: int = 0
-    stage: int = 1
-    in_stage: int = 0
-    restarts: int = 0
-    improved: int = 0
+    iteration: Count = 0
+    stage: Count = 1
+    in_stage: Count = 0
+    restarts: Count = 0
+    improved: Count = 0
     #: best_loss, best_ell_max: Of the best weights, at the fixed points.
-    best_loss: float = math.inf
-    best_ell_max: float = math.inf
+    best_loss: _Level = math.inf
+    best_ell_max: _Level = math.inf
     #: Lowest loss in this stage at the optimizer's points.
-    lowest: float = math.inf
+    lowest: _Level = math.inf
     #: Best loss when the criteria were last evaluated.
-    judged: float = math.inf
-    seconds: float = 0.0
-    cpu_seconds: float = 0.0
-
-    def check(self) -> None:
-        """Raise ValueError if a number is negative or not a number."""
-        for entry in fields(self):
-            if not getattr(self, entry.name) >= 0:
-                raise ValueError(f"'{entry.name}' is negative or not a number")
+    judged: _Level = math.inf
+    seconds: Size = 0.0
+    cpu_seconds: Size = 0.0
 
 
 @dataclass(frozen=True)

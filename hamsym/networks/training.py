@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -28,7 +28,7 @@ from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.record import History, Stopped, Training, TrainingState
 from hamsym.networks.rules import Progress, Stages, StageSchedule, Stopping
-from hamsym.support.checked_data import checked_mapping, checked_record, checked_type
+from hamsym.support.records import packed, unpacked
 from hamsym.support.tensor_files import one_line
 
 # Products of points and weights below this are no faster on two threads, which cost twice the CPU
@@ -121,6 +121,17 @@ def train(
                     f"{one_line(error)}; give another file"
                 ) from None
     return run.through(callbacks, checkpoint)
+
+
+@dataclass(frozen=True)
+class _State:
+    """What a checkpoint contains of a training beside its tensors and settings."""
+
+    progress: Progress
+    #: Of the optimizer.
+    optimizer: dict[str, Any]
+    stopped: str | None
+    rules: Any
 
 
 class _Run:
@@ -293,27 +304,16 @@ class _Run:
         }
         own, values = self.optimizer.state()
         tensors |= {f"optimizer.{name}": tensor.clone() for name, tensor in own.items()}
-        checkpoint.write(
-            tensors,
-            {
-                "progress": asdict(self.progress),
-                "optimizer": values,
-                "stopped": self.stopped,
-                "rules": self.stopping.summary(),
-            },
-        )
+        state = _State(self.progress, values, self.stopped, self.stopping.summary())
+        checkpoint.write(tensors, packed(state)[1])
 
     def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
         """Restore the state that :meth:`write` wrote.
 
         Raise ValueError if it is not the state of this training.
         """
-        if {*values} != {"settings", "progress", "optimizer", "stopped", "rules"}:
-            raise ValueError("its values are not those of a training")
-        progress = checked_record(Progress, values["progress"], {})
-        progress.check()
-        self.stopped = checked_type("stopped", values["stopped"], "str | None")
-        optimizer = checked_mapping("optimizer", values["optimizer"])
+        state = unpacked(_State, {}, {k: v for k, v in values.items() if k != "settings"})
+        progress, self.stopped = state.progress, state.stopped
         stages, losses = self.schedule.stages.count, tensors["losses"]
         if not 1 <= progress.stage <= stages or progress.iteration != len(losses):
             raise ValueError("its iterations, stages and losses are inconsistent")
@@ -330,13 +330,13 @@ class _Run:
         self.checks = [(int(row[0]), *row[1:]) for row in own["checks"].tolist()]
         self.generator.set_state(own["generator"])
         self.progress = self.schedule.progress = progress
-        if values["rules"] != self.stopping.summary():
+        if state.rules != self.stopping.summary():
             # The best weights so far may meet rules that have changed.
             progress.judged = math.inf
             self.stopped = self._rule_met()
         start = "optimizer."
-        state = {n.removeprefix(start): t for n, t in tensors.items() if n.startswith(start)}
-        self.optimizer.restore(state, optimizer)
+        found = {n.removeprefix(start): t for n, t in tensors.items() if n.startswith(start)}
+        self.optimizer.restore(found, state.optimizer)
 
 
 def _require_alike(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:

@@ -7,9 +7,10 @@ par_sol and f_param).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import chain
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -22,12 +23,7 @@ from hamsym.networks.network import (
     has_explicit_gradient,
     weights_of,
 )
-from hamsym.support.checked_data import (
-    checked_number,
-    checked_values,
-    require_array,
-    require_names,
-)
+from hamsym.support.record_fields import Array, convert
 
 
 def _exponential(s: Tensor) -> tuple[Tensor, Tensor]:
@@ -176,30 +172,46 @@ class EnvelopedNetwork(torch.nn.Module):
         z, dz = self(t.to(self.z0.dtype).to(self.z0.device))
         return z, dz
 
-    def check_start(self, z0: np.ndarray, span: tuple[float, float]) -> None:
+    def require_path(self, z0: np.ndarray, span: tuple[float, float]) -> None:
         """Raise ValueError unless z^ starts at z0 at the start of the span."""
-        own = self.z0.numpy()
-        if own.dtype not in (np.float32, np.float64):
-            raise ValueError(f"its weights are of type {own.dtype}, not float32 or float64")
-        require_array("z0 of the network", own, z0.shape, own.dtype)
-        if not (math.isfinite(self.t0) and math.isfinite(self.tau)):
-            raise ValueError("its t0 or tau is not finite")
-        start, end = span
-        if self.t0 != start or not math.copysign(1.0, end - start) * self.tau > 0:
+        own, (start, end) = self.z0.numpy(), span
+        if self.t0 != start or not 0 < math.copysign(1.0, end - start) * self.tau < math.inf:
             raise ValueError("its span is not that of its network")
         with np.errstate(over="ignore"):
             if own.tobytes() != z0.astype(own.dtype).tobytes():
                 raise ValueError("its network does not start at its z0")
 
 
-_TYPES = {
-    "form": "str",
-    "shared": "bool",
-    "sizes": "tuple[int, ...]",
-    "frequency": "float | None",
-    **dict.fromkeys(("activation", "envelope"), "str"),
-    **dict.fromkeys(("t0", "tau"), "float"),
-}
+_WEIGHTS = (np.float32, np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkData:
+    """A trial solution with a fully connected network, or one for each component, as data."""
+
+    #: Whether the components share one network.
+    shared: bool
+    #: Of the layers of a network.
+    sizes: tuple[int, ...]
+    activation: str
+    frequency: float | None
+    t0: float
+    tau: float
+    envelope: str
+    z0: Annotated[np.ndarray, Array(("dim",), _WEIGHTS)]
+    weights: Annotated[np.ndarray, Array(("networks", "weights"), _WEIGHTS)]
+
+    def check(self) -> None:
+        """Raise ValueError unless the weights are those of the layers."""
+        if self.frequency is not None and not self.frequency > 0:
+            raise ValueError("its frequency is not a positive number")
+        dim, sizes = len(self.z0), self.sizes
+        networks, outputs = (1, dim) if self.shared else (dim, 1)
+        if len(sizes) < 3 or min(sizes) < 1 or sizes[0] != 1 or sizes[-1] != outputs:
+            raise ValueError("the layer sizes of its networks are inconsistent")
+        shape = (networks, weights_of(sizes))
+        if self.weights.shape != shape or self.weights.dtype != self.z0.dtype:
+            raise ValueError("its weights do not have the size and type that its layers need")
 
 
 class TrialSolution(EnvelopedNetwork):
@@ -233,88 +245,55 @@ class TrialSolution(EnvelopedNetwork):
             matrix[row], bias[row] = 0, 0
         self.moving = None
 
-    def describe(self) -> dict[str, Any]:
-        """Return form and settings as JSON values."""
-        first = self.parts[0]
-        return {
-            "form": "network",
-            "shared": isinstance(self.network, Network),
-            "sizes": first.sizes,
-            "activation": first.activation,
-            "frequency": None if first.frequency is None else float(first.frequency),
-            "t0": self.t0,
-            "tau": self.tau,
-            "envelope": self.envelope,
-        }
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return the weights and z0 by name."""
-        return {name: tensor.detach().numpy() for name, tensor in self.state_dict().items()}
+    @property
+    def data(self) -> NetworkData:
+        """The networks as data."""
+        first, *rest = self.parts
+        form = (first.sizes, first.activation, first.frequency)
+        if any((part.sizes, part.activation, part.frequency) != form for part in rest):
+            raise ValueError("its networks differ in layers, activation or frequency")
+        return NetworkData(
+            shared=isinstance(self.network, Network),
+            sizes=tuple(first.sizes),
+            activation=first.activation,
+            frequency=None if first.frequency is None else float(first.frequency),
+            t0=self.t0,
+            tau=self.tau,
+            envelope=self.envelope,
+            z0=self.z0.detach().numpy(),
+            weights=np.stack([part.theta.detach().numpy() for part in (first, *rest)]),
+        )
 
     @classmethod
-    def from_description(
-        cls, values: Mapping[str, Any], arrays: Mapping[str, np.ndarray], dim: int
-    ) -> TrialSolution:
-        """Build a trial solution from the results of :meth:`describe` and :meth:`arrays`.
+    def of_data(cls, data: NetworkData) -> TrialSolution:
+        """Build the networks that data describe."""
+        outputs, precision = data.sizes[-1], torch.from_numpy(data.z0).dtype
 
-        Sizes are compared with the arrays before anything is built from them.
-
-        Raise ValueError if they do not describe a trial solution with ``dim`` components.
-        """
-        given = checked_values("trial solution", values, _TYPES)
-        shared, sizes, frequency = given["shared"], given["sizes"], given["frequency"]
-        if frequency is not None and not 0 < frequency < math.inf:
-            raise ValueError("its frequency is not a positive number")
-        outputs = dim if shared else 1
-        keys = ["network.theta"] if shared else [f"network.networks.{k}.theta" for k in range(dim)]
-        require_names("network", arrays, {"z0", *keys})
-        if len(sizes) < 3 or min(sizes) < 1 or sizes[0] != 1 or sizes[-1] != outputs:
-            raise ValueError("the layer sizes of its networks are inconsistent")
-        z0 = arrays["z0"]
-        for key in keys:
-            if arrays[key].shape != (weights_of(sizes),) or arrays[key].dtype != z0.dtype:
-                raise ValueError(f"'{key}' does not have the size and type that its layers need")
-        if z0.dtype not in (np.float32, np.float64) or z0.shape != (dim,):
-            raise ValueError("its z0 has another type or dimension")
-        precision = torch.from_numpy(z0).dtype
-
-        def network() -> Network:
-            return Network(
+        def network(theta: np.ndarray) -> Network:
+            found = Network(
                 outputs,
-                sizes[1:-1],
-                given["activation"],
-                frequency=frequency,
+                data.sizes[1:-1],
+                data.activation,
+                frequency=data.frequency,
                 generator=torch.Generator(),
                 dtype=precision,
             )
+            found.load_state_dict({"theta": torch.from_numpy(np.array(theta))})
+            return found
 
+        parts = [network(theta) for theta in data.weights]
         trial = cls(
-            network() if shared else ComponentNetworks([network() for _ in range(dim)]),
-            torch.from_numpy(np.array(z0)),
-            **{name: checked_number(name, given[name]) for name in ("t0", "tau")},
-            envelope=given["envelope"],
+            parts[0] if data.shared else ComponentNetworks(parts),
+            torch.from_numpy(np.array(data.z0)),
+            t0=data.t0,
+            tau=data.tau,
+            envelope=data.envelope,
         )
-        trial.load_state_dict({n: torch.from_numpy(np.array(a)) for n, a in arrays.items()})
         trial.requires_grad_(False)
         return trial
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return TrialSolution.from_description, (self.describe(), self.arrays(), len(self.z0))
+        return TrialSolution.of_data, (self.data,)
 
-    def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
-        """Raise ValueError if this is not a trial solution from z0 over the span."""
-        parts, dim = self.parts, len(z0)
-        if not parts or not all(isinstance(part, Network) for part in parts):
-            raise ValueError("its network is not a Network or ComponentNetworks")
-        outputs = [dim] if isinstance(self.network, Network) else [1] * dim
-        if [part.sizes[-1] for part in parts] != outputs:
-            raise ValueError("the layer sizes of its networks are inconsistent")
-        if {(part.sizes[:-1], part.activation, part.frequency) for part in parts} != {
-            (parts[0].sizes[:-1], parts[0].activation, parts[0].frequency)
-        }:
-            raise ValueError("its networks differ in layers, activation or frequency")
-        self.check_start(z0, span)
-        own = self.z0.numpy()
-        for part in parts:
-            theta = part.theta.detach().numpy()
-            require_array("theta", theta, (weights_of(part.sizes),), own.dtype)
+
+convert(TrialSolution, NetworkData, lambda trial: trial.data, TrialSolution.of_data)

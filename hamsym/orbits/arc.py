@@ -14,6 +14,7 @@ because dH/dt = alpha |grad H|^2.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.windows import locate
 from hamsym.orbits.period import Period
 from hamsym.orbits.symmetry import Closing
+from hamsym.support.record_fields import AnyFloat, floats
 
 _FLOOR = 1e-8  # scale of a component relative to the largest of its kind
 
@@ -31,13 +33,21 @@ _FLOOR = 1e-8  # scale of a component relative to the largest of its kind
 class Arc:
     """States along an arc, from t = start to start + period/parts."""
 
-    #: Ends of the windows as fractions of the arc, shape (k + 1,).
-    edges: np.ndarray
-    #: States there, shape (k + 1, dim).
-    ends: np.ndarray
-    #: States at the Chebyshev points, shape (k, nodes, dim).
-    values: np.ndarray
-    period: float
+    #: Ends of the windows as fractions of the arc.
+    edges: Annotated[np.ndarray, floats("windows + 1")]
+    #: States there.
+    ends: Annotated[np.ndarray, floats("windows + 1", "dim", finite=False)]
+    #: States at the Chebyshev points.
+    values: Annotated[np.ndarray, floats("windows", "nodes", "dim", finite=False)]
+    period: AnyFloat
+
+    def check(self) -> None:
+        """Raise ValueError unless its windows divide an arc."""
+        edges = self.edges
+        if not (edges[0] == 0 and edges[-1] == 1 and (np.diff(edges) > 0).all()):
+            raise ValueError("the windows of its arc are not in order")
+        if self.values.shape[1] < 2:
+            raise ValueError("its arc has no states inside its windows")
 
     @property
     def scale(self) -> np.ndarray:
@@ -88,10 +98,19 @@ class Problem:
     H: Hamiltonian
     closing: Closing
     energy: float | None = None
-    period: float | None = None
+    period: AnyFloat | None = None
     start: float = 0.0
     parameter: str | None = None
     exact_period: Period | None = None
+
+    def check(self) -> None:
+        """Raise ValueError unless its symmetries and its parameter are those of H."""
+        names = self.H.parameter_names
+        if self.parameter is not None and self.parameter not in names:
+            raise ValueError("it varies a parameter that H does not have")
+        self.H.require_parameters()
+        if len(self.closing.shift.places) != self.H.dim:
+            raise ValueError("its symmetry has another number of components")
 
     @property
     def autonomous(self) -> bool:

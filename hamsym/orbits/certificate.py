@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -15,23 +14,19 @@ from hamsym.orbits.claims import orbit_digest, statement_of
 from hamsym.orbits.proven_stability import WEAKER
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import decimal_above
-from hamsym.proof.certificate_text import ORBIT_KIND, opened, sealed
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.checked_data import checked_list, checked_number, checked_type, require_names
-from hamsym.support.shown import Shown
+from hamsym.support.record_fields import Limit, Size
+from hamsym.support.sealed_text import SealedText
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from hamsym.orbits.orbit import PeriodicOrbit
 
-_VERSION = 1
-_LONGEST_TEXT = 2**22
-
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class OrbitCertificate(Shown):
+class OrbitCertificate(SealedText):
     """Proof that a periodic orbit exists, from :meth:`PeriodicOrbit.certify`.
 
     Attributes
@@ -64,16 +59,32 @@ class OrbitCertificate(Shown):
         SHA-256 of the orbit: H, its parameters, the conditions, and the states of its arc.
     """
 
+    _KIND = "hamsym orbit certificate"
+    _VERSION = 2
+    _LONGEST = 2**22
+    _OF = " of an orbit"
+
     z0: Ball
     period: Ball
-    bound: float
-    unique_within: float
+    bound: Size
+    unique_within: Size
     monodromy: Ball = field(repr=False)
     stability: str
-    pieces: int
-    seconds: float
+    pieces: Annotated[int, Limit(1)]
+    seconds: Size
     statement: str = field(repr=False)
     digest: str = field(repr=False)
+
+    def check(self) -> None:
+        """Raise ValueError unless its balls are those of an orbit, and its stability is proven."""
+        dim = np.size(self.z0.mid)
+        shapes = [np.shape(ball.mid) for ball in (self.z0, self.period, self.monodromy)]
+        if shapes != [(dim,), (), (dim, dim)] or not self.period.lower > 0:
+            raise ValueError(
+                "its balls do not have the shapes of an orbit, or its period is not > 0"
+            )
+        if self.stability not in WEAKER:
+            raise ValueError("its stability is none that a proof gives")
 
     def plot(self, *, ax: Any = None) -> Figure:
         """Draw the multipliers of the orbit about the unit circle.
@@ -94,63 +105,6 @@ class OrbitCertificate(Shown):
     def verify(self, orbit: PeriodicOrbit, *, time_limit: float | None = None) -> None:
         """Prove the claims again; see :func:`hamsym.verify`."""
         verify_orbit(self, orbit, time_limit)
-
-    # -- as text ---------------------------------------------------------------------------
-
-    def to_json(self) -> str:
-        """Write the certificate as text; numbers have all digits."""
-        values: dict[str, Any] = {"kind": ORBIT_KIND, "version": _VERSION}
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if isinstance(value, Ball):
-                value = [np.asarray(part).tolist() for part in (value.mid, value.radius)]
-            values[entry.name] = value
-        return sealed(values)
-
-    @classmethod
-    def from_json(cls, text: str) -> OrbitCertificate:
-        """Read a certificate that :meth:`to_json` wrote.
-
-        Raises
-        ------
-        FileError
-            If the text is not a certificate of an orbit, or is one of another version.
-        """
-        try:
-            return _from_json(text)
-        except (ValueError, TypeError, RecursionError) as error:
-            raise FileError(
-                f"the text is not a certificate of an orbit of this version: {error}"
-            ) from None
-
-
-def _from_json(text: str) -> OrbitCertificate:
-    values = opened(text, _LONGEST_TEXT)
-    if values.pop("kind") != ORBIT_KIND:
-        raise ValueError(f"its kind is not '{ORBIT_KIND}'")
-    if values.pop("version", None) != _VERSION:
-        raise ValueError(f"its version is not {_VERSION}")
-    require_names("entries", values, {entry.name for entry in fields(OrbitCertificate)})
-    for name in ("z0", "period", "monodromy"):
-        values[name] = Ball(*checked_list(name, values[name], 2))
-    for name in ("bound", "unique_within", "seconds"):
-        if not checked_number(name, values[name]) >= 0:
-            raise ValueError(f"'{name}' is negative")
-        values[name] = float(values[name])
-    for name in ("stability", "statement", "digest"):
-        checked_type(name, values[name], "str")
-    if not checked_type("pieces", values["pieces"], "int") > 0:
-        raise ValueError("'pieces' is not positive")
-    if values["stability"] not in WEAKER:
-        raise ValueError("its stability is none that a proof gives")
-    found = OrbitCertificate(**values)
-    dim = np.size(found.z0.mid)
-    shapes = [np.shape(ball.mid) for ball in (found.z0, found.period, found.monodromy)]
-    if shapes != [(dim,), (), (dim, dim)] or not found.period.lower > 0:
-        raise ValueError("its balls do not have the shapes of an orbit, or its period is not > 0")
-    if not re.fullmatch("[0-9a-f]{64}", found.digest):
-        raise ValueError("its digest is not a SHA-256")
-    return found
 
 
 def verify_orbit(

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from hamsym.description import described
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.orbits.arc import Problem
-from hamsym.orbits.symmetry import SignedPermutation
+from hamsym.orbits.arc import Arc, Problem
 from hamsym.proof.ball import Ball
+from hamsym.support.records import digest_of
 
 if TYPE_CHECKING:
     from hamsym.orbits.orbit import PeriodicOrbit
@@ -43,30 +38,7 @@ def statement_of(
 
 def orbit_digest(orbit: PeriodicOrbit) -> str:
     """SHA-256 of an orbit: H, the conditions that it meets, and the states of its arc."""
-    problem, arc = orbit.problem, orbit.arc
-    exact = None if problem.exact_period is None else str(problem.exact_period.formula)
-    values: dict[str, Any] = {
-        "version": 1,
-        "H": described(orbit.H),
-        "energy": None if problem.energy is None else float(problem.energy).hex(),
-        "period": [None if problem.period is None else float(problem.period).hex(), exact],
-        "start": float(problem.start).hex(),
-        "parameter": problem.parameter,
-        "closing": [
-            _map(each)
-            for each in (problem.closing.shift, problem.closing.first, problem.closing.last)
-        ],
-    }
-    found = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
-    for numbers in (arc.edges, arc.ends, arc.values, np.array(arc.period)):
-        data = np.asarray(numbers).astype("<f8")
-        found.update(f"{list(data.shape)} ".encode())
-        found.update(data.tobytes())
-    return found.hexdigest()
-
-
-def _map(symmetry: SignedPermutation | None) -> Any:
-    return None if symmetry is None else [[*symmetry.places], [*symmetry.signs]]
+    return digest_of((orbit.problem, orbit.arc), tuple[Problem, Arc])
 
 
 def _equation(H: Hamiltonian) -> str:

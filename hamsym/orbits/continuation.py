@@ -23,6 +23,7 @@ from hamsym.orbits.newton_system import NewtonSystem
 from hamsym.orbits.orbit import PeriodicOrbit, solved_orbit
 from hamsym.orbits.period import period_of
 from hamsym.orbits.search import anchor_of
+from hamsym.support.record_fields import Count, Size
 
 _FIRST, _SMALLEST = 0.02, 1e-6  # steps in scaled unknowns
 _GROWTH, _CUT = 1.4, 0.4  # of a step after an easy and after a failed orbit
@@ -54,10 +55,10 @@ class Bifurcation:
     #: The orbit next to the bifurcation.
     orbit: PeriodicOrbit
     #: Number of the orbit of the family before it.
-    after: int
+    after: Count
     #: Distance along the family, in states relative to their sizes, between the two orbits that
     #: enclose it. At a fold the energy or the parameter is accurate to its square.
-    uncertainty: float
+    uncertainty: Size
 
     def __repr__(self) -> str:
         return (

@@ -10,11 +10,12 @@ import numpy as np
 
 import hamsym
 from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.continuation import Aim, Bifurcation, Continuation
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.progress import stepping_progress
-from hamsym.support.shown import Shown
+from hamsym.support.shown import Saved
 from hamsym.support.text_tables import left_out, table, wrapped
 from hamsym.support.validation import require_number, require_positive, require_whole
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class OrbitFamily(Shown, Sequence[PeriodicOrbit]):
+class OrbitFamily(Saved, Sequence[PeriodicOrbit]):
     """Orbits along a family, in the order of their computation; a sequence of PeriodicOrbit.
 
     Attributes
@@ -43,6 +44,20 @@ class OrbitFamily(Shown, Sequence[PeriodicOrbit]):
     success: bool
     message: str
     parameter: str | None = None
+
+    def check(self) -> None:
+        """Raise ValueError unless it has orbits of one system, and bifurcations between them."""
+        if not self.orbits or len({orbit.H.names for orbit in self.orbits}) > 1:
+            raise ValueError("its orbits are not those of one system")
+        if self.parameter is not None and self.parameter not in self.H.parameter_names:
+            raise ValueError("it varies a parameter that H does not have")
+        if not all(found.after < len(self) for found in self.bifurcations):
+            raise ValueError("a bifurcation belongs to no orbit")
+
+    @property
+    def H(self) -> Hamiltonian:
+        """Hamiltonian of the first orbit."""
+        return self.orbits[0].H
 
     def __len__(self) -> int:
         return len(self.orbits)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
 
@@ -26,7 +26,8 @@ from hamsym.random_features.flow import flow_of
 from hamsym.solution.discontinuities import first_jump, has_switches
 from hamsym.solution.path import Path
 from hamsym.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.shown import Shown
+from hamsym.support.record_fields import AnyFloat, Limit, floats
+from hamsym.support.shown import Saved
 from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 from hamsym.support.validation import require_number, require_positive
 
@@ -43,7 +44,7 @@ _LARGE = 1e3  # multiplier whose inverse is more accurate than the computed one
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class PeriodicOrbit(Shown):
+class PeriodicOrbit(Saved):
     """A periodic orbit, from :func:`hamsym.periodic_orbit`.
 
     Attributes
@@ -69,10 +70,17 @@ class PeriodicOrbit(Shown):
     arc: Arc
     success: bool
     message: str
-    error_estimate: float
+    error_estimate: AnyFloat
     is_isolated: bool
-    repetitions: int
-    _maps: np.ndarray = field(repr=False)
+    repetitions: Annotated[int, Limit(1)]
+    _maps: Annotated[np.ndarray, floats("maps", "dim", "dim", finite=False)] = field(repr=False)
+
+    def check(self) -> None:
+        """Raise ValueError unless a successful orbit has states, and a period."""
+        arc = self.arc
+        finite = np.isfinite(arc.ends).all() and np.isfinite(arc.values).all()
+        if self.success and not (finite and 0 < arc.period < math.inf and self.error_estimate >= 0):
+            raise ValueError("its success is true, but its states or its period are not finite")
 
     def __repr__(self) -> str:
         return (

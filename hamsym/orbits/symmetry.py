@@ -23,6 +23,13 @@ class SignedPermutation:
     places: tuple[int, ...]
     signs: tuple[int, ...]
 
+    def check(self) -> None:
+        """Raise ValueError unless each component occurs once, with a sign."""
+        if sorted(self.places) != list(range(len(self.signs))) or not {*self.signs} <= {1, -1}:
+            raise ValueError("its symmetry does not use each component once, with a sign")
+        if self.time_direction == 0:
+            raise ValueError("its symmetry is neither symplectic nor reversing")
+
     @classmethod
     def identity(cls, dim: int) -> SignedPermutation:
         return cls(tuple(range(dim)), (1,) * dim)
@@ -102,6 +109,15 @@ class Closing:
     shift: SignedPermutation
     first: SignedPermutation | None = None
     last: SignedPermutation | None = None
+
+    def check(self) -> None:
+        """Raise ValueError unless it closes an orbit."""
+        maps = [each for each in (self.first, self.last) if each is not None]
+        if any(each.time_direction != -1 or each.order != 2 for each in maps) or len(maps) == 1:
+            raise ValueError("its symmetries are not a pair that reverses time")
+        shift = self.shift if self.last is None else self.last.after(maps[0])
+        if shift != self.shift or shift.time_direction != 1:
+            raise ValueError("its symmetries do not close an orbit")
 
     @property
     def reversing(self) -> bool:

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from numbers import Rational
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from hamsym.errors import InputError
+from hamsym.support.record_fields import convert, floats
 
 _TEXT = re.compile(r"\s*(?P<middle>\S+)\s*(\+-|\+/-|±)\s*(?P<radius>\S+)\s*")
 
@@ -181,3 +182,16 @@ def _nearest(middle: Fraction, radius: Fraction | None) -> tuple[float, float]:
 
 def _around(middle: Fraction, radius: Fraction) -> Ball:
     return Ball(*_nearest(middle, radius))
+
+
+def _numbers_of(ball: Ball) -> tuple[np.ndarray, np.ndarray]:
+    return np.asarray(ball.mid, dtype=float), np.asarray(ball.radius, dtype=float)
+
+
+def _of_numbers(numbers: tuple[np.ndarray, np.ndarray]) -> Ball:
+    return Ball(*(part if part.ndim else part.item() for part in numbers))
+
+
+_MID = Annotated[np.ndarray, floats("*axes")]
+_RADIUS = Annotated[np.ndarray, floats("*axes", finite=False, least=0)]
+convert(Ball, tuple[_MID, _RADIUS], _numbers_of, _of_numbers)

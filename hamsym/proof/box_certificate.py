@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
-import re
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any
 
 import hamsym
-from hamsym.description import described
-from hamsym.errors import FileError
+from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.flow_maps.storage import MAPS
 from hamsym.proof.balls import decimal_above
-from hamsym.proof.certificate_text import BOX_KIND, opened, sealed
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.shown import Shown
+from hamsym.support.record_fields import Count, Size
+from hamsym.support.records import digest_of
+from hamsym.support.sealed_text import SealedText
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_VERSION = 2
-_LONGEST_TEXT = 2**20
-
 
 @suggest_attributes
 @dataclass(frozen=True)
-class BoxCertificate(Shown):
+class BoxCertificate(SealedText):
     """A proven bound on the error of a flow map, for all starts and parameters in a box.
 
     Attributes
@@ -54,16 +48,28 @@ class BoxCertificate(Shown):
         Run time of the proof. ``parts`` and ``seconds`` are not part of the claim.
     """
 
-    bound: tuple[float, ...]
+    _KIND = "hamsym flow map certificate"
+    _VERSION = 3
+    _LONGEST = 2**20
+    _OF = " of a flow map"
+
+    bound: tuple[Size, ...]
     components: tuple[str, ...]
     box: dict[str, tuple[float, float]]
     fixed: dict[str, float]
     expressions: dict[str, str]
     span: tuple[float, float]
     formula: str
-    parts: int
+    parts: Count
     digest: str = field(repr=False)
-    seconds: float = field(compare=False)
+    seconds: Size = field(compare=False)
+
+    def check(self) -> None:
+        """Raise ValueError unless each component has a bound, and each interval two ends."""
+        if not len(self.bound) == len(self.components) > 0:
+            raise ValueError("its bounds are not one for each component")
+        if not all(low < high for low, high in self.box.values()):
+            raise ValueError("its intervals are not in order")
 
     def plot(self, *, ax: Any = None) -> Figure:
         """Draw the proven bound of each component.
@@ -110,87 +116,8 @@ class BoxCertificate(Shown):
             f"SHA-256 of the map: {self.digest}."
         )
 
-    def to_json(self) -> str:
-        """Write the certificate as text; numbers have all digits."""
-        values: dict[str, Any] = {
-            "kind": BOX_KIND,
-            "version": _VERSION,
-            "statement": self.statement,
-        }
-        values |= {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        return sealed(values)
-
-    @classmethod
-    def from_json(cls, text: str) -> BoxCertificate:
-        """Read a certificate that :meth:`to_json` wrote.
-
-        Raises
-        ------
-        FileError
-            If the text is not a certificate of a flow map, or is one of another version.
-        """
-        try:
-            return _from_json(text)
-        except (ValueError, TypeError, RecursionError, AttributeError) as error:
-            raise FileError(
-                f"the text is not a certificate of a flow map of this version: {error}"
-            ) from None
-
-
-def _from_json(text: str) -> BoxCertificate:
-    values = opened(text, _LONGEST_TEXT)
-    if values.pop("kind") != BOX_KIND:
-        raise ValueError(f"its kind is not '{BOX_KIND}'")
-    if values.pop("version", None) != _VERSION:
-        raise ValueError(f"its version is not {_VERSION}")
-    statement = values.pop("statement", None)
-    if values.keys() != {entry.name for entry in fields(BoxCertificate)}:
-        raise ValueError("it has missing or extra entries")
-    values["box"] = {name: tuple(map(_number, ends)) for name, ends in values["box"].items()}
-    values["fixed"] = {name: _number(value) for name, value in values["fixed"].items()}
-    for name in ("bound", "span"):
-        values[name] = tuple(map(_number, values[name]))
-    if not isinstance(values["components"], list):
-        raise ValueError("its components are not a list of names")
-    values["components"] = tuple(values["components"])
-    found = BoxCertificate(**values)
-    texts = (*found.expressions, *found.expressions.values(), *found.box, *found.fixed)
-    plain = (found.formula, found.digest, *found.components, *texts)
-    if not all(isinstance(entry, str) for entry in plain) or type(found.parts) is not int:
-        raise ValueError("an entry has another type than certify writes")
-    if not (len(found.bound) == len(found.components) > 0 and min(found.bound) >= 0):
-        raise ValueError("its bounds are not numbers from 0 on, one for each component")
-    if len(found.span) != 2 or not all(
-        len(ends) == 2 and ends[0] < ends[1] for ends in found.box.values()
-    ):
-        raise ValueError("its intervals are not in order")
-    if not re.fullmatch("[0-9a-f]{64}", found.digest):
-        raise ValueError("its digest is not a SHA-256")
-    if not 0 <= _number(found.seconds) < math.inf or statement != found.statement:
-        raise ValueError("its statement does not match its numbers")
-    return found
-
-
-def _number(value: Any) -> float:
-    if type(value) is not float or not math.isfinite(value):
-        raise ValueError(f"{str(value)[:40]} is not a finite number")
-    return value
-
 
 def map_digest(flow: FlowMap) -> str:
     """SHA-256 of a flow map as a function."""
-    values = {
-        "version": 1,
-        "H": described(flow.H),
-        "names": list(flow.inputs),
-        "fixed": {name: float(value).hex() for name, value in flow.region.fixed.items()},
-        "expressions": dict(flow.region.expressions),
-        "span": [float(t).hex() for t in flow.span],
-        "map": flow.map.describe(),
-    }
-    found = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
-    for name, numbers in sorted(flow.map.arrays().items()):
-        data = numbers.astype("<f8")
-        found.update(f"{name} {list(data.shape)} ".encode())
-        found.update(data.tobytes())
-    return found.hexdigest()
+    kind = tuple[Box, tuple[float, float], Annotated[Any, MAPS]]
+    return digest_of((flow.region, flow.span, flow.map), kind)

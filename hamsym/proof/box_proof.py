@@ -21,7 +21,6 @@ from hamsym.errors import CertificationError, InputError
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.flow_maps.time_order import require_order
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.proof.balls import working
 from hamsym.proof.box_certificate import BoxCertificate, map_digest
@@ -33,6 +32,7 @@ from hamsym.proof.map_models import Cells, LegModels, Step, affine_models
 from hamsym.proof.public_check import check_map
 from hamsym.proof.taylor_models import BITS, MODELS, Model, Space, space_of
 from hamsym.proof.tube import Flow, StepModels, Stepper, Tube
+from hamsym.support.records import packed
 from hamsym.support.validation import require_positive, require_whole
 
 # Largest degrees in tau and in the inputs, by the number of inputs.
@@ -95,11 +95,8 @@ def proven_bound(
     """
     require_float64()
     intervals = _intervals(flow, box)
-    if not all(np.isfinite(array).all() for array in flow.map.arrays().values()):
-        raise CertificationError("the map has numbers that are not finite; make it again")
     try:
-        flow.region.check()
-        require_order(flow.map, flow.span)
+        packed(flow)
     except ValueError as error:
         raise CertificationError(f"the map is not valid: {error}; make it again") from None
     proof = _Proof(flow, deadline, max_parts)

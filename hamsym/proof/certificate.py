@@ -3,42 +3,38 @@
 from __future__ import annotations
 
 import math
-import re
-import reprlib
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 import hamsym
-from hamsym.errors import FileError, InputError
+from hamsym.errors import InputError
 from hamsym.formula.parser import check_name
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
-from hamsym.proof.certificate_text import opened, sealed
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.shown import Shown
+from hamsym.support.record_fields import Limit, Written
+from hamsym.support.sealed_text import SealedText
 from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_KIND = "hamsym certificate"
-_VERSION = 3
 
 # Difference of upper and lower bounds that is always small enough, in units of the components.
 FLOOR = 2.0**-60
 
 LEAST_RTOL, MOST_RTOL = 1e-6, 1e6
 _MOST_EDGES = 200_000  # times that divide the span
-_LONGEST_TEXT = 16 * 2**20  # characters of a certificate with so many edges
+
+_Bound = Annotated[float, Written(decimal)]
+_Exact = Annotated[float, Written(repr)]
 
 
 @suggest_attributes
 @dataclass(frozen=True)
-class Certificate(Shown):
+class Certificate(SealedText):
     """Proven two-sided bounds on the error of one solution, the largest over its span.
 
     Attributes
@@ -69,21 +65,45 @@ class Certificate(Shown):
         The bound on each component's error that was asked for, and is proven.
     """
 
-    bound: float
-    lower: float
-    component_bounds: tuple[float, ...]
-    component_lowers: tuple[float, ...]
-    energy_bound: float
-    energy_lower: float
-    ell_max_bound: float
-    ell_max_lower: float
-    edges: tuple[float, ...] = field(repr=False)
-    piece_bounds: tuple[float, ...] = field(repr=False)
-    rtol: float
+    _KIND = "hamsym certificate"
+    _VERSION = 4
+    _LONGEST = 16 * 2**20
+    _OF = ""
+
+    bound: _Bound
+    lower: _Bound
+    component_bounds: tuple[_Bound, ...]
+    component_lowers: tuple[_Bound, ...]
+    energy_bound: _Bound
+    energy_lower: _Bound
+    ell_max_bound: _Bound
+    ell_max_lower: _Bound
+    edges: Annotated[tuple[_Exact, ...], Limit(most=_MOST_EDGES)] = field(repr=False)
+    piece_bounds: Annotated[tuple[_Bound, ...], Limit(most=_MOST_EDGES)] = field(repr=False)
+    rtol: _Exact
     digest: str = field(repr=False)
-    seconds: float = field(compare=False)
+    seconds: _Exact = field(compare=False)
     components: tuple[str, ...] = field(compare=False)
-    asked: tuple[float, ...] | None = None
+    asked: tuple[_Exact, ...] | None = None
+
+    def check(self) -> None:
+        """Raise ValueError unless the ranges and the order of the numbers are those of a proof."""
+        if not LEAST_RTOL <= self.rtol <= MOST_RTOL:
+            raise ValueError("its rtol is out of range")
+        if not 0 <= self.seconds < math.inf:
+            raise ValueError("its seconds are not a duration")
+        if self.asked is not None:
+            pairs = zip(self.component_bounds, self.asked, strict=True)
+            if not all(0 <= bound <= asked < math.inf for bound, asked in pairs):
+                raise ValueError("the bounds that it was asked for are not proven by its own")
+        if len(self.components) != len(self.component_bounds) or (
+            len({*self.components}) != len(self.components)
+        ):
+            raise ValueError("its components do not have a name each")
+        for name in self.components:
+            check_name(name)
+        _check_pieces(self.edges, self.piece_bounds)
+        _check_bounds(self)
 
     def __repr__(self) -> str:
         start, end = self.edges[0], self.edges[-1]
@@ -204,112 +224,6 @@ class Certificate(Shown):
         lines += left_out(count, "components with smaller bounds")
         return "\n".join([*lines, "", wrapped(self.statement), f"proven in {self.seconds:.2f} s"])
 
-    # -- as text ---------------------------------------------------------------------------
-
-    def to_json(self) -> str:
-        """Write the certificate as text.
-
-        Bounds are decimals of nine digits, upper bounds rounded up, lower bounds down. They hold as
-        written; the attributes are the nearest float64 numbers.
-        """
-        values: dict[str, Any] = {"kind": _KIND, "version": _VERSION}
-        values["statement"] = self.statement
-        for name in (*UPPER, *LOWER):
-            values[name] = _texts(getattr(self, name))
-        values["edges"] = [repr(edge) for edge in self.edges]
-        values |= {"rtol": repr(self.rtol), "seconds": repr(self.seconds)}
-        values |= {"digest": self.digest, "components": list(self.components)}
-        values["asked"] = None if self.asked is None else [repr(part) for part in self.asked]
-        return sealed(values)
-
-    @classmethod
-    def from_json(cls, text: str) -> Certificate:
-        """Read a certificate that :meth:`to_json` wrote.
-
-        Raises
-        ------
-        FileError
-            If the text is not a certificate, or is one of another version.
-        """
-        try:
-            return _from_json(text)
-        except (ValueError, RecursionError) as error:
-            raise FileError(f"the text is not a certificate of this version: {error}") from None
-
-
-UPPER = ("bound", "component_bounds", "energy_bound", "ell_max_bound", "piece_bounds")
-LOWER = ("lower", "component_lowers", "energy_lower", "ell_max_lower")
-LISTS = ("component_bounds", "component_lowers", "edges", "piece_bounds")
-WRITTEN_OUT = ("edges", "rtol", "seconds")  # with all digits, as is asked
-NAMES = {"kind", "version", "statement"} | {entry.name for entry in fields(Certificate)}
-assert {*UPPER, *LOWER, *LISTS, *WRITTEN_OUT} < NAMES
-
-
-def _from_json(text: str) -> Certificate:
-    values = opened(text, _LONGEST_TEXT)
-    if values["kind"] != _KIND:
-        raise ValueError(f"its kind is not '{_KIND}'")
-    if type(values.get("version")) is not int or values["version"] != _VERSION:
-        raise ValueError(f"its version is not {_VERSION}")
-    if values.keys() != NAMES:
-        raise ValueError("it has missing or extra entries")
-    known: dict[str, Any] = {name: _numbers(values[name]) for name in (*UPPER, *LOWER)}
-    known |= {name: _numbers(values[name], repr) for name in WRITTEN_OUT}
-    asked = values["asked"]
-    known["asked"] = None if asked is None else _numbers(asked, repr)
-    if not isinstance(values["components"], list):
-        raise ValueError("its components are not a list of names")
-    known["components"] = tuple(values["components"])
-    certificate = Certificate(**known, digest=values["digest"])
-    check(certificate)
-    if values["statement"] != certificate.statement:
-        raise ValueError("its statement does not match its numbers")
-    return certificate
-
-
-def check(certificate: Certificate) -> None:
-    """Check types, ranges and order of the numbers in a certificate.
-
-    Raises
-    ------
-    ValueError
-        Naming the first entry that is not valid.
-    """
-    for entry in fields(certificate):
-        value = getattr(certificate, entry.name)
-        if entry.name in LISTS:
-            valid = isinstance(value, tuple) and all(type(part) is float for part in value)
-        elif entry.name == "components":
-            valid = isinstance(value, tuple) and all(type(part) is str for part in value)
-        elif entry.name == "digest":
-            valid = type(value) is str
-        elif entry.name == "asked":
-            valid = value is None or (
-                isinstance(value, tuple) and all(type(part) is float for part in value)
-            )
-        else:
-            valid = type(value) is float
-        if not valid:
-            raise ValueError(f"its {entry.name} has another type than certify writes")
-    if not LEAST_RTOL <= certificate.rtol <= MOST_RTOL:
-        raise ValueError("its rtol is out of range")
-    if not 0 <= certificate.seconds < math.inf:
-        raise ValueError("its seconds are not a duration")
-    if not re.fullmatch("[0-9a-f]{64}", certificate.digest):
-        raise ValueError("its digest is not a SHA-256")
-    if certificate.asked is not None:
-        pairs = zip(certificate.component_bounds, certificate.asked, strict=True)
-        if not all(0 <= bound <= asked < math.inf for bound, asked in pairs):
-            raise ValueError("the bounds that it was asked for are not proven by its own")
-    if len(certificate.components) != len(certificate.component_bounds) or (
-        len({*certificate.components}) != len(certificate.components)
-    ):
-        raise ValueError("its components do not have a name each")
-    for name in certificate.components:
-        check_name(name)
-    _check_pieces(certificate.edges, certificate.piece_bounds)
-    _check_bounds(certificate)
-
 
 def _check_pieces(edges: tuple[float, ...], bounds: tuple[float, ...]) -> None:
     if len(edges) != len(bounds) + 1 or not bounds or len(edges) > _MOST_EDGES:
@@ -333,27 +247,6 @@ def _check_bounds(claims: Certificate) -> None:
         0 <= low <= high and math.isfinite(low) for low, high in zip(lowers, uppers, strict=True)
     ):
         raise ValueError("its bounds are not in order")
-
-
-def _texts(value: float | tuple[float, ...]) -> Any:
-    return [decimal(number) for number in value] if isinstance(value, tuple) else decimal(value)
-
-
-def _numbers(value: Any, written: Callable[[float], str] = decimal) -> float | tuple[float, ...]:
-    if isinstance(value, list):
-        return tuple(_number(text, written) for text in value)
-    return _number(value, written)
-
-
-def _number(text: Any, written: Callable[[float], str]) -> float:
-    """A number in exactly the written form; extra digits would claim more than is checked."""
-    try:
-        value = float(text) if isinstance(text, str) else math.nan
-    except ValueError:
-        value = math.nan
-    if written(value) != text:
-        raise ValueError(f"{reprlib.repr(text)} is not a number in the form of a certificate")
-    return value
 
 
 def rounded_up(value: float) -> float:

@@ -26,7 +26,8 @@ from hamsym.proof.proven_windows import ErrorSet, Window, WindowStepper
 from hamsym.proof.public_check import check_enclosure
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
-from hamsym.support.shown import Shown
+from hamsym.support.record_fields import UNSAVED, Size
+from hamsym.support.shown import Saved
 from hamsym.support.validation import require_positive
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def _initial_balls(H: Hamiltonian, z0: Any) -> list[Ball]:
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False, repr=False)
-class Enclosure(Shown):
+class Enclosure(Saved):
     """Balls around the true state at every time of a span, from :func:`hamsym.enclose`.
 
     Attributes
@@ -213,8 +214,22 @@ class Enclosure(Shown):
     span: tuple[float, float]
     parameters: dict[str, Ball]
     windows: tuple[Window, ...]
-    seconds: float
-    _derivatives: list[tuple[np.ndarray, ErrorSet]] = field(default_factory=list)
+    seconds: Size
+    _derivatives: list[tuple[np.ndarray, ErrorSet]] = field(default_factory=list, metadata=UNSAVED)
+
+    def check(self) -> None:
+        """Raise ValueError unless its windows follow each other over the span."""
+        if np.shape(self.z0.mid) != (self.H.dim,):
+            raise ValueError("z0 has another number of components")
+        if not {*self.parameters} <= {*self.H.parameter_names}:
+            raise ValueError("a parameter is a ball that H does not have")
+        columns, place = self.H.dim + len(self.parameters), Fraction(0)
+        for window in self.windows:
+            if window.start != place or not window.half > 0 or len(window.units) != columns:
+                raise ValueError("its windows do not follow each other")
+            place = window.end
+        if place != abs(Fraction(self.span[1]) - Fraction(self.span[0])) or not place:
+            raise ValueError("its windows do not end with its span")
 
     def __repr__(self) -> str:
         start, end = self.span

@@ -12,37 +12,34 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import Any, cast, overload
+from collections.abc import Mapping, Sequence
+from typing import Any, overload
 
 import numpy as np
 
 import hamsym
-from hamsym.archive import load_solution
+from hamsym.archive import certificate_from, load_as
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.flow_maps.storage import read_flow_map
 from hamsym.proof.box_certificate import BoxCertificate, map_digest
 from hamsym.proof.box_proof import certify_box, proven_bound
 from hamsym.proof.certificate import (
     LEAST_RTOL,
     MOST_RTOL,
     Certificate,
-    check,
     rounded_down,
     rounded_up,
 )
-from hamsym.proof.certificate_files import certificate_from
-from hamsym.proof.exact_numbers import require_exact
 from hamsym.proof.float64_arithmetic import require_float64
 from hamsym.proof.limits import Deadline
 from hamsym.proof.public_check import check_solution
 from hamsym.proof.window_proof import WindowBounds, WindowProof
 from hamsym.solution.digest import digest
+from hamsym.solution.path import TRIALS
 from hamsym.solution.solution import Solution
 from hamsym.suggestions import checked_keywords
 from hamsym.support.progress import share_progress
+from hamsym.support.records import MALFORMED, as_json
 from hamsym.support.validation import require, require_number, require_positive
 
 # Default time limit of verify() in seconds: its own, per second of certify, and at most.
@@ -108,13 +105,9 @@ def certify(
     asked = None if bound is None else _asked(bound, solution.H.names)
     began = time.monotonic()
     require_float64()
-    require_exact(solution)
+    known_by = _digest_of(solution)
     deadline = Deadline.after(time_limit)
     claims = _on_windows(solution, rtol, asked, deadline, progress)
-    try:
-        known_by = digest(solution)
-    except FileError as error:
-        raise CertificationError(f"the solution has no digest for a certificate: {error}") from None
     if asked is not None:
         _require_below(claims, asked, solution.H.names)
         claims["asked"] = asked
@@ -126,6 +119,22 @@ def certify(
         seconds=time.monotonic() - began,
         components=tuple(solution.H.names),
     )
+
+
+def _digest_of(solution: Solution) -> str:
+    """SHA-256 of a solution, all of whose numbers are finite, of exact types, in arrays that fit.
+
+    Raise CertificationError otherwise, or if its trial solution has no enclosure.
+    """
+    if TRIALS.form_of(type(solution.trial)) is None:
+        raise CertificationError(
+            f"the trial solution is a {type(solution.trial).__name__}, which has no enclosure; "
+            "solve by 'features', or with a network of hamsym"
+        )
+    try:
+        return digest(solution)
+    except (FileError, InputError) as error:
+        raise CertificationError(f"{error}; solve again") from None
 
 
 def _asked(bound: Any, names: Sequence[str]) -> tuple[float, ...]:
@@ -235,21 +244,22 @@ def verify(
             f"certificate must be a certificate or its text, not {type(certificate).__name__}"
         )
     if isinstance(certificate, Certificate):
-        solution = _of_kind(Solution, result, load_solution)
+        solution = _of_kind(Solution, result, "solution")
         _verify_solution(certificate, solution, time_limit, progress)
         check_solution(solution)
     elif isinstance(certificate, BoxCertificate):
-        flow = _of_kind(FlowMap, result, read_flow_map)
+        flow = _of_kind(FlowMap, result, "flow map")
         verify_box(certificate, flow, _deadline(time_limit, certificate.seconds))
     else:
         deadline = _deadline(time_limit, certificate.seconds)
-        certificate.verify(cast(Any, result), time_limit=deadline.left)
+        orbit = _of_kind(hamsym.PeriodicOrbit, result, "orbit")
+        certificate.verify(orbit, time_limit=deadline.left)
 
 
-def _of_kind(kind: type, result: Any, read: Callable[[Path], Any]) -> Any:
+def _of_kind(kind: type, result: Any, noun: str) -> Any:
     """What a certificate is about, read from its file if it is a path."""
     if isinstance(result, (str, os.PathLike)):
-        result = read(Path(result))
+        result = load_as(noun, result)
     if not isinstance(result, kind):
         raise InputError(
             f"this certificate needs a {kind.__name__} or its path, not {type(result).__name__}"
@@ -263,11 +273,10 @@ def _verify_solution(
     """Prove a certificate of a solution again."""
     require_float64()
     try:
-        check(claims)
-    except ValueError as error:
+        as_json(claims)
+    except MALFORMED as error:
         raise CertificationError(f"not a valid certificate: {error}") from None
-    require_exact(solution)
-    if digest(solution) != claims.digest:
+    if _digest_of(solution) != claims.digest:
         raise CertificationError(
             "the certificate does not belong to this solution (SHA-256 mismatch)"
         )

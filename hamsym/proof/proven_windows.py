@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Annotated
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from hamsym.proof.equation import Equation
 from hamsym.proof.guessed_windows import AT_REST, Guess, Place, TooLongError, WindowGuess
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import ModelRows
+from hamsym.support.record_fields import floats
 
 #: Coefficients of the polynomials of a window.
 TERMS = 32
@@ -102,26 +104,24 @@ class Window:
     #: start, half: Elapsed time; start + half (1 + x).
     start: Fraction
     half: Fraction
-    #: high, low: Coefficients of y, shape (dim, terms).
-    high: np.ndarray
-    low: np.ndarray
-    #: Shape (dim, columns, terms).
-    V: np.ndarray
-    #: G, R: The set at the start, shapes (columns, m) and (m,).
-    G: np.ndarray
-    R: np.ndarray
-    #: Bounds on everything else, shape (dim,).
-    beside: np.ndarray
-    #: Bounds on V_d, shape (dim, columns).
-    derivative: np.ndarray
+    #: high, low: Coefficients of y.
+    high: Annotated[np.ndarray, floats("dim", "terms")]
+    low: Annotated[np.ndarray, floats("dim", "terms")]
+    V: Annotated[np.ndarray, floats("dim", "columns", "slopes")]
+    #: G, R: The set at the start.
+    G: Annotated[np.ndarray, floats("columns", "kinds")]
+    R: Annotated[np.ndarray, floats("kinds", least=0)]
+    #: Bounds on everything else.
+    beside: Annotated[np.ndarray, floats("dim", least=0)]
+    #: Bounds on V_d.
+    derivative: Annotated[np.ndarray, floats("dim", "columns", least=0)]
     #: J, J_error: V(1) with rows of the identity for the constants, and bounds on its rounding.
-    J: np.ndarray
-    J_error: np.ndarray
-    #: Bounds on |z - y|, shape (dim,).
-    tube: np.ndarray
-    #: Of the components and constants, powers of two, in which DG is nearly balanced, shape
-    #: (columns,).
-    units: np.ndarray
+    J: Annotated[np.ndarray, floats("columns", "columns")]
+    J_error: Annotated[np.ndarray, floats("columns", "columns", least=0)]
+    #: Bounds on |z - y|.
+    tube: Annotated[np.ndarray, floats("dim", least=0)]
+    #: Of the components and constants, powers of two, in which DG is nearly balanced.
+    units: Annotated[np.ndarray, floats("columns", least=0)]
 
     @property
     def end(self) -> Fraction:

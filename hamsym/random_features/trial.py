@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.windows import locate
 from hamsym.random_features.basis import DEGREE, FeatureBasis, rate_series
 from hamsym.random_features.windows import March
-from hamsym.support.checked_data import require_array, require_names
+from hamsym.support.record_fields import fields_of, floats
 
 if TYPE_CHECKING:  # only functions of tensors need torch
     from torch import Tensor
@@ -27,16 +26,16 @@ class FeatureTrial:
     derivative is that of the series.
     """
 
-    #: Ends of the windows, counted from the origin, shape (n + 1,).
-    edges: np.ndarray = field(repr=False)
-    #: z at the edges, shape (n + 1, dim).
-    states: np.ndarray = field(repr=False)
-    #: Coefficients of the columns, shape (n, m, dim).
-    readouts: np.ndarray = field(repr=False)
-    #: Chebyshev series of the columns in 2 s - 1, shape (degree + 1, m).
-    series: np.ndarray = field(repr=False)
-    #: Time from which the edges are counted, shape ().
-    origin: np.ndarray
+    #: Ends of the windows, counted from the origin.
+    edges: Annotated[np.ndarray, floats("windows + 1")] = field(repr=False)
+    #: z at the edges.
+    states: Annotated[np.ndarray, floats("windows + 1", "dim")] = field(repr=False)
+    #: Coefficients of the columns.
+    readouts: Annotated[np.ndarray, floats("windows", "columns", "dim")] = field(repr=False)
+    #: Chebyshev series of the columns in 2 s - 1.
+    series: Annotated[np.ndarray, floats(DEGREE + 1, "columns")] = field(repr=False)
+    #: Time from which the edges are counted.
+    origin: Annotated[np.ndarray, floats()]
 
     @classmethod
     def of_march(cls, windows: March, basis: FeatureBasis) -> FeatureTrial:
@@ -44,57 +43,28 @@ class FeatureTrial:
         origin = np.array(windows.origin)
         return cls(windows.edges, windows.states, windows.readouts, basis.series, origin)
 
-    @classmethod
-    def from_description(
-        cls, values: Mapping[str, Any], arrays: Mapping[str, np.ndarray], dim: int
-    ) -> FeatureTrial:
-        """Make the trial solution from its :meth:`describe` and :meth:`arrays`.
-
-        Raise ValueError if they do not define a trial solution with ``dim`` components.
-        """
-        require_names("trial solution", values, {"form"})
-        require_names("windows", arrays, {entry.name for entry in fields(cls)})
-        trial = cls(**arrays)
-        trial._check_arrays(dim)
-        return trial
-
-    def describe(self) -> dict[str, Any]:
-        """Return its form, as values that JSON can store."""
-        return {"form": "features"}
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return all arrays that define it, by name."""
-        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
-
     @property
     def dtype(self) -> np.dtype:
         """Data type of its numbers."""
         return self.states.dtype
 
-    def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
+    def check(self) -> None:
+        """Raise ValueError unless its windows are in order."""
+        if not self.readouts.size:
+            raise ValueError("it has no windows")
+        with np.errstate(over="ignore"):
+            steps = np.diff(self.edges)
+        if not (np.isfinite(steps).all() and ((steps > 0).all() or (steps < 0).all())):
+            raise ValueError("its windows are not in order")
+
+    def require_path(self, z0: np.ndarray, span: tuple[float, float]) -> None:
         """Raise ValueError unless it is a trial solution from z0 over the span."""
-        self._check_arrays(len(z0))
         start, end = span
         ends = (self.origin + self.edges[0], self.origin + self.edges[-1])
         if self.origin not in (0, start) or (start, end) != ends:
             raise ValueError("its span differs from that of its windows")
         if self.states[0].tobytes() != z0.tobytes():
             raise ValueError("it does not start at its z0")
-
-    def _check_arrays(self, dim: int) -> None:
-        edges, series = np.asarray(self.edges), np.asarray(self.series)
-        if edges.size < 2 or not series.size:
-            raise ValueError("it has no windows")
-        count, columns = edges.size - 1, series.size // (DEGREE + 1)
-        require_array("edges", self.edges, (count + 1,))
-        require_array("states", self.states, (count + 1, dim))
-        require_array("readouts", self.readouts, (count, columns, dim))
-        require_array("series", self.series, (DEGREE + 1, columns))
-        require_array("origin", self.origin, ())
-        with np.errstate(over="ignore"):
-            steps = np.diff(self.edges)
-        if not (np.isfinite(steps).all() and ((steps > 0).all() or (steps < 0).all())):
-            raise ValueError("its windows are not in order")
 
     # -- evaluation --------------------------------------------------------------------------
 
@@ -118,7 +88,8 @@ class FeatureTrial:
         """Evaluate z^ and dz^/dt at times t of shape (K,), differentiable in t."""
         from hamsym.random_features.trial_tensors import evaluate
 
-        return evaluate(t, **self.arrays(), rate_series=self._rate_series)
+        own = {name: getattr(self, name) for name in fields_of(FeatureTrial)}
+        return evaluate(t, **own, rate_series=self._rate_series)
 
     @cached_property
     def _rate_series(self) -> np.ndarray:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from hamsym.random_features.basis import size_of
-from hamsym.support.checked_data import require_array, require_counts
+from hamsym.support.record_fields import Count, Size, floats
 
 
 class Windows(NamedTuple):
@@ -23,26 +23,26 @@ class Windows(NamedTuple):
 class March:
     """Windows of a solution and their cost."""
 
-    #: Ends of the windows, shape (n + 1,).
-    edges: np.ndarray = field(repr=False)
-    #: z at the edges, shape (n + 1, dim).
-    states: np.ndarray = field(repr=False)
-    #: Coefficients of the orthonormal columns, shape (n, m, dim).
-    readouts: np.ndarray = field(repr=False)
+    #: Ends of the windows.
+    edges: Annotated[np.ndarray, floats("windows + 1")] = field(repr=False)
+    #: z at the edges.
+    states: Annotated[np.ndarray, floats("windows + 1", "dim")] = field(repr=False)
+    #: Coefficients of the orthonormal columns.
+    readouts: Annotated[np.ndarray, floats("windows", "columns", "dim")] = field(repr=False)
     #: Time at which the last window ends.
     reached: float
     #: Reason for ending before the end of the span, "" at its end.
     reason: str
     #: Calls of the vector field, each at all points of a window.
-    evaluations: int
+    evaluations: Count
     #: Windows for which Newton's method was needed.
-    newton_windows: int
-    #: Largest magnitude of each component, shape (dim,).
-    scale: np.ndarray = field(repr=False)
-    seconds: float
-    cpu_seconds: float
+    newton_windows: Count
+    #: Largest magnitude of each component.
+    scale: Annotated[np.ndarray, floats("dim", least=0)] = field(repr=False)
+    seconds: Size
+    cpu_seconds: Size
     #: Of the basis.
-    seed: int
+    seed: Count
     #: Time from which the edges are counted: the start of the span, where H does not depend on time
     #: and differences to it are exact in float64, otherwise 0.
     origin: float = 0.0
@@ -64,17 +64,13 @@ class March:
         """Evaluations of the vector field, each at one point."""
         return self.evaluations * self.points_per_window
 
-    def check(self, trial: Any) -> None:
+    def require_trial(self, trial: Any) -> None:
         """Raise ValueError unless these are the windows of the trial solution."""
         for name in ("edges", "states", "readouts"):
-            if not np.array_equal(getattr(self, name), getattr(trial, name)):
+            if not np.array_equal(getattr(self, name), getattr(trial, name, ())):
                 raise ValueError(f"the {name} of its march differ from those of its trial solution")
-        require_array("scale", self.scale, self.states[0].shape)
-        if (self.scale < 0).any():
-            raise ValueError("its scale is negative")
         if self.origin != trial.origin or self.reached != self.origin + self.edges[-1]:
             raise ValueError("its march does not end at the end of its windows")
-        require_counts(self)
 
     @property
     def ends(self) -> tuple[float, float]:

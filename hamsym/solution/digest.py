@@ -2,49 +2,54 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
-import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
-from hamsym.description import MALFORMED, described
+import numpy as np
+
 from hamsym.errors import InputError
-from hamsym.solution.solution import Solution
-from hamsym.support.checked_data import require_array
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.solution.path import TRIALS, Trial
+from hamsym.support.record_fields import NotDataError, floats
+from hamsym.support.records import MALFORMED, digest_of
+
+if TYPE_CHECKING:
+    from hamsym.solution.solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Definition:
+    """What defines a solution as a function, but not the method, its cost or the verdict."""
+
+    H: Hamiltonian
+    z0: Annotated[np.ndarray, floats("dim")]
+    span: tuple[float, float]
+    trial: Annotated[Trial, TRIALS]
+
+    @classmethod
+    def of(cls, solution: Solution) -> Definition:
+        return cls(solution.H, solution.z0, solution.span, solution.trial)
+
+    def check(self) -> None:
+        """Raise ValueError unless H, z0, span and trial solution fit together."""
+        start, end = self.span
+        if start == end:
+            raise ValueError("its span is not two different times")
+        self.H.require_parameters()
+        self.trial.require_path(self.z0, self.span)
 
 
 def digest(solution: Solution) -> str:
-    """Compute SHA-256 of a solution as a function: of H, z0, the span and the trial solution.
-
-    It includes types, shapes and bytes of the numbers, but not the method, its cost or the verdict.
+    """Compute SHA-256 of a solution as a function.
 
     Raise InputError if the solution is invalid: a part has another type, shape or order, is not
     finite, or contradicts another part.
     """
     try:
-        check_definition(solution)
+        return digest_of(Definition.of(solution))
+    except NotDataError:
+        raise
     except MALFORMED as error:
         raise InputError(
             f"the solution is not valid: {' '.join(str(error).split())[:200]}"
         ) from None
-    values = {
-        "version": 2,
-        "H": described(solution.H),
-        "span": [float(time).hex() for time in solution.span],
-        "trial": solution.trial.describe(),
-    }
-    found = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
-    for name, numbers in sorted({"z0": solution.z0, **solution.trial.arrays()}.items()):
-        found.update(f"{name} {numbers.dtype.name} {list(numbers.shape)} ".encode())
-        found.update((numbers if sys.byteorder == "little" else numbers.byteswap()).tobytes())
-    return found.hexdigest()
-
-
-def check_definition(solution: Solution) -> None:
-    """Raise ValueError unless H, z0, span and trial solution fit together and are finite."""
-    start, end = solution.span
-    if not (math.isfinite(start) and math.isfinite(end) and start != end):
-        raise ValueError("its span is not two different finite times")
-    solution.H.require_parameters()
-    require_array("z0", solution.z0, (solution.H.dim,))
-    solution.trial.check(solution.z0, solution.span)

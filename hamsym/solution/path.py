@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.support.record_fields import OneOf
 
 if TYPE_CHECKING:  # torch is imported only by functions of tensors
     from torch import Tensor
@@ -32,13 +33,7 @@ class Trial(Protocol):
     def tensors(self, t: Tensor) -> tuple[Tensor, Tensor]:
         """z^ and dz^/dt at times t of shape (K,), differentiable in t; each of shape (K, dim)."""
 
-    def describe(self) -> dict[str, Any]:
-        """Return its form and settings, as values that JSON can store."""
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return all arrays that define it, by name."""
-
-    def check(self, z0: np.ndarray, span: tuple[float, float]) -> None:
+    def require_path(self, z0: np.ndarray, span: tuple[float, float]) -> None:
         """Raise ValueError unless it is a trial solution from z0 over the span."""
 
 
@@ -76,7 +71,7 @@ class Record(Protocol):
     def times(self, span: tuple[float, float], count: int) -> np.ndarray:
         """Return about ``count`` times over the span, in its direction, nine or more per window."""
 
-    def check(self, trial: Any) -> None:
+    def require_trial(self, trial: Any) -> None:
         """Raise ValueError unless it is the record of this trial solution."""
 
 
@@ -97,8 +92,28 @@ class ErrorEstimate(Protocol):
     def refined(self, path: Any) -> Any:
         """The estimate at a finer resolution, a function of t."""
 
-    def check(self, trial: Any, *, finite: bool) -> None:
+    def require_trial(self, trial: Any) -> None:
         """Raise ValueError unless it is the error of this trial solution."""
+
+    def require_finite(self) -> None:
+        """Raise ValueError unless all its numbers are finite."""
+
+
+#: What a file may contain for the parts of a solution.
+TRIALS = OneOf(
+    features="hamsym.random_features.trial:FeatureTrial",
+    chain="hamsym.networks.chain:Chain",
+    network="hamsym.networks.trial:TrialSolution",
+)
+RECORDS = OneOf(
+    march="hamsym.random_features.windows:March",
+    chain="hamsym.networks.chain:ChainTraining",
+    training="hamsym.networks.record:Training",
+)
+ERRORS = OneOf(
+    march="hamsym.random_features.error_estimate:MarchError",
+    chain="hamsym.networks.chain_error:ChainError",
+)
 
 
 class Path(Protocol):

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
 
 from hamsym.solution.window_error import allowed_errors
-from hamsym.support.checked_data import checked_list, checked_record
+from hamsym.support.record_fields import Count, Limit, Size
 
 _MOST_OPTIONS = 100
 _LONGEST_TEXT = 10_000
+_Names = Annotated[tuple[str, ...], Limit(most=_MOST_OPTIONS)]
 
 
 @dataclass(frozen=True)
@@ -22,17 +23,17 @@ class Settings:
 
     #: The times that were asked for; a solution that had to stop spans fewer.
     span: tuple[float, float]
-    seed: int
+    seed: Count
     #: Relative tolerance, given or by default; None for a method without one.
     tol: float | None
     #: Absolute tolerance, one, or one for each component, in the units of the components.
-    atol: tuple[float, ...]
+    atol: tuple[Size, ...]
     prove: bool = False
-    invariants: tuple[str, ...] = ()
+    invariants: _Names = ()
     #: The options that were given: numbers, texts, None, and lists of them.
     options: Mapping[str, Any] = field(default_factory=dict)
     #: Names of further options, with values that are not data, for example a network of one's own.
-    missing: tuple[str, ...] = ()
+    missing: _Names = ()
     #: Version of hamsym that solved.
     version: str = ""
 
@@ -48,37 +49,23 @@ class Settings:
         """
         return None if self.tol is None else allowed_errors(self.tol, self.atol, scale)
 
-    def described(self) -> dict[str, Any]:
-        """Return it as JSON values."""
-        return {**vars(self), "options": dict(self.options)}
-
-    @classmethod
-    def from_description(cls, given: Any, dim: int) -> Settings:
-        """Make it from its :meth:`described`.
-
-        Raise ValueError if the values are not what ``described`` returns.
-
-        - dim: Number of components.
-        """
-        found: Settings = checked_record(cls, given, {})
-        if found.tol is not None and not 0 < found.tol < 1:
+    def check(self) -> None:
+        """Raise ValueError unless its numbers and texts are those of a call."""
+        if self.tol is not None and not 0 < self.tol < 1:
             raise ValueError("its tol is out of range")
-        if len(found.atol) not in (1, dim) or not all(part >= 0 for part in found.atol):
-            raise ValueError("its atol is not one tolerance, or one for each component")
-        if not found.seed >= 0:
-            raise ValueError("its seed is negative")
-        for texts in (found.invariants, found.missing, (found.version,)):
-            checked_list(
-                "settings", [_text("settings", text) for text in texts], most=_MOST_OPTIONS
-            )
-        return replace(found, options={name: _plain(v) for name, v in found.options.items()})
+        for text in (*self.invariants, *self.missing, self.version):
+            _text("settings", text)
+        if {name: _plain(value) for name, value in self.options.items()} != self.options:
+            raise ValueError("its options are not data")
 
-    def check(self, names: set[str], span: tuple[float, float]) -> None:
+    def require_method(self, names: set[str], dim: int, span: tuple[float, float]) -> None:
         """Raise ValueError unless it belongs to a method with these options and to this span."""
         if not {*self.options, *self.missing} <= names:
             raise ValueError("it was asked for an option that its method has not")
         if len(self.missing) > len({*self.missing} - {*self.options}):
             raise ValueError("it was asked for an option twice")
+        if len(self.atol) not in (1, dim):
+            raise ValueError("its atol is not one tolerance, or one for each component")
         (start, end), (first, last) = self.span, span
         if start != first or not (start < last <= end or start > last >= end):
             raise ValueError("it does not lie in the span that was asked for")
@@ -131,7 +118,9 @@ def _plain(value: Any) -> Any:
     if type(value).__name__ in ("dtype", "device") and type(value).__module__ == "torch":
         value = str(value).removeprefix("torch.")
     if isinstance(value, list | tuple):
-        return [_single(part) for part in checked_list("option", value)]
+        if len(value) > _MOST_OPTIONS * 100:
+            raise ValueError("an option has too many parts")
+        return [_single(part) for part in value]
     return _single(value)
 
 

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Annotated, Any, overload
 
 import numpy as np
 
@@ -18,17 +18,19 @@ from hamsym.errors import InputError, ParameterError, VacuousBoundWarning
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios
 from hamsym.solution.analysis import Analysis
+from hamsym.solution.digest import Definition
 from hamsym.solution.discontinuities import parameter_jump
 from hamsym.solution.error_equation import integrated_error
 from hamsym.solution.events import Event, Events, find_events
 from hamsym.solution.parameters import ParameterForcing, parameter_names, parameter_tensors
-from hamsym.solution.path import ErrorEstimate, Record, Trial
+from hamsym.solution.path import ERRORS, RECORDS, TRIALS, ErrorEstimate, Record, Trial
 from hamsym.solution.sensitivity import Sensitivity
 from hamsym.solution.settings import Settings
 from hamsym.solution.times import evaluate_in_parts, is_tensor, tensor_of, times_in_span
 from hamsym.solution.work import Work
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.shown import Shown
+from hamsym.support.record_fields import UNSAVED, Size, floats
+from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, time_name
 from hamsym.support.text_tables import ROWS
 
@@ -44,7 +46,7 @@ _SCAN = 4_001  # times of the scan that precedes the search for an extremum over
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution(Shown):
+class Solution(Saved):
     """A closed-form trajectory z^(t) over a time span, from :func:`hamsym.solve`.
 
     Call it with times to get states: shape (n,) gives (n, dim), a scalar gives (dim,); numpy in,
@@ -80,17 +82,17 @@ class Solution(Shown):
     """
 
     H: Hamiltonian
-    z0: np.ndarray
+    z0: Annotated[np.ndarray, floats("dim")]
     span: tuple[float, float]
-    trial: Trial
+    trial: Annotated[Trial, TRIALS]
     method: str
-    record: Record
-    error: ErrorEstimate | None = None
-    energy_weight: float = 0.0
+    record: Annotated[Record, RECORDS]
+    error: Annotated[ErrorEstimate, ERRORS] | None = None
+    energy_weight: Size = 0.0
     success: bool = False
     message: str = ""
-    certificate: hamsym.Certificate | None = None
-    invariant_drift: Mapping[str, float] = field(default_factory=dict)
+    certificate: hamsym.Certificate | None = field(default=None, metadata=UNSAVED)
+    invariant_drift: Mapping[str, float] = field(default_factory=dict, metadata=UNSAVED)
     settings: Settings | None = None
 
     def __repr__(self) -> str:
@@ -99,6 +101,22 @@ class Solution(Shown):
             f"Solution({self.H.formulas!r}, t from {start:.6g} to {end:.6g}, {self.method}, "
             f"success={self.success})"
         )
+
+    def check(self) -> None:
+        """Raise ValueError unless its parts belong together."""
+        Definition.of(self).check()
+        self.record.require_trial(self.trial)
+        if self.error is not None:
+            self.error.require_trial(self.trial)
+        if not self.success:
+            return
+        if self.error is not None:
+            self.error.require_finite()
+        elif self.record.edges is not None:
+            raise ValueError("its error estimate is missing")
+        for name, value in vars(self.record).items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(f"its success is true, but its {name} is not finite")
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Cached properties may contain functions, which cannot be pickled.
@@ -662,10 +680,6 @@ class Solution(Shown):
     @property
     def _attributes(self) -> dict[str, Any]:
         return {**attributes_of(self.H), "method": self.method, "span": list(self.span)}
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the solution to a file that :func:`hamsym.load` reads; see :func:`hamsym.save`."""
-        hamsym.save(self, path)
 
     def export(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -12,40 +12,39 @@ from numpy.polynomial import chebyshev
 from hamsym.numerics.chebyshev import chebyshev_values
 from hamsym.numerics.scales import ratios
 from hamsym.numerics.windows import locate
-from hamsym.support.checked_data import require_array
+from hamsym.support.record_fields import floats
 
 
 @dataclass(frozen=True)
 class WindowError:
     """Estimated error on windows: z - z^ and the round-off floor, as functions of time."""
 
-    #: Ends of the windows, shape (n + 1,).
-    edges: np.ndarray = field(repr=False)
-    #: Chebyshev series of z - z^ on each window, shape (n, degree + 1, dim).
-    series: np.ndarray = field(repr=False)
-    #: Size of the accumulated round-off in each window, shape (n, dim).
-    floors: np.ndarray = field(repr=False)
-    #: Largest magnitude of both together, shape (dim,).
-    largest: np.ndarray
-    #: Sizes of the components to which tolerances are relative, shape (dim,): the largest |z^_i|,
-    #: or 1e-8 of its coupled size (:mod:`hamsym.numerics.scales`).
-    scale: np.ndarray
-    #: Time from which the edges are counted, shape ().
-    origin: np.ndarray = field(repr=False)
+    #: Ends of the windows.
+    edges: Annotated[np.ndarray, floats("parts + 1")] = field(repr=False)
+    #: Chebyshev series of z - z^ on each window.
+    series: Annotated[np.ndarray, floats("parts", "terms", "dim", finite=False)] = field(repr=False)
+    #: Size of the accumulated round-off in each window.
+    floors: Annotated[np.ndarray, floats("parts", "dim", finite=False)] = field(repr=False)
+    #: Largest magnitude of both together.
+    largest: Annotated[np.ndarray, floats("dim", finite=False)]
+    #: Sizes of the components to which tolerances are relative: the largest |z^_i|, or 1e-8 of its
+    #: coupled size (:mod:`hamsym.numerics.scales`).
+    scale: Annotated[np.ndarray, floats("dim", least=0)]
+    #: Time from which the edges are counted.
+    origin: Annotated[np.ndarray, floats()] = field(repr=False)
 
-    def check_shapes(self, count: int, dim: int, *, finite: bool) -> None:
-        """Raise ValueError unless the arrays belong to ``count`` windows of ``dim`` components."""
-        require_array("edges of the error", self.edges, (count + 1,))
+    def check(self) -> None:
+        """Raise ValueError unless it has a series, and sizes that are not negative."""
         if not self.series.size:
             raise ValueError("its error has no series")
-        shape = (count, self.series.size // (count * dim), dim)
-        require_array("series of the error", self.series, shape, finite=finite)
-        require_array("floors of the error", self.floors, (count, dim), finite=finite)
-        require_array("largest error", self.largest, (dim,), finite=finite)
-        require_array("scale of the error", self.scale, (dim,))
-        require_array("origin of the error", self.origin, ())
-        if any((sizes < 0).any() for sizes in (self.floors, self.largest, self.scale)):
+        if (self.floors < 0).any() or (self.largest < 0).any():
             raise ValueError("its error has a negative size")
+
+    def require_finite(self) -> None:
+        """Raise ValueError unless all its numbers are finite."""
+        for name in ("series", "floors", "largest"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ValueError(f"'{name}' of its error is not finite")
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """Estimated z - z^ at times t, shape (*t.shape, dim)."""

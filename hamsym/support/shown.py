@@ -1,6 +1,8 @@
-"""Mixin of results that notebooks show as HTML."""
+"""Mixins of results: those that notebooks show as HTML, and those that have files."""
 
 from __future__ import annotations
+
+import os
 
 import hamsym
 
@@ -10,3 +12,17 @@ class Shown:
 
     def _repr_html_(self) -> str:
         return hamsym.representation(self)
+
+
+class Saved(Shown):
+    """A result that has files."""
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the result to a file that :func:`hamsym.load` reads; see :func:`hamsym.save`.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written, or the result is not valid.
+        """
+        hamsym.save(self, path)

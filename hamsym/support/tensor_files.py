@@ -2,7 +2,7 @@
 
 Numbers are stored exactly. A file is replaced in one step, so that at any moment either the old one
 or the new one exists. It contains the SHA-256 of all its bytes, with zeros in place of the checksum
-itself, so that damage to any byte is detected.
+itself, so that damage to any byte is detected. Arrays with the same numbers are stored once.
 """
 
 from __future__ import annotations
@@ -23,9 +23,12 @@ import safetensors.numpy
 from hamsym.errors import FileError
 from hamsym.support.atomic import write_file
 
-_VERSION = 2
+Arrays = dict[str, np.ndarray]
+
+_VERSION = 3
 _KEY = "hamsym"
 _NO_CHECKSUM = "0" * 64
+_SMALL = 256  # bytes; a smaller array is not longer than the note that it is repeated
 _DTYPES = {"F64", "F32", "I64", "U8"}  # as safetensors names them
 _LARGEST_HEADER = 4_000_000  # bytes; a formula has 50,000 characters at most
 _LARGEST_FILE = 2**34  # bytes, more than a solution with the largest number of windows
@@ -42,11 +45,13 @@ def write_tensors(
     Raise FileError if the file cannot be written; an existing file is left unchanged.
     """
     # The checksum comes first, so that the first run of zeros of its length is its place.
-    text = json.dumps({"sha256": _NO_CHECKSUM, "version": _VERSION, "kind": kind, **values})
-    content = safetensors.numpy.save(
-        {name: np.array(array, order="C") for name, array in arrays.items()},
-        metadata={_KEY: text},
-    )
+    own, same = _once(arrays)
+    head = {"sha256": _NO_CHECKSUM, "version": _VERSION, "kind": kind, "same": same}
+    try:
+        text = json.dumps({**head, "values": values})
+        content = safetensors.numpy.save(own, metadata={_KEY: text})
+    except (TypeError, ValueError) as error:
+        raise FileError(f"'{path}' cannot be written: {one_line(error)}") from None
     (header,) = struct.unpack("<Q", content[:8])
     if header > _LARGEST_HEADER or len(content) > _LARGEST_FILE:
         raise FileError(
@@ -68,8 +73,8 @@ def read_tensors(
     try:
         size = _size(Path(path))
         with open(path, "rb") as file:
-            header, values = _header(file, size)
-            version, found = values.pop("version", None), values.pop("kind", None)
+            header, head = _header(file, size)
+            version, found = head.pop("version", None), head.pop("kind", None)
             if found != kind:
                 raise FileError(f"'{path}' is a file of kind {_shown(found)}, not {kind}")
             if version != _VERSION:
@@ -84,7 +89,7 @@ def read_tensors(
     except (OSError, ValueError, TypeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileError(f"'{path}' cannot be read: {reason}") from None
-    claimed = values.pop("sha256", None)
+    claimed = head.pop("sha256", None)
     place = content.find(claimed.encode()) if isinstance(claimed, str) else -1
     if place < 0 or claimed != _checksum(content, place):
         raise FileError(f"'{path}' is damaged: its checksum does not match its content")
@@ -93,11 +98,13 @@ def read_tensors(
             if entry["dtype"] not in _DTYPES:
                 raise ValueError(f"'{name[:40]}' is of type {_shown(entry['dtype'])}")
         # Copies, since the loaded arrays share one read-only buffer.
-        arrays = safetensors.numpy.load(content)
-        return {name: array.copy() for name, array in arrays.items()}, values
+        own = {name: array.copy() for name, array in safetensors.numpy.load(content).items()}
+        if {*head} != {"same", "values"} or not isinstance(head["values"], dict):
+            raise ValueError("it has no values")
+        return _all(own, head["same"]), head["values"]
     except (
         *(safetensors.SafetensorError, AssertionError, KeyError, RuntimeError),
-        *(OverflowError, TypeError, ValueError),
+        *(AttributeError, OverflowError, TypeError, ValueError),
     ) as error:
         raise FileError(f"'{path}' is damaged: {one_line(error)}") from None
 
@@ -120,6 +127,34 @@ def one_line(error: Exception) -> str:
 
 class _DamagedError(Exception):
     """The header cannot be read."""
+
+
+def _once(arrays: Mapping[str, np.ndarray]) -> tuple[Arrays, dict[str, list[Any]]]:
+    """Return arrays without repetitions, and of each repetition the first name and its shape."""
+    own, same = {}, {}
+    known: dict[tuple[str, bytes], str] = {}
+    for name, array in arrays.items():
+        whole = np.array(array, order="C")
+        key = (whole.dtype.name, hashlib.sha256(whole.tobytes()).digest())
+        first = known.setdefault(key, name)
+        if first == name or whole.nbytes < _SMALL:
+            own[name] = whole
+        else:
+            same[name] = [first, [*whole.shape]]
+    return own, same
+
+
+def _all(own: Arrays, same: Any) -> Arrays:
+    """Return the arrays of :func:`_once`.
+
+    Raise ValueError if the names or shapes do not fit.
+    """
+    found = dict(own)
+    for name, (first, shape) in same.items():
+        if name in own or not all(type(length) is int and length >= 0 for length in shape):
+            raise ValueError(f"'{name[:40]}' is stored twice, or has no shape")
+        found[name] = own[first].reshape(shape)
+    return found
 
 
 def _size(path: Path) -> int:

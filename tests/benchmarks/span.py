@@ -12,6 +12,7 @@ import numpy as np
 
 import hamsym
 from hamsym import systems
+from hamsym.support.records import packed
 
 from . import markdown
 from .measuring import cpu, exponent, largest_error, median
@@ -60,7 +61,7 @@ def _megabytes(solution: hamsym.Solution) -> float:
     """Size of the arrays that a solution holds: the march and the estimate of its error."""
     found = solution.record, solution.error
     arrays = [a for part in found for a in vars(part).values() if isinstance(a, np.ndarray)]
-    tensors = list(solution.trial.arrays().values())
+    tensors = list(packed(solution.trial)[0].values())
     unique = {array.__array_interface__["data"][0]: array.nbytes for array in arrays + tensors}
     return sum(unique.values()) / 1e6
 

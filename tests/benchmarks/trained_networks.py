@@ -18,6 +18,7 @@ from flint import arb
 
 import hamsym
 from hamsym import systems
+from hamsym.support.records import packed
 from tests.audit.taylor import Equations, Orbit, integrate
 
 from . import markdown
@@ -205,7 +206,7 @@ def _row(training: _Training, count: int) -> tuple[dict[str, Any], hamsym.Soluti
             row["error"].append(None)
             continue
         first = found if seed == 0 else first
-        record, form = found.record, found.trial.describe()
+        record, form = found.record, packed(found.trial)[1]
         pieces = form.get("pieces", [form])
         row["networks"].append(len(pieces))
         row["neurons"].append(max(int(piece["sizes"][-2]) for piece in pieces))

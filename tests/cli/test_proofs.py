@@ -103,7 +103,7 @@ def test_certify_with_a_bound(capsys: Captured, saved: str) -> None:
     assert "As asked" in " ".join(out.split())
     certificate = Certificate.from_json(Path(f"{saved}.certificate").read_text())
     assert certificate.asked == (1e-7, 1e-7)
-    assert json.loads(certificate.to_json())["version"] == 3
+    assert json.loads(certificate.to_json())["version"] == 4
     assert run(capsys, "verify", saved)[0] == 0
 
 

@@ -488,39 +488,43 @@ def _valued(**values: object) -> Callable[[dict, dict], None]:
     return lambda _, own: own.update(values)
 
 
+def _tabled(**values: object) -> Callable[[dict, dict], None]:
+    return lambda _, own: own["table"].update(values)
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (_edited("edges", lambda a: a[:-1]), "'edges' is not of type"),
+        (_edited("edges", lambda a: a[:-1]), "has shape"),
         (_edited("edges", lambda a: a[::-1].copy()), "not in order"),
         (_edited("edges", _at(1, np.nan)), "'edges' is not finite"),
         (_edited("states", _at((0, 0), 0.125)), "does not start at its z0"),
         (_edited("readouts", _at((0, 0, 0), np.inf)), "'readouts' is not finite"),
         (_edited("readouts", lambda a: a.astype("f4")), "'readouts' is not of type"),
-        (_edited("success", _at(1, 1)), "exceeds the tolerance"),
-        (_edited("success", _at(0, 0)), "contradicts"),
-        (_edited("success", _at(0, 2)), "out of range"),
-        (_edited("status", _at(0, MARCHED)), "messages"),
-        (_edited("status", _at(0, 0)), "contradicts|without windows"),
-        (_edited("status", _at(3, ACCEPTED)), "without windows"),
-        (_edited("counts", _at(0, -1)), "'counts' is negative"),
-        (_edited("excess", _at(0, np.nan)), "'excess' is negative or not a number"),
-        (_edited("excess", _at(0, 1.5)), "exceeds the tolerance"),
-        (_edited("largest", _at((0, 0), np.inf)), "exceeds the tolerance"),
-        (_edited("sizes", _at((0, 0), -1.0)), "'sizes' is negative"),
-        (_edited("parameters", _at((0, 0), np.nan)), "'parameters' is not finite"),
-        (_edited("z0", _at((0, 0), np.nan)), "not finite"),
+        (_edited("table.success", _at(1, 1)), "exceeds the tolerance"),
+        (_edited("table.success", _at(0, 0)), "contradicts"),
+        (_edited("table.success", _at(0, 2)), "out of range"),
+        (_edited("table.status", _at(0, MARCHED)), "messages"),
+        (_edited("table.status", _at(0, 0)), "contradicts|without windows"),
+        (_edited("table.status", _at(3, ACCEPTED)), "without windows"),
+        (_edited("table.counts", _at(0, -1)), "counts' has numbers out of range"),
+        (_edited("table.excess", _at(0, np.nan)), "excess' has numbers out of range"),
+        (_edited("table.excess", _at(0, 1.5)), "exceeds the tolerance"),
+        (_edited("table.largest", _at((0, 0), np.inf)), "exceeds the tolerance"),
+        (_edited("table.sizes", _at((0, 0), -1.0)), "sizes' has numbers out of range"),
+        (_edited("table.parameters", _at((0, 0), np.nan)), "parameters' is not finite"),
+        (_edited("table.z0", _at((0, 0), np.nan)), "not finite"),
         (_edited("basis", lambda a: a[:-1]), "'basis' has shape"),
         (_edited("more", np.zeros(1)), "'more' of its arrays is unknown"),
-        (_edited("notes", lambda a: a[:-1]), "not a valid"),
+        (_edited("table.notes", lambda a: a[:-1]), "not a valid"),
         (_valued(shape=[10]), None),
         (_valued(shape=[3, 5]), "differs from its number"),
-        (_valued(stopped="interrupted"), "without a reason"),
-        (_valued(varied=["j"]), "varies a parameter"),
+        (_tabled(stopped="interrupted"), "without a reason"),
+        (_valued(varied=["j"]), "a parameter varies"),
         (_valued(varied=[]), "differs from its value in H"),
         (_valued(seed=-1), "seed"),
         (_valued(span=[0.0, 11.0]), "ends before the span"),
-        (_valued(options={"tol": 2.0, "atol": [0.0, 0.0], "max_window": None}), "tol=2.0"),
+        (_valued(tol=2.0), "tol=2.0"),
         (_valued(more=1), "'more' of its values is unknown"),
     ],
 )
@@ -595,7 +599,7 @@ def test_windows_of_stores_are_read_late(store: Path) -> None:
 
 
 def test_damaged_stores_are_refused(store: Path) -> None:
-    for name in ("counts", "z0", "notes"):
+    for name in ("table.counts", "table.z0", "table.notes"):
         chunk = next(path for path in (store / name / "c").rglob("*") if path.is_file())
         whole = chunk.read_bytes()
         chunk.unlink()

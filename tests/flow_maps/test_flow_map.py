@@ -407,11 +407,16 @@ def test_damaged_or_forged_files_are_refused(oscillator: FlowMap, tmp_path: Path
             hamsym.load(forged)
 
     refused(arrays, {**values, "excess": 3.0}, "its error is not within")
-    refused(arrays, {**values, "names": ["x", "y"]}, "not give every component")
-    refused(arrays, {**values, "map": {"form": "leg", "begin": 0.0, "pieces": 10**6}}, "edges")
+    region = {**values["region"], "names": ["x", "y"]}
+    refused(arrays, {**values, "region": region}, "not give every component")
+    many = {**values["map"], "pieces": [{}] * 10**5}
+    refused(arrays, {**values, "map": many}, "at most 10,000 entries")
+    refused(arrays, {**values, "map": {**values["map"], "pieces": 10**6}}, "is not a list")
     refused(arrays, {**values, "more": 1}, "unknown")
-    refused({**arrays, "map.9999.readouts": np.zeros(3)}, values, "not a part of a flow map")
-    nan = {**arrays, "map.0.readouts": arrays["map.0.readouts"] * np.nan}
+    further = {**arrays, "map.pieces.9999.readouts": np.zeros(3)}
+    refused(further, values, "of its arrays is unknown")
+    name = "map.pieces.0.readouts"
+    nan = {**arrays, name: arrays[name] * np.nan}
     refused(nan, values, "is not finite")
     edges = {**arrays, "map.edges": arrays["map.edges"][::-1].copy()}
     refused(edges, values, "not in order")
@@ -421,6 +426,10 @@ def test_damaged_or_forged_files_are_refused(oscillator: FlowMap, tmp_path: Path
         if len(json.dumps(deep)) > 10_000:
             break
     refused(arrays, {**values, "map": deep}, "is not a valid file")
+    deep = {}
+    for _ in range(300):
+        deep = {"form": "chain", "maps": [deep], "joints": None, "kept": None}
+    refused(arrays, {**values, "map": deep}, "too many parts inside each other")
 
 
 def module(flow: FlowMap, folder: Path) -> ModuleType:

@@ -9,7 +9,6 @@ import pytest
 import hamsym
 from hamsym.errors import CertificationError, FileError
 from hamsym.flow_maps.expansion import Chain, Split
-from hamsym.flow_maps.storage import KIND
 from hamsym.flow_maps.time_order import ended, require_order
 from hamsym.support.tensor_files import read_tensors, write_tensors
 
@@ -43,10 +42,10 @@ def with_parameter():
 def forged(flow, path, edit):
     """Save a map, edit the arrays and values of its file, with a right checksum."""
     flow.save(path)
-    arrays, values = read_tensors(path, KIND)
+    arrays, values = read_tensors(path, "flow map")
     values = copy.deepcopy(values)
     edit(arrays, values)
-    write_tensors(path, KIND, arrays, values)
+    write_tensors(path, "flow map", arrays, values)
     return path
 
 
@@ -70,9 +69,9 @@ def begin(number, time):
 def swapped(arrays, values):
     """Exchange the two legs of a chain."""
     values["map"]["maps"].reverse()
-    legs = {name: arrays.pop(name) for name in list(arrays) if name[:6] in ("map.0.", "map.1.")}
+    legs = {name: arrays.pop(name) for name in list(arrays) if name.startswith("map.maps.")}
     for name, array in legs.items():
-        arrays[f"map.{1 - int(name[4])}.{name[6:]}"] = array
+        arrays[f"map.maps.{1 - int(name[9])}.{name[11:]}"] = array
 
 
 def moved(number, by):
@@ -109,10 +108,10 @@ CHAIN = {
     "joint and leg moved": lambda a, v: (begin(1, 0.75)(a, v), entry("map.joints", [0.75])(a, v)),
     "joint beyond the span": lambda a, v: (begin(1, 4.0)(a, v), entry("map.joints", [4.0])(a, v)),
     "joint not a number": entry("map.joints", [np.nan]),
-    "first against the span": entry("map.0.edges", lambda edges: -edges),
-    "second against the span": entry("map.1.edges", lambda edges: -edges),
-    "second beyond the span": entry("map.1.edges", moved(-1, 0.1)),
-    "first too long": entry("map.0.edges", moved(-1, 0.1)),
+    "first against the span": entry("map.maps.0.edges", lambda edges: -edges),
+    "second against the span": entry("map.maps.1.edges", lambda edges: -edges),
+    "second beyond the span": entry("map.maps.1.edges", moved(-1, 0.1)),
+    "first too long": entry("map.maps.0.edges", moved(-1, 0.1)),
 }
 SPLIT = {
     "one side later": lambda _, values: values["map"]["high"].update(begin=0.5),
@@ -157,7 +156,7 @@ def test_maps_out_of_order_have_no_proof(request, kind):
 
 def test_box_with_parameters_before_components_is_refused(with_parameter, tmp_path):
     def edit(arrays, values):
-        values["names"].reverse()
+        values["region"]["names"].reverse()
 
     with pytest.raises(FileError, match="after parameters"):
         hamsym.load(forged(with_parameter, tmp_path / "map.hamsym", edit))
@@ -168,7 +167,7 @@ def test_box_with_parameters_before_components_is_refused(with_parameter, tmp_pa
 
 def test_box_varies_only_what_the_equation_has(with_parameter, tmp_path):
     def edit(arrays, values):
-        values["names"][1] = "m"
+        values["region"]["names"][1] = "m"
 
     with pytest.raises(FileError, match="neither H nor an expression"):
         hamsym.load(forged(with_parameter, tmp_path / "map.hamsym", edit))

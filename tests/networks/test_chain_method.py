@@ -19,6 +19,7 @@ from hamsym.networks import equal_windows
 from hamsym.networks.chain_training import ChainRun, ChainSettings, Layout, TrainedChain
 from hamsym.networks.equal_windows import train_windows
 from hamsym.networks.window_training import _damped
+from hamsym.support.records import packed
 
 KEPLER = "(px**2 + py**2)/2 - 1/sqrt(x**2 + y**2)"
 DRIVEN = "p**2/2 + q**2/2 + q*cos(t)"
@@ -155,7 +156,7 @@ def digest_of_training(rubbish: int) -> str:
     solution = trained("p**2/2 - cos(q)", [2.0, 0.3], (0, 4), hidden=(20, 20), windows=1)
     assert solution.record.hidden_steps.sum() > 0
     digest = hashlib.sha256(solution.error_estimate(np.linspace(0, 4, 50)).tobytes())
-    for array in solution.trial.arrays().values():
+    for array in packed(solution.trial)[0].values():
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 

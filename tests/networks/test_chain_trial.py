@@ -11,6 +11,7 @@ from hamsym.networks.chain import Chain, ChainTraining
 from hamsym.networks.chain_error import estimate_chain_error
 from hamsym.networks.network import Network
 from hamsym.networks.trial import TrialSolution
+from hamsym.support.records import packed, unpacked
 
 EPS = float(np.finfo(float).eps)
 
@@ -30,20 +31,20 @@ def two_pieces(shift: float) -> tuple[Chain, np.ndarray]:
 
 def test_joints_may_differ_by_round_off_of_another_processor() -> None:
     chain, z0 = two_pieces(20 * EPS)
-    chain.check(z0, (0.0, 3.0))
+    chain.require_path(z0, (0.0, 3.0))
 
 
 @pytest.mark.parametrize("shift", [1e-9, -1e-3, np.nan])
 def test_joints_that_jump_are_refused(shift: float) -> None:
     chain, z0 = two_pieces(shift)
     with pytest.raises(ValueError, match="start at the end of that before|not finite"):
-        chain.check(z0, (0.0, 3.0))
+        chain.require_path(z0, (0.0, 3.0))
 
 
 def test_first_state_is_compared_exactly() -> None:
     chain, z0 = two_pieces(0.0)
     with pytest.raises(ValueError, match="start at"):
-        chain.check(z0 + 2 * EPS, (0.0, 3.0))
+        chain.require_path(z0 + 2 * EPS, (0.0, 3.0))
 
 
 def test_weights_of_another_precision_are_refused() -> None:
@@ -51,15 +52,15 @@ def test_weights_of_another_precision_are_refused() -> None:
     network = Network(2, (3,), "sin", generator=torch.Generator(), dtype=torch.float32)
     single = TrialSolution(network.requires_grad_(False), torch.from_numpy(z0))
     with pytest.raises(ValueError, match="float64"):
-        Chain((single,), 1.0).check(z0.astype(float), (0.0, 1.0))
+        packed(Chain((single,), 1.0))
 
 
 def test_more_than_ten_thousand_windows_are_read_back() -> None:
-    values = {"form": "chain", "end": 1.0, "pieces": [{}] * 50_000}
-    with pytest.raises(ValueError, match="of its trial solution is missing"):
-        Chain.from_description(values, {}, 2)
+    values = {"end": 1.0, "pieces": [{}] * 50_000}
+    with pytest.raises(ValueError, match="of its pieces.0 is missing"):
+        unpacked(Chain, {}, values)
     with pytest.raises(ValueError, match="at most 50,000 entries"):
-        Chain.from_description({**values, "pieces": [{}] * 50_001}, {}, 2)
+        unpacked(Chain, {}, {**values, "pieces": [{}] * 50_001})
 
 
 def test_error_estimate_resolves_the_window_with_most_points() -> None:

@@ -161,7 +161,7 @@ def _trajectory(trajectory: Trajectory) -> Card:
 def _accuracy(trajectory: Trajectory) -> str:
     """The largest error, or how well H is conserved, in words."""
     if (found := trajectory.verdicts) is not None:
-        good = found.success
+        good = np.ravel(trajectory.success)
         if not good.any():
             return "the error is not within the tolerance"
         whose = "" if good.all() else " of those that succeeded"

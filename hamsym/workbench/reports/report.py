@@ -21,11 +21,10 @@ from pygments import highlight
 from pygments.formatters import HtmlFormatter
 from pygments.lexers import get_lexer_by_name
 
-from hamsym.archive import load_solution
+from hamsym.archive import load_solution, read_certificate
 from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import CertificationError, FileError, HamsymError, InputError
 from hamsym.proof.certificate import Certificate
-from hamsym.proof.certificate_files import read_certificate
 from hamsym.proof.prove import certify as prove
 from hamsym.proof.prove import verify
 from hamsym.recipe import command_line, omissions, python_lines
