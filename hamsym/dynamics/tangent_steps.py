@@ -91,16 +91,15 @@ class TangentSteps:
         energy_error, problem = self._judged(times, path, problem)
         done = f"{self.method}: {self.number:,} steps to t = {self.span[1]:.6g}"
         return {
-            "start": self.span[0],
+            "H": self.H,
+            "z0": path[0],
+            "span": self.span,
             "energy_error": energy_error,
             "method": self.method,
             "dt": self.size,
             "seconds": time.perf_counter() - began,
             "success": not problem,
             "message": problem or done,
-            "title": self.H.formulas,
-            "is_integrable": self.H.dof == 1 and self.H.time is None,
-            "H": self.H,
         }
 
     def _judged(

@@ -50,7 +50,7 @@ class FlowMap(Shown):
         Whether the estimated error over the whole box and span is within the tolerance.
     message : str
         Outcome, with the worst place found.
-    error_estimate : numpy.ndarray
+    largest_error : numpy.ndarray
         Estimated largest error of each component over the box and the span, shape (dim,); see
         :mod:`hamsym.flow_maps.judging`.
     excess : float
@@ -69,7 +69,7 @@ class FlowMap(Shown):
     tol: float
     success: bool
     message: str
-    error_estimate: np.ndarray
+    largest_error: np.ndarray
     excess: float
     judgement: Judgement
     solutions: int

@@ -61,7 +61,7 @@ def write_flow_map(flow: FlowMap, path: str | os.PathLike[str]) -> None:
 def _parts(flow: FlowMap) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     box, judgement = flow.region, flow.judgement
     arrays = {f"map.{name}": _stored(array) for name, array in flow.map.arrays().items()}
-    arrays |= {"low": box.low, "high": box.high, "error_estimate": flow.error_estimate}
+    arrays |= {"low": box.low, "high": box.high, "error_estimate": flow.largest_error}
     arrays |= arrays_of("judgement", judgement)
     return arrays, {
         "H": described(box.H),
@@ -103,7 +103,7 @@ def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> FlowMap
     require_order(map, plain["span"])
     if plain["success"] and not plain["excess"] <= 1:
         raise ValueError("its success is true, but its error is not within the tolerance")
-    return FlowMap(region=box, map=map, error_estimate=error, judgement=judgement, **plain)
+    return FlowMap(region=box, map=map, largest_error=error, judgement=judgement, **plain)
 
 
 def _map(form: dict[str, Any], arrays: dict[str, np.ndarray], d: int, dim: int, depth: int) -> Any:

@@ -47,7 +47,6 @@ from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes, unknown
 from hamsym.support.shown import Shown
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
-from hamsym.support.text_tables import ROWS
 from hamsym.support.validation import require_number, require_positive, require_whole
 
 if TYPE_CHECKING:
@@ -110,7 +109,7 @@ class Trajectory(Shown):
         are more), relative to the energy that the motion exchanges between coordinates and momenta
         (:mod:`hamsym.integrators.energy_drift`); the largest of an ensemble. Infinite if H is not
         finite along the trajectory, nan if H depends on time, forces act, and with ``tol``.
-    error_estimate : numpy.ndarray, optional
+    errors : numpy.ndarray, optional
         With ``tol``: largest estimated error of each component up to each time, shape of z, in the
         units of the components; infinite where it is unknown.
     verdicts : Tolerated, optional
@@ -133,7 +132,7 @@ class Trajectory(Shown):
     ensemble: Ensemble = field(repr=False)
     interrupted: bool = False
     drift: float = math.nan
-    error_estimate: np.ndarray | None = field(default=None, repr=False)
+    errors: np.ndarray | None = field(default=None, repr=False)
     verdicts: Tolerated | None = field(default=None, repr=False)
     invariant_drift: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
@@ -153,6 +152,26 @@ class Trajectory(Shown):
             f"Trajectory({self.ensemble.H.formulas!r}, {shape}{len(self.t):,} states, t from "
             f"{self.t[0]:.6g} to {self.t[-1]:.6g}, {self.method}{error}, {outcome})"
         )
+
+    @property
+    def H(self) -> Hamiltonian:
+        """The Hamiltonian, with the parameters of the first trajectory where they differ."""
+        return self.ensemble.H
+
+    @property
+    def z0(self) -> np.ndarray:
+        """Initial states, shape (*shape, dim)."""
+        return self.ensemble.states.reshape(*self.ensemble.shape, -1)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last of the saved times."""
+        return float(self.t[0]), float(self.t[-1])
+
+    @property
+    def largest_error(self) -> np.ndarray | None:
+        """Largest estimated error of each component, shape (*shape, dim); None without ``tol``."""
+        return None if self.errors is None else self.errors[..., -1, :]
 
     @cached_property
     def messages(self) -> np.ndarray:
@@ -197,28 +216,6 @@ class Trajectory(Shown):
         with np.errstate(all="ignore"):
             power = H.observable(H.power)(self.z, self.t, values)
         return change - work_of(self.t, power)
-
-    def summary(self, rows: int | None = ROWS, *, number: int = 0) -> str:
-        """Describe the outcome as text.
-
-        First the largest estimated error against ``tol``, or without it how well H is kept, then
-        the states at the ends of one trajectory, and the cost.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most components in the table; None for all.
-        number : int
-            Of the trajectory in the table, in a flat order of the ensemble.
-
-        Examples
-        --------
-        >>> trajectory = integrate("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-9)
-        >>> print(trajectory.summary())
-        largest estimated error ... in ..., ... % of tol 1.0e-09
-        blanes_moan6: ... steps to t = 5, estimated error ...
-        """
-        return hamsym.summary(self, rows, number=number)
 
     # -- by name and by time ---------------------------------------------------------------------
 
@@ -340,7 +337,7 @@ class Trajectory(Shown):
 
         Its axes are ``time`` and ``component``, and of an ensemble ``member``, or ``axis_0``,
         ``axis_1``, ..., on which parameters that vary are coordinates. With ``tol`` it has
-        ``error_estimate`` too.
+        ``errors`` too.
 
         Raises
         ------
@@ -363,8 +360,8 @@ class Trajectory(Shown):
             "success": (axes, success),
             "message": (axes, self.messages),
         }
-        if self.error_estimate is not None:
-            variables["error_estimate"] = (states, self.error_estimate)
+        if self.errors is not None:
+            variables["errors"] = (states, self.errors)
         varied = {name: (axes, own.reshape(shape)) for name, own in self.ensemble.columns.items()}
         return data_set(
             variables,
@@ -710,7 +707,7 @@ def _to_tolerance(
         message=message,
         ensemble=members,
         interrupted=found.interrupted,
-        error_estimate=errors.reshape(*shape, *errors.shape[1:]),
+        errors=errors.reshape(*shape, *errors.shape[1:]),
         verdicts=found,
         invariant_drift=drifts,
     )

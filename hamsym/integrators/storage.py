@@ -62,8 +62,8 @@ def _parts(trajectory: Trajectory) -> tuple[dict[str, np.ndarray], dict[str, Any
         "varied": list(members.varied),
         **{name: _json(getattr(trajectory, name)) for name in _PLAIN},
     }
-    if found is not None and trajectory.error_estimate is not None:
-        arrays["error_estimate"] = trajectory.error_estimate.reshape(arrays["z"].shape)
+    if found is not None and trajectory.errors is not None:
+        arrays["error_estimate"] = trajectory.errors.reshape(arrays["z"].shape)
         arrays["largest"], arrays["steps"] = found.largest, found.steps.astype(np.int64)
         values["tol"] = float(found.tol)
         values["problems"] = {str(index): text for index, text in found.problems.items()}
@@ -120,7 +120,7 @@ def _assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Traject
         names=H.names,
         success=success.reshape(shape) if one is None else one,
         ensemble=Ensemble(H, arrays["starts"], arrays["parameters"], shape, given["varied"]),
-        error_estimate=errors,
+        errors=errors,
         verdicts=found,
         **{name: given[name] for name in _PLAIN},
     )
@@ -163,11 +163,11 @@ def _check(trajectory: Trajectory) -> None:
     success = np.broadcast_to(trajectory.success, members.shape).reshape(-1)
     if not there[success].all():
         raise ValueError("its success is true, but a state is not finite")
-    if (found is None) != (trajectory.error_estimate is None):
+    if (found is None) != (trajectory.errors is None):
         raise ValueError("its error estimate does not belong to its verdicts")
-    if found is not None and trajectory.error_estimate is not None:
-        require_array("error_estimate", trajectory.error_estimate, trajectory.z.shape, finite=False)
-        errors = trajectory.error_estimate.reshape(z.shape)
+    if found is not None and trajectory.errors is not None:
+        require_array("error_estimate", trajectory.errors, trajectory.z.shape, finite=False)
+        errors = trajectory.errors.reshape(z.shape)
         if not (errors >= 0).all() or not np.isfinite(errors[success]).all():
             raise ValueError("its error estimate is negative, not a number, or not finite")
         if success.tolist() != [index not in found.problems for index in range(count)]:

@@ -40,8 +40,10 @@ def wrapped(text: str, start: str = "", width: int | None = None) -> str:
     )
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
-    """Return the lines of a table: the first columns flush left, the others flush right.
+def table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[bool] = (True,)
+) -> list[str]:
+    """Return the lines of a table: some columns flush left, by default the first, others right.
 
     A column whose cells are all empty is left out.
 
@@ -58,7 +60,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -
     widths = [max(len(line[k]) for line in lines) for k in used]
     return [
         "  ".join(
-            line[k].ljust(width) if k < left else line[k].rjust(width)
+            line[k].ljust(width) if k < len(left) and left[k] else line[k].rjust(width)
             for k, width in zip(used, widths, strict=True)
         ).rstrip()
         for line in lines

@@ -201,7 +201,7 @@ def test_solve_by_least_squares_saves_and_resumes(capsys: Captured, tmp_path: Pa
         assert out.splitlines()[1].startswith("target error 1.00e-02 reached after ")
         assert f"wrote {saved}" in out
     solution = hamsym.load(saved)
-    assert solution.relative_error_estimate <= 1e-2
+    assert solution.relative_error <= 1e-2
     status, _, err = run(capsys, "solve", *SOLVE, *settings, "--seed", "1")
     assert status == 2
     assert "belongs to a training with seed=0, not 1" in err
@@ -289,7 +289,7 @@ def test_integrate_to_a_tolerance(capsys: Captured, tmp_path: Path) -> None:
     assert "estimated error" in out
     stored = np.load(path)
     np.testing.assert_allclose(stored["z"], [[1, 0, 0, 1]] * 2, atol=1e-9)
-    assert stored["error_estimate"].shape == (2, 4)
+    assert stored["errors"].shape == (2, 4)
     status, out, _ = run(capsys, "integrate", *arguments, "--z0", "1,0,0,0", "-o", str(path))
     assert status == 1  # the second falls to the centre
     assert out.startswith("1 of 2 trajectories failed, number 1 first")

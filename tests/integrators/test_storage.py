@@ -162,7 +162,7 @@ def test_datasets_have_names_and_coordinates() -> None:
     np.testing.assert_array_equal(data["energy"], row.energy)
     np.testing.assert_array_equal(data["k"], [1.0, 2.0, 3.0])
     grid = MADE["grid"]()
-    np.testing.assert_array_equal(grid.to_xarray()["error_estimate"], grid.error_estimate)
+    np.testing.assert_array_equal(grid.to_xarray()["errors"], grid.errors)
     assert data.attrs["unit of p"] == "m/s"
 
 

@@ -1,0 +1,230 @@
+"""Facts of exponents, chaos indicators, sections and equilibria."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hamsym.dynamics.history import history_rows
+from hamsym.facts.facts import Column, Entry, Fact, Facts, Table
+from hamsym.facts.wording import by_name, formulas_of, of_type, problem_facts, span_fact
+
+if TYPE_CHECKING:
+    from hamsym.dynamics.chaos_indicators import ChaosIndicators
+    from hamsym.dynamics.equilibrium import Equilibria, Equilibrium
+    from hamsym.dynamics.lyapunov import LyapunovExponents
+    from hamsym.dynamics.lyapunov_map import LyapunovMap
+    from hamsym.dynamics.sections import Section
+
+__all__: list[str] = []
+
+_WIDE = 4  # exponents and components in a short table
+_REGIONS = 3  # undecided ones that are listed
+
+
+def _given(found: Any) -> tuple[Fact, ...]:
+    H, varied = found.H, tuple(getattr(found, "parameters", ()))
+    return (
+        *problem_facts(H, varied),
+        span_fact(found.span, H.units.get("t", "")),
+        Fact("method", "method", found.method, found.method),
+    )
+
+
+def _kept(found: Any) -> Fact:
+    """How well H was kept, where that is known."""
+    error = np.asarray(found.energy_error)
+    text = f"{np.nanmax(error):.1e}" if np.isfinite(error).any() else ""
+    return Fact("energy_error", "energy error", found.energy_error, text)
+
+
+def _over_time(
+    found: LyapunovExponents | ChaosIndicators, columns: dict[str, np.ndarray]
+) -> tuple[Entry, ...]:
+    """A table of quantities over time, and their last values."""
+    rows = history_rows(found.t, found.span[0])
+    shown = (Column(label, values[rows], ".4e") for label, values in columns.items())
+    table = Table("times", [f"{t:.6g}" for t in found.t[rows]], tuple(shown), "t", wide=_WIDE)
+    return table, Fact("t", value=found.t[-1]), _time(found)
+
+
+def _time(found: Any) -> Fact:
+    return Fact("seconds", "time", found.seconds, f"{found.seconds:.2g} s")
+
+
+@of_type("LyapunovExponents")
+def _lyapunov(found: LyapunovExponents) -> Facts:
+    last = found.exponents[-1]
+    several = ", ".join(f"{value:.4g}" for value in last) if len(last) > 1 else ""
+    names = [f"exponent {k + 1}" for k in range(len(last))]
+    return Facts(
+        "LyapunovExponents",
+        found.statement,
+        found.message,
+        bool(found.success),
+        formulas=formulas_of(found.H),
+        given=_given(found),
+        entries=(
+            _kept(found),
+            Fact("exponents", "at the end:", last, several),
+            Fact("trend", value=found.trend),
+            *_over_time(found, dict(zip(names, found.exponents.T, strict=True))),
+        ),
+        drawn=found.exponents.size,
+    )
+
+
+@of_type("ChaosIndicators")
+def _chaos_indicators(found: ChaosIndicators) -> Facts:
+    curves = {"megno": found.megno, "mean megno": found.mean_megno, "sali": found.sali}
+    return Facts(
+        "ChaosIndicators",
+        found.statement,
+        found.message,
+        bool(found.success),
+        formulas=formulas_of(found.H),
+        given=_given(found),
+        entries=(
+            _kept(found),
+            *(Fact(n.replace(" ", "_"), value=own[-1]) for n, own in curves.items()),
+            *_over_time(found, curves),
+        ),
+        drawn=found.megno.size,
+    )
+
+
+@of_type("LyapunovMap")
+def _lyapunov_map(found: LyapunovMap) -> Facts:
+    places = list(np.ndindex(found.success.shape))
+    columns = [
+        Column(f"exponent {k + 1}", found.exponents[..., k].ravel(), ".4e")
+        for k in range(found.exponents.shape[-1])
+    ]
+    failed = [place for place in places if not found.success[place]]
+    reasons = (
+        Fact("", f"trajectory {', '.join(map(str, place))}:", None, str(found.message[place]))
+        for place in failed[:3]
+    )
+    return Facts(
+        "LyapunovMap",
+        found.statement,
+        success=not failed,
+        formulas=formulas_of(found.H),
+        given=_given(found),
+        entries=(
+            _kept(found),
+            Table("trajectories", [", ".join(map(str, place)) for place in places],
+                  tuple(columns), "trajectory", wide=_WIDE),
+            *reasons,
+            Fact("exponents", value=found.exponents),
+            Fact("successes", value=found.success),
+            Fact("steps", "steps", found.steps, f"{found.steps.max(initial=0):,} or fewer"),
+            _time(found),
+        ),
+        drawn=found.exponents.size,
+        members=found.success.size,
+    )  # fmt: skip
+
+
+@of_type("Section")
+def _section(section: Section) -> Facts:
+    columns = [Column("t", section.t, ".6g")]
+    columns += [Column(n, own, ".5g") for n, own in zip(section.names, section.z.T, strict=True)]
+    return Facts(
+        "Section",
+        message=section.message,
+        success=bool(section.success),
+        formulas=formulas_of(section.H),
+        given=(*_given(section), Fact("surface", "surface", section.surface, section.surface)),
+        entries=(
+            _kept(section) if len(section.t) else Fact("energy_error", value=math.nan),
+            Table("crossings", section.trajectory, tuple(columns), "trajectory", wide=_WIDE + 1),
+            Fact("dt", value=section.dt),
+            Fact("trajectory", value=section.trajectory),
+            Fact("t", value=section.t),
+            Fact("z", value=by_name(section.names, section.z.T)),
+            Fact("z0", value=by_name(section.names, section.z0.T)),
+            _time(section),
+        ),
+        drawn=section.z.size,
+    )
+
+
+@of_type("Equilibria")
+def _equilibria(found: Equilibria) -> Facts:
+    undecided = [Fact("", "undecided:", None, str(region)) for region in found.undecided[:_REGIONS]]
+    if (more := len(found.undecided) - _REGIONS) > 0:
+        undecided.append(Fact("", "", None, f"and {more:,} further undecided regions"))
+    return Facts(
+        "Equilibria",
+        message=found.message,
+        formulas=formulas_of(found.H),
+        given=problem_facts(found.H),
+        entries=(
+            Fact("complete", value=found.complete),
+            *undecided,
+            *([_states(found)] if len(found) else []),
+            Fact("equilibria", value=[_equilibrium(each).values() for each in found]),
+            Fact("undecided", value=[str(region) for region in found.undecided]),
+            Fact("seconds", value=found.seconds),
+        ),
+        drawn=float(len(found)),
+    )
+
+
+def _states(found: Equilibria) -> Table:
+    """Types, states and energies, with frequencies and exponents, to as many digits as fit."""
+    exact = _table(found, 8)
+    return exact if exact.fits else _table(found, 6)
+
+
+def _table(found: Equilibria, digits: int) -> Table:
+    H, each = found.H, found.found
+    states = np.array([one.coordinates(digits) for one in each], dtype=object).reshape(-1, H.dim)
+    words = {True: "yes", False: "no", None: "?"}
+    columns = (
+        Column("type", [one.type for one in each], left=True),
+        *(Column(H.labelled(name), own) for name, own in zip(H.names, states.T, strict=True)),
+        Column("energy", ["" if math.isnan(e) else f"{e:.{digits}g}" for e in found.energies]),
+        Column("stable", [words[one.stable] for one in each]),
+    )
+    names = [f"{place}" for place in range(1, len(each) + 1)]
+    return Table("equilibria", names, columns, notes=[_note(one) for one in each])
+
+
+def _note(each: Equilibrium) -> str:
+    """Frequencies, and what is not proven."""
+    notes = [
+        "" if each.linear is None else each.spectrum,
+        "not proven" if each.how == "numerical" else "",
+        f"part of a continuum: {each.family}" if each.family else "",
+        "on the edge of the box" if each.on_edge else "",
+    ]
+    return "; ".join(filter(None, notes))
+
+
+@of_type("Equilibrium")
+def _equilibrium(found: Equilibrium) -> Facts:
+    head, *rest = found.lines
+    linear: Sequence[str] = ("frequencies", "signatures", "eigenvalues")
+    exact = None if found.exact is None else [str(value) for value in found.exact]
+    return Facts(
+        "Equilibrium",
+        head,
+        entries=(
+            Fact("state", value=by_name(found.names, found.z)),
+            Fact("exact", value=exact),
+            *(Fact(name, value=getattr(found, name)) for name in _OF_EQUILIBRIUM),
+            *(
+                Fact(name, value=None if found.linear is None else getattr(found, name))
+                for name in linear
+            ),
+            *(Fact("", "", None, line) for line in rest),
+        ),
+    )
+
+
+_OF_EQUILIBRIUM = ("type", "energy", "stable", "how", "radius", "family")

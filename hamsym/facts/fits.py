@@ -1,0 +1,146 @@
+"""Facts of fits and of flow maps."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hamsym.facts.facts import Column, Fact, Facts, Table
+from hamsym.facts.wording import (
+    error_text,
+    formulas_of,
+    interval,
+    number,
+    of_type,
+    problem_facts,
+    seconds_text,
+    span_fact,
+)
+from hamsym.support.text_tables import share
+
+if TYPE_CHECKING:
+    from hamsym.fitting.fitted import Fit
+    from hamsym.flow_maps.flow_map import FlowMap
+
+__all__: list[str] = []
+
+
+@of_type("Fit")
+def _fit(fit: Fit) -> Facts:
+    H, several = fit.H, bool(np.ndim(fit.success))
+    data = f"{len(fit.t):,} times, t from {interval((fit.t.min(), fit.t.max()))}"
+    headline, message, members = "", fit.message, 1
+    if several:
+        members, good = len(fit.success), int(np.sum(fit.success))
+        headline = f"{', '.join(fit.names)} from {members:,} sets of data"
+        message = f"{good:,} of {members:,} sets converged"
+        if good < members:
+            first = int(np.argmin(fit.success))
+            message = f"{members - good:,} of {members:,} sets failed, number {first:,} first: "
+            message += fit.message[first]
+    return Facts(
+        "Fit",
+        headline,
+        message,
+        bool(np.all(fit.success)),
+        formulas=formulas_of(H),
+        given=(
+            *problem_facts(H, fit.names),
+            span_fact(fit.span, H.units.get("t", "")),
+            Fact("", "data", None, f"{', '.join(fit.data)}: {data}"),
+        ),
+        entries=(
+            _estimates(fit, several),
+            *_quality(fit, several),
+            Fact("confidence", value=fit.confidence),
+            Fact("confidence_intervals", value=fit.confidence_intervals),
+            *(Fact(name, value=getattr(fit, name)) for name in _NUMBERS),
+            Fact("seconds", "time", fit.seconds, seconds_text(fit.seconds)),
+        ),
+        drawn=400 * H.dim * np.size(fit.success),
+        members=members,
+    )
+
+
+_NUMBERS = ("covariance", "degrees_of_freedom", "p_value", "starts_reached")
+
+
+def _estimates(fit: Fit, several: bool) -> Table:
+    values, errors = fit.parameters, fit.standard_errors
+    ends = [fit.confidence_intervals[name] for name in fit.names]
+    labels = ("estimate", "standard error", f"{100 * fit.confidence:g} % interval")
+    if several:
+        labels = "median estimate", "median standard error", "smallest to largest"
+        with np.errstate(all="ignore"):
+            ends = [(np.min(own), np.max(own)) for own in values.values()]
+    return Table(
+        "quantities",
+        fit.names,
+        (
+            Column("unit", [fit.H.units.get(name, "") for name in fit.names]),
+            Column(labels[0], list(values.values()), lambda v: number(np.median(v), 8), "estimate"),
+            Column(labels[1], [errors[name] for name in fit.names],
+                   lambda v: number(np.median(v), 2), "standard_error"),
+            Column(labels[2], ends, lambda pair: f"{pair[0]:.8g} to {pair[1]:.8g}"),
+        ),
+    )  # fmt: skip
+
+
+def _quality(fit: Fit, several: bool) -> tuple[Fact, ...]:
+    """Chi-square and the largest residuals."""
+    if several:
+        return (Fact("chi_square", value=fit.chi_square),)
+    p = "" if math.isnan(fit.p_value) else f", p = {number(fit.p_value, 2)}"
+    text = f"{number(fit.chi_square, 4)} for {fit.degrees_of_freedom} degrees of freedom{p}"
+    worst = [
+        f"{label} {np.nanmax(np.abs(values)):.2g}"
+        for label, values in fit.weighted_residuals.items()
+    ]
+    return (
+        Fact("chi_square", "chi-square", fit.chi_square, text),
+        Fact("", "largest residuals in sigma:", None, ", ".join(worst)),
+    )
+
+
+@of_type("FlowMap")
+def _flow_map(flow: FlowMap) -> Facts:
+    H = flow.H
+    box = [f"{name} from {low!r} to {high!r}" for name, (low, high) in flow.box.items()]
+    kept: Any = flow.symplecticity
+    fixed = {name: repr(own) for name, own in flow.fixed.items()} | flow.region.expressions
+    return Facts(
+        "FlowMap",
+        f"estimated errors up to {share(flow.excess, 1.0)} of what tol {flow.tol:.1e} allows",
+        flow.message,
+        bool(flow.success),
+        "converged" if flow.success else "failed",
+        formulas_of(H),
+        (
+            *problem_facts(H, flow.inputs),
+            *(
+                Fact("", name, None, text)
+                for name, text in fixed.items()
+                if name not in H.parameters
+            ),
+            Fact("box", "box", flow.box, ", ".join(box)),
+            span_fact(flow.span, H.units.get("t", "")),
+            Fact("tol", "tolerance", flow.tol, f"{flow.tol:g}"),
+        ),
+        (
+            Table(
+                "components",
+                H.names,
+                (
+                    Column("unit", [H.units.get(name, "") for name in H.names]),
+                    Column("largest estimated error", flow.largest_error, error_text, "error"),
+                ),
+            ),
+            Fact("symplecticity", "M^T J M - J", kept,
+                 "" if kept is None else f"at most {error_text(kept)}"),
+            Fact("bytes", "size", flow.nbytes, f"{flow.nbytes:,} bytes"),
+            Fact("seconds", "time", flow.seconds, seconds_text(flow.seconds)),
+        ),
+        5e4 * H.dim,
+    )  # fmt: skip
