@@ -12,7 +12,7 @@ from hamsym.cli.command import Command, Report, report_of
 from hamsym.cli.options import rows_option
 from hamsym.cli.output import CERTIFICATE, check_directory, write_certificate
 from hamsym.cli.texts import saved_solution
-from hamsym.support.text_tables import ROWS
+from hamsym.support.text_tables import ROWS, wrapped
 
 _time_limit = click.option(
     "--time-limit", type=float, metavar="SECONDS", help="Refuse after this time."
@@ -61,5 +61,5 @@ def verify(file: str, certificate: str | None, time_limit: float | None) -> Repo
     claims = read_certificate(Path(certificate or f"{file}{CERTIFICATE}"))
     run(claims, file, time_limit)
     facts = claims.facts
-    text = f"verified: {facts.headline}\nevery bound of the certificate is proven"
+    text = f"{wrapped(facts.headline, 'verified: ')}\nevery bound of the certificate is proven"
     return Report(text, facts.values())

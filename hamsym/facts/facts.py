@@ -101,6 +101,8 @@ class Table:
     head: str = ""
     #: Which rows are shown of so many, by default the first.
     choose: Callable[[int], Sequence[int]] | None = None
+    #: Whether all rows are always shown.
+    whole: bool = False
     #: Most columns of a short table.
     wide: int | None = None
     #: Below the rows, one for each; "" for none.
@@ -108,7 +110,7 @@ class Table:
 
     def rows_of(self, rows: int | None) -> list[int]:
         """Return the rows that are shown if there may be at most so many."""
-        if rows is None or len(self.names) <= rows:
+        if rows is None or self.whole or len(self.names) <= rows:
             return list(range(len(self.names)))
         return list(range(rows)) if self.choose is None else list(self.choose(rows))
 
@@ -141,7 +143,7 @@ class Table:
         first, *lines = cells.lines
         indent = " " * (max(len(line[0]) for line in (cells.header, *cells.rows)) + 2)
         text = [first]
-        if max(map(len, "\n".join((first, *lines)).splitlines())) > columns():
+        if max(map(len, "\n".join((first, *lines)).splitlines()), default=0) > columns():
             text, lines = [], [cells.paragraph(row, indent) for row in cells.rows]
         for k, line in zip(self.rows_of(rows), lines, strict=True):
             note = self.notes[k] if self.notes else ""
@@ -283,7 +285,7 @@ class Facts:
                 lines += _labelled(entry.label, entry.text) if entry.text else []
                 continue
             for column in entry.columns:
-                texts = [f"{n} {column.text(k)}" for k, n in enumerate(entry.names)]
+                texts = [f"{n} = {column.text(k)}" for k, n in enumerate(entry.names)]
                 lines += _labelled(column.label, ", ".join(texts)) if column.name else []
         return [line.rstrip() for line in lines]
 
@@ -298,9 +300,7 @@ class Facts:
                 lines += ["", *entry.lines(rows), ""] if len(entry.names) else []
             elif entry.text and (entry.brief or rows is None):
                 lines.append(wrapped(f"{entry.label} {entry.text}".strip()))
-        if lines[-1:] == [""]:
-            lines.pop()
-        return "\n".join(lines)
+        return "\n".join(lines).strip("\n").replace("\n\n\n", "\n\n")
 
 
 def strict(value: Any) -> Any:

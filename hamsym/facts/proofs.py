@@ -1,4 +1,4 @@
-"""Facts of certificates and enclosures: bounds are rounded outward."""
+"""Facts of certificates and enclosures: bounds hold as they are written."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hamsym.facts.wording import (
     seconds_text,
     span_fact,
 )
-from hamsym.proof.balls import decimal_above, decimal_below
+from hamsym.proof.balls import decimal, decimal_above, decimal_below
 
 if TYPE_CHECKING:
     from hamsym.families.proofs import Proofs
@@ -37,11 +37,11 @@ def _certificate(certificate: Certificate) -> Facts:
     names, bounds, asked = certificate.components, certificate.component_bounds, certificate.asked
     worst = max(range(len(names)), key=bounds.__getitem__)
     headline = (
-        f"error at most {decimal_above(certificate.bound)} (2-norm); the largest of a component is "
-        f"that of {names[worst]}, at most {decimal_above(bounds[worst])}"
+        f"error at most {decimal(certificate.bound)} (2-norm); the largest of a component is "
+        f"that of {names[worst]}, at most {decimal(bounds[worst])}"
     )
     if asked is not None:
-        headline += f", where {decimal_above(asked[worst])} was asked"
+        headline += f", where {decimal(asked[worst])} was asked"
     others = ("energy", "ell_max")
     rows = ["|z|", *names, "H", "ell_max"]
     lowers = [certificate.lower, *certificate.component_lowers]
@@ -49,15 +49,15 @@ def _certificate(certificate: Certificate) -> Facts:
     for name in others:
         lowers.append(getattr(certificate, f"{name}_lower"))
         highs.append(getattr(certificate, f"{name}_bound"))
-    limits = [""] * len(names) if asked is None else list(map(decimal_above, asked))
+    limits = [""] * len(names) if asked is None else list(map(decimal, asked))
     by_size = sorted(range(len(names)), key=bounds.__getitem__, reverse=True)
     order = [0, len(rows) - 2, len(rows) - 1, *(k + 1 for k in by_size)]
     table = Table(
         "components with smaller bounds",
         rows,
         (
-            Column("at least", lowers, decimal_below),
-            Column("at most", highs, decimal_above),
+            Column("at least", lowers, decimal),
+            Column("at most", highs, decimal),
             Column("asked", ["", *limits, "", ""]),
         ),
         head="error of",

