@@ -115,19 +115,14 @@ def _matches(comparison: Comparison) -> Table:
 def _sweep(sweep: Sweep) -> Facts:
     every = [solution for found in sweep.solutions.values() for solution in found]
     converged = sum(bool(solution.success) for solution in every)
-    message = ""
-    if converged < len(every):
-        first = next(solution for solution in every if not solution.success)
-        message = f"{len(every) - converged:,} of {len(every):,} runs failed, for example: "
-        message += first.message
     headline = f"{converged:,} of {len(every):,} runs converged, t from {interval(sweep.span)}"
     if sweep.swept:
         headline += f"; the settings differ in {', '.join(sweep.swept)}"
     return Facts(
         "Sweep",
         headline,
-        message,
-        converged == len(every),
+        sweep.message,
+        sweep.success,
         entries=(_settings(sweep), Fact("swept", value=dict(sweep.swept))),
         members=len(every),
     )

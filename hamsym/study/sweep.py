@@ -91,6 +91,15 @@ class Sweep(Shown):
         return all(bool(solution.success) for solution in self._runs)
 
     @property
+    def message(self) -> str:
+        """How many runs failed, with the reason of the first; "" if none did."""
+        failed = [solution for solution in self._runs if not solution.success]
+        if not failed:
+            return ""
+        count = f"{len(failed):,} of {len(self._runs):,} runs failed"
+        return f"{count}, for example: {failed[0].message}"
+
+    @property
     def seconds(self) -> float:
         """Time of all runs."""
         return sum(solution.seconds for solution in self._runs)

@@ -301,7 +301,7 @@ def test_proof_that_is_wider_than_asked_is_said(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_comparison_is_shown(solution: hamsym.Solution, tmp_path: Path) -> None:
     page = page_of(solution, tmp_path, compare=True)
-    for name in ("this solution", "stormer_verlet", "blanes_moan6", "dop853"):
+    for name in ("network", "stormer_verlet", "blanes_moan6", "dop853"):
         assert name in page.text
     assert len(page.having("svg")) == 2
     ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]

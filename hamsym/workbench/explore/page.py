@@ -322,8 +322,7 @@ class Page:
         if found.success:
             energy = float(found.energy_error.max())
             self._say(
-                f"Accepted: estimated error at most {found.largest:.1e} of the motion, energy "
-                f"error at most {energy:.1e} of the terms of H. "
+                f"Accepted: {found.headline}, energy error at most {energy:.1e} of the terms of H. "
                 f"{_duration(found.seconds)}.{coarse}",
                 "accepted",
             )

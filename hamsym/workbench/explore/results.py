@@ -36,6 +36,8 @@ class Picture:
 
     success: bool
     message: str
+    #: The largest estimated error against what was asked.
+    headline: str
     #: Shape (n,).
     t: np.ndarray
     #: Shape (n, dim).
@@ -49,8 +51,6 @@ class Picture:
     levels: list[np.ndarray]
     #: Their range: q and p, each from and to.
     box: tuple[float, float, float, float] | None
-    #: The largest estimated error relative to the size of its component.
-    largest: float
     #: Time of solve and of sampling.
     seconds: float
     #: Whether the motion may be too fast for the times that are drawn.

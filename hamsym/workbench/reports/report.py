@@ -206,7 +206,7 @@ def _proof(
 
 def _compared(solution: Solution, wanted: bool) -> Compared:
     if not wanted:
-        return Compared([], [], reason="it was not asked for")
+        return Compared(reason="it was not asked for")
     return compared_within(solution, _COMPARE_SECONDS)
 
 
