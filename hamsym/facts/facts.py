@@ -97,8 +97,9 @@ class Table:
     what: str
     names: Sequence[Any]
     columns: tuple[Column, ...]
-    #: Above the names.
+    #: Above the names, and above the table.
     head: str = ""
+    title: str = ""
     #: Which rows are shown of so many, by default the first.
     choose: Callable[[int], Sequence[int]] | None = None
     #: Whether all rows are always shown.
@@ -282,7 +283,8 @@ class Facts:
         entries = (*self.given, Fact("", "outcome", None, "; ".join(self.opening)), *self.contained)
         for entry in entries:
             if isinstance(entry, Fact):
-                lines += _labelled(entry.label, entry.text) if entry.text else []
+                shown = entry.text and entry.brief
+                lines += _labelled(entry.label, entry.text) if shown else []
                 continue
             for column in entry.columns:
                 texts = [f"{n} = {column.text(k)}" for k, n in enumerate(entry.names)]
@@ -297,7 +299,8 @@ class Facts:
         lines = [wrapped(sentence) for sentence in self.opening]
         for entry in self.found:
             if isinstance(entry, Table):
-                lines += ["", *entry.lines(rows), ""] if len(entry.names) else []
+                title = [wrapped(entry.title)] if entry.title else []
+                lines += ["", *title, *entry.lines(rows), ""] if len(entry.names) else []
             elif entry.text and (entry.brief or rows is None):
                 lines.append(wrapped(f"{entry.label} {entry.text}".strip()))
         return "\n".join(lines).strip("\n").replace("\n\n\n", "\n\n")

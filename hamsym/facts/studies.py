@@ -61,7 +61,6 @@ def _comparison(comparison: Comparison) -> Facts:
         own.given,
         (
             _rows(comparison.rows),
-            Fact("", "", None, f"for the network's error, {network.error:.2e}:"),
             _matches(comparison),
             Fact("solution", value=own.values()),
             Fact("rows", value=rows),
@@ -107,6 +106,7 @@ def _matches(comparison: Comparison) -> Table:
             Column("needs", [f"{match}" for match in found], left=True),
         ),
         "method",
+        f"for the network's error, {comparison.rows[0].error:.2e}:",
         whole=True,
     )
 

@@ -52,7 +52,7 @@ def _trajectory(trajectory: Trajectory) -> Facts:
         formulas=formulas_of(H),
         given=tuple(given),
         entries=(
-            *_ends(trajectory),
+            _ends(trajectory),
             _kept(trajectory),
             lambda: _conserved(trajectory),
             *(Fact(name, value=value) for name, value in counts),
@@ -107,7 +107,7 @@ def _flat(trajectory: Trajectory, values: Any) -> np.ndarray:
     return np.asarray(values).reshape(len(trajectory.ensemble), *np.shape(values)[len(shape) :])
 
 
-def _ends(trajectory: Trajectory) -> Sequence[Fact | Table]:
+def _ends(trajectory: Trajectory) -> Table:
     """The states at both ends of one trajectory."""
     H, count, number = trajectory.H, len(trajectory.ensemble), _worst(trajectory)[0]
     z, energy = (_flat(trajectory, own)[number] for own in (trajectory.z, trajectory.energy))
@@ -117,7 +117,8 @@ def _ends(trajectory: Trajectory) -> Sequence[Fact | Table]:
         own = [error_text(value) for value in _flat(trajectory, errors)[number]]
     start, end = ([trajectory.t[k], *z[k], energy[k]] for k in (0, -1))
     units = [H.units.get(name, "") for name in ("t", *H.names)]
-    table = Table(
+    title = f"{count:,} trajectories, number {number:,} of them:" if count > 1 else ""
+    return Table(
         "components",
         ["t", *H.names, "H"],
         (
@@ -126,10 +127,9 @@ def _ends(trajectory: Trajectory) -> Sequence[Fact | Table]:
             Column("end", end, ".15g"),
             Column("error", ["", *own, ""]),
         ),
+        title=title,
         choose=lambda rows: [0, *range(1, rows - 1), H.dim + 1],
     )
-    heading = f"{count:,} trajectories, number {number:,} of them:"
-    return [Fact("", "", None, heading if count > 1 else ""), table]
 
 
 def _conserved(trajectory: Trajectory) -> Sequence[Fact]:
