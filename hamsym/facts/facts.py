@@ -95,7 +95,7 @@ class Table:
 
     #: What the rows are, in the plural.
     what: str
-    names: Sequence[Any]
+    names: Sequence[Any] | np.ndarray
     columns: tuple[Column, ...]
     #: Above the names, and above the table.
     head: str = ""

@@ -109,7 +109,8 @@ def _flow_map(flow: FlowMap) -> Facts:
     H = flow.H
     box = [f"{name} from {low!r} to {high!r}" for name, (low, high) in flow.box.items()]
     kept: Any = flow.symplecticity
-    fixed = {name: repr(own) for name, own in flow.fixed.items()} | flow.region.expressions
+    fixed = {name: repr(own) for name, own in flow.fixed.items()}
+    fixed |= dict(flow.region.expressions)
     return Facts(
         "FlowMap",
         f"estimated errors up to {share(flow.excess, 1.0)} of what tol {flow.tol:.1e} allows",

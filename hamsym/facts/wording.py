@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -15,14 +15,16 @@ from hamsym.support.text_tables import ROWS, share
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
 
+_F = TypeVar("_F", bound=Callable[[Any], Facts])
+
 #: Functions that describe a result, by the name of its type.
 DESCRIBED: dict[str, Callable[[Any], Facts]] = {}
 
 
-def of_type(name: str) -> Callable[[Callable[[Any], Facts]], Callable[[Any], Facts]]:
+def of_type(name: str) -> Callable[[_F], _F]:
     """Register a function as that of the facts of a type of this package, by its name."""
 
-    def register(make: Callable[[Any], Facts]) -> Callable[[Any], Facts]:
+    def register(make: _F) -> _F:
         DESCRIBED[name] = make
         return make
 

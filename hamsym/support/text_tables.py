@@ -67,17 +67,6 @@ def table(
     ]
 
 
-def left_out(count: int, what: str) -> list[str]:
-    """Return the line about rows that a table does not have, if any.
-
-    Examples
-    --------
-    >>> left_out(48, "components with smaller errors")
-    ['... and 48 components with smaller errors; all with --full, summary(rows=None)']
-    """
-    return [f"... and {count:,} {what}; all with {ALL}"] if count > 0 else []
-
-
 def share(part: float, whole: float) -> str:
     """Return a ratio in per cent.
 

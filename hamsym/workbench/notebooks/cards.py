@@ -65,7 +65,7 @@ def card_of(facts: Facts) -> Card:
         [text for text in sentences if len(text) <= _LONG],
         [
             *(Markup("<p>{}</p>").format(text) for text in sentences if len(text) > _LONG),
-            *(_code(fact.value) for fact in known if getattr(fact, "name", "") == "source"),
+            *(_code(f.value) for f in known if isinstance(f, Fact) and f.name == "source"),
         ],
     )
 
