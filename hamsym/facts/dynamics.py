@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hamsym.dynamics.history import history_rows
 from hamsym.facts.facts import Column, Entry, Fact, Facts, Table
-from hamsym.facts.wording import by_name, formulas_of, of_type, problem_facts, span_fact
+from hamsym.facts.wording import (
+    by_name,
+    formulas_of,
+    given_of,
+    of_type,
+    problem_facts,
+    silent,
+    time_fact,
+)
 
 if TYPE_CHECKING:
     from hamsym.dynamics.chaos_indicators import ChaosIndicators
@@ -23,15 +30,6 @@ __all__: list[str] = []
 
 _WIDE = 4  # exponents and components in a short table
 _REGIONS = 3  # undecided ones that are listed
-
-
-def _given(found: Any) -> tuple[Fact, ...]:
-    H, varied = found.H, tuple(getattr(found, "parameters", ()))
-    return (
-        *problem_facts(H, varied),
-        span_fact(found.span, H.units.get("t", "")),
-        Fact("method", "method", found.method, found.method),
-    )
 
 
 def _kept(found: Any) -> Fact:
@@ -48,11 +46,7 @@ def _over_time(
     rows = history_rows(found.t, found.span[0])
     shown = (Column(label, values[rows], ".4e") for label, values in columns.items())
     table = Table("times", [f"{t:.6g}" for t in found.t[rows]], tuple(shown), "t", wide=_WIDE)
-    return table, Fact("t", value=found.t[-1]), _time(found)
-
-
-def _time(found: Any) -> Fact:
-    return Fact("seconds", "time", found.seconds, f"{found.seconds:.2g} s")
+    return table, Fact("t", value=found.t[-1]), time_fact(found.seconds)
 
 
 @of_type("LyapunovExponents")
@@ -66,7 +60,7 @@ def _lyapunov(found: LyapunovExponents) -> Facts:
         found.message,
         bool(found.success),
         formulas=formulas_of(found.H),
-        given=_given(found),
+        given=given_of(found),
         entries=(
             _kept(found),
             Fact("exponents", "at the end:", last, several),
@@ -86,7 +80,7 @@ def _chaos_indicators(found: ChaosIndicators) -> Facts:
         found.message,
         bool(found.success),
         formulas=formulas_of(found.H),
-        given=_given(found),
+        given=given_of(found),
         entries=(
             _kept(found),
             *(Fact(n.replace(" ", "_"), value=own[-1]) for n, own in curves.items()),
@@ -113,16 +107,16 @@ def _lyapunov_map(found: LyapunovMap) -> Facts:
         found.statement,
         success=not failed,
         formulas=formulas_of(found.H),
-        given=_given(found),
+        given=given_of(found, found.parameters),
         entries=(
             _kept(found),
             Table("trajectories", [", ".join(map(str, place)) for place in places],
                   tuple(columns), "trajectory", wide=_WIDE),
             *reasons,
-            Fact("exponents", value=found.exponents),
+            *silent(found, "exponents"),
             Fact("successes", value=found.success),
             Fact("steps", "steps", found.steps, f"{found.steps.max(initial=0):,} or fewer"),
-            _time(found),
+            time_fact(found.seconds),
         ),
         drawn=found.exponents.size,
         members=found.success.size,
@@ -138,16 +132,17 @@ def _section(section: Section) -> Facts:
         message=section.message,
         success=bool(section.success),
         formulas=formulas_of(section.H),
-        given=(*_given(section), Fact("surface", "surface", section.surface, section.surface)),
+        given=(
+            *given_of(section, section.parameters),
+            Fact("surface", "surface", section.surface, section.surface),
+        ),
         entries=(
             _kept(section) if len(section.t) else Fact("energy_error", value=math.nan),
             Table("crossings", section.trajectory, tuple(columns), "trajectory", wide=_WIDE + 1),
-            Fact("dt", value=section.dt),
-            Fact("trajectory", value=section.trajectory),
-            Fact("t", value=section.t),
+            *silent(section, "dt trajectory t"),
             Fact("z", value=by_name(section.names, section.z.T)),
             Fact("z0", value=by_name(section.names, section.z0.T)),
-            _time(section),
+            time_fact(section.seconds),
         ),
         drawn=section.z.size,
     )
@@ -209,7 +204,6 @@ def _note(each: Equilibrium) -> str:
 @of_type("Equilibrium")
 def _equilibrium(found: Equilibrium) -> Facts:
     head, *rest = found.lines
-    linear: Sequence[str] = ("frequencies", "signatures", "eigenvalues")
     exact = None if found.exact is None else [str(value) for value in found.exact]
     return Facts(
         "Equilibrium",
@@ -217,14 +211,8 @@ def _equilibrium(found: Equilibrium) -> Facts:
         entries=(
             Fact("state", value=by_name(found.names, found.z)),
             Fact("exact", value=exact),
-            *(Fact(name, value=getattr(found, name)) for name in _OF_EQUILIBRIUM),
-            *(
-                Fact(name, value=None if found.linear is None else getattr(found, name))
-                for name in linear
-            ),
+            *silent(found, "type energy stable how radius family"),
+            *silent(found, "" if found.linear is None else "frequencies signatures eigenvalues"),
             *(Fact("", "", None, line) for line in rest),
         ),
     )
-
-
-_OF_EQUILIBRIUM = ("type", "energy", "stable", "how", "radius", "family")

@@ -11,12 +11,13 @@ from hamsym.facts.facts import Column, Fact, Facts, Table
 from hamsym.facts.wording import (
     error_text,
     formulas_of,
+    given_of,
     interval,
     number,
     of_type,
-    problem_facts,
-    seconds_text,
-    span_fact,
+    silent,
+    time_fact,
+    units_of,
 )
 from hamsym.support.text_tables import share
 
@@ -47,24 +48,21 @@ def _fit(fit: Fit) -> Facts:
         bool(np.all(fit.success)),
         formulas=formulas_of(H),
         given=(
-            *problem_facts(H, fit.names),
-            span_fact(fit.span, H.units.get("t", "")),
+            *given_of(fit, fit.names),
             Fact("", "data", None, f"{', '.join(fit.data)}: {data}"),
         ),
         entries=(
             _estimates(fit, several),
             *_quality(fit, several),
-            Fact("confidence", value=fit.confidence),
-            Fact("confidence_intervals", value=fit.confidence_intervals),
-            *(Fact(name, value=getattr(fit, name)) for name in _NUMBERS),
-            Fact("seconds", "time", fit.seconds, seconds_text(fit.seconds)),
+            *silent(fit, _NUMBERS),
+            time_fact(fit.seconds),
         ),
         drawn=400 * H.dim * np.size(fit.success),
         members=members,
     )
 
 
-_NUMBERS = ("covariance", "degrees_of_freedom", "p_value", "starts_reached")
+_NUMBERS = "confidence confidence_intervals covariance degrees_of_freedom p_value starts_reached"
 
 
 def _estimates(fit: Fit, several: bool) -> Table:
@@ -119,29 +117,27 @@ def _flow_map(flow: FlowMap) -> Facts:
         "converged" if flow.success else "failed",
         formulas_of(H),
         (
-            *problem_facts(H, flow.inputs),
+            *given_of(flow, flow.inputs),
             *(
                 Fact("", name, None, text)
                 for name, text in fixed.items()
                 if name not in H.parameters
             ),
             Fact("box", "box", flow.box, ", ".join(box)),
-            span_fact(flow.span, H.units.get("t", "")),
-            Fact("tol", "tolerance", flow.tol, f"{flow.tol:g}"),
         ),
         (
             Table(
                 "components",
                 H.names,
                 (
-                    Column("unit", [H.units.get(name, "") for name in H.names]),
+                    units_of(H),
                     Column("largest estimated error", flow.largest_error, error_text, "error"),
                 ),
             ),
             Fact("symplecticity", "M^T J M - J", kept,
                  "" if kept is None else f"at most {error_text(kept)}"),
             Fact("bytes", "size", flow.nbytes, f"{flow.nbytes:,} bytes"),
-            Fact("seconds", "time", flow.seconds, seconds_text(flow.seconds)),
+            time_fact(flow.seconds),
         ),
         5e4 * H.dim,
     )  # fmt: skip

@@ -24,18 +24,20 @@ def _hamiltonian(H: Hamiltonian) -> Facts:
     import sympy
 
     words = [counted(H.dof, "degree of freedom", "degrees of freedom")]
-    formulas = formulas_of(H)
+    formulas, cyclic = formulas_of(H), list[str]()
     if sum(sympy.count_ops(formula.expr) for formula in formulas) <= _DERIVED:
         words.append("separable" if H.is_separable else "not separable")
         formulas += _equations_of(H.equations)
-    words.append("energy conserved" if H.conserves_energy else "energy not conserved")
+        cyclic = [symbol.name for symbol in H.cyclic_coordinates]
+    why = "forces act" if H.forces else "H depends on time"
+    words.append("energy conserved" if H.conserves_energy else f"energy not conserved: {why}")
     pairs = [f"({q}, {p})" for q, p in zip(H.q, H.p, strict=True)]
-    return Facts(
-        "Hamiltonian",
-        ", ".join(words),
-        formulas=formulas,
-        given=(Fact("names", "pairs", H.names, listed(pairs)), *problem_facts(H)),
+    given = (
+        Fact("names", "pairs", H.names, listed(pairs)),
+        Fact("cyclic", "cyclic coordinates", cyclic, listed(cyclic)),
+        *problem_facts(H),
     )
+    return Facts("Hamiltonian", ", ".join(words), formulas=formulas, given=given)
 
 
 def _equations_of(equations: Formulas) -> tuple[Formula, ...]:

@@ -12,6 +12,8 @@ from hamsym.facts.wording import (
     number,
     of_type,
     problem_facts,
+    silent,
+    units_of,
 )
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ def _periodic_orbit(orbit: PeriodicOrbit) -> Facts:
         formulas_of(H),
         problem_facts(H),
         (
-            Fact("relative_error", value=orbit.relative_error),
+            *silent(orbit, "relative_error"),
             Fact("period", "period", orbit.period, f"{orbit.period:.15g}"),
             Fact("energy", "energy", orbit.energy, f"{orbit.energy:.15g}"),
             Fact("stability", "stability:", orbit.stability, orbit.stability),
@@ -46,7 +48,7 @@ def _periodic_orbit(orbit: PeriodicOrbit) -> Facts:
                 "components",
                 H.names,
                 (
-                    Column("unit", [H.units.get(name, "") for name in H.names]),
+                    units_of(H),
                     Column("start", orbit.z0, " .16g", "start"),
                 ),
             ),

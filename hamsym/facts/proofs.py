@@ -13,10 +13,12 @@ from hamsym.facts.wording import (
     by_name,
     error_text,
     formulas_of,
+    given_of,
     of_type,
-    problem_facts,
     seconds_text,
+    silent,
     span_fact,
+    units_of,
 )
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
 
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 __all__: list[str] = []
 
+_BOUNDS = "bound lower energy_bound energy_lower ell_max_bound ell_max_lower"
 _THREE_DIGITS = Context(prec=3, rounding=ROUND_CEILING)
 
 
@@ -63,7 +66,6 @@ def _certificate(certificate: Certificate) -> Facts:
         head="error of",
         choose=lambda count: sorted(order[:count]),
     )
-    numbers = ("bound", "lower", "energy_bound", "energy_lower", "ell_max_bound", "ell_max_lower")
     return Facts(
         "Certificate",
         headline,
@@ -72,7 +74,7 @@ def _certificate(certificate: Certificate) -> Facts:
         given=(span_fact(certificate.span),),
         entries=(
             table,
-            *(Fact(name, value=getattr(certificate, name)) for name in numbers),
+            *silent(certificate, _BOUNDS),
             Fact("component_bounds", value=by_name(names, bounds)),
             Fact("component_lowers", value=by_name(names, certificate.component_lowers)),
             Fact("asked", value=None if asked is None else by_name(names, asked)),
@@ -166,15 +168,14 @@ def _enclosure(enclosure: Enclosure) -> Facts:
         verdict="proven",
         formulas=formulas_of(H),
         given=(
-            *problem_facts(H, tuple(enclosure.parameters)),
+            *given_of(enclosure, tuple(enclosure.parameters)),
             *(Fact("", name, None, text) for name, text in balls.items()),
-            span_fact(enclosure.span, H.units.get("t", "")),
         ),
         entries=(
             Table(
                 "components",
                 names,
-                (Column("unit", [H.units.get(name, "") for name in names]), *columns),
+                (units_of(H), *columns),
             ),
             Fact("width", value=width),
             Fact("windows", value=count),

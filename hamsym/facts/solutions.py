@@ -15,11 +15,12 @@ from hamsym.facts.wording import (
     conservation_facts,
     error_text,
     formulas_of,
+    given_of,
     of_type,
     problem_facts,
-    ranges_facts,
-    seconds_text,
     span_fact,
+    time_fact,
+    units_of,
 )
 from hamsym.numerics.scales import ratios
 from hamsym.proof.balls import decimal
@@ -106,7 +107,7 @@ def _components(solution: Solution, limits: np.ndarray, certificate: Certificate
     H, asked, errors = solution.H, solution.allowed_error, solution.largest_error
     ends = solution(solution.span[1])
     columns = [
-        Column("unit", [H.units.get(name, "") for name in H.names]),
+        units_of(H),
         Column("at the start", solution.z0, lambda value: repr(float(value)), "start", brief=False),
         Column("at the end", ends, ".12g", "end", brief=False),
         Column("largest value", solution.scale, ".4g", "largest_value"),
@@ -218,13 +219,7 @@ def _solutions(many: Solutions) -> Facts:
         message,
         good == size,
         formulas=formulas_of(many.H),
-        given=(
-            *problem_facts(many.H, tuple(many.parameters)),
-            *ranges_facts(many.parameters),
-            span_fact(many.span, many.H.units.get("t", "")),
-            Fact("tol", "tolerance", many.tol, f"{many.tol:g}"),
-            Fact("shape", "shape", many.shape, " x ".join(map(str, many.shape))),
-        ),
+        given=given_of(many, many.parameters),
         entries=(
             Table(
                 "failed members",
@@ -233,7 +228,7 @@ def _solutions(many: Solutions) -> Facts:
                 head="failed member",
             ),
             _member_errors(many),
-            Fact("seconds", "time", many.seconds, _time(many.seconds)),
+            time_fact(many.seconds),
         ),
         drawn=size * many.H.dim * 100,
         members=size,
@@ -245,16 +240,12 @@ def _reason(many: Solutions, place: np.ndarray) -> str:
     return " ".join(many._message(int(many.members[tuple(place)])).split())
 
 
-def _time(seconds: float) -> str:
-    return "" if math.isnan(seconds) else seconds_text(seconds)
-
-
 def _member_errors(many: Solutions) -> Table:
     """The largest error of each component that is known."""
     H, errors = many.H, many.largest_error.reshape(-1, many.H.dim)
     largest = np.where(np.isfinite(errors), errors, 0.0).max(axis=0, initial=0.0)
     columns = (
-        Column("unit", [H.units.get(name, "") for name in H.names]),
+        units_of(H),
         Column("largest estimated error", largest, error_text, "error"),
     )
     return Table("components", H.names, columns)

@@ -13,10 +13,9 @@ from hamsym.facts.wording import (
     conservation_facts,
     error_text,
     formulas_of,
+    given_of,
     of_type,
-    problem_facts,
-    ranges_facts,
-    span_fact,
+    silent,
 )
 from hamsym.numerics.scales import ratios
 from hamsym.support.text_tables import share
@@ -32,30 +31,23 @@ __all__: list[str] = []
 @of_type("Trajectory")
 def _trajectory(trajectory: Trajectory) -> Facts:
     H, members, found = trajectory.H, trajectory.ensemble, trajectory.verdicts
-    given = [
-        *problem_facts(H, members.varied if members.shape else ()),
-        *(ranges_facts(members.columns) if members.shape else ()),
-        span_fact(trajectory.span, H.units.get("t", "")),
-        Fact("method", "method", trajectory.method, trajectory.method),
-    ]
-    if members.shape:
-        given.append(Fact("shape", "shape", members.shape, " x ".join(map(str, members.shape))))
+    varied = members.columns if members.shape else {}
+    given = given_of(trajectory, varied)
     if found is not None:
-        given.append(Fact("tol", "tolerance", found.tol, f"{found.tol:g}"))
+        given += (Fact("tol", "tolerance", found.tol, f"{found.tol:g}"),)
     cost = f"{trajectory.evaluations:,} evaluations, {trajectory.seconds:.3g} s"
-    counts = (("steps", trajectory.steps), ("evaluations", trajectory.evaluations))
     return Facts(
         "Trajectory",
         _headline(trajectory),
         trajectory.message,
         bool(np.all(trajectory.success)),
         formulas=formulas_of(H),
-        given=tuple(given),
+        given=given,
         entries=(
             _ends(trajectory),
             _kept(trajectory),
             lambda: _conserved(trajectory),
-            *(Fact(name, value=value) for name, value in counts),
+            *silent(trajectory, "steps evaluations"),
             Fact("seconds", "", trajectory.seconds, cost),
         ),
         drawn=trajectory.z.size,

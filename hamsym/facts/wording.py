@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from hamsym.facts.facts import Fact, Facts, Formula
+from hamsym.facts.facts import Column, Fact, Facts, Formula
 from hamsym.numerics.scales import ratios
 from hamsym.support.text_tables import ROWS, share
 
@@ -138,6 +138,38 @@ def span_fact(span: Sequence[float], unit: str = "") -> Fact:
     start, end = map(float, span)
     text = f"t from {start!r} to {end!r}" + ("" if unit in ("", "1") else f" {unit}")
     return Fact("span", "span", (start, end), text)
+
+
+def given_of(result: Any, varied: Any = ()) -> tuple[Fact, ...]:
+    """What was asked of a result: H, what varies, the span, the method and the tolerance.
+
+    - varied: Names of parameters that differ, with their values where these are known.
+    """
+    H, ranges = result.H, varied if isinstance(varied, Mapping) else {}
+    facts = [*problem_facts(H, tuple(varied)), *ranges_facts(ranges)]
+    facts.append(span_fact(result.span, H.units.get("t", "")))
+    if method := getattr(result, "method", ""):
+        facts.append(Fact("method", "method", method, method))
+    if tol := getattr(result, "tol", None):
+        facts.append(Fact("tol", "tolerance", tol, f"{tol:g}"))
+    if shape := getattr(result, "shape", ()):
+        facts.append(Fact("shape", "shape", shape, " x ".join(map(str, shape))))
+    return tuple(facts)
+
+
+def silent(result: Any, names: str) -> tuple[Fact, ...]:
+    """Attributes of a result that only JSON has, by their names between spaces."""
+    return tuple(Fact(name, value=getattr(result, name)) for name in names.split())
+
+
+def units_of(H: Hamiltonian) -> Column:
+    """The column of the units of the components."""
+    return Column("unit", [H.units.get(name, "") for name in H.names])
+
+
+def time_fact(seconds: float) -> Fact:
+    """The run time; without a text if it is not known."""
+    return Fact("seconds", "time", seconds, "" if math.isnan(seconds) else seconds_text(seconds))
 
 
 def ranges_facts(parameters: Mapping[str, np.ndarray]) -> list[Fact]:

@@ -16,8 +16,8 @@ class Derivation:
     #: equations, hessian: MathML, for an element of a page.
     equations: str
     hessian: str
-    #: Sentences on the structure of H.
-    facts: tuple[str, ...]
+    #: What the structure of H is, in words.
+    facts: str
     #: Whether H is conserved.
     has_energy: bool
     separable: bool

@@ -67,14 +67,9 @@ def _bound(setting: Setting) -> Hamiltonian:
 def derive(formula: str, q: str, p: str, forces: str) -> Derivation:
     """Derive equations and Hessian of a formula."""
     H = _hamiltonian(formula, q, p, forces)
-    facts = ["H is separable, T(p) + V(q)." if H.is_separable else "H is not separable."]
-    if H.time is not None:
-        facts.append("It depends on the time t, so that the energy is not conserved.")
-    if H.forces:
-        facts.append("Forces do work, so that the energy is not conserved.")
-    cyclic = [symbol.name for symbol in H.cyclic_coordinates]
-    if cyclic:
-        facts.append(f"Cyclic coordinates: {', '.join(cyclic)}.")
+    facts = H.facts
+    cyclic = facts["cyclic"]
+    said = facts.headline + (f"; {cyclic.label} {cyclic.text}" if cyclic.text else "")
     # A surface through the origin that the second pair crosses.
     surface = f"{H.names[1]} = 0, {H.names[H.dof + 1]} > 0" if H.dof > 1 else ""
     return Derivation(
@@ -82,7 +77,7 @@ def derive(formula: str, q: str, p: str, forces: str) -> Derivation:
         parameter_names=H.parameter_names,
         equations=equations(H),
         hessian=hessian(H),
-        facts=tuple(facts),
+        facts=f"{said}.",
         has_energy=H.conserves_energy,
         separable=H.is_separable,
         surface=surface,

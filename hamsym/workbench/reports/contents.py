@@ -6,7 +6,6 @@ import importlib.metadata
 import math
 import platform
 import re
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +29,6 @@ from hamsym.workbench.mathml import derivative, equation, mathml, second_derivat
 _MATRIX = 8  # components of a Hessian that is shown as a matrix
 _LONG = 2_000  # operations of a formula beyond which it is shown as text
 _LONGEST = 4_000  # characters of it that are shown
-_FEW_NAMES = 12  # components that are listed
 _MOST_ENTRIES = 60  # of a Hessian that are shown
 _MOST_WINDOWS = 12  # that are shown
 _EXPONENT = re.compile(r"\d[\d.]*e[+-]\d+")
@@ -66,7 +64,6 @@ def equations(H: Hamiltonian) -> dict[str, Any]:
             for symbol, rate in zip(H.z, H.vector_field, strict=True)
         ],
         **_hessian(H),
-        "facts": list(_facts(H)),
     }
 
 
@@ -91,27 +88,6 @@ def _hessian(H: Hamiltonian) -> dict[str, Any]:
     chosen = sorted(entries.items())[:_MOST_ENTRIES]
     rows = [_shown(second_derivative(H.z[i], H.z[j]), entry) for (i, j), entry in chosen]
     return {"matrix": "", "entries": rows, "more": len(entries) - len(rows)}
-
-
-def _listed(names: Sequence[str]) -> str:
-    if len(names) > _FEW_NAMES:
-        names = [*names[: _FEW_NAMES // 2], "...", names[-1]]
-    return ", ".join(names)
-
-
-def _facts(H: Hamiltonian) -> Iterator[str]:
-    freedom = "1 degree" if H.dof == 1 else f"{H.dof} degrees"
-    yield f"{freedom} of freedom, {H.dim} components: {_listed(H.names)}."
-    kind = "H is the sum of a function of the momenta and a function of the coordinates"
-    yield f"{kind}." if H.is_separable else "The equations are not separable."
-    if cyclic := [symbol.name for symbol in H.cyclic_coordinates]:
-        yield f"Cyclic coordinates: {_listed(cyclic)}."
-    if H.forces:
-        yield "Forces act, so that H is not conserved; its change is compared with their work."
-    elif H.time is not None:
-        yield "H depends on time, so that it is not conserved."
-    else:
-        yield "H is conserved."
 
 
 # -- errors ----------------------------------------------------------------------------------------

@@ -267,6 +267,7 @@ def _rendered(
         settings=[(fact.label.rstrip(":"), fact.text) for fact in shown],
         tables=[table.cells(None, brief=False) for table in facts.tables],
         equations=contents.equations(solution.H),
+        structure=solution.H.facts,
         figure=figure,
         no_figure=no_figure,
         check=contents.check(solution),
