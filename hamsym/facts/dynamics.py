@@ -11,8 +11,8 @@ from hamsym.dynamics.history import history_rows
 from hamsym.facts.facts import Column, Entry, Fact, Facts, Table
 from hamsym.facts.wording import (
     by_name,
+    facts_of,
     formulas_of,
-    given_of,
     of_type,
     problem_facts,
     silent,
@@ -54,19 +54,13 @@ def _lyapunov(found: LyapunovExponents) -> Facts:
     last = found.exponents[-1]
     several = ", ".join(f"{value:.4g}" for value in last) if len(last) > 1 else ""
     names = [f"exponent {k + 1}" for k in range(len(last))]
-    return Facts(
-        "LyapunovExponents",
+    return facts_of(
+        found,
         found.statement,
-        found.message,
-        bool(found.success),
-        formulas=formulas_of(found.H),
-        given=given_of(found),
-        entries=(
-            _kept(found),
-            Fact("exponents", "at the end:", last, several),
-            Fact("trend", value=found.trend),
-            *_over_time(found, dict(zip(names, found.exponents.T, strict=True))),
-        ),
+        _kept(found),
+        Fact("exponents", "at the end:", last, several),
+        *silent(found, "trend"),
+        *_over_time(found, dict(zip(names, found.exponents.T, strict=True))),
         drawn=found.exponents.size,
     )
 
@@ -74,18 +68,12 @@ def _lyapunov(found: LyapunovExponents) -> Facts:
 @of_type("ChaosIndicators")
 def _chaos_indicators(found: ChaosIndicators) -> Facts:
     curves = {"megno": found.megno, "mean megno": found.mean_megno, "sali": found.sali}
-    return Facts(
-        "ChaosIndicators",
+    return facts_of(
+        found,
         found.statement,
-        found.message,
-        bool(found.success),
-        formulas=formulas_of(found.H),
-        given=given_of(found),
-        entries=(
-            _kept(found),
-            *(Fact(n.replace(" ", "_"), value=own[-1]) for n, own in curves.items()),
-            *_over_time(found, curves),
-        ),
+        _kept(found),
+        *(Fact(name.replace(" ", "_"), value=own[-1]) for name, own in curves.items()),
+        *_over_time(found, curves),
         drawn=found.megno.size,
     )
 
@@ -102,48 +90,39 @@ def _lyapunov_map(found: LyapunovMap) -> Facts:
         Fact("", f"trajectory {', '.join(map(str, place))}:", None, str(found.message[place]))
         for place in failed[:3]
     )
-    return Facts(
-        "LyapunovMap",
+    names = [", ".join(map(str, place)) for place in places]
+    return facts_of(
+        found,
         found.statement,
-        success=not failed,
-        formulas=formulas_of(found.H),
-        given=given_of(found, found.parameters),
-        entries=(
-            _kept(found),
-            Table("trajectories", [", ".join(map(str, place)) for place in places],
-                  tuple(columns), "trajectory", wide=_WIDE),
-            *reasons,
-            *silent(found, "exponents"),
-            Fact("successes", value=found.success),
-            Fact("steps", "steps", found.steps, f"{found.steps.max(initial=0):,} or fewer"),
-            time_fact(found.seconds),
-        ),
+        _kept(found),
+        Table("trajectories", names, tuple(columns), "trajectory", wide=_WIDE),
+        *reasons,
+        *silent(found, "exponents"),
+        Fact("successes", value=found.success),
+        Fact("steps", "steps", found.steps, f"{found.steps.max(initial=0):,} or fewer"),
+        time_fact(found.seconds),
+        varied=found.parameters,
+        message="",
         drawn=found.exponents.size,
         members=found.success.size,
-    )  # fmt: skip
+    )
 
 
 @of_type("Section")
 def _section(section: Section) -> Facts:
     columns = [Column("t", section.t, ".6g")]
     columns += [Column(n, own, ".5g") for n, own in zip(section.names, section.z.T, strict=True)]
-    return Facts(
-        "Section",
-        message=section.message,
-        success=bool(section.success),
-        formulas=formulas_of(section.H),
-        given=(
-            *given_of(section, section.parameters),
-            Fact("surface", "surface", section.surface, section.surface),
-        ),
-        entries=(
-            _kept(section) if len(section.t) else Fact("energy_error", value=math.nan),
-            Table("crossings", section.trajectory, tuple(columns), "trajectory", wide=_WIDE + 1),
-            *silent(section, "dt trajectory t"),
-            Fact("z", value=by_name(section.names, section.z.T)),
-            Fact("z0", value=by_name(section.names, section.z0.T)),
-            time_fact(section.seconds),
-        ),
+    return facts_of(
+        section,
+        "",
+        _kept(section) if len(section.t) else Fact("energy_error", value=math.nan),
+        Table("crossings", section.trajectory, tuple(columns), "trajectory", wide=_WIDE + 1),
+        *silent(section, "dt trajectory t"),
+        Fact("z", value=by_name(section.names, section.z.T)),
+        Fact("z0", value=by_name(section.names, section.z0.T)),
+        time_fact(section.seconds),
+        varied=section.parameters,
+        given=[Fact("surface", "surface", section.surface, section.surface)],
         drawn=section.z.size,
     )
 

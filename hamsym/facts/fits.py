@@ -10,8 +10,7 @@ import numpy as np
 from hamsym.facts.facts import Column, Fact, Facts, Table
 from hamsym.facts.wording import (
     error_text,
-    formulas_of,
-    given_of,
+    facts_of,
     interval,
     number,
     of_type,
@@ -41,22 +40,16 @@ def _fit(fit: Fit) -> Facts:
             first = int(np.argmin(fit.success))
             message = f"{members - good:,} of {members:,} sets failed, number {first:,} first: "
             message += fit.message[first]
-    return Facts(
-        "Fit",
+    return facts_of(
+        fit,
         headline,
-        message,
-        bool(np.all(fit.success)),
-        formulas=formulas_of(H),
-        given=(
-            *given_of(fit, fit.names),
-            Fact("", "data", None, f"{', '.join(fit.data)}: {data}"),
-        ),
-        entries=(
-            _estimates(fit, several),
-            *_quality(fit, several),
-            *silent(fit, _NUMBERS),
-            time_fact(fit.seconds),
-        ),
+        _estimates(fit, several),
+        *_quality(fit, several),
+        *silent(fit, _NUMBERS),
+        time_fact(fit.seconds),
+        message=message,
+        varied=fit.names,
+        given=[Fact("", "data", None, f"{', '.join(fit.data)}: {data}")],
         drawn=400 * H.dim * np.size(fit.success),
         members=members,
     )
@@ -109,35 +102,20 @@ def _flow_map(flow: FlowMap) -> Facts:
     kept: Any = flow.symplecticity
     fixed = {name: repr(own) for name, own in flow.fixed.items()}
     fixed |= dict(flow.region.expressions)
-    return Facts(
-        "FlowMap",
+    errors = Column("largest estimated error", flow.largest_error, error_text, "error")
+    fixed = {name: text for name, text in fixed.items() if name not in H.parameters}
+    return facts_of(
+        flow,
         f"estimated errors up to {share(flow.excess, 1.0)} of what tol {flow.tol:.1e} allows",
-        flow.message,
-        bool(flow.success),
-        "converged" if flow.success else "failed",
-        formulas_of(H),
-        (
-            *given_of(flow, flow.inputs),
-            *(
-                Fact("", name, None, text)
-                for name, text in fixed.items()
-                if name not in H.parameters
-            ),
+        Table("components", H.names, (units_of(H), errors)),
+        Fact("symplecticity", "M^T J M - J", kept, "" if kept is None else error_text(kept)),
+        Fact("bytes", "size", flow.nbytes, f"{flow.nbytes:,} bytes"),
+        time_fact(flow.seconds),
+        verdict="converged" if flow.success else "failed",
+        varied=flow.inputs,
+        given=[
+            *(Fact("", name, None, text) for name, text in fixed.items()),
             Fact("box", "box", flow.box, ", ".join(box)),
-        ),
-        (
-            Table(
-                "components",
-                H.names,
-                (
-                    units_of(H),
-                    Column("largest estimated error", flow.largest_error, error_text, "error"),
-                ),
-            ),
-            Fact("symplecticity", "M^T J M - J", kept,
-                 "" if kept is None else f"at most {error_text(kept)}"),
-            Fact("bytes", "size", flow.nbytes, f"{flow.nbytes:,} bytes"),
-            time_fact(flow.seconds),
-        ),
-        5e4 * H.dim,
-    )  # fmt: skip
+        ],
+        drawn=5e4 * H.dim,
+    )

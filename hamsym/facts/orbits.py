@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from hamsym.facts.facts import Column, Fact, Facts, Table
 from hamsym.facts.wording import (
     error_text,
+    facts_of,
     formulas_of,
     interval,
     number,
@@ -27,34 +28,20 @@ __all__: list[str] = []
 def _periodic_orbit(orbit: PeriodicOrbit) -> Facts:
     H, isolated = orbit.H, orbit.is_isolated
     multipliers = ", ".join(map(_complex, orbit.multipliers))
-    return Facts(
-        "PeriodicOrbit",
-        f"largest estimated error {error_text(orbit.relative_error)} of each component's size"
-        if orbit.success
-        else "",
-        orbit.message,
-        bool(orbit.success),
-        "converged" if orbit.success else "failed",
-        formulas_of(H),
-        problem_facts(H),
-        (
-            *silent(orbit, "relative_error"),
-            Fact("period", "period", orbit.period, f"{orbit.period:.15g}"),
-            Fact("energy", "energy", orbit.energy, f"{orbit.energy:.15g}"),
-            Fact("stability", "stability:", orbit.stability, orbit.stability),
-            Fact("multipliers", "multipliers:", orbit.multipliers, multipliers),
-            Fact("isolated", "isolated:", isolated, "yes" if isolated else "no", brief=False),
-            Table(
-                "components",
-                H.names,
-                (
-                    units_of(H),
-                    Column("start", orbit.z0, " .16g", "start"),
-                ),
-            ),
-            Fact("seconds", "time", orbit.seconds, f"{orbit.seconds:.2g} s", brief=False),
-        ),
-        1_000 * H.dim,
+    error = f"largest estimated error {error_text(orbit.relative_error)} of each component's size"
+    return facts_of(
+        orbit,
+        error if orbit.success else "",
+        *silent(orbit, "relative_error"),
+        Fact("period", "period", orbit.period, f"{orbit.period:.15g}"),
+        Fact("energy", "energy", orbit.energy, f"{orbit.energy:.15g}"),
+        Fact("stability", "stability:", orbit.stability, orbit.stability),
+        Fact("multipliers", "multipliers:", orbit.multipliers, multipliers),
+        Fact("isolated", "isolated:", isolated, "yes" if isolated else "no", brief=False),
+        Table("components", H.names, (units_of(H), Column("start", orbit.z0, " .16g", "start"))),
+        Fact("seconds", "time", orbit.seconds, f"{orbit.seconds:.2g} s", brief=False),
+        verdict="converged" if orbit.success else "failed",
+        drawn=1_000 * H.dim,
     )
 
 

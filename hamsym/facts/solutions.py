@@ -14,8 +14,8 @@ from hamsym.facts.wording import (
     against,
     conservation_facts,
     error_text,
+    facts_of,
     formulas_of,
-    given_of,
     of_type,
     problem_facts,
     span_fact,
@@ -213,23 +213,16 @@ def _solutions(many: Solutions) -> Facts:
         place = ", ".join(map(str, failed[0]))
         message = f"{len(failed):,} of {size:,} trajectories failed, the first is [{place}]: "
         message += _reason(many, failed[0])
-    return Facts(
-        "Solutions",
+    places = [", ".join(map(str, place)) for place in failed]
+    reasons = Column("reason", failed, lambda place: _reason(many, place), left=True)
+    return facts_of(
+        many,
         headline,
-        message,
-        good == size,
-        formulas=formulas_of(many.H),
-        given=given_of(many, many.parameters),
-        entries=(
-            Table(
-                "failed members",
-                [", ".join(map(str, place)) for place in failed],
-                (Column("reason", failed, lambda place: _reason(many, place), left=True),),
-                head="failed member",
-            ),
-            _member_errors(many),
-            time_fact(many.seconds),
-        ),
+        Table("failed members", places, (reasons,), "failed member"),
+        _member_errors(many),
+        time_fact(many.seconds),
+        message=message,
+        varied=many.parameters,
         drawn=size * many.H.dim * 100,
         members=size,
     )

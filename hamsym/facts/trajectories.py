@@ -12,8 +12,7 @@ from hamsym.facts.wording import (
     by_name,
     conservation_facts,
     error_text,
-    formulas_of,
-    given_of,
+    facts_of,
     of_type,
     silent,
 )
@@ -30,26 +29,20 @@ __all__: list[str] = []
 
 @of_type("Trajectory")
 def _trajectory(trajectory: Trajectory) -> Facts:
-    H, members, found = trajectory.H, trajectory.ensemble, trajectory.verdicts
+    members, found = trajectory.ensemble, trajectory.verdicts
     varied = members.columns if members.shape else {}
-    given = given_of(trajectory, varied)
-    if found is not None:
-        given += (Fact("tol", "tolerance", found.tol, f"{found.tol:g}"),)
+    given = () if found is None else (Fact("tol", "tolerance", found.tol, f"{found.tol:g}"),)
     cost = f"{trajectory.evaluations:,} evaluations, {trajectory.seconds:.3g} s"
-    return Facts(
-        "Trajectory",
+    return facts_of(
+        trajectory,
         _headline(trajectory),
-        trajectory.message,
-        bool(np.all(trajectory.success)),
-        formulas=formulas_of(H),
+        _ends(trajectory),
+        _kept(trajectory),
+        lambda: _conserved(trajectory),
+        *silent(trajectory, "steps evaluations"),
+        Fact("seconds", "", trajectory.seconds, cost),
+        varied=varied,
         given=given,
-        entries=(
-            _ends(trajectory),
-            _kept(trajectory),
-            lambda: _conserved(trajectory),
-            *silent(trajectory, "steps evaluations"),
-            Fact("seconds", "", trajectory.seconds, cost),
-        ),
         drawn=trajectory.z.size,
         members=len(members),
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from hamsym.facts.facts import Column, Fact, Facts, Formula
+from hamsym.facts.facts import Column, Entry, Fact, Facts, Formula
 from hamsym.numerics.scales import ratios
 from hamsym.support.text_tables import ROWS, share
 
@@ -155,6 +155,24 @@ def given_of(result: Any, varied: Any = ()) -> tuple[Fact, ...]:
     if shape := getattr(result, "shape", ()):
         facts.append(Fact("shape", "shape", shape, " x ".join(map(str, shape))))
     return tuple(facts)
+
+
+def facts_of(
+    result: Any, headline: str, *entries: Entry, varied: Any = (), given: Any = (), **others: Any
+) -> Facts:
+    """Describe a result that has H, a span, success and a message.
+
+    - varied, given: As of :func:`given_of`, and what else was asked.
+    - others: Further fields of the facts, or others for these.
+    """
+    known: dict[str, Any] = {
+        "kind": type(result).__name__,
+        "message": result.message,
+        "success": bool(np.all(result.success)),
+        "formulas": formulas_of(result.H),
+        "given": (*given_of(result, varied), *given),
+    }
+    return Facts(headline=headline, entries=entries, **known | others)
 
 
 def silent(result: Any, names: str) -> tuple[Fact, ...]:
