@@ -115,13 +115,6 @@ def test_exponents_that_vanish_are_said() -> None:
 
 
 @pytest.mark.slow
-def test_exponents_without_their_hamiltonian_keep_its_text() -> None:
-    figure = exponents(2, 4, None).plot()
-    check_layout(figure)
-    assert "H = p**2/2." in figure.caption
-
-
-@pytest.mark.slow
 def test_failed_exponents_are_marked() -> None:
     figure = exponents(2, 2, chain(2), success=False, message="energy lost").plot()
     assert figure.warning == "Failed: energy lost"
