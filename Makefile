@@ -59,11 +59,12 @@ coverage: $(VENV)/installed ## Run the test suite and print which lines of hamsy
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
 
-lint: $(VENV)/installed ## Check style, formatting, types and the layers of imports
+lint: $(VENV)/installed ## Check style, formatting, types, the layers of imports and lengths
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -q -n 0 tests/test_structure.py
 
 bench: $(VENV)/installed ## Measure all benchmarks into tests/benchmarks/results.json (half an hour)
 	$(BIN)/python -m tests.benchmarks

@@ -27,8 +27,8 @@ from .fitting.fitted import Fit as Fit
 from .flow_maps.construction import flow_map as flow_map
 from .flow_maps.flow_map import FlowMap as FlowMap
 from .hamiltonian import Hamiltonian as Hamiltonian
-from .integrators.integrate import Trajectory as Trajectory
 from .integrators.integrate import integrate as integrate
+from .integrators.trajectory import Trajectory as Trajectory
 from .networks.objective import Regularizer as Regularizer
 from .orbits.certificate import OrbitCertificate as OrbitCertificate
 from .orbits.family import OrbitFamily as OrbitFamily

@@ -20,9 +20,9 @@ from hamsym.families.storage import KIND, is_store, open_store, read_solutions, 
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.storage import KIND as FLOW_MAP
 from hamsym.flow_maps.storage import read_flow_map, write_flow_map
-from hamsym.integrators.integrate import Trajectory
 from hamsym.integrators.storage import KIND as TRAJECTORY
 from hamsym.integrators.storage import read_trajectory, write_trajectory
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.methods import METHODS
 from hamsym.random_features.error_estimate import MarchError
 from hamsym.random_features.trial import FeatureTrial

@@ -16,12 +16,7 @@ from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
 from hamsym.formula.parser import MAX_BITS, MAX_EFFORT, MAX_SECONDS, parse_expression
 from hamsym.formula.printer import FormulaPrinter
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.support.checked_data import (
-    checked_list,
-    checked_mapping,
-    checked_type,
-    checked_values,
-)
+from hamsym.support.checked_data import checked_list, checked_mapping, checked_type, checked_values
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 from hamsym.support.validation import plain
 

@@ -50,11 +50,7 @@ class Ensemble:
 
 
 def ensemble_of(
-    H: HamiltonianLike,
-    z0: Any,
-    parameters: Mapping[Any, Any] | None = None,
-    *,
-    finite: bool = True,
+    H: HamiltonianLike, z0: Any, parameters: Mapping[Any, Any] | None = None, *, finite: bool = True
 ) -> Ensemble:
     """Broadcast initial states and parameter values to one shape.
 

@@ -51,7 +51,7 @@ _MEMBERS = """\
 # Headers of the kernel, whose first comments state lemmas of the proofs, and modules of proofs.
 HEADERS = ("balls.h", "series.h", "enclosures.h")
 LEMMAS = (
-    "windows",
+    "proven_windows",
     "trial_models",
     "window_proof",
     "enclose",

@@ -14,15 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from hamsym.kernel.loops import (
-    Equations,
-    Pieces,
-    Program,
-    Record,
-    arrays,
-    library,
-    require_memory,
-)
+from hamsym.kernel.loops import Equations, Pieces, Program, Record, arrays, library, require_memory
 from hamsym.numerics.collocation import turns
 
 DEGREE = 31  # of the polynomials: the columns of the march have 1e-14 beyond it

@@ -213,11 +213,7 @@ class _Search:
 
 
 def bounds_on_parts(
-    programs: Programs,
-    places: Places,
-    edges: np.ndarray,
-    parts: Parts,
-    parameters: np.ndarray,
+    programs: Programs, places: Places, edges: np.ndarray, parts: Parts, parameters: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bound the residual on each part, and the round-off in it, shape (parts, dim)."""
     start, end = edges[:, parts.window]

@@ -85,12 +85,7 @@ BACKENDS: dict[str, Backend] = {
     "numba": Backend(has_loops=True),
     "jax": Backend(package="jax"),
     "c": Backend(
-        _FOR_SOLVERS,
-        ("power",),
-        extension="c",
-        reserved=_C_NAMES,
-        spells_greek=True,
-        runs=False,
+        _FOR_SOLVERS, ("power",), extension="c", reserved=_C_NAMES, spells_greek=True, runs=False
     ),
     "julia": Backend(_FOR_SOLVERS, ("power",), extension="jl", reserved=_JULIA_NAMES, runs=False),
     # Functions of an arithmetic, which proofs run.

@@ -40,6 +40,26 @@ def compile_expressions(
     return _compiled(expressions_source(expressions, equations))
 
 
+def compile_observable(expression: sympy.Expr, equations: Equations) -> Callable[..., np.ndarray]:
+    """Compile an expression to a numpy function of states, times and values of the parameters.
+
+    - expression, equations: As for :func:`compile_expressions`.
+    - returns: (z, t=0.0, parameters=None) -> (...); parameters of shape (..., k), in the order of
+      those of the equations, replace their values.
+    """
+    function = compile_expressions([expression], equations)
+    used = {symbol.name for symbol in expression.free_symbols}
+    keywords = enumerate(zip(equations.parameters, Names(equations).parameters, strict=True))
+    columns = {keyword: i for i, (name, (keyword, _)) in keywords if name in used}
+
+    def values(z: Any, t: Any = 0.0, parameters: np.ndarray | None = None) -> np.ndarray:
+        given = {} if parameters is None else columns
+        of = {keyword: parameters[..., i] for keyword, i in given.items()}  # type: ignore[index]
+        return function(z, t, **of)[..., 0][()]
+
+    return values
+
+
 def compile_straight_line(
     expressions: Sequence[sympy.Expr], symbols: Sequence[sympy.Symbol]
 ) -> Callable[..., list[Any]]:

@@ -124,7 +124,7 @@ class JuliaPrinter(Printer):
 
 #: Functions that numpy lacks, with the name and the definition that its modules give them.
 NUMPY_DEFINITIONS: dict[type, tuple[str, str]] = {
-    sympy.erf: ("_erf", "np.vectorize(math.erf, otypes=[float])"),
+    sympy.erf: ("_erf", "np.vectorize(math.erf, otypes=[float])")
 }
 
 #: Printer class of each backend.

@@ -36,7 +36,7 @@ from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
 from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.integrators.integrate import usual_method
+from hamsym.integrators.table import usual_method
 from hamsym.problem import checked_span
 from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.shown import Shown

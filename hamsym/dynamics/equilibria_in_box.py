@@ -17,14 +17,7 @@ import sympy
 from flint import arb
 
 from hamsym.dynamics.equilibrium import Equilibria, Equilibrium, Region
-from hamsym.dynamics.equilibrium_points import (
-    NEAR,
-    Finder,
-    counted,
-    is_known,
-    ordered,
-    spread_out,
-)
+from hamsym.dynamics.equilibrium_points import NEAR, Finder, counted, is_known, ordered, spread_out
 from hamsym.dynamics.newton_starts import continues, converged_points
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian

@@ -1,16 +1,13 @@
 """Growth of tangent vectors that are made orthonormal at intervals.
 
 Input:  tangent vectors after a number of steps, of one or of many trajectories.
-Output: orthonormal vectors of the same flags, and the logarithms of their growth; the rates that
-        limit the steps.
+Output: orthonormal vectors of the same flags, and the logarithms of their growth.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import scipy
-
-from hamsym.codegen.system import System
 
 #: Default steps in a radian of the fastest linear motion.
 STEPS_PER_RADIAN = 5
@@ -90,36 +87,3 @@ def orthonormal(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     q, r = np.linalg.qr(vectors)
     diagonal = np.diagonal(r, axis1=-2, axis2=-1)
     return q * np.sign(diagonal)[..., None, :], np.log(np.abs(diagonal))
-
-
-def fastest_rates(
-    system: System,
-    states: np.ndarray,
-    times: np.ndarray | float,
-    parameters: np.ndarray | None = None,
-) -> np.ndarray:
-    """Return the fastest rate of the linear motion along each of several trajectories.
-
-    The rate is the spectral radius of J Hess, which does not depend on the units of the components.
-
-    - system: With numpy.
-    - states: Shape (n, k, dim); those that are not finite are ignored.
-    - times: Shape (k,).
-    - parameters: As for :class:`hamsym.integrators.energy_drift.EnergyDrift`.
-    - returns: Shape (n,), per unit of time; infinite where the Hessian is not finite.
-
-    Examples
-    --------
-    >>> from hamsym import Hamiltonian
-    >>> system = Hamiltonian("p**2/2 + 9*x**2/2").compile("numpy")
-    >>> fastest_rates(system, np.zeros((1, 1, 2)), 0.0).round(9)
-    array([3.])
-    """
-    values = system.keywords(None if parameters is None else parameters[:, None])
-    with np.errstate(all="ignore"):
-        matrices = np.asarray(system.jacobian(*system.arguments(states, times), **values))
-    known = np.isfinite(matrices).all(axis=(-2, -1))
-    usable = np.where(known[..., None, None], matrices, 0.0)
-    rates = np.where(known, np.abs(np.linalg.eigvals(usable)).max(axis=-1), np.inf)
-    there = np.isfinite(states).all(axis=-1)
-    return np.where(there, rates, 0.0).max(axis=-1)

@@ -21,21 +21,15 @@ import numpy as np
 
 import hamsym
 from hamsym.dynamics.blocks import advance_in_blocks
-from hamsym.dynamics.growth import (
-    APART,
-    PARALLEL,
-    first_vectors,
-    growth_limit,
-    orthonormal,
-)
+from hamsym.dynamics.growth import APART, PARALLEL, first_vectors, growth_limit, orthonormal
 from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
 from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
 from hamsym.ensemble import ensemble_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.integrators.fixed_step import Stepper
-from hamsym.integrators.integrate import usual_method
+from hamsym.integrators.stepper import Stepper
+from hamsym.integrators.table import usual_method
 from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.shown import Shown

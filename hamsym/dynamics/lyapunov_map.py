@@ -27,7 +27,6 @@ from hamsym.dynamics.growth import (
     PARALLEL,
     STEPS_PER_RADIAN,
     UNRESOLVED,
-    fastest_rates,
     first_vectors,
     growth_limit,
     orthonormal,
@@ -36,7 +35,8 @@ from hamsym.dynamics.growth import (
 from hamsym.ensemble import Ensemble
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
-from hamsym.integrators.integrate import fixed_step
+from hamsym.integrators.linear_motion import fastest_rates
+from hamsym.integrators.stepper import Stepper
 from hamsym.problem import MAX_STEPS
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.cores import available_cores
@@ -297,18 +297,13 @@ class _Run:
                 yield part, rate, steps, blocks
 
     def _advance(
-        self,
-        index: np.ndarray,
-        rate: float,
-        steps: int,
-        blocks: int,
-        report: Callable[[int], None],
+        self, index: np.ndarray, rate: float, steps: int, blocks: int, report: Callable[[int], None]
     ) -> _Outcome:
         """Step a chunk through the span."""
         (start, end), states = self._span, self._members.states[index]
         size, count = (end - start) / steps, len(index)
         scales = self._scales(index)
-        stepper = fixed_step(
+        stepper = Stepper(
             self._members.H,
             self._method,
             states,
@@ -394,9 +389,11 @@ class _Run:
     def _fastest(
         self, index: np.ndarray, states: np.ndarray, times: np.ndarray | float
     ) -> np.ndarray:
-        """Return the fastest rate of members at states of shape (n, k, dim), shape (n,)."""
-        system = self._members.H.compile("numpy")
-        return fastest_rates(system, states, times, self._members.own_parameters(index))
+        """Return the fastest rate of members along finite states, (n, k, dim), shape (n,)."""
+        own = self._members.own_parameters(index)
+        own = None if own is None else own[:, None]
+        rates = fastest_rates(self._members.H, states, times, own)
+        return np.where(np.isfinite(states).all(axis=-1), rates, 0.0).max(axis=-1)
 
     def _scales(self, index: np.ndarray) -> np.ndarray:
         """Return the units of the tangent vectors of members, from their starts, (n, dim, 1)."""

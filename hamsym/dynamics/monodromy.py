@@ -13,9 +13,8 @@ import hamsym
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.coefficients import Doubled
-from hamsym.integrators.fixed_step import Stepper
-from hamsym.integrators.integrate import fixed_step, usable_method, usual_method
-from hamsym.integrators.table import INTEGRATORS
+from hamsym.integrators.stepper import Stepper
+from hamsym.integrators.table import INTEGRATORS, usable_method, usual_method
 from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, suggest_attributes
@@ -178,7 +177,7 @@ def tangent_stepper(
 ) -> Stepper:
     """Make a stepper that moves one trajectory and tangent vectors, shape (dim, count)."""
     reject_doubled(H, method)
-    return fixed_step(
+    return Stepper(
         H,
         method,
         state[None],

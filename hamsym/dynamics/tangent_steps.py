@@ -18,7 +18,8 @@ from hamsym.dynamics.growth import STEPS_PER_RADIAN, UNRESOLVED, tangent_scales
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
-from hamsym.integrators.integrate import fastest_rate, fixed_step
+from hamsym.integrators.linear_motion import fastest_rates
+from hamsym.integrators.stepper import Stepper
 from hamsym.problem import checked_steps
 
 #: Points of a history.
@@ -121,7 +122,7 @@ class TangentSteps:
         if H.conserves_energy and not share <= COARSE:
             return change, f"H changed by {change:.1e}, {share:.0%} of its scale: take a smaller dt"
         if self.chosen:
-            fastest = fastest_rate(H, path, np.append(self.span[0], times))
+            fastest = fastest_rates(H, path, np.append(self.span[0], times)).max()
             if not fastest <= UNRESOLVED * max(self.rate, 1 / abs(self.size)):
                 return change, (
                     f"the motion has rates up to {fastest:.2g}: give a dt that resolves them"
@@ -138,7 +139,7 @@ def _fastest_rate(
     previous one found, so that a slow start does not set the steps for the rest.
     """
     start, end = span
-    rate = fastest_rate(H, state[None], start)
+    rate = float(fastest_rates(H, state, start))
     path, times = state[None], np.array([start])
     if not math.isfinite(rate):
         raise InputError("the Hessian of H is not finite at z0; choose another initial state")
@@ -146,13 +147,13 @@ def _fastest_rate(
     length = whole / 1_000 if rate == 0 else min(whole, _PILOT_STEPS / (STEPS_PER_RADIAN * rate))
     for _ in range(_PILOTS):
         size = math.copysign(length / _PILOT_STEPS, end - start)
-        stepper = fixed_step(H, method, state[None], np.array([start]), np.array([size]))
+        stepper = Stepper(H, method, state[None], np.array([start]), np.array([size]))
         reached = stepper.advance(_PILOT_STEPS, show=False).states[0]
         if not np.isfinite(reached).all():
             length /= 30
             continue
         path, times = reached, start + size * np.arange(1, len(reached) + 1)
-        found = fastest_rate(H, path, times)
+        found = float(fastest_rates(H, path, times).max())
         if not rate * 1.5 < found < math.inf:
             return rate if math.isinf(found) else max(rate, found), path, times
         rate = found

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hamsym.dynamics.history import history_rows
 from hamsym.facts.facts import Column, Entry, Fact, Facts, Table
 from hamsym.facts.wording import (
     by_name,
@@ -43,7 +42,7 @@ def _over_time(
     found: LyapunovExponents | ChaosIndicators, columns: dict[str, np.ndarray]
 ) -> tuple[Entry, ...]:
     """A table of quantities over time, and their last values."""
-    rows = history_rows(found.t, found.span[0])
+    rows = _history_rows(found.t, found.span[0])
     shown = (Column(label, values[rows], ".4e") for label, values in columns.items())
     table = Table("times", [f"{t:.6g}" for t in found.t[rows]], tuple(shown), "t", wide=_WIDE)
     return table, Fact("t", value=found.t[-1]), time_fact(found.seconds)
@@ -195,3 +194,18 @@ def _equilibrium(found: Equilibrium) -> Facts:
             *(Fact("", "", None, line) for line in rest),
         ),
     )
+
+
+def _history_rows(t: np.ndarray, start: float) -> np.ndarray:
+    """Return the rows of times of equal ratios: two for each of three decades, and the end.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.1, 100, 1000)
+    >>> t[_history_rows(t, 0.0)].round(1)
+    array([  0.1,   0.4,   1. ,   3.2,  10. ,  31.7, 100. ])
+    """
+    elapsed = np.abs(t - start)
+    wanted = np.append(elapsed[-1] * 10.0 ** np.arange(-3, 0, 0.5), elapsed[-1] * (1 - 1e-12))
+    rows = np.unique(np.searchsorted(elapsed, wanted))
+    return rows[rows < len(t)]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from hamsym.facts.facts import Column, Fact, Facts, Formula, Table
 from hamsym.facts.wording import counted, formulas_of, listed, of_type, problem_facts
-from hamsym.symbolic.formulas import Formulas
+from hamsym.symbolic.equations import Formulas
 
 if TYPE_CHECKING:
     from hamsym.codegen.system import System

@@ -22,7 +22,7 @@ from hamsym.support.text_tables import share
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from hamsym.integrators.integrate import Trajectory
+    from hamsym.integrators.trajectory import Trajectory
 
 __all__: list[str] = []
 

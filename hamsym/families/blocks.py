@@ -48,10 +48,7 @@ class BlockSolver:
     """
 
     def __init__(
-        self,
-        family: Family,
-        members: Ensemble,
-        known: KnownInvariants | None = None,
+        self, family: Family, members: Ensemble, known: KnownInvariants | None = None
     ) -> None:
         self._family, self._members = family, members
         self._known = known

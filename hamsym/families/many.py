@@ -170,11 +170,7 @@ class _Run:
     """The members that are solved so far."""
 
     def __init__(
-        self,
-        family: Family,
-        members: Ensemble,
-        store: WindowStore | None,
-        known: KnownInvariants,
+        self, family: Family, members: Ensemble, store: WindowStore | None, known: KnownInvariants
     ) -> None:
         self._family, self._members, self._store = family, members, store
         self._solver = BlockSolver(family, members, known)

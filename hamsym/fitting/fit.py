@@ -20,13 +20,7 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.families.many import solve_many
 from hamsym.fitting.fitted import Fit, Minimum
-from hamsym.fitting.motions import (
-    FlowLike,
-    LiftedMotions,
-    MappedMotions,
-    Motions,
-    SolvedMotions,
-)
+from hamsym.fitting.motions import FlowLike, LiftedMotions, MappedMotions, Motions, SolvedMotions
 from hamsym.fitting.observations import checked_observations, checked_times
 from hamsym.fitting.search import Found, Model, search
 from hamsym.fitting.uncertainty import Uncertainty, uncertainty_of
@@ -198,12 +192,7 @@ def _of_many(solved: SolvedMotions) -> Motions:
 
 
 def _within(
-    flow: FlowLike,
-    H: Hamiltonian,
-    free: Any,
-    z0: Any,
-    parameters: Any,
-    bounds: Any,
+    flow: FlowLike, H: Hamiltonian, free: Any, z0: Any, parameters: Any, bounds: Any
 ) -> tuple[Any, Any, Any]:
     """Return fixed components, fixed parameters and bounds, completed by those of a flow map."""
     if (H.expr, H.names, H.forces) != (flow.H.expr, flow.H.names, flow.H.forces):

@@ -34,10 +34,7 @@ class Verdicts:
 
 
 def judged(
-    model: Model,
-    found: Found,
-    uncertainty: Uncertainty,
-    motion: Solution | Solutions | FlowLike,
+    model: Model, found: Found, uncertainty: Uncertainty, motion: Solution | Solutions | FlowLike
 ) -> Verdicts:
     """Judge every set."""
     unknowns, observed = model.unknowns, model.observed
@@ -115,10 +112,7 @@ def _undetermined(unknowns: Unknowns, uncertainty: Uncertainty, k: int) -> list[
 
 
 def _errors(
-    model: Model,
-    found: Found,
-    motion: Solution | Solutions | FlowLike,
-    sigma: np.ndarray,
+    model: Model, found: Found, motion: Solution | Solutions | FlowLike, sigma: np.ndarray
 ) -> np.ndarray:
     """Return the largest estimated error of an observable in units of sigma, shape (sets,)."""
     unknowns, observed = model.unknowns, model.observed

@@ -149,12 +149,7 @@ class Builder:
 
 
 def image_of(
-    map: Any,
-    domain: Domain,
-    time: float,
-    box: Box,
-    scale: np.ndarray,
-    random: np.random.Generator,
+    map: Any, domain: Domain, time: float, box: Box, scale: np.ndarray, random: np.random.Generator
 ) -> Domain:
     """Return a domain around the states of a map over a domain at a time.
 

@@ -191,11 +191,7 @@ class _Construction:
         )
 
     def _result(
-        self,
-        built: Built,
-        judgement: Judgement,
-        allowed: np.ndarray,
-        seconds: float,
+        self, built: Built, judgement: Judgement, allowed: np.ndarray, seconds: float
     ) -> FlowMap:
         span = (self._span[0], built.reached)
         excess = float((judgement.error / allowed).max())

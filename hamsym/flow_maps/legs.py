@@ -22,12 +22,7 @@ from hamsym.flow_maps.degrees import axis_degrees, further_degrees, margin, poin
 from hamsym.flow_maps.domain import Domain, random_places
 from hamsym.flow_maps.expansion import Leg, products, tables
 from hamsym.numerics.collocation import collocation
-from hamsym.numerics.lower_sets import (
-    MOST_DEGREE,
-    chebyshev_coefficients,
-    leja_points,
-    surpluses,
-)
+from hamsym.numerics.lower_sets import MOST_DEGREE, chebyshev_coefficients, leja_points, surpluses
 
 _TERMS = 12  # of the series in time of a piece
 _LARGEST = 2_500  # terms of an expansion in the inputs: more make queries slow

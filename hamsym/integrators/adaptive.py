@@ -113,12 +113,7 @@ def _magnitudes(H: Hamiltonian, z0: np.ndarray, span: tuple[float, float]) -> np
 
 
 def _dop853(
-    H: Hamiltonian,
-    z0: np.ndarray,
-    span: tuple[float, float],
-    rtol: float,
-    atol: Any,
-    **output: Any,
+    H: Hamiltonian, z0: np.ndarray, span: tuple[float, float], rtol: float, atol: Any, **output: Any
 ) -> Any:
     if atol is None:
         atol = _absolute_tolerance(H, z0, span, rtol)

@@ -44,11 +44,7 @@ class NarrowFeatures:
         ]
 
     def unresolved(
-        self,
-        z: np.ndarray,
-        t: np.ndarray,
-        parameters: np.ndarray | None,
-        allowed: np.ndarray,
+        self, z: np.ndarray, t: np.ndarray, parameters: np.ndarray | None, allowed: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Largest factor by which the steps are too long, and its place.
 

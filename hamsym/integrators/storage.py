@@ -10,9 +10,8 @@ import numpy as np
 
 from hamsym.description import described, hamiltonian_from, read_result, write_result
 from hamsym.ensemble import Ensemble
-from hamsym.integrators.integrate import Trajectory
 from hamsym.integrators.table import INTEGRATORS
-from hamsym.integrators.tolerance import Tolerated
+from hamsym.integrators.trajectory import Tolerated, Trajectory
 from hamsym.support.checked_data import checked_values, require_array, require_names
 
 #: Kind of the file.

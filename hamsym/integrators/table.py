@@ -1,12 +1,15 @@
-"""Table of integrators by name."""
+"""Table of integrators by name, and which of them apply to a Hamiltonian."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from hamsym.errors import InputError, SeparabilityError
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators import coefficients
 from hamsym.integrators.adaptive import Adaptive, run_dop853, run_odeint
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
+from hamsym.suggestions import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -89,10 +92,7 @@ INTEGRATORS: dict[str, Integrator] = {
         8, "composition of Stormer-Verlet, solution D", "Yoshida 1990", coefficients.YOSHIDA8
     ),
     "implicit_midpoint": Integrator(
-        2,
-        "implicit, any H",
-        "Hairer, Lubich & Wanner 2006, II.1",
-        coefficients.IMPLICIT_MIDPOINT,
+        2, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", coefficients.IMPLICIT_MIDPOINT
     ),
     "gauss4": Integrator(
         4, "implicit, any H", "Hairer, Lubich & Wanner 2006, II.1", coefficients.GAUSS4
@@ -121,6 +121,51 @@ INTEGRATORS: dict[str, Integrator] = {
 
 #: Alternative names of integrators.
 ALIASES = {"yoshida4": "forest_ruth"}
+#: Splitting methods that also have a loop with an implicit half, for a non-separable H.
+NOT_ONLY_SEPARABLE = ("symplectic_euler", "symplectic_euler_p")
+
+
+def usual_method(H: Hamiltonian) -> str:
+    """Name of the default method: a splitting if the equations are separable, else Gauss."""
+    return "blanes_moan6" if H.is_separable else "gauss6"
+
+
+def usable_method(H: Hamiltonian, method: str) -> str:
+    """Resolve aliases of a method and check that it applies to this H.
+
+    Raise InputError if the table has no such method. Raise SeparabilityError if it is a splitting
+    method, and H is not separable or a force depends on momenta.
+    """
+    name = ALIASES.get(method, method) if isinstance(method, str) else ""
+    if name not in INTEGRATORS:
+        hint = did_you_mean(method, [*INTEGRATORS, *ALIASES])
+        raise InputError(
+            f"'{method}' is not a method{hint}; choose one of {', '.join(INTEGRATORS)}"
+        )
+    split = isinstance(INTEGRATORS[name].scheme, Splitting) and name not in NOT_ONLY_SEPARABLE
+    if H.forces:
+        _require_general(H, name, method)
+    if split and not H.is_separable:
+        raise SeparabilityError(
+            f"{method} needs H = T(p) + V(q), and this H is not separable; choose a method for any "
+            "H: gauss4, implicit_midpoint or tao4"
+        )
+    return name
+
+
+def _require_general(H: Hamiltonian, name: str, method: str) -> None:
+    """Refuse a method whose steps solve other equations than those with forces."""
+    scheme = INTEGRATORS[name].scheme
+    if isinstance(scheme, Doubled):
+        raise InputError(
+            f"{method} steps in a doubled phase space, which forces beyond H do not have; choose "
+            "gauss4, gauss6 or dop853"
+        )
+    if isinstance(scheme, Splitting) and not H.is_separable:
+        raise SeparabilityError(
+            f"{method} alternates steps of q at constant p and of p at constant q, which needs H = "
+            "T(p) + V(q) and forces without momenta; choose gauss4, gauss6 or dop853"
+        )
 
 
 def listing() -> str:

@@ -41,11 +41,7 @@ class TangentMaps:
     between = (nodes[1:] + nodes[:-1]) / 2
 
     def __init__(
-        self,
-        jacobians: np.ndarray,
-        lengths: np.ndarray,
-        scale: np.ndarray,
-        accuracy: float = 1e-12,
+        self, jacobians: np.ndarray, lengths: np.ndarray, scale: np.ndarray, accuracy: float = 1e-12
     ) -> None:
         self._lengths, self._scale = lengths, scale
         dim, windows, nodes = len(scale), len(lengths), jacobians.shape[1]

@@ -463,10 +463,7 @@ def _other_period(problem: Problem, arc: Arc, tol: float) -> str:
     scale = arc.scale
     later = times + arc.period
     rounded = later + 4 * np.spacing(np.abs(later))
-    for function, units in (
-        (flow.vector_field, scale),
-        (flow.jacobian, scale[:, None] / scale),
-    ):
+    for function, units in ((flow.vector_field, scale), (flow.jacobian, scale[:, None] / scale)):
         now, then, near = (function(states, t) / units for t in (times, later, rounded))
         allowed = tol * np.abs(now).max() + np.abs(near - then).max()
         if not np.abs(then - now).max() <= allowed + 1e-12 * np.abs(now).max():

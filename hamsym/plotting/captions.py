@@ -94,9 +94,7 @@ def parameter_words(values: Mapping[str, float], H: Hamiltonian | None = None) -
 
 
 def caption_words(
-    H: Hamiltonian,
-    *sentences: str | Sequence[str],
-    parameters: Mapping[str, float] | None = None,
+    H: Hamiltonian, *sentences: str | Sequence[str], parameters: Mapping[str, float] | None = None
 ) -> list[str]:
     """Return the caption of a figure as words: H, its parameters, then sentences.
 

@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, legend_above, one_panel
-from hamsym.plotting.motions import component_curves, label_time, log_lines
 from hamsym.plotting.names import math_name, number, quantity, time_name, words_of
 from hamsym.plotting.panels import Panel, draw_panels
 from hamsym.plotting.style import color_of, positive, style_for
+from hamsym.plotting.time_axes import component_curves, label_time, log_lines
 from hamsym.proof.ball import Ball
 from hamsym.proof.box_certificate import BoxCertificate
 from hamsym.proof.certificate import Certificate
@@ -129,12 +129,7 @@ def _draw_bound(axes: Axes, found: Certificate) -> None:
 
 def _draw_components(axes: Axes, found: Certificate, names: Sequence[str]) -> None:
     """Draw the interval in which the largest error of each component lies."""
-    _draw_intervals(
-        axes,
-        names,
-        np.array(found.component_lowers),
-        np.array(found.component_bounds),
-    )
+    _draw_intervals(axes, names, np.array(found.component_lowers), np.array(found.component_bounds))
     if found.asked is not None:
         x = np.arange(min(len(found.asked), _MOST_BARS))
         style: dict[str, Any] = {

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from hamsym.integrators.integrate import Trajectory
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import Figure, figure_of, label, legend, one_panel, require_no_axes
-from hamsym.plotting.motions import LARGEST, label_time, log_lines
 from hamsym.plotting.names import energy_unit, known_name, math_name, quantity
 from hamsym.plotting.style import PAGE, SAMPLES, line_style, style_for, styled
+from hamsym.plotting.time_axes import LARGEST, label_time, log_lines
 from hamsym.study.compare import Comparison, Row
 
 _PANELS = ("error", "energy", "plane", "work")

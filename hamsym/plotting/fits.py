@@ -20,9 +20,7 @@ from hamsym.plotting.names import (
     shortened,
     time_name,
 )
-from hamsym.plotting.names import (
-    number as shown_number,
-)
+from hamsym.plotting.names import number as shown_number
 from hamsym.plotting.style import COLUMN, GREY, PAGE, SAMPLES, color_of, style_for, styled
 from hamsym.support.validation import require_whole
 

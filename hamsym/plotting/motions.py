@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import matplotlib
@@ -13,43 +13,36 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import NullFormatter, NullLocator
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import Figure, figure_of, label, legend, legend_above, one_panel
-from hamsym.plotting.names import (
-    known_name,
-    math_name,
-    number,
-    quantity,
-    time_name,
-    with_unit,
-)
+from hamsym.plotting.names import known_name, math_name, number, quantity, time_name, with_unit
 from hamsym.plotting.phase_portraits import draw_levels
 from hamsym.plotting.style import (
     COLUMN,
     MAX_LINES,
     PAGE,
     SEQUENTIAL,
-    color_of,
     line_style,
     line_styles,
-    positive,
     style_for,
 )
+from hamsym.plotting.time_axes import envelope, fill_time, label_time
 
-MAX_DRAWN = 200  # trajectories of an ensemble
-_MAX_DOF = 6  # rows of an overview
-_DENSE = 8_000  # points from which lines are drawn as pixels in files of vector graphics
+#: Most trajectories of an ensemble that are drawn: more cover each other.
+MAX_DRAWN = 200
+# Most degrees of freedom in an overview, one in each row of a page.
+_MAX_DOF = 6
+# Points from which lines are drawn as pixels in files of vector graphics, which would be slow.
+_DENSE = 8_000
+# Points of a path: a figure has fewer pixels along it.
 _MAX_POINTS = 40_000
-_PIECES = 200  # of a logarithmic curve
-#: Sentence of the caption of logarithmic curves of many times.
-LARGEST = f"Errors and residuals: the largest of each {_PIECES}th of the span"
-_TEXT = 0.16  # of the height of a low panel, for a text above a line
-_ROW = {1: 3.0, 2: 2.5, 3: 2.2, 4: 2.0}  # centimetres of a row, by the number of rows
-_PLANE, _BESIDE_PORTRAIT, _LOWER = 5.8, 3.2, 3.0  # centimetres of other rows
+# Centimetres of a row, by the number of rows, and of other rows, so that a page has all.
+_ROW = {1: 3.0, 2: 2.5, 3: 2.2, 4: 2.0}
+_PLANE, _BESIDE_PORTRAIT, _LOWER = 5.8, 3.2, 3.0
 #: A legend on the right of its axes.
 _BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5), "ncols": 1}
 _DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2}
@@ -79,18 +72,14 @@ class Motion:
     parameters: dict[str, float] | None = None
     #: Sentence about states that are too far apart for lines between them, and drawn as dots.
     apart: str = ""
-    styles: list[dict[str, Any]] = field(init=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "styles", self._styles())
-
-    def _styles(self) -> list[dict[str, Any]]:
-        if self.mapped:
-            colors = matplotlib.colormaps[SEQUENTIAL](0.92 * self._norm(self.varied[2]))
-            styles = [{"color": tuple(color), "linewidth": 0.6} for color in colors]
-        else:
-            styles = line_styles(len(self.z))
-        return styles
+    @cached_property
+    def styles(self) -> list[dict[str, Any]]:
+        """Style of each trajectory, with the colours of a colour bar where they are many."""
+        if not self.mapped:
+            return line_styles(len(self.z))
+        colors = matplotlib.colormaps[SEQUENTIAL](0.92 * self._norm(self.varied[2]))
+        return [{"color": tuple(color), "linewidth": 0.6} for color in colors]
 
     @property
     def path_styles(self) -> list[dict[str, Any]]:
@@ -192,32 +181,6 @@ def parameters_of(
 # -- panels ----------------------------------------------------------------------------------------
 
 
-def envelope(t: np.ndarray, values: np.ndarray, bins: int = 2_000) -> tuple[np.ndarray, np.ndarray]:
-    """Return fewer points of a curve: the smallest and the largest value of each piece of time."""
-    if len(t) <= 4 * bins:
-        return t, values
-    edges = np.linspace(0, len(t), bins + 1).astype(int)
-    places = [0]
-    for start, end in pairwise(edges.tolist()):
-        part = np.nan_to_num(values[start:end], nan=0.0)
-        places += sorted((start + int(part.argmin()), start + int(part.argmax())))
-    places.append(len(t) - 1)
-    return t[places], values[places]
-
-
-def largest_of_pieces(
-    t: np.ndarray, values: np.ndarray, pieces: int = _PIECES
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest value of each piece of many times; nan is left out."""
-    if len(t) <= 2 * pieces or t[0] == t[-1]:
-        return t, values
-    edges = np.linspace(0, len(t), pieces + 1).astype(int)
-    times = [t[start:end].mean() for start, end in pairwise(edges.tolist())]
-    filled = np.nan_to_num(values, nan=-np.inf)
-    largest = np.maximum.reduceat(filled, edges[:-1])
-    return np.array(times), np.where(np.isfinite(largest), largest, np.nan)
-
-
 def over_time(axes: Axes, motion: Motion, name: str, *, timed: bool = True) -> None:
     """Draw a component over time."""
     index = motion.H.names.index(name)
@@ -250,15 +213,6 @@ def _fold_escape(axes: Axes, motion: Motion, index: int) -> None:
         both = np.nanmin(motion.z[..., index]) < -usual
         axes.set_yticks([0.0, *10.0**powers, *(-(10.0**powers) if both else ())])
         axes.yaxis.set_minor_locator(NullLocator())
-
-
-def label_time(axes: Axes, H: Hamiltonian) -> None:
-    label(axes.xaxis, *quantity(H, time_name(H)))
-
-
-def fill_time(axes: Axes, t: np.ndarray) -> None:
-    """Let a time axis end where the times do."""
-    axes.set_xlim(min(t[0], t[-1]), max(t[0], t[-1]))
 
 
 def plane_title(H: Hamiltonian, x: str, y: str, several: bool = False) -> str:
@@ -368,95 +322,6 @@ def in_space(axes: Any, motion: Motion, names: Sequence[str]) -> list[str]:
     return notes
 
 
-def component_curves(H: Hamiltonian, values: np.ndarray) -> list[tuple[np.ndarray, dict[str, Any]]]:
-    """Return a curve for each component, or of many the largest of all."""
-    if values.shape[1] > MAX_LINES // 2:
-        text = f"largest of {values.shape[1]} components"
-        return [(values.max(axis=1), {"color": color_of(0), "label": text})]
-    return [
-        (values[:, i], {**line_style(i), "label": math_name(name)})
-        for i, name in enumerate(H.names)
-    ]
-
-
-def log_lines(
-    axes: Axes,
-    t: np.ndarray,
-    curves: Sequence[tuple[np.ndarray, dict[str, Any]]],
-    *,
-    lines: Sequence[tuple[float, dict[str, Any]]] = (),
-    unknown: str = "unknown",
-) -> None:
-    """Draw positive quantities over time on a logarithmic axis, with horizontal lines.
-
-    Of many times the largest value of each piece is drawn, as :data:`LARGEST` says. The axis covers
-    whole decades. Curves without a positive value are reported in words.
-    """
-    drawn, infinite = [], False
-    for values, style in curves:
-        infinite = infinite or not np.isfinite(values).all()
-        shown = positive(np.abs(values))
-        if np.isfinite(shown).any():
-            times, shown = largest_of_pieces(t, shown)
-            axes.plot(times, shown, **style)
-            drawn.append((times, shown))
-    low = min((_usual_low(*part) for part in drawn), default=np.inf)
-    top = max((np.nanmax(shown) for _, shown in drawn), default=0.0)
-    drawn_lines = decades_and_lines(axes, max(low, 1e-100 * top), top, lines)
-    fill_time(axes, t)
-    if not drawn and not drawn_lines:
-        axes.set_yticks([])
-    found = [values for values, _ in curves]
-    zero = bool(found) and all(np.all(values == 0) for values in found)
-    if zero or infinite:
-        text = "zero at all times" if zero else unknown
-        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="0.4")
-
-
-def _usual_low(t: np.ndarray, values: np.ndarray) -> float:
-    """Return a value below which a curve is for a twentieth of the time."""
-    known = np.isfinite(values)
-    order = np.argsort(t[known])
-    even = np.linspace(t[known].min(), t[known].max(), 200)
-    return float(np.quantile(np.interp(even, t[known][order], values[known][order]), 0.05))
-
-
-def decades_and_lines(
-    axes: Axes, low: float, top: float, lines: Sequence[tuple[float, dict[str, Any]]] = ()
-) -> bool:
-    """Make the vertical axis logarithmic, of whole decades, and draw up to two horizontal lines.
-
-    Return whether it has any.
-    """
-    known = [(value, style) for value, style in lines if np.isfinite(value) and value > 0]
-    for side, (value, style) in zip(("left", "right"), known, strict=False):
-        plain = {key: entry for key, entry in style.items() if key != "label"}
-        axes.axhline(value, **plain)
-        axes.annotate(
-            style["label"],
-            (0.01 if side == "left" else 0.99, value),
-            (0, 1.5),
-            xycoords=axes.get_yaxis_transform(),
-            textcoords="offset points",
-            ha=side,
-            va="bottom",
-            fontsize=6,
-            color=style["color"],
-        )
-    axes.set_yscale("log")
-    heights = [value for value in (low, top) if np.isfinite(value) and value > 0]
-    heights += [value for value, _ in known]
-    if heights:
-        bottom, ceiling = np.floor(np.log10(min(heights))), np.ceil(np.log10(4 * max(heights)))
-        if known:  # room for the texts above lines
-            highest = np.log10(max(value for value, _ in known))
-            ceiling = max(ceiling, np.ceil((highest - _TEXT * bottom) / (1 - _TEXT)))
-        axes.set_ylim(*10.0 ** np.array((bottom, ceiling)))
-    axes.yaxis.set_major_locator(LogLocator(numticks=5))
-    axes.yaxis.set_minor_locator(NullLocator())
-    return bool(known)
-
-
 # -- figures ---------------------------------------------------------------------------------------
 
 
@@ -506,10 +371,9 @@ def _draw_space(motion: Motion, names: Sequence[str], ax: Any) -> Any:
             ax = figure.add_subplot(projection="3d")
         notes = in_space(ax, motion, names)
         motion.legend(ax, loc="upper left")
-        if isinstance(figure_of(ax), Figure):
-            motion.color_bar(ax)
         figure = figure_of(ax)
         if isinstance(figure, Figure):
+            motion.color_bar(ax)
             figure.set_caption(motion.caption(*notes), motion.warning)
         return figure
 
@@ -540,12 +404,8 @@ class MotionPanels:
         below = -(-(lower - beside) // 2) if lower > beside else 0
         named = any(motion.labels())
         keys = [0.55 + 0.35 * -(-len(motion.z) // 6)] if named else []
-        heights = (
-            keys
-            + [row] * shown
-            + ([_BESIDE_PORTRAIT] * 2 if H.dof == 1 else [_PLANE])
-            + [_LOWER] * below
-        )
+        planes = [_BESIDE_PORTRAIT] * 2 if H.dof == 1 else [_PLANE]
+        heights = keys + [row] * shown + planes + [_LOWER] * below
         self.notes: list[Any] = []
         if shown < H.dof:
             i = H.dof - 1
@@ -595,8 +455,7 @@ class MotionPanels:
         motion.color_bar(tops)
 
     def _planes(self, left: Axes, right: Axes) -> None:
-        motion = self.motion
-        H = motion.H
+        motion, H = self.motion, self.motion.H
         bodies = _bodies(H)
         if len(bodies) > 1 and len(motion.z) == 1:
             extents = []

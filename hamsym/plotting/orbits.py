@@ -14,13 +14,7 @@ from hamsym.orbits.family import OrbitFamily
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, one_panel
-from hamsym.plotting.motions import (
-    Motion,
-    component_of,
-    draw_motion,
-    in_plane,
-    plane_title,
-)
+from hamsym.plotting.motions import Motion, component_of, draw_motion, in_plane, plane_title
 from hamsym.plotting.names import energy_unit, number, quantity, time_name
 from hamsym.plotting.panels import Panel, draw_panels
 from hamsym.plotting.sampling import resolved
@@ -183,12 +177,7 @@ def _draw_stabilities(
     for kind, mark in zip(kinds, _BIFURCATIONS * len(kinds), strict=False):
         found = [b.orbit for b in family.bifurcations if b.kind == kind]
         own_y = [ordinate(orbit) for orbit in found]
-        style = {
-            "color": "black",
-            "marker": mark,
-            "markersize": 6,
-            "linestyle": "none",
-        }
+        style = {"color": "black", "marker": mark, "markersize": 6, "linestyle": "none"}
         axes.plot([place(orbit) for orbit in found], own_y, **style, label=kind, zorder=4)
     label(axes.xaxis, *words)
 

@@ -17,7 +17,7 @@ from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.fitting.fitted import Fit
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.integrators.integrate import Trajectory
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.orbits.certificate import OrbitCertificate
 from hamsym.orbits.family import OrbitFamily
 from hamsym.orbits.orbit import PeriodicOrbit

@@ -82,13 +82,7 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
 
 
 def _draw_named(
-    axes: Any,
-    section: Section,
-    i: int,
-    j: int,
-    entries: list[str],
-    rising: np.ndarray,
-    size: float,
+    axes: Any, section: Section, i: int, j: int, entries: list[str], rising: np.ndarray, size: float
 ) -> None:
     """Draw the crossings of few trajectories, each with its entry of a legend."""
     numbers = np.unique(section.trajectory)

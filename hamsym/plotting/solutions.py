@@ -12,28 +12,24 @@ from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.plotting.figure import figure_of, label, legend_above, one_panel, require_no_axes
 from hamsym.plotting.motions import (
-    LARGEST,
     Motion,
     MotionPanels,
     chosen_members,
-    component_curves,
     component_of,
-    decades_and_lines,
     draw_motion,
-    fill_time,
-    label_time,
-    log_lines,
     parameters_of,
     varying,
 )
 from hamsym.plotting.names import energy_unit, quantity, time_name
 from hamsym.plotting.sampling import resolved, thinned
-from hamsym.plotting.style import (
-    SAMPLES,
-    WARNING,
-    color_of,
-    style_for,
-    styled,
+from hamsym.plotting.style import SAMPLES, WARNING, color_of, style_for, styled
+from hamsym.plotting.time_axes import (
+    LARGEST,
+    component_curves,
+    decades_and_lines,
+    fill_time,
+    label_time,
+    log_lines,
 )
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.solution import Solution

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from hamsym.errors import InputError
-from hamsym.integrators.integrate import Trajectory
 from hamsym.integrators.interpolation import Interpolant
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.plotting.figure import figure_of, label, one_panel, require_no_axes
 from hamsym.plotting.motions import (
     Motion,
@@ -18,14 +18,13 @@ from hamsym.plotting.motions import (
     chosen_members,
     component_of,
     draw_motion,
-    label_time,
-    log_lines,
     parameters_of,
     varying,
 )
 from hamsym.plotting.names import energy_unit
 from hamsym.plotting.sampling import resolved
 from hamsym.plotting.style import SAMPLES, style_for, styled
+from hamsym.plotting.time_axes import label_time, log_lines
 
 _SAVE_MORE = "Dots: the saved states, which are too far apart for lines between them; save more"
 

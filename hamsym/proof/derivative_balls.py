@@ -28,11 +28,7 @@ _OF_POSITIVE = (
     functions.logarithm,
     functions.general_power,
 )
-_OF_UNIT_INTERVAL = (
-    functions.arcsine,
-    functions.arccosine,
-    functions.inverse_hyperbolic_tangent,
-)
+_OF_UNIT_INTERVAL = (functions.arcsine, functions.arccosine, functions.inverse_hyperbolic_tangent)
 
 
 class _OutsideError(Exception):

@@ -19,10 +19,11 @@ from hamsym.kernel.enclosures import enclosures
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import number_of
+from hamsym.proof.equation import equation_of
 from hamsym.proof.float64_arithmetic import require_float64
 from hamsym.proof.limits import Deadline
+from hamsym.proof.proven_windows import ErrorSet, Window, WindowStepper
 from hamsym.proof.public_check import check_enclosure
-from hamsym.proof.windows import ErrorSet, Window, WindowStepper, equation_of
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.shown import Shown

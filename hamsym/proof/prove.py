@@ -23,9 +23,8 @@ from hamsym.archive import load_solution
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.storage import read_flow_map
-from hamsym.proof.box_certificate import BoxCertificate
-from hamsym.proof.box_proof import certify_box
-from hamsym.proof.box_verification import verify_box
+from hamsym.proof.box_certificate import BoxCertificate, map_digest
+from hamsym.proof.box_proof import certify_box, proven_bound
 from hamsym.proof.certificate import (
     LEAST_RTOL,
     MOST_RTOL,
@@ -51,6 +50,8 @@ _PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE = 60.0, 10.0, 600.0
 # Bounds that are found on another processor, or on windows that end at the edges of a certificate,
 # differ by round-off: by a share of themselves, and by a share of what counts as zero.
 _MARGIN, _MARGIN_OF_FLOOR = 1e-7, 1e-9
+# Most parts of a proof over a box: own, and those that a certificate claims.
+_MOST_PARTS = 4_096, 100_000
 
 
 # -- proving ------------------------------------------------------------------------------------
@@ -290,3 +291,44 @@ def _deadline(time_limit: float | None, seconds: float) -> Deadline:
         f", by default {_PATIENCE:g} s and {_PATIENCE_FACTOR:g} times what certify took, "
         f"at most {_MOST_PATIENCE:g} s,",
     )
+
+
+def verify_box(claims: BoxCertificate, flow: FlowMap, deadline: Deadline) -> None:
+    """Prove a certificate of a flow map again; see :func:`hamsym.verify`."""
+    try:
+        checked = BoxCertificate.from_json(claims.to_json())
+    except (FileError, ValueError, TypeError) as error:
+        raise CertificationError(f"not a valid certificate: {error}") from None
+    if checked != claims:
+        raise CertificationError("not a valid certificate: it is not the one that its text gives")
+    if map_digest(flow) != claims.digest:
+        raise CertificationError(
+            "the certificate does not belong to this flow map (SHA-256 mismatch)"
+        )
+    stated = {
+        "components": tuple(flow.H.names),
+        "fixed": dict(flow.fixed),
+        "expressions": dict(flow.region.expressions),
+        "span": tuple(float(t) for t in flow.span),
+        "formula": flow.H.formulas,
+    }
+    for name, value in stated.items():
+        if getattr(claims, name) != value:
+            raise CertificationError(f"the certificate and the flow map have different {name}")
+    if claims.box.keys() != flow.box.keys():
+        raise CertificationError("the certificate and the flow map have different inputs")
+    for name, (low, high) in flow.box.items():
+        if not low <= claims.box[name][0] < claims.box[name][1] <= high:
+            raise CertificationError(
+                f"the certificate claims {name} from {claims.box[name][0]!r} to "
+                f"{claims.box[name][1]!r}, outside the box of the flow map"
+            )
+    parts = max(_MOST_PARTS[0], min(claims.parts, _MOST_PARTS[1]))
+    _, bound, _ = proven_bound(flow, claims.box, deadline, parts)
+    proven = bound <= np.array(claims.bound)
+    if not proven.all():
+        i = int(np.argmin(proven))
+        raise CertificationError(
+            f"the bound of {claims.components[i]}, {claims.bound[i]!r}, is not proven: the proof "
+            f"gives {float(bound[i])!r}"
+        )

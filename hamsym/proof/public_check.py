@@ -111,12 +111,7 @@ def check_solution(
             allowed[m, n] += moved * np.abs(rates.high).sum(axis=1)
             allowed[m, n] += _ROOM * unit * rounding(solution.trial, k, t)
     require_same(
-        "solution",
-        solution.H.names,
-        (evaluate or solution)(times),
-        found,
-        allowed,
-        _at(times),
+        "solution", solution.H.names, (evaluate or solution)(times), found, allowed, _at(times)
     )
 
 

@@ -154,10 +154,7 @@ class _Nodes:
         inputs = np.stack([grid.ravel() for grid in grids], axis=-1)
         self.count = len(inputs)
         points = np.concatenate(
-            [
-                np.tile(self.times, self.count)[:, None],
-                np.repeat(inputs, _TIMES + 1, axis=0),
-            ],
+            [np.tile(self.times, self.count)[:, None], np.repeat(inputs, _TIMES + 1, axis=0)],
             axis=1,
         )
         # Values of all terms at all points, (inputs, times) in this order.

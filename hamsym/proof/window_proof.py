@@ -1,8 +1,8 @@
 """Two-sided bounds on the error of a trial solution, from enclosures on windows.
 
-On each window of :mod:`hamsym.proof.windows`, z = y + (a set of known size), and z^ is a Chebyshev
-model (:mod:`hamsym.proof.trial_models`). So z^ - y, H(z^) - H and dz^/dt - J grad H(z^) are models,
-too, formed in twice float64: P with |f - P| <= R.
+On each window of :mod:`hamsym.proof.proven_windows`, z = y + (a set of known size), and z^ is a
+Chebyshev model (:mod:`hamsym.proof.trial_models`). So z^ - y, H(z^) - H and dz^/dt - J grad H(z^)
+are models, too, formed in twice float64: P with |f - P| <= R.
 
 *Largest values.* For a polynomial P of degree n < M and the zeros x_j of T_M,
 
@@ -30,10 +30,11 @@ from hamsym.errors import CertificationError
 from hamsym.kernel.enclosures import TINY, UNIT
 from hamsym.proof.balls import SMALLEST, at_least, at_most, number_of, working
 from hamsym.proof.certificate import FLOOR, Certificate
+from hamsym.proof.equation import Equation, equation_of
 from hamsym.proof.limits import Deadline, TimeLimitError
 from hamsym.proof.programs import BITS, ModelRows, Rows
+from hamsym.proof.proven_windows import Window, WindowStepper, set_sizes
 from hamsym.proof.trial_models import Piece, trial_pieces, zero_components
-from hamsym.proof.windows import Equation, Window, WindowStepper, equation_of, set_sizes
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 
@@ -251,12 +252,7 @@ class _Comparison:
     """z^ beside the enclosure of z."""
 
     def __init__(
-        self,
-        equation: Equation,
-        begin: Fraction,
-        direction: int,
-        z0: np.ndarray,
-        samples: int,
+        self, equation: Equation, begin: Fraction, direction: int, z0: np.ndarray, samples: int
     ) -> None:
         self._equation, self._samples = equation, samples
         self._begin, self._direction = begin, direction
@@ -328,10 +324,7 @@ class _Comparison:
         return uppers, lowers, scale
 
     def _energy_of(
-        self,
-        state: Rows,
-        centre: tuple[float, float, float],
-        slope: tuple[float, float, float],
+        self, state: Rows, centre: tuple[float, float, float], slope: tuple[float, float, float]
     ) -> Rows:
         rows = self._energy
         rows.set_models(0, state)

@@ -13,8 +13,8 @@ import hamsym
 from hamsym.description import attributes_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.integrators.integrate import Trajectory, usable_method, usual_method
-from hamsym.integrators.table import INTEGRATORS
+from hamsym.integrators.table import INTEGRATORS, usable_method, usual_method
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.solution.solution import Solution
 from hamsym.study.matching import Match, find_match, run, trajectory
 from hamsym.study.references import SAMPLES, ReferenceSolution, largest, reference_for
@@ -307,9 +307,7 @@ def chosen_methods(H: Hamiltonian, methods: str | Sequence[str] | None = None) -
 
 
 def measure(
-    solution: Solution,
-    truth: Callable[[np.ndarray], np.ndarray],
-    label: str = "network",
+    solution: Solution, truth: Callable[[np.ndarray], np.ndarray], label: str = "network"
 ) -> Row:
     """Return the errors of a solution against an exact one or a reference, at 4,001 times.
 

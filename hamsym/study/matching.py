@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from hamsym.errors import StepSizeWarning
-from hamsym.integrators.integrate import Trajectory, integrate
+from hamsym.integrators.integrate import integrate
 from hamsym.integrators.table import INTEGRATORS
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.solution.solution import Solution
 from hamsym.study.references import SAMPLES, ReferenceSolution, largest
 

@@ -295,13 +295,7 @@ def sweep(
         if settings is not None or folder is not None or store is None:
             raise InputError("a sweep over a grid has a store, and no settings or folder")
         return sweep_to_store(
-            H,
-            z0,
-            span,
-            over,
-            task,
-            store,
-            options,
+            *(H, z0, span, over, task, store, options),
             chunk=chunk,
             progress=progress,
             client=client,

@@ -69,10 +69,7 @@ def evolution(
 
 
 def variational_equations(
-    generator: sympy.Matrix,
-    names: Sequence[str],
-    time: sympy.Symbol,
-    taken: Iterable[str],
+    generator: sympy.Matrix, names: Sequence[str], time: sympy.Symbol, taken: Iterable[str]
 ) -> list[sympy.Eq]:
     """Linear equations d(delta)/dt = A(z) delta of a small deviation delta.
 

@@ -164,9 +164,7 @@ def gradient(
 
 
 def hessian(
-    first: Sequence[sympy.Expr],
-    variables: Sequence[sympy.Symbol],
-    effort: Effort | None = None,
+    first: Sequence[sympy.Expr], variables: Sequence[sympy.Symbol], effort: Effort | None = None
 ) -> dict[tuple[int, int], sympy.Expr]:
     """Compute nonzero second derivatives by (i, j), both triangles, from the first ones."""
     position = {variable: i for i, variable in enumerate(variables)}

@@ -12,7 +12,6 @@ from hamsym.support.shown import Shown
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.checks import real_symbols
 from hamsym.symbolic.exact import ExactDerivatives
-from hamsym.symbolic.formulas import aligned
 
 
 class Equations(Shown):
@@ -272,3 +271,23 @@ class Equations(Shown):
 def free_symbols(formulas: Iterable[sympy.Expr]) -> set[sympy.Symbol]:
     """Symbols that occur in formulas."""
     return {symbol for formula in formulas for symbol in formula.free_symbols}
+
+
+class Formulas(Shown, list[sympy.Eq]):
+    """A list of equations, one below the other in notebooks.
+
+    Examples
+    --------
+    >>> x, p = sympy.symbols("x p")
+    >>> print(Formulas([sympy.Eq(x, p)])._repr_latex_())
+    $\\displaystyle \\begin{aligned}x &= p\\end{aligned}$
+    """
+
+    def _repr_latex_(self) -> str:
+        return aligned((sympy.latex(each.lhs), each.rhs) for each in self)
+
+
+def aligned(equations: Iterable[tuple[str, sympy.Expr]]) -> str:
+    """Return pairs of a left side in LaTeX and an expression as lines in MathJax."""
+    lines = r" \\ ".join(f"{left} &= {sympy.latex(right)}" for left, right in equations)
+    return rf"$\displaystyle \begin{{aligned}}{lines}\end{{aligned}}$"

@@ -18,10 +18,7 @@ from hamsym.symbolic.exact import fraction
 
 _MOST_MULTIPLE = 24  # of an angle or an exponent
 _MOST_EXPANDED = 20_000  # terms of a rewritten formula
-_FREE = (
-    *(sympy.erf, sympy.asin, sympy.acos, sympy.atan),
-    *(sympy.asinh, sympy.acosh, sympy.atanh),
-)
+_FREE = (*(sympy.erf, sympy.asin, sympy.acos, sympy.atan), *(sympy.asinh, sympy.acosh, sympy.atanh))
 _HYPERBOLIC = (sympy.sinh, sympy.cosh, sympy.tanh, sympy.coth)
 
 
@@ -63,10 +60,7 @@ class Generators:
     """
 
     def __init__(
-        self,
-        z: Sequence[sympy.Symbol],
-        time: sympy.Symbol | None,
-        formulas: Iterable[sympy.Expr],
+        self, z: Sequence[sympy.Symbol], time: sympy.Symbol | None, formulas: Iterable[sympy.Expr]
     ) -> None:
         wanted = list(formulas)
         self._units: dict[sympy.Expr, int] = {}

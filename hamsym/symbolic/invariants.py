@@ -27,7 +27,9 @@ from sympy.polys.rings import PolyElement
 from hamsym.errors import InputError
 from hamsym.formula.effort_limit import CallLimitExceededError, call_limit
 from hamsym.formula.printer import FormulaPrinter
+from hamsym.symbolic import brackets, derivatives
 from hamsym.symbolic.differential_ring import PRIME, DifferentialRing
+from hamsym.symbolic.equations import Equations
 from hamsym.symbolic.exact import rational
 from hamsym.symbolic.generators import UnsupportedFunctionError
 from hamsym.symbolic.invariant import Invariant
@@ -60,6 +62,32 @@ def is_proven(
     except UnsupportedFunctionError:
         return False
     return known.vanishes(known.rate(known[f]))
+
+
+def is_conserved(
+    f: sympy.Expr, equations: Equations, time: sympy.Symbol | None, every: Sequence[str] = ()
+) -> bool:
+    """Whether f is constant along every trajectory: {f, H} + F . df/dp + df/dt = 0.
+
+    - f, time: In real symbols; the time must be given if f or H contains it.
+    - every: Parameters for all values of which that must hold, not only for those they have.
+    """
+    values = {
+        symbol: rational(value)
+        for name, (symbol, value) in equations.parameters.items()
+        if value is not None and name not in every
+    }
+    # Without the values first: their fractions are long.
+    for given in ({}, values) if values else ({},):
+        own, H, *forces = (e.xreplace(given) for e in (f, *equations.formulas))
+        rate = brackets.evolution(own, H, equations.z, time, forces)
+        # Points first: most functions are not conserved. Sympy's simplification last: it is slow,
+        # and it is needed for functions without exact rules only.
+        if derivatives.is_zero_at_random_points(rate) and (
+            (not forces and is_proven(own, H, equations.z, time)) or derivatives.vanishes(rate)
+        ):
+            return True
+    return False
 
 
 def suggested_basis(H: sympy.Expr, z: Sequence[sympy.Symbol]) -> list[sympy.Expr]:

@@ -260,10 +260,7 @@ class _Transform:
         return True
 
     def _inverted(
-        self,
-        block: list[sympy.Symbol],
-        matrix: Matrix,
-        shifted: Mapping[sympy.Symbol, sympy.Expr],
+        self, block: list[sympy.Symbol], matrix: Matrix, shifted: Mapping[sympy.Symbol, sympy.Expr]
     ) -> sympy.Expr:
         """Half the inverse quadratic form of a whole block, over one denominator."""
         rows = [[matrix.get((i, j), sympy.S.Zero) for j in block] for i in block]

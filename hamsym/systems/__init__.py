@@ -23,13 +23,7 @@ from hamsym.systems.chains import (
     fermi_pasta_ulam_tsingou,
     toda_chain,
 )
-from hamsym.systems.charges import (
-    charged_particle,
-    paul_trap,
-    penning_trap,
-    stormer,
-    two_waves,
-)
+from hamsym.systems.charges import charged_particle, paul_trap, penning_trap, stormer, two_waves
 from hamsym.systems.fluids import bickley_jet, point_vortices
 from hamsym.systems.lattices import ablowitz_ladik, discrete_nls
 from hamsym.systems.molecules import argon_crystal, lennard_jones
@@ -41,12 +35,7 @@ from hamsym.systems.oscillators import (
     morse_oscillator,
     nonlinear_oscillator,
 )
-from hamsym.systems.pendulums import (
-    double_pendulum,
-    pendulum,
-    spring_pendulum,
-    swinging_atwood,
-)
+from hamsym.systems.pendulums import double_pendulum, pendulum, spring_pendulum, swinging_atwood
 from hamsym.systems.tops import kovalevskaya_top, lagrange_top
 
 __all__ = [

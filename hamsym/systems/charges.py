@@ -202,9 +202,7 @@ def stormer() -> Problem:
     """
     return Problem(
         "Stormer problem",
-        Hamiltonian(
-            "(p_rho**2 + p_z**2)/2 + (1/rho - rho/(rho**2 + z**2)**(3/2))**2/2",
-        ),
+        Hamiltonian("(p_rho**2 + p_z**2)/2 + (1/rho - rho/(rho**2 + z**2)**(3/2))**2/2"),
         (1.0, 0.0, 0.05, 0.15),
         (0.0, 40.0),
         "Stormer 1907; Dragt 1965; start chosen here",

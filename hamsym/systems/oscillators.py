@@ -239,8 +239,7 @@ def driven_duffing(force: float = 0.3, drive: float = 1.0) -> Problem:
     return Problem(
         "driven Duffing oscillator",
         Hamiltonian(
-            "p**2/2 - x**2/2 + x**4/4 - F*x*cos(Omega*t)",
-            parameters={"F": force, "Omega": drive},
+            "p**2/2 - x**2/2 + x**4/4 - F*x*cos(Omega*t)", parameters={"F": force, "Omega": drive}
         ),
         (1.0, 0.0),
         (0.0, 30.0),

@@ -93,8 +93,7 @@ def swinging_atwood(ratio: float = 3.0) -> Problem:
     if not ratio > 1:
         raise InputError(f"ratio={ratio!r} cannot be used; give a number above 1")
     H = Hamiltonian(
-        "p_r**2/(2*(1 + mu)) + p_theta**2/(2*r**2) + r*(mu - cos(theta))",
-        parameters={"mu": ratio},
+        "p_r**2/(2*(1 + mu)) + p_theta**2/(2*r**2) + r*(mu - cos(theta))", parameters={"mu": ratio}
     )
     integral = (
         "p_r*p_theta*cos(theta/2)/4 - p_theta**2*sin(theta/2)/(2*r)"

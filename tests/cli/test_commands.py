@@ -17,7 +17,7 @@ import hamsym
 from hamsym import Certificate, Hamiltonian
 from hamsym.cli.commands import main
 from hamsym.codegen.backends import BACKENDS
-from hamsym.integrators import fixed_step
+from hamsym.integrators import stepper
 from hamsym.integrators.table import listing
 from hamsym.methods import METHODS
 
@@ -469,7 +469,7 @@ def test_refused_proof_exits_with_1(capsys: Captured, tmp_path: Path) -> None:
 
 
 def test_ctrl_c_prints_partial_result(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
-    original, calls = fixed_step.Stepper._run, []
+    original, calls = stepper.Stepper._run, []
 
     def interrupted(self: object, *arguments: object) -> object:
         calls.append(1)
@@ -477,8 +477,8 @@ def test_ctrl_c_prints_partial_result(capsys: Captured, monkeypatch: pytest.Monk
             raise KeyboardInterrupt
         return original(self, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(fixed_step, "_PIECE_WORK", 1_000)
-    monkeypatch.setattr(fixed_step.Stepper, "_run", interrupted)
+    monkeypatch.setattr(stepper, "_PIECE_WORK", 1_000)
+    monkeypatch.setattr(stepper.Stepper, "_run", interrupted)
     arguments = [OSCILLATOR, "--z0", "1.3,1", "--t-end", "10", "--steps", "5000"]
     status, out, _ = run(capsys, "integrate", *arguments, "--method", "symplectic_euler")
     assert status == 1

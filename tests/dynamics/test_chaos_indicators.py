@@ -13,7 +13,7 @@ import scipy.linalg
 import hamsym
 from hamsym import ChaosIndicators, Hamiltonian, InputError
 from hamsym.dynamics.growth import first_vectors
-from hamsym.integrators.fixed_step import Stepper
+from hamsym.integrators.stepper import Stepper
 from hamsym.systems import henon_heiles, pendulum
 
 from .linear_systems import linear, saddle

@@ -11,9 +11,9 @@ import scipy.integrate
 
 import hamsym
 from hamsym import Hamiltonian, InputError
-from hamsym.dynamics import sections
+from hamsym.dynamics import crossings
 from hamsym.errors import EventWarning, StepSizeWarning
-from hamsym.integrators import fixed_step
+from hamsym.integrators import stepper
 from hamsym.numerics.roots import refine, sign_changes
 from hamsym.surface import parse_surface
 from hamsym.systems import driven_oscillator, harmonic_oscillator, henon_heiles, kepler
@@ -567,17 +567,17 @@ def test_zero_at_start_is_not_an_event() -> None:
 def test_ctrl_c_keeps_earlier_crossings(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = harmonic_oscillator()
     full = hamsym.section(problem.H, problem.z0, (0, 100), "x = 0", dt=0.1)
-    monkeypatch.setattr(sections, "_HELD", 400)
+    monkeypatch.setattr(crossings, "_HELD", 400)
     calls = []
-    original = fixed_step.Stepper.step
+    original = stepper.Stepper.step
 
-    def interrupted(self: fixed_step.Stepper, count: int) -> np.ndarray:
+    def interrupted(self: stepper.Stepper, count: int) -> np.ndarray:
         calls.append(1)
         if len(calls) > 30:  # in the midst of locating a crossing
             raise KeyboardInterrupt
         return original(self, count)
 
-    monkeypatch.setattr(fixed_step.Stepper, "step", interrupted)
+    monkeypatch.setattr(stepper.Stepper, "step", interrupted)
     found = hamsym.section(problem.H, problem.z0, (0, 100), "x = 0", dt=0.1)
     assert not found.success
     assert found.message.endswith("interrupted")

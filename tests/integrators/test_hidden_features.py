@@ -8,7 +8,7 @@ import pytest
 import hamsym
 from hamsym import Hamiltonian
 from hamsym.errors import StepSizeWarning
-from hamsym.integrators import tolerance
+from hamsym.integrators import compared_runs
 from hamsym.integrators.hidden_features import HiddenFeatures, _hermite_fit, hidden_features
 
 OSCILLATOR = "p**2/2 + x**2/2 - x*"
@@ -95,7 +95,7 @@ def test_pulse_is_refused_with_a_tolerance(name: str) -> None:
 
 @pytest.mark.slow
 def test_tolerance_needs_no_place_from_the_formula(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tolerance, "narrow_features", lambda _: None)
+    monkeypatch.setattr(compared_runs, "narrow_features", lambda _: None)
     H = OSCILLATOR + PULSES["one of few floats"]
     found = hamsym.integrate(H, [1.0, 0.0], (0, 10), tol=1e-4)
     assert found.success is False

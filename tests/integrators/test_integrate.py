@@ -16,11 +16,11 @@ import scipy.optimize
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import SeparabilityError, StepSizeWarning
-from hamsym.integrators import fixed_step
+from hamsym.integrators import stepper
 from hamsym.integrators.adaptive import reference
 from hamsym.integrators.coefficients import Doubled, Splitting
 from hamsym.integrators.energy_drift import EnergyDrift
-from hamsym.integrators.integrate import fixed_step as stepper_of
+from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import ALIASES, INTEGRATORS, listing
 from hamsym.systems import (
     CATALOGUE,
@@ -160,7 +160,7 @@ def step_map(problem: Problem, method: str, h: float) -> tuple[np.ndarray, np.nd
     dim = problem.H.dim
     width = 2 * dim if isinstance(INTEGRATORS[method].scheme, Doubled) else dim
     z0 = np.array(problem.z0) + 0.05 * np.arange(dim)
-    stepper = stepper_of(
+    stepper = Stepper(
         problem.H,
         method,
         z0[None],
@@ -207,7 +207,7 @@ def test_tangent_map_is_symplectic_and_the_derivative(system: str, method: str) 
 def test_symmetric_methods_return_to_the_start(system: str, method: str) -> None:
     problem = PROBLEMS[system]()
     start = np.array([problem.z0])
-    stepper = stepper_of(problem.H, method, start, np.array([0.0]), np.array([0.05]))
+    stepper = Stepper(problem.H, method, start, np.array([0.0]), np.array([0.05]))
     stepper.advance(1, 100)
     moved = np.abs(stepper.states - start).max()
     stepper.turn_back()
@@ -390,8 +390,8 @@ def test_ensembles_are_many_trajectories(
     many = hamsym.integrate(problem.H, starts, (0, 3), method, steps=60, save_every=20, **options)
     assert many.z.shape == (70, 4, problem.H.dim)
     assert many.energy.shape == (70, 4)
-    monkeypatch.setattr(fixed_step, "_PIECE_WORK", 1_000)
-    monkeypatch.setattr(fixed_step, "_MIN_THREADED_WORK", 0)
+    monkeypatch.setattr(stepper, "_PIECE_WORK", 1_000)
+    monkeypatch.setattr(stepper, "_MIN_THREADED_WORK", 0)
     pieces = hamsym.integrate(problem.H, starts, (0, 3), method, steps=60, save_every=20, **options)
     np.testing.assert_array_equal(pieces.z, many.z)
     for i in (0, 64, 69):
@@ -415,7 +415,7 @@ def test_tangents_of_ensembles_are_those_of_each(system: str, method: str) -> No
     def run(rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray]:
         start, size = np.full(len(states[rows]), 0.2), np.full(len(states[rows]), 0.05)
         tangents = np.array(vectors[rows, :, columns], order="C")
-        stepper = stepper_of(problem.H, method, states[rows], start, size, tangents=tangents)
+        stepper = Stepper(problem.H, method, states[rows], start, size, tangents=tangents)
         return stepper.advance(5, 4).states, tangents
 
     both, one = run(slice(None), slice(None)), run(slice(None), slice(1))
@@ -451,7 +451,7 @@ def test_each_trajectory_has_its_parameters(
 
     def run(H: Hamiltonian, rows: slice, parameters: np.ndarray | None) -> np.ndarray:
         number = len(states[rows])
-        stepper = stepper_of(
+        stepper = Stepper(
             H,
             method,
             states[rows],
@@ -556,16 +556,16 @@ def sigint_handled() -> Iterator[None]:
 def test_ctrl_c_keeps_earlier_states(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = nonlinear_oscillator()
     hamsym.integrate(problem.H, problem.z0, (0, 1), "symplectic_euler")  # compiled
-    monkeypatch.setattr(fixed_step, "_PIECE_WORK", 100_000)
-    original = fixed_step.Stepper._run
+    monkeypatch.setattr(stepper, "_PIECE_WORK", 100_000)
+    original = stepper.Stepper._run
 
-    def with_a_signal(self: fixed_step.Stepper, *arguments: object) -> np.ndarray:
+    def with_a_signal(self: stepper.Stepper, *arguments: object) -> np.ndarray:
         out = original(self, *arguments)  # type: ignore[arg-type]
         if self._first >= 300_000:
             signal.raise_signal(signal.SIGINT)
         return out
 
-    monkeypatch.setattr(fixed_step.Stepper, "_run", with_a_signal)
+    monkeypatch.setattr(stepper.Stepper, "_run", with_a_signal)
     found = hamsym.integrate(
         problem.H, problem.z0, (0, 1e6), "symplectic_euler", steps=10**7, save_every=10**5
     )
@@ -773,15 +773,15 @@ def test_escape_ends_the_choice_of_steps() -> None:
 
 @pytest.mark.usefixtures("sigint_handled")
 def test_ctrl_c_ends_the_choice_of_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    original, calls = fixed_step.Stepper._run, []
+    original, calls = stepper.Stepper._run, []
 
-    def with_a_signal(self: fixed_step.Stepper, *arguments: object) -> np.ndarray:
+    def with_a_signal(self: stepper.Stepper, *arguments: object) -> np.ndarray:
         calls.append(1)
         if len(calls) == 2:
             signal.raise_signal(signal.SIGINT)
         return original(self, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(fixed_step.Stepper, "_run", with_a_signal)
+    monkeypatch.setattr(stepper.Stepper, "_run", with_a_signal)
     # From the apocentre, where the motion is slow.
     found = hamsym.integrate(PLANE_KEPLER, [1.9, 0, 0, 0.23], (0, 30))
     assert found.interrupted
@@ -873,6 +873,13 @@ def test_ctrl_c_in_adaptive_method_keeps_the_start(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.slow
+def test_states_fit_into_the_memory_of_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a container, which has less than its machine."""
+    monkeypatch.setattr(stepper, "memory_size", lambda: 1e5)
+    with pytest.raises(InputError, match="more than half of the memory of"):
+        hamsym.integrate("p**2/2 + x**2/2", [1.0, 0.0], (0, 1), "gauss4", steps=10_000)
+
+
 def test_non_finite_hessian_requires_omega() -> None:
     H = Hamiltonian("p**2/2 + abs(x)**1.5")
     with pytest.raises(InputError, match="the Hessian of H is not finite at z0; give omega"):

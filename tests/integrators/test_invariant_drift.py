@@ -7,8 +7,8 @@ import pytest
 
 import hamsym
 from hamsym.errors import InputError, StepSizeWarning
-from hamsym.integrators import integrate as module
-from hamsym.integrators.tolerance import ToleranceSearch, Tolerated
+from hamsym.integrators.to_tolerance import ToleranceSearch
+from hamsym.integrators.trajectory import Tolerated
 
 KEPLER = "(p_x**2 + p_y**2)/2 - k/sqrt(x**2 + y**2)"
 MOMENTUM = "x*p_y - y*p_x"
@@ -38,14 +38,14 @@ def test_drifts_of_an_ensemble_are_those_of_its_states() -> None:
 
 
 def test_a_wrong_trajectory_fails_and_the_other_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    true = module.ToleranceSearch.run
+    true = ToleranceSearch.run
 
     def wrong(search: ToleranceSearch, progress: bool | None) -> Tolerated:
         found = true(search, progress)
         found.z[1, 50:, 3] *= 1 + 1e-5
         return found
 
-    monkeypatch.setattr(module.ToleranceSearch, "run", wrong)
+    monkeypatch.setattr(ToleranceSearch, "run", wrong)
     options = {"tol": 1e-8, "parameters": {"k": 1.0}}
     assert hamsym.integrate(KEPLER, STARTS, (0, 10), **options).success.all()  # type: ignore[arg-type, union-attr]
     found = hamsym.integrate(KEPLER, STARTS, (0, 10), invariants=[MOMENTUM], **options)  # type: ignore[arg-type]

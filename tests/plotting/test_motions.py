@@ -14,8 +14,9 @@ import hamsym
 from hamsym.errors import InputError
 from hamsym.plotting import sampling
 from hamsym.plotting.figure import Figure
-from hamsym.plotting.motions import MAX_DRAWN, largest_of_pieces, plane_title, same_scale
+from hamsym.plotting.motions import MAX_DRAWN, plane_title, same_scale
 from hamsym.plotting.style import COLORS
+from hamsym.plotting.time_axes import largest_of_pieces
 from tests.plotting.inspection import check_layout
 
 PENDULUM = "p**2/2 - cos(theta)"

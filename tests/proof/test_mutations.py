@@ -25,8 +25,9 @@ import numpy as np
 import pytest
 
 import hamsym.proof.enclose
+import hamsym.proof.guessed_windows
 import hamsym.proof.programs
-import hamsym.proof.windows
+import hamsym.proof.proven_windows
 from hamsym.kernel import build_backend
 from hamsym.kernel.enclosures import Enclosures, enclosures
 from hamsym.kernel.library import chosen_level
@@ -544,7 +545,8 @@ _NO_POLYNOMIAL = ("sizes[i] = up(error + total)", "sizes[i] = up(error)")
 
 
 def enclosed_misses(L: Any, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    for module in (hamsym.proof.windows, hamsym.proof.enclose, hamsym.proof.programs):
+    own = hamsym.proof.guessed_windows, hamsym.proof.proven_windows
+    for module in (*own, hamsym.proof.enclose, hamsym.proof.programs):
         monkeypatch.setattr(module, "enclosures", lambda: L)
     found = []
     for name in ("pendulum", "morse", "henon_heiles"):

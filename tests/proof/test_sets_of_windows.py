@@ -10,9 +10,10 @@ from flint import arb
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel.enclosures import enclosures
 from hamsym.proof.balls import working
-from hamsym.proof.limits import Deadline
+from hamsym.proof.equation import Equation
+from hamsym.proof.guessed_windows import WindowGuess
 from hamsym.proof.programs import ModelRows
-from hamsym.proof.windows import Equation, ErrorSet, WindowStepper, set_sizes
+from hamsym.proof.proven_windows import ErrorSet, set_sizes
 from tests.proof.misses import TERMS, exact_polynomials
 
 _BITS = 300
@@ -142,15 +143,12 @@ def test_sizes_over_a_window_bound_the_exact_values():
 def test_polynomial_from_its_start_has_normal_low_parts():
     """Bounds of products leave out those of two low parts, which only small ones allow."""
     equation = Equation(Hamiltonian("p**2/2 + x**2/2"))
-    stepper = WindowStepper(
-        *(equation, Fraction(0), 1, Fraction(1), np.array([0.0, 1.0]), np.zeros(2), 1e-20),
-        Deadline.after(None),
-    )
+    guess = WindowGuess(equation, 1, np.array([0.0, 1.0]), 1e-20, 32)
     models = ModelRows(equation.rates, 32)
     for high, low in ((1.0, 1e-17), (1.0, -1.1e-16), (1e-30, 1e-47), (0.0, 0.0), (3.0, 2e-16)):
         models.high[:2], models.low[:2] = 0.0, 0.0
         models.high[:2, 0], models.low[:2, 0] = high, low
-        stepper._start(models)
+        guess.start(models)
         starts = [Fraction(models.high[i, 0]) + Fraction(models.low[i, 0]) for i in range(2)]
         assert abs(starts[0]) < 1e-15
         assert abs(starts[1] - 1) < 1e-15

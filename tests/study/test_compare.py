@@ -13,7 +13,7 @@ import pytest
 import hamsym
 from hamsym import Comparison, Solution
 from hamsym.errors import InputError
-from hamsym.integrators import fixed_step
+from hamsym.integrators import stepper
 from hamsym.study.compare import chosen_methods
 from hamsym.study.matching import Match, ReferenceSolution, run
 from hamsym.systems import (
@@ -188,15 +188,15 @@ def test_comparison_independent_of_units() -> None:
 def test_ctrl_c_ends_a_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = harmonic_oscillator()
     solution = hamsym.solve(problem.H, problem.z0, (0, 5), tol=1e-6)
-    original, calls = fixed_step.Stepper._run, []
+    original, calls = stepper.Stepper._run, []
 
-    def interrupted(self: fixed_step.Stepper, *arguments: object) -> np.ndarray:
+    def interrupted(self: stepper.Stepper, *arguments: object) -> np.ndarray:
         calls.append(1)
         if len(calls) == 3:
             raise KeyboardInterrupt
         return original(self, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(fixed_step.Stepper, "_run", interrupted)
+    monkeypatch.setattr(stepper.Stepper, "_run", interrupted)
     with pytest.raises(KeyboardInterrupt):
         hamsym.compare(solution, "yoshida4")
     assert len(calls) == 3

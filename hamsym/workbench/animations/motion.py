@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.integrators.integrate import Trajectory
+from hamsym.integrators.trajectory import Trajectory
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.solution.solution import Solution
 

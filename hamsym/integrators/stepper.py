@@ -1,7 +1,7 @@
 """Fixed-step integration with the generated loops, for one trajectory or an ensemble.
 
-Input:  a Hamiltonian, a scheme of :mod:`hamsym.integrators.coefficients`, states of shape (n, dim)
-        and the parameter values of each.
+Input:  a Hamiltonian, a method with fixed steps, states of shape (n, dim) and the parameter values
+        of each.
 Output: states of shape (n, 1 + saves, dim), and the number of steps of each trajectory.
 
 The work is divided into pieces of about a tenth of a second, so that progress can be shown and an
@@ -11,6 +11,7 @@ results are bit-identical for every division.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -18,16 +19,25 @@ from typing import Any
 
 import numpy as np
 
+from hamsym.ensemble import Ensemble
+from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.integrators.adaptive import Adaptive
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
+from hamsym.integrators.linear_motion import fastest_rates
+from hamsym.integrators.table import INTEGRATORS, usable_method
 from hamsym.support.cores import available_cores
+from hamsym.support.memory import memory_size
 from hamsym.support.progress import stepping_progress
+from hamsym.support.validation import require_number
 
-#: Splitting methods that also have a loop with an implicit half, for a non-separable H.
-NOT_ONLY_SEPARABLE = ("symplectic_euler", "symplectic_euler_p")
+#: Reason of an early end by Ctrl-C.
+INTERRUPTED = "interrupted"
 
-# Component updates in a piece, and the number from which a second core is used.
-_PIECE_WORK, _MIN_THREADED_WORK = 20_000_000, 200_000
+# Component updates in a piece: about a tenth of a second of the loops.
+_PIECE_WORK = 20_000_000
+# Component updates in all steps from which a second thread gains more than it costs to start.
+_MIN_THREADED_WORK = 200_000
 # Trajectories from which the loop that applies each flow to a block of them is faster.
 _MIN_ENSEMBLE = 4
 
@@ -55,33 +65,38 @@ class Stepping:
 class Stepper:
     """Fixed-step integrator of an ensemble; it keeps the states between calls.
 
-    - name: Name of the method; for a non-separable H a splitting scheme must be one of
-      :data:`NOT_ONLY_SEPARABLE`.
+    Raise InputError if the method is unknown, adaptive, or does not apply to this H.
+
     - states: Shape (n, dim).
     - starts, sizes: First time and step size of each trajectory, shape (n,).
-    - parameters: Values of each trajectory in the order of ``H.parameter_names``, shape (n, k).
+    - parameters: Values of each trajectory in the order of ``H.parameter_names``, shape (n, k), by
+      default those of H.
     - compensated: Whether to use compensated summation.
     - tangents: Tangent vectors, propagated in place by the derivative of the steps, shape (n,
       width, k); width is dim, or 2 dim for a :class:`Doubled` scheme.
-    - omega: Coupling of a :class:`Doubled` scheme.
+    - omega: Coupling of a :class:`Doubled` scheme; by default from the rates at the states.
     """
 
     def __init__(
         self,
         H: Hamiltonian,
-        scheme: Scheme,
-        name: str,
+        method: str,
         states: np.ndarray,
         starts: np.ndarray,
         sizes: np.ndarray,
-        parameters: np.ndarray,
         *,
+        parameters: np.ndarray | None = None,
         compensated: bool = False,
         tangents: np.ndarray | None = None,
-        omega: float = 0.0,
+        omega: float | None = None,
     ) -> None:
+        name = usable_method(H, method)
+        scheme = INTEGRATORS[name].scheme
+        if isinstance(scheme, Adaptive):
+            fixed = ", ".join(key for key, row in INTEGRATORS.items() if not row.adaptive)
+            raise InputError(f"{method} is adaptive; give a method with fixed steps: {fixed}")
         count, self._dim = states.shape
-        self.scheme = scheme
+        self.scheme: Scheme = scheme
         loop = _loop(H, scheme, count, 0 if tangents is None else tangents.shape[2])
         self._loop = H.kernels.function(loop)
         self._states = np.zeros((count, scheme.width(self._dim)))
@@ -93,6 +108,9 @@ class Stepper:
         self.tangents = np.zeros((count, 1, 0)) if tangents is None else tangents
         self._done = np.zeros((count, 2), dtype=np.int64)
         self._starts, self._sizes = np.ascontiguousarray(starts), np.ascontiguousarray(sizes)
+        if parameters is None:
+            values = [H.parameters[name] for name in H.parameter_names]
+            parameters = np.tile(np.array(values, dtype=float), (count, 1))
         self._parameters = np.ascontiguousarray(parameters)
         self._first = 0
         implicit_euler = isinstance(scheme, Splitting) and not H.is_separable
@@ -102,7 +120,7 @@ class Stepper:
             [name == "symplectic_euler"] if implicit_euler else [*scheme.arrays]
         )
         if isinstance(scheme, Doubled):
-            self._constants.append(float(omega))
+            self._constants.append(_coupling(H, states, starts, parameters, omega))
 
     @property
     def states(self) -> np.ndarray:
@@ -122,12 +140,7 @@ class Stepper:
         return np.array(self.states)
 
     def advance(
-        self,
-        saves: int,
-        save_every: int = 1,
-        *,
-        show: bool | None = None,
-        cores: int | None = None,
+        self, saves: int, save_every: int = 1, *, show: bool | None = None, cores: int | None = None
     ) -> Stepping:
         """Do saves*save_every steps and return the states after every save_every steps.
 
@@ -217,6 +230,23 @@ class Stepper:
             self._states[self._done[:, 0] - before < saves * every] = np.nan
 
 
+def _coupling(
+    H: Hamiltonian,
+    states: np.ndarray,
+    starts: np.ndarray,
+    parameters: np.ndarray,
+    omega: float | None,
+) -> float:
+    """Check the coupling of a doubled phase space, or choose it."""
+    if omega is not None:
+        require_number("omega", omega, 0)
+        return float(omega)
+    rate = float(fastest_rates(H, states, starts, parameters).max())
+    if not math.isfinite(rate):
+        raise InputError("the Hessian of H is not finite at z0; give omega")
+    return 2 * rate if rate > 0 else 1.0
+
+
 def _loop(H: Hamiltonian, scheme: Scheme, count: int, vectors: int) -> str:
     """Name of the generated loop for a scheme and a number of tangent vectors."""
     if isinstance(scheme, RungeKutta):
@@ -244,3 +274,69 @@ def _pieces(saves: int, save_every: int, piece: int) -> Iterator[tuple[int, int,
     for save in range(saves):
         for step in range(0, save_every, piece):
             yield save, 1, min(piece, save_every - step)
+
+
+# -- runs over a span ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Run:
+    """States of an ensemble over a whole span."""
+
+    #: Equally spaced, shape (n,); a run with twice the steps has these times among its own.
+    times: np.ndarray
+    #: States, shape (count, n, dim); nan after the end of a trajectory.
+    z: np.ndarray
+    interrupted: bool
+    evaluations: int
+    #: Reason for an early stop, or "".
+    problem: str
+
+
+def run_steps(
+    members: Ensemble,
+    method: str,
+    span: tuple[float, float],
+    steps: int,
+    save_every: int,
+    *,
+    compensated: bool = False,
+    omega: float | None = None,
+    progress: bool | None = None,
+) -> Run:
+    """Integrate an ensemble with equal steps.
+
+    Raise InputError if the states do not fit into memory, or as :class:`Stepper`.
+    """
+    saves, (start, end), count = steps // save_every, span, len(members)
+    require_memory(saves, members)
+    stepper = Stepper(
+        members.H,
+        method,
+        members.states,
+        np.full(count, start),
+        np.full(count, (end - start) / steps),
+        compensated=compensated,
+        omega=omega,
+        parameters=members.parameters,
+    )
+    done = stepper.advance(saves, save_every, show=progress)
+    problem = ""
+    if done.interrupted:
+        problem = INTERRUPTED
+    elif stepper.is_implicit and done.steps.min() < steps:
+        problem = "the implicit step could not be solved; take more steps"
+    times = np.linspace(start, end, saves + 1)
+    return Run(times, done.path, done.interrupted, done.evaluations, problem)
+
+
+def require_memory(saves: int, members: Ensemble) -> None:
+    """Raise InputError if saved states and their energies need more than half of the memory."""
+    count, there = len(members), memory_size()
+    wanted = (saves + 1) * (members.H.dim + 1) * 8 * count
+    if wanted > there / 2:
+        states = f"{saves:,} states" + (f" of {count:,} trajectories" if count > 1 else "")
+        raise InputError(
+            f"{states} need {wanted / 2**30:.1f} GiB, more than half of the memory of "
+            f"{there / 2**30:.1f} GiB; save fewer with a larger save_every"
+        )

@@ -14,8 +14,9 @@ import scipy.special
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import StepSizeWarning
-from hamsym.integrators import tolerance
+from hamsym.integrators import to_tolerance
 from hamsym.integrators.adaptive import reference
+from hamsym.integrators.compared_runs import ComparedRuns
 from hamsym.integrators.narrow_features import NarrowFeatures, _base_excess, narrow_features
 from hamsym.integrators.richardson import extrapolate
 from hamsym.systems import kepler as kepler_problem
@@ -148,7 +149,7 @@ def test_round_off_limits_success() -> None:
 
 def test_a_changed_energy_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        tolerance.ToleranceSearch, "_energy_changes", lambda self, rows, *_: np.full(len(rows), 2.0)
+        ComparedRuns, "_energy_changes", lambda self, rows, *_: np.full(len(rows), 2.0)
     )
     found = hamsym.integrate("p**2/2 + x**2/2", [1.0, 0.0], (0, 5), tol=1e-4)
     assert found.success is False
@@ -212,8 +213,8 @@ def test_bad_members_leave_the_others_unchanged() -> None:
 def test_division_of_members_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     starts = henon_heiles_starts(300)
     one = hamsym.integrate(HENON_HEILES, starts, (0, 12), tol=1e-9, saves=3)
-    monkeypatch.setattr(tolerance, "_BLOCK", 1_000)
-    monkeypatch.setattr(tolerance, "available_cores", lambda: 3)
+    monkeypatch.setattr(to_tolerance, "_BLOCK", 1_000)
+    monkeypatch.setattr(to_tolerance, "available_cores", lambda: 3)
     other = hamsym.integrate(HENON_HEILES, starts, (0, 12), tol=1e-9, saves=3)
     np.testing.assert_array_equal(one.z, other.z)
     np.testing.assert_array_equal(one.errors, other.errors)
@@ -256,14 +257,14 @@ def _sigint_handled() -> object:
 
 @pytest.mark.usefixtures("_sigint_handled")
 def test_ctrl_c_keeps_finished_members(monkeypatch: pytest.MonkeyPatch) -> None:
-    original = tolerance.ToleranceSearch._judged
+    original = to_tolerance.ToleranceSearch._judged
 
-    def interrupted(self: tolerance.ToleranceSearch, result: object) -> np.ndarray:
+    def interrupted(self: to_tolerance.ToleranceSearch, result: object) -> np.ndarray:
         if self._found.success.any():
             raise KeyboardInterrupt
         return original(self, result)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(tolerance.ToleranceSearch, "_judged", interrupted)
+    monkeypatch.setattr(to_tolerance.ToleranceSearch, "_judged", interrupted)
     starts = np.array([ellipse(0.0), ellipse(0.7)])
     found = hamsym.integrate(KEPLER, starts, (0, 6), tol=1e-6, saves=1)
     assert found.interrupted

@@ -1,0 +1,228 @@
+"""Runs with n, 2n and 4n steps, and with perturbations that stand for round-off, compared.
+
+Input:  members of an ensemble, a number of steps n, a tolerance.
+Output: :class:`Round`: extrapolated states with estimated errors, and what the runs agree in though
+        it may be wrong: a change of H, and features of the force that their steps pass over.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hamsym.ensemble import Ensemble
+from hamsym.integrators.coefficients import Scheme, Splitting
+from hamsym.integrators.hidden_features import Hidden, hidden_features
+from hamsym.integrators.narrow_features import narrow_features
+from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
+from hamsym.integrators.stepper import Stepper
+from hamsym.integrators.table import INTEGRATORS
+
+#: Change of H in units of the change that the tolerance allows, at which a trajectory fails; errors
+#: of several components may add up.
+SLACK = 10.0
+#: Components of the states after every step, for the search of features: 64 MB.
+MAX_NARROW = 2**23
+
+# Fewest times at which the three runs are compared; one time may meet a zero of the difference.
+_SAMPLES = 5
+# Most saved states of the middle run between two of these times, for the sizes of the components.
+_MIDDLE_SAVES = 64
+# Most perturbations between two of these times; each costs a call of the loop.
+_PERTURBED = 8
+# Rounding errors of a step in units of the last place: of implicit methods, which stop iterating
+# there, and of splitting methods without and with compensated summation.
+_ROUNDING = {"implicit": 4.0, "plain": 8.0, "compensated": 0.25}
+# Factor by which steps over a feature that was found between them are said to be too long.
+_HIDDEN = 16.0
+_EPS = float(np.finfo(float).eps)
+
+
+class Round(NamedTuple):
+    """Result of one number of steps for some members, which are along the first axis."""
+
+    members: np.ndarray
+    coarse: int
+    states: np.ndarray
+    found: Extrapolation
+    finite: np.ndarray
+    changes: np.ndarray
+    narrow: np.ndarray
+    narrow_times: np.ndarray
+    rounding: np.ndarray
+    evaluations: int
+
+
+class ComparedRuns:
+    """Runs of members of an ensemble with three numbers of steps.
+
+    - method: A splitting or implicit Runge-Kutta method.
+    - saves: Number of equal intervals between the times at which states are returned.
+    - compensated: Whether to sum with compensation from the start.
+    """
+
+    def __init__(
+        self,
+        members: Ensemble,
+        method: str,
+        span: tuple[float, float],
+        tol: float,
+        saves: int,
+        compensated: bool,
+    ) -> None:
+        self.members, self._method, self.span, self.tol = members, method, span, tol
+        scheme = INTEGRATORS[method].scheme
+        assert isinstance(scheme, Scheme)
+        self.scheme: Scheme = scheme
+        self._order = INTEGRATORS[method].order
+        #: The next power of the step in the error.
+        self.next_order = self._order + (2 if scheme.is_symmetric else 1)
+        #: Number of equal intervals between the times at which runs are compared.
+        self.sampled = saves * math.ceil(_SAMPLES / saves)
+        #: The compared times at which states are returned.
+        self.kept = slice(None, None, self.sampled // saves)
+        self.narrow, self._hidden = narrow_features(members.H), hidden_features(members.H)
+        self.system = members.H.compile("numpy")
+        #: Whether each member is summed with compensation; equal for members of one comparison.
+        self.compensated = np.full(len(members), compensated)
+        #: Least sizes of the components of each member.
+        self.least = np.zeros(members.states.shape)
+        #: Whether no member was compared before.
+        self.is_first = True
+
+    def middle_saves(self, coarse: int) -> int:
+        """Number of saved states of the run with 2*coarse steps.
+
+        It gives the sizes of the components. In the first round few states save time; they may all
+        be at the same phase of a motion.
+        """
+        if self.narrow is not None or self._is_searched(coarse):
+            return 2 * coarse
+        more = 1 if self.is_first else math.gcd(2 * coarse // self.sampled, _MIDDLE_SAVES)
+        return self.sampled * more
+
+    def _is_searched(self, coarse: int) -> bool:
+        """Whether features between the steps are looked for, which takes all states."""
+        return self._hidden is not None and 2 * coarse * self.members.H.dim <= MAX_NARROW
+
+    def compare(self, rows: np.ndarray, coarse: int) -> Round:
+        """Integrate members with three numbers of steps and compare the results."""
+        starts = self.members.states[rows]
+        first, one = self._path(rows, starts, coarse, self.sampled)
+        other, count, two = self._perturbed(rows, first, coarse)
+        dense, three = self._path(rows, starts, 2 * coarse, self.middle_saves(coarse))
+        last, four = self._path(rows, starts, 4 * coarse, self.sampled)
+        evaluations = one + two + three + four
+        finite = np.isfinite(last[:, -1]).all(axis=1)  # and so it was before
+        found = extrapolate(
+            first,
+            dense,
+            last,
+            other,
+            count,
+            self._order,
+            self.next_order,
+            4 * coarse,
+            self._rounding(rows),
+            self.least[rows],
+        )
+        narrow, narrow_times = np.zeros(len(rows)), np.zeros(len(rows))
+        if self.narrow is not None:
+            times = np.linspace(*self.span, dense.shape[1])
+            narrow, place = self.narrow.unresolved(
+                dense, times, self.members.own_parameters(rows), self.tol * found.sizes
+            )
+            narrow_times = times[place]
+        states = found.states[:, self.kept]
+        changes = self._energy_changes(rows, states, found.sizes, 4 * coarse)
+        good = (found.errors[:, -1] <= self.tol) & (changes <= 1) & (narrow <= 1) & finite
+        rounding = np.zeros(len(rows))
+        if good.any() and self._is_searched(coarse):
+            hidden = self._hidden_features(rows[good], dense[good], found.sizes[good])
+            passed_over = ~np.isnan(hidden.times)
+            narrow[good] = np.where(passed_over, _HIDDEN, narrow[good])
+            narrow_times[good] = np.where(passed_over, hidden.times, narrow_times[good])
+            # The runs may agree in what the round-off of the force changes in all of them. It grows
+            # as the perturbations do.
+            unit = self._rounding(rows) * math.sqrt(4 * coarse)
+            growth = np.maximum((found.round_off / _EPS - 4 * coarse) / unit, 1.0)
+            rounding[good] = (hidden.rounding / found.sizes[good]).max(axis=1) * growth[good]
+            found.add_round_off(rounding)
+        return Round(
+            *(rows, coarse, states, found, finite, changes, narrow, narrow_times, rounding),
+            evaluations,
+        )
+
+    def _hidden_features(self, rows: np.ndarray, path: np.ndarray, sizes: np.ndarray) -> Hidden:
+        """Search for features of the force between all states of members."""
+        assert self._hidden is not None
+        times = np.linspace(*self.span, path.shape[1])
+        allowed = self.tol * sizes
+        return self._hidden.search(
+            path, times, self.members.own_parameters(rows), lambda i: allowed[i]
+        )
+
+    def _rounding(self, rows: np.ndarray) -> float:
+        if not isinstance(self.scheme, Splitting):
+            return _ROUNDING["implicit"]
+        return _ROUNDING["compensated" if self.compensated[rows[0]] else "plain"]
+
+    def _path(
+        self, rows: np.ndarray, starts: np.ndarray, steps: int, saves: int
+    ) -> tuple[np.ndarray, int]:
+        done = self._stepper(rows, starts, steps).advance(
+            saves, steps // saves, show=False, cores=1
+        )
+        return done.path, done.evaluations
+
+    def _perturbed(
+        self, rows: np.ndarray, coarse_path: np.ndarray, steps: int
+    ) -> tuple[np.ndarray, int, int]:
+        """Integrate with perturbations; return the path, their number, and evaluations."""
+        stepper = self._stepper(rows, coarse_path[:, 0], steps)
+        # A divisor of the steps; short runs have few perturbations.
+        between = steps // self.sampled
+        pieces = math.gcd(between, _PERTURBED) if between >= 2 * _PERTURBED else 1
+        count = pieces * self.sampled
+        path = np.empty_like(coarse_path)
+        path[:, 0] = coarse_path[:, 0]
+        for number in range(1, 1 + count):
+            perturb(stepper.states, coarse_path, number)
+            states = stepper.step(steps // count)
+            if number % pieces == 0:
+                path[:, number // pieces] = states
+        return path, count, stepper.evaluations
+
+    def _stepper(self, rows: np.ndarray, starts: np.ndarray, steps: int) -> Stepper:
+        start, end = self.span
+        return Stepper(
+            self.members.H,
+            self._method,
+            starts,
+            np.full(len(rows), start),
+            np.full(len(rows), (end - start) / steps),
+            parameters=self.members.parameters[rows],
+            compensated=bool(self.compensated[rows[0]]),  # equal in a block
+        )
+
+    def _energy_changes(
+        self, rows: np.ndarray, states: np.ndarray, sizes: np.ndarray, steps: int
+    ) -> np.ndarray:
+        """Largest change of H, in units of the change that errors of the tolerance can cause."""
+        if not self.members.H.conserves_energy:
+            return np.zeros(len(rows))
+        z = states.transpose(1, 0, 2)
+        given = self.system.keywords(self.members.own_parameters(rows))
+        with np.errstate(all="ignore"):
+            energy = np.asarray(self.system.energy(z, **given))
+            slopes = np.abs(np.asarray(self.system.gradient(z, **given)))
+            # Of the sizes, by the tolerance; of the states and of H, by round-off.
+            allowed = np.einsum("tni,ni->tn", slopes, SLACK * self.tol * sizes)
+            noise = 4 * _EPS * math.sqrt(steps)
+            allowed += noise * np.einsum("tni,tni->tn", slopes, np.abs(z)) + noise * np.abs(energy)
+            change = np.abs(energy - energy[0])
+            allowed = np.maximum(allowed, allowed[0])
+            share = np.where(change == 0, 0.0, change / allowed).max(axis=0)
+        return np.where(np.isfinite(share), share, np.inf)

@@ -1,0 +1,432 @@
+"""Trajectories by time stepping: the result of :func:`hamsym.integrate`."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+
+import hamsym
+from hamsym.description import attributes_of
+from hamsym.ensemble import Ensemble
+from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.integrators.energy_drift import work_of
+from hamsym.integrators.interpolation import Interpolant
+from hamsym.suggestions import suggest_attributes, unknown
+from hamsym.support.shown import Shown
+from hamsym.support.tables import data_frame, data_set, member_axes, time_name
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
+
+@dataclass
+class Tolerated:
+    """Trajectories of an ensemble, and how far each of them meets the tolerance."""
+
+    #: States, shape (count, 1 + saves, dim); nan after the end of a trajectory.
+    z: np.ndarray = field(repr=False)
+    #: Estimated errors in the units of the components, shape of z; infinite where unknown.
+    errors: np.ndarray = field(repr=False)
+    #: Shape (count,).
+    success: np.ndarray
+    #: Steps of the finest run of each trajectory, shape (count,).
+    steps: np.ndarray
+    #: Largest estimated error of each trajectory relative to the sizes of its components.
+    largest: np.ndarray
+    #: Reason for each trajectory that did not succeed, by its index.
+    problems: dict[int, str]
+    evaluations: int = 0
+    interrupted: bool = False
+    tol: float = math.nan
+
+    def outcome(self, index: int, method: str, end: float) -> str:
+        """Describe the outcome of one trajectory."""
+        if index in self.problems:
+            return self.problems[index]
+        return (
+            f"{method}: {self.steps[index]:,} steps to t = {end:.6g}, estimated error "
+            f"{self.largest[index]:.1e}"
+        )
+
+    def outcome_of_all(self, method: str, end: float) -> str:
+        """Describe the outcome of an ensemble."""
+        count, failed = len(self.success), sorted(self.problems)
+        if failed:
+            return (
+                f"{len(failed):,} of {count:,} trajectories failed, number {failed[0]:,} first: "
+                f"{self.problems[failed[0]]}"
+            )
+        least, most = int(self.steps.min()), int(self.steps.max())
+        return (
+            f"{method}: {count:,} trajectories, {least:,} to {most:,} steps to t = {end:.6g}, "
+            f"estimated error at most {self.largest.max():.1e}"
+        )
+
+
+@suggest_attributes
+@dataclass(frozen=True)
+class Trajectory(Shown):
+    """States along a trajectory, or along each trajectory of an ensemble.
+
+    An ensemble has the shape to which the initial states and the parameters broadcast, (batch,) for
+    states of shape (batch, dim); () below is the shape of one trajectory.
+
+    Attributes
+    ----------
+    t : numpy.ndarray
+        Times, shape (n,).
+    z : numpy.ndarray
+        States, shape (*shape, n, dim), in the order of H.z.
+    energy : numpy.ndarray
+        H along the trajectory, shape (*shape, n); computed when it is first read.
+    names : tuple of str
+        Components of z.
+    method : str
+    steps : int
+        Steps taken by a fixed-step method, outputs of an adaptive one; with ``tol`` those of the
+        finest run of the trajectory that needs the most.
+    dt : float
+        Length of a step, or of the time between outputs.
+    evaluations : int
+        Number of evaluations of the force, the gradient or the vector field.
+    seconds : float
+        Wall time of the integration, including compilation.
+    success : bool or numpy.ndarray
+        Whether every trajectory reached the end. With ``tol``, whether the trajectory meets it; for
+        an ensemble an array of its shape.
+    interrupted : bool
+        Whether Ctrl-C ended the run.
+    message : str
+        Outcome in words. A trajectory that stops early ends at its last state; in an ensemble its
+        later states are nan.
+    messages : numpy.ndarray
+        The same for each trajectory of an ensemble, strings in an array of its shape.
+    ensemble : Ensemble
+        H, the initial states and the parameter values.
+    drift : float
+        Largest change of H in excess of round-off, at the saved states (at 20,001 of them if there
+        are more), relative to the energy that the motion exchanges between coordinates and momenta
+        (:mod:`hamsym.integrators.energy_drift`); the largest of an ensemble. Infinite if H is not
+        finite along the trajectory, nan if H depends on time, forces act, and with ``tol``.
+    errors : numpy.ndarray, optional
+        With ``tol``: largest estimated error of each component up to each time, shape of z, in the
+        units of the components; infinite where it is unknown.
+    verdicts : Tolerated, optional
+        With ``tol``: steps, largest relative error and problem of each trajectory, in a flat order.
+    invariant_drift : mapping of str to float or numpy.ndarray
+        Largest change of each of the ``invariants`` at the saved times, by its formula, (*shape);
+        not part of files.
+    """
+
+    t: np.ndarray = field(repr=False)
+    z: np.ndarray = field(repr=False)
+    names: tuple[str, ...]
+    method: str
+    steps: int
+    dt: float
+    evaluations: int
+    seconds: float
+    success: bool | np.ndarray
+    message: str
+    ensemble: Ensemble = field(repr=False)
+    interrupted: bool = False
+    drift: float = math.nan
+    errors: np.ndarray | None = field(default=None, repr=False)
+    verdicts: Tolerated | None = field(default=None, repr=False)
+    invariant_drift: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        success, found = np.asarray(self.success), self.verdicts
+        if success.ndim:
+            outcome = f"{int(success.sum()):,} of {success.size:,} succeeded"
+        else:
+            outcome = f"success={bool(success)}"
+        if found is not None:
+            error = f", estimated relative error {found.largest.max(initial=0.0):.1e}"
+        else:
+            kept = f"to {self.drift:.1e}" if self.drift else "to round-off"
+            error = "" if math.isnan(self.drift) else f", H kept {kept}"
+        shape = f"shape {self.ensemble.shape}, " if self.ensemble.shape else ""
+        return (
+            f"Trajectory({self.ensemble.H.formulas!r}, {shape}{len(self.t):,} states, t from "
+            f"{self.t[0]:.6g} to {self.t[-1]:.6g}, {self.method}{error}, {outcome})"
+        )
+
+    @property
+    def H(self) -> Hamiltonian:
+        """The Hamiltonian, with the parameters of the first trajectory where they differ."""
+        return self.ensemble.H
+
+    @property
+    def z0(self) -> np.ndarray:
+        """Initial states, shape (*shape, dim)."""
+        return self.ensemble.states.reshape(*self.ensemble.shape, -1)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last of the saved times."""
+        return float(self.t[0]), float(self.t[-1])
+
+    @property
+    def largest_error(self) -> np.ndarray | None:
+        """Largest estimated error of each component, shape (*shape, dim); None without ``tol``."""
+        return None if self.errors is None else self.errors[..., -1, :]
+
+    @cached_property
+    def messages(self) -> np.ndarray:
+        """Outcome of each trajectory in words, an array of the shape of the ensemble."""
+        texts = np.full(len(self.ensemble), self.message, dtype=object)
+        if self.verdicts is not None:
+            for index in range(len(texts)):
+                texts[index] = self.verdicts.outcome(index, self.method, float(self.t[-1]))
+        return texts.reshape(self.ensemble.shape)
+
+    @cached_property
+    def energy(self) -> np.ndarray:
+        """H along the trajectory, shape (*shape, n)."""
+        system = self.ensemble.H.compile("numpy")
+        values = self.ensemble.own_parameters()
+        if values is not None:
+            values = values.reshape(*self.ensemble.shape, 1, -1)
+        with np.errstate(all="ignore"):  # H may overflow at the last finite state before an escape
+            arguments = system.arguments(self.z, self.t)
+            return np.asarray(system.energy(*arguments, **system.keywords(values)))
+
+    @cached_property
+    def energy_drift(self) -> np.ndarray:
+        """H(t) - H(start), less the work of forces and explicit time, shape (*shape, n).
+
+        The work is the integral of ``H.power`` by splines through the saved states: save enough of
+        them. Without forces and explicit time this is the change of H.
+
+        Examples
+        --------
+        >>> H = hamsym.Hamiltonian("p**2/2 + x**2/2", forces={"p": "-p/5"})
+        >>> trajectory = hamsym.integrate(H, [1, 0], (0, 10), "gauss6", steps=1_000)
+        >>> bool(np.abs(trajectory.energy_drift).max() < 1e-11)
+        True
+        """
+        H, change = self.ensemble.H, self.energy - self.energy[..., :1]
+        if H.conserves_energy:
+            return change
+        values = None
+        if self.ensemble.varied:
+            values = self.ensemble.parameters.reshape(*self.ensemble.shape, 1, -1)
+        with np.errstate(all="ignore"):
+            power = H.observable(H.power)(self.z, self.t, values)
+        return change - work_of(self.t, power)
+
+    # -- by name and by time ---------------------------------------------------------------------
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a component over the saved times, shape (*shape, n), as a view of ``z``.
+
+        Raises
+        ------
+        InputError
+            If no component has this name.
+
+        Examples
+        --------
+        >>> trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, np.pi), tol=1e-9, saves=2)
+        >>> trajectory["x"].round(8) + 0.0
+        array([ 1.,  0., -1.])
+        """
+        if isinstance(name, str) and name in self.names:
+            return self.z[..., self.names.index(name)]
+        raise InputError(unknown(name, self.names, "a component of this trajectory"))
+
+    def __iter__(self) -> NoReturn:
+        raise TypeError("a Trajectory is not a sequence; iterate over its t, its z or its names")
+
+    def __call__(self, t: Any) -> np.ndarray:
+        """Interpolate the states at times t between the saved ones.
+
+        On each interval between saved states this is the Hermite polynomial of degree 5 with the
+        states, the rates and their derivatives at both ends, from the generated equations. Its
+        error is h^6/46,080 max |d^6 z/dt^6|, with h the time between saved states. If H depends on
+        time, it is the polynomial of degree 3 with states and rates, with the error
+        h^4/384 max |d^4 z/dt^4|. The orders are lower where H is not smooth. This error comes on
+        top of that of the saved states; :meth:`interpolation_error` estimates it. At saved times
+        the states are those that were saved.
+
+        Parameters
+        ----------
+        t : float, sequence or array
+
+        Returns
+        -------
+        numpy.ndarray
+            Shape (*shape, m, dim) for m times, (*shape, dim) for one. After the end of a member of
+            an ensemble that stopped early, nan.
+
+        Raises
+        ------
+        InputError
+            If a time is outside the trajectory, or the saved states are so far apart that the
+            estimated error of the interpolation is above 1 % of the size of a component.
+
+        Examples
+        --------
+        >>> trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 10), tol=1e-9)
+        >>> bool(abs(trajectory(np.pi)[0] + 1) < 1e-9)
+        True
+        >>> trajectory([0.5, 1.5, 2.5]).shape
+        (3, 2)
+        """
+        return self._interpolant.states(t)
+
+    def interpolation_error(self, t: Any) -> np.ndarray:
+        """Estimate the largest error of the interpolation between the saved states around t.
+
+        From the defect dz/dt - f(z) of the polynomial, to leading order in the time between saved
+        states; zero at saved times. In the units of the components, shaped as the states at t.
+
+        Raises
+        ------
+        InputError
+            If a time is outside the trajectory.
+
+        Examples
+        --------
+        >>> trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 10), tol=1e-9)
+        >>> t = np.linspace(0, 10, 999)
+        >>> true = np.stack((np.cos(t), -np.sin(t)), axis=-1)
+        >>> largest = trajectory.interpolation_error(t).max()
+        >>> bool(0.5 < np.abs(trajectory(t) - true).max() / largest < 1.5)
+        True
+        """
+        return self._interpolant.errors(t)
+
+    @cached_property
+    def _interpolant(self) -> Interpolant:
+        return Interpolant(self.t, self.z, self.ensemble)
+
+    # -- tables and files ------------------------------------------------------------------------
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the states as a table of pandas: times as index, components as columns.
+
+        An ensemble has further levels of the index, ``member`` or ``axis_0``, ``axis_1``, ..., and
+        a column for each parameter that varies. H, parameters, units and the method are in
+        ``attrs``.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 1), "gauss4", steps=2)
+        >>> table = trajectory.to_dataframe()
+        >>> table.loc[0.5].round(4).to_dict()
+        {'x': 0.8776, 'p': -0.4794}
+        """
+        shape, n = self.ensemble.shape, len(self.t)
+        places = np.indices((*shape, n)).reshape(len(shape) + 1, -1)
+        index = dict(zip(member_axes(shape), places[:-1], strict=True))
+        index[time_name(self.names)] = self.t[places[-1]]
+        columns = dict(zip(self.names, self.z.reshape(-1, len(self.names)).T, strict=True))
+        members = np.repeat(np.arange(len(self.ensemble)), n)
+        columns |= {name: values[members] for name, values in self.ensemble.columns.items()}
+        return data_frame(columns, index, self._attributes)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return states, energies, success and messages as a dataset of xarray.
+
+        Its axes are ``time`` and ``component``, and of an ensemble ``member``, or ``axis_0``,
+        ``axis_1``, ..., on which parameters that vary are coordinates. With ``tol`` it has
+        ``errors`` too.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 1), "gauss4", steps=2)
+        >>> data = trajectory.to_xarray()
+        >>> round(float(data["state"].sel(time=0.5, component="x")), 4)
+        0.8776
+        """
+        shape = self.ensemble.shape
+        axes = member_axes(shape)
+        states = [*axes, "time", "component"]
+        success = np.array(np.broadcast_to(self.success, shape))
+        variables = {
+            "state": (states, self.z),
+            "energy": ([*axes, "time"], self.energy),
+            "success": (axes, success),
+            "message": (axes, self.messages),
+        }
+        if self.errors is not None:
+            variables["errors"] = (states, self.errors)
+        varied = {name: (axes, own.reshape(shape)) for name, own in self.ensemble.columns.items()}
+        return data_set(
+            variables, {"time": self.t, "component": list(self.names), **varied}, self._attributes
+        )
+
+    @property
+    def _attributes(self) -> dict[str, Any]:
+        known = attributes_of(self.ensemble.H, self.ensemble.varied if self.ensemble.shape else ())
+        return {**known, "method": self.method, "dt": self.dt, "steps": self.steps}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the trajectory to a file that :func:`hamsym.load` reads; see :func:`hamsym.save`.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written, or the trajectory is not valid.
+        """
+        hamsym.save(self, path)
+
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the trajectory or the ensemble: an overview, or what the names say.
+
+        Without names: the components over time, coordinates beside momenta, one row for each of
+        six degrees of freedom at most; the orbit or the plane of two coordinates, and a phase
+        plane, of one degree of freedom with level sets of H; the energy error, less the work of
+        forces and explicit time; with ``tol`` the estimated error. Of more than 200 trajectories
+        200 are drawn, which the caption says.
+
+        Parameters
+        ----------
+        *names : str
+            One component: over time. Two: the paths in their plane, in one scale where both are
+            lengths or of one kind else. Three: the paths in space. Or ``"energy"``, ``"error"``.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A figure that notebooks show; ``savefig`` writes .png, .svg and .pdf.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, or ``ax`` is given for an overview.
+
+        Examples
+        --------
+        >>> trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 6), dt=0.1)
+        >>> trajectory.plot("x", "p").axes[0].get_ylabel()
+        '$p$'
+        """
+        return hamsym.plot(self, *names, ax=ax)
+
+    def animate(self, *names: str, **options: Any) -> hamsym.Animation:
+        """Animate the motion, in a picture that names or options choose; :func:`hamsym.animate`."""
+        return hamsym.animate(self, *names, **options)
