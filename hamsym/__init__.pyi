@@ -18,6 +18,8 @@ from .errors import FileError as FileError
 from .errors import HamsymError as HamsymError
 from .errors import InputError as InputError
 from .exporting.export import export as export
+from .facts.describe import describe as describe
+from .facts.facts import Facts as Facts
 from .families.many import solve_many as solve_many
 from .families.solutions import Solutions as Solutions
 from .fitting.fit import fit as fit
@@ -49,7 +51,6 @@ from .study.compare import compare as compare
 from .study.grid import StoredSweep as StoredSweep
 from .study.sweep import Sweep as Sweep
 from .study.sweep import sweep as sweep
-from .summaries.summary import summary as summary
 from .symbolic.invariant import Invariant as Invariant
 from .symbolic.invariant import Invariants as Invariants
 from .workbench.animations.animate import Animation as Animation

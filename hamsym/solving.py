@@ -118,7 +118,7 @@ def solve(
             not trained on, is at most this.
         target_error : float, optional
             Stop, with success, when the estimated error relative to the motion
-            (:attr:`Solution.relative_error_estimate`) is at most this.
+            (:attr:`Solution.relative_error`) is at most this.
         accuracy : float, optional
             Stop, with success, when ell_max <= sigma_min * accuracy, as in the paper, with
             sigma_min along the trajectory; never if that is 0, which the message reports.

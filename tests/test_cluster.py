@@ -57,7 +57,7 @@ def processes() -> Iterator[Any]:
 def same_solutions(one: hamsym.Solutions, other: hamsym.Solutions) -> None:
     t = np.linspace(*one.span, 7)
     np.testing.assert_array_equal(one(t), other(t))
-    for name in ("success", "message", "error_estimate", "excess", "z0"):
+    for name in ("success", "message", "largest_error", "excess", "z0"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
     assert one.shape == other.shape
 

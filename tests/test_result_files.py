@@ -150,7 +150,7 @@ EDITS = [
     ("section", _value("names", to=["y", "p"]), "not those of H"),
     ("section", _value("surface", to="y = 0"), "not a valid file"),
     ("section", _value("dt", to=-0.1), "not in order"),
-    ("section", _value("H", to=None), "not those of H"),
+    ("section", _value("H", to=None), "not a mapping"),
     ("orbit", _array("arc.edges", lambda a: a[::-1]), "not in order"),
     ("orbit", _array("arc.edges", _with(1, math.nan)), "not finite"),
     ("orbit", _array("arc.values", _with((0, 0, 0), math.inf)), "not finite"),

@@ -29,6 +29,7 @@ GROUPS = {
     "Errors": ["HamsymError", "InputError", "FileError", "CertificationError"],
 }
 GROUPS["Many trajectories"] += ["StoredSweep"]
+GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Proofs"] += ["BoxCertificate"]
 GROUPS["Dynamics"] += ["chaos_indicators", "ChaosIndicators", "monodromy"]
 GROUPS["Equilibria and periodic orbits"] += ["periodic_orbit", "PeriodicOrbit", "orbit_family"]

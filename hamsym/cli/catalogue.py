@@ -44,7 +44,7 @@ def systems(name: str | None, start: str | None) -> Report:
         problems = {name: CATALOGUE[name]() for name in sorted(CATALOGUE)}
         header = ("system", "d", "what it is", "exact", "T", "F")
         rows = [_row(name, problem) for name, problem in problems.items()]
-        text = "\n".join([*table(header, rows, left=len(header)), _LEGEND])
+        text = "\n".join([*table(header, rows, left=[True] * len(header)), _LEGEND])
         return Report(text, {"systems": {n: _brief(problem) for n, problem in problems.items()}})
     if name not in CATALOGUE:
         hint = did_you_mean(name, CATALOGUE)

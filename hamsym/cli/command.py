@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -12,7 +11,9 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from hamsym.facts.facts import strict
 from hamsym.suggestions import did_you_mean, unknown
+from hamsym.support.text_tables import ROWS
 
 _OF_SECTIONS = {
     "Problem": "q p param force lagrangian velocities z0 t-start t-end energy at box guess free "
@@ -53,32 +54,15 @@ class Report:
     files: list[str] = field(default_factory=list)
 
 
-def picked(result: Any, names: str) -> dict[str, Any]:
-    """Return attributes of a result by their names, which spaces separate."""
-    return {name: getattr(result, name) for name in names.split()}
+def report_of(result: Any, rows: int | None = ROWS, success: bool | None = None) -> Report:
+    """Return the report of a result: its facts, as text and as data.
 
-
-def strict(value: Any) -> Any:
-    """Return a value as strict JSON has it: nan is null, infinities are "inf" and "-inf".
-
-    Arrays are lists, and a complex number is a pair of its real and imaginary part.
-
-    Examples
-    --------
-    >>> strict({"t": (1, math.nan), "bound": math.inf, "multiplier": 1j})
-    {'t': [1, None], 'bound': 'inf', 'multiplier': [0.0, 1.0]}
+    - rows: Most rows of a table; None for all.
+    - success: By default that of the result.
     """
-    if isinstance(value, Mapping):
-        return {str(name): strict(part) for name, part in value.items()}
-    if hasattr(value, "tolist"):  # numpy
-        return strict(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [strict(part) for part in value]
-    if isinstance(value, complex):
-        return strict([value.real, value.imag])
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
-    return value
+    facts = result.facts
+    good = facts.success is not False if success is None else success
+    return Report(facts.text(rows), facts.values(), good)
 
 
 def _echo(report: Report, as_json: bool) -> None:

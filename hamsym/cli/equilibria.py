@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hamsym.cli.command import Command, Report
+from hamsym.cli.command import Command, Report, report_of
 from hamsym.cli.options import hamiltonian_options, rows_option
 from hamsym.cli.texts import listed, number, state
 from hamsym.errors import InputError
@@ -56,29 +56,7 @@ def equilibria(
     guess = np.array([H.state_from(state(text)) for text in guesses]) if guesses else None
     limit = None if time_limit is None else number(time_limit)
     found = H.equilibria(guess, box, max_boxes=max_boxes, time_limit=limit)
-    values = {
-        "message": found.message,
-        "complete": found.complete,
-        "equilibria": [
-            {
-                "state": dict(zip(H.names, each.z, strict=True)),
-                "exact": None if each.exact is None else [str(value) for value in each.exact],
-                "type": each.type,
-                "energy": each.energy,
-                "stable": each.stable,
-                "frequencies": None if each.linear is None else each.frequencies,
-                "signatures": None if each.linear is None else each.signatures,
-                "eigenvalues": None if each.linear is None else each.eigenvalues,
-                "how": each.how,
-                "radius": each.radius,
-                "family": each.family,
-            }
-            for each in found
-        ],
-        "undecided": [str(region) for region in found.undecided],
-        "seconds": found.seconds,
-    }
-    return Report(found.summary(rows), values, box is None or found.complete)
+    return report_of(found, rows, box is None or found.complete)
 
 
 def _box(intervals: tuple[str, ...]) -> dict[str, tuple[float, float]]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report, picked
+from hamsym.cli.command import Command, Report, report_of
 from hamsym.cli.options import hamiltonian_options, output_options, rows_option
 from hamsym.cli.texts import assignments, listed, number
 from hamsym.errors import InputError
@@ -84,13 +84,8 @@ def fit(
             (f"model {label}", data - residual),
             (f"residual {label}", residual),
         ]
-    values = picked(
-        found,
-        "message parameters standard_errors confidence confidence_intervals covariance chi_square "
-        "degrees_of_freedom p_value starts_reached",
-    )
-    report = Report(found.summary(rows), values, bool(found.success))
-    return found, report, table, {"covariance": found.covariance, **dict(table)}
+    arrays = {"covariance": found.covariance, **dict(table)}
+    return found, report_of(found, rows), table, arrays
 
 
 def read_columns(path: str) -> dict[str, list[float]]:

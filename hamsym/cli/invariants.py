@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hamsym.cli.command import Command, Report
+from hamsym.cli.command import Command, Report, report_of
 from hamsym.cli.options import hamiltonian_options, rows_option
 from hamsym.support.text_tables import ROWS
 
@@ -37,11 +37,4 @@ def invariants(
 ) -> Report:
     """Find polynomials of the state, and of the functions in H, that are conserved beside H."""
     found = H.invariants(degree, basis=basis, time_limit=time_limit)
-    values = {
-        "message": found.message,
-        "invariants": [
-            {"formula": one.formula, "degree": one.degree, "independent": one.independent}
-            for one in found
-        ],
-    }
-    return Report(found.summary(rows), values)
+    return report_of(found, rows)

@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report, picked
+from hamsym.cli.command import Command, Report, report_of
 from hamsym.cli.options import figure_option, hamiltonian_options, rows_option
 from hamsym.cli.output import check_figure, save_figure
 from hamsym.cli.texts import number, state, texts_by_name
-from hamsym.support.text_tables import ROWS, wrapped
+from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
+
+_FURTHER = ("family", "proven")
 
 
 @click.command(
@@ -72,39 +74,21 @@ def orbit(
         symmetry=None if not maps else maps[0] if len(maps) == 1 else tuple(maps),
         tol=number(tol),
     )
-    texts = [found.summary(rows)]
-    values: dict[str, Any] = {
-        "message": found.message,
-        "error": found.error_estimate,
-        "period": found.period,
-        "energy": found.energy,
-        "stability": found.stability,
-        "multipliers": found.multipliers,
-        "start": dict(zip(H.names, found.z0, strict=True)),
-        "family": None,
-        "proven": None,
-    }
+    reports = {"orbit": report_of(found, rows)}
     family = None
     if found.success and to_energy is not None:
         family = found.family(energy=number(to_energy))
-        texts.append(family.summary(10 if rows else None))
-        values["family"] = {
-            "message": family.message,
-            "success": family.success,
-            "energy": family.energies,
-            "period": family.periods,
-            "stability": [member.stability for member in family],
-            "bifurcations": [
-                {"kind": one.kind, "energy": one.orbit.energy} for one in family.bifurcations
-            ],
-        }
+        reports["family"] = report_of(family, rows)
     if found.success and prove:
-        certificate = found.certify()
-        texts.append(wrapped(certificate.statement, "proven: "))
-        texts.append(f"{certificate.pieces} pieces, {certificate.seconds:.2g} s")
-        values["proven"] = picked(certificate, "bound stability statement")
-    success = found.success and (family is None or family.success)
-    report = Report("\n".join(texts), values, success)
+        reports["proven"] = report_of(found.certify(), rows)
+    report = Report(
+        "\n\n".join(each.text for each in reports.values()),
+        {
+            **reports.pop("orbit").values,
+            **{name: reports[name].values if name in reports else None for name in _FURTHER},
+        },
+        found.success and (family is None or family.success),
+    )
     if figure is not None:
         save_figure((family or found).plot(), figure)
         report.files.append(figure)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from hamsym.cli.command import Command, Report, picked
+from hamsym.cli.command import Command, Report, report_of
 from hamsym.cli.options import rows_option
 from hamsym.cli.output import CERTIFICATE, check_directory, write_certificate
 from hamsym.cli.texts import saved_solution
-from hamsym.support.text_tables import ROWS
-
-if TYPE_CHECKING:
-    from hamsym.proof.box_certificate import BoxCertificate
-    from hamsym.proof.certificate import Certificate
+from hamsym.support.text_tables import ROWS, wrapped
 
 _time_limit = click.option(
     "--time-limit", type=float, metavar="SECONDS", help="Refuse after this time."
@@ -42,19 +39,7 @@ def certify(file: str, output: str | None, rows: int | None, **options: Any) -> 
     solution = saved_solution(file)
     found = solution.certify(**options)
     path = write_certificate(found, file, output)
-    return Report(found.summary(rows), _values_of(found), True, [path])
-
-
-def _values_of(found: Certificate) -> dict[str, Any]:
-    """Return a certificate as values of JSON; the file has the numbers as they are proven."""
-    names = found.components
-    return {
-        **picked(found, "statement bound lower"),
-        "component_bounds": dict(zip(names, found.component_bounds, strict=True)),
-        "component_lowers": dict(zip(names, found.component_lowers, strict=True)),
-        "asked": None if found.asked is None else dict(zip(names, found.asked, strict=True)),
-        **picked(found, "energy_bound energy_lower ell_max_bound ell_max_lower digest seconds"),
-    }
+    return replace(report_of(found, rows), files=[path])
 
 
 @click.command(
@@ -71,25 +56,10 @@ def verify(file: str, certificate: str | None, time_limit: float | None) -> Repo
     Exit 1 if a bound of the certificate is not proven.
     """
     from hamsym.archive import read_certificate
-    from hamsym.proof.balls import decimal
-    from hamsym.proof.box_certificate import BoxCertificate
     from hamsym.proof.prove import verify as run
 
     claims = read_certificate(Path(certificate or f"{file}{CERTIFICATE}"))
     run(claims, file, time_limit)
-    last = "every bound of the certificate is proven"
-    if isinstance(claims, BoxCertificate):
-        return Report(f"verified: {claims.bounds}\n{last}", _values_of_box(claims))
-    first = f"verified: the error is at most {decimal(claims.bound)} (2-norm)"
-    return Report(f"{first}\n{last}", _values_of(claims))
-
-
-def _values_of_box(found: BoxCertificate) -> dict[str, Any]:
-    """Return a certificate of a flow map as values of JSON."""
-    return {
-        "statement": found.statement,
-        "component_bounds": dict(zip(found.components, found.bound, strict=True)),
-        "box": {name: list(ends) for name, ends in found.box.items()},
-        "span": list(found.span),
-        **picked(found, "parts digest seconds"),
-    }
+    facts = claims.facts
+    text = f"{wrapped(facts.headline, 'verified: ')}\nevery bound of the certificate is proven"
+    return Report(text, facts.values())

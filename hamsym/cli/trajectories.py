@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hamsym.cli.command import Command, Report, completing, picked
+from hamsym.cli.command import Command, Report, completing, report_of
 from hamsym.cli.exporting import check_export
 from hamsym.cli.options import (
     figure_option,
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from hamsym.hamiltonian import Hamiltonian
-    from hamsym.solution.solution import Solution
 
 #: A result, its report, the columns of its table, and its arrays.
 Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
@@ -59,7 +58,6 @@ Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
 @click.option("--export", type=click.Path(), metavar="FILE", help="Code: .py, .json, .h or .pt2.")
 @figure_option
 @rows_option(ROWS)
-@click.option("--analysis", is_flag=True, help="Give the paper's bound in any case.")
 def solve(
     H: Hamiltonian,
     z0: Any,
@@ -69,7 +67,6 @@ def solve(
     export: str | None,
     prove: bool,
     rows: int | None,
-    analysis: bool,
     **options: Any,
 ) -> Report:
     """Compute a neural trajectory to a tolerance, or train one; exit 1 if that failed.
@@ -82,8 +79,7 @@ def solve(
     check_directory(output)
     check_export(export)
     solution = run(H, z0, span, prove=prove, **options)
-    text = solution.summary(rows, analysis=analysis)
-    report = Report(text, _values_of(solution), solution.success)
+    report = report_of(solution, rows)
     if output is not None:  # before printing, which fails on a closed pipe
         solution.save(output)
         report.files.append(output)
@@ -93,48 +89,13 @@ def solve(
         solution.export(export)
         report.files.append(export)
     elif export is not None:
-        report = replace(report, text=f"{text}\n{export} is not written: the solution failed")
+        report = replace(
+            report, text=f"{report.text}\n{export} is not written: the solution failed"
+        )
     if figure is not None:
         save_figure(solution.plot(), figure)
         report.files.append(figure)
     return report
-
-
-def _values_of(solution: Solution) -> dict[str, Any]:
-    """Return a solution as values of JSON."""
-    import numpy as np
-
-    H, names = solution.H, solution.H.names
-    with np.errstate(all="ignore"):
-        bound = solution.analysis.bound
-        drift = np.abs(solution.energy_drift(solution.scan_times)).max()
-    asked = None if solution.allowed_error is None else by_name(names, solution.allowed_error)
-    certificate = solution.certificate
-    return {
-        "message": solution.message,
-        "H": H.formula,
-        "parameters": dict(H.parameters),
-        "method": solution.method,
-        "span": solution.span,
-        "start": by_name(names, solution.z0),
-        "end": by_name(names, solution(solution.span[1])),
-        "largest_value": by_name(names, solution.scale),
-        "error": by_name(names, solution.largest_error),
-        "asked": asked,
-        "relative_error": solution.relative_error_estimate,
-        "energy_error": drift,
-        "invariants": dict(solution.invariant_drift),
-        "ell_max": solution.ell_max,
-        "sigma_min": solution.sigma_min,
-        "error_bound": bound,
-        "proven": None if certificate is None else certificate.bound,
-        "seconds": solution.record.seconds,
-    }
-
-
-def by_name(names: tuple[str, ...], values: Any) -> dict[str, Any]:
-    """Return the components of a state by their names."""
-    return dict(zip(names, values, strict=True))
 
 
 @click.command(
@@ -176,27 +137,7 @@ def compare(
     names = chosen_methods(H, None if methods is None else listed(methods))
     solution = run(H, z0, span, **options)
     comparison = run_comparison(solution, names, max_steps=max_steps)
-    rows = [
-        {
-            "method": row.label,
-            **picked(row, "points tolerance evaluations error"),
-            "component_errors": by_name(H.names, row.component_errors),
-            **picked(row, "energy_error seconds"),
-        }
-        for row in comparison.rows
-    ]
-    matches = {
-        name: picked(match, "steps tolerance extrapolated evaluations error seconds reason")
-        for name, match in comparison.matches.items()
-    }
-    values = {
-        "solution": _values_of(solution) | {"success": solution.success},
-        "rows": rows,
-        "matches": matches,
-        "reference": comparison.reference.text,
-        "reference_error": comparison.reference_error,
-    }
-    report = Report(comparison.summary(), values, solution.success)
+    report = report_of(comparison)
     if figure is not None:
         save_figure(comparison.plot(), figure)
         report.files.append(figure)
@@ -252,39 +193,10 @@ def integrate(
     if trajectory.z.ndim > 2:
         columns.insert(0, ("trajectory", np.repeat(np.arange(count), len(trajectory.t))))
     arrays = {"t": trajectory.t, "z": trajectory.z, "energy": trajectory.energy}
-    if trajectory.error_estimate is not None:
-        arrays["error_estimate"] = trajectory.error_estimate
+    if trajectory.errors is not None:
+        arrays["errors"] = trajectory.errors
         arrays["success"] = np.asarray(trajectory.success)
-    z = trajectory.z.reshape(count, -1, H.dim)
-    errors = trajectory.error_estimate
-    with np.errstate(all="ignore"):
-        drifts = np.abs(trajectory.energy_drift).reshape(count, -1)
-        drift = np.where(np.isnan(z).any(axis=-1), -np.inf, drifts).max(axis=-1)
-    values = {
-        "message": trajectory.message,
-        "H": H.formula,
-        "parameters": dict(H.parameters),
-        "method": trajectory.method,
-        "steps": trajectory.steps,
-        "span": [trajectory.t[0], trajectory.t[-1]],
-        "trajectories": [
-            {
-                "success": bool(
-                    np.broadcast_to(trajectory.success, trajectory.ensemble.shape).ravel()[number]
-                ),
-                "start": by_name(H.names, z[number, 0]),
-                "end": by_name(H.names, z[number, -1]),
-                "error": None
-                if errors is None
-                else by_name(H.names, errors.reshape(z.shape)[number, -1]),
-                "energy_error": drift[number],
-            }
-            for number in range(count)
-        ],
-        **picked(trajectory, "evaluations seconds"),
-    }
-    report = Report(trajectory.summary(rows), values, bool(np.all(trajectory.success)))
-    return trajectory, report, columns, arrays
+    return trajectory, report_of(trajectory, rows), columns, arrays
 
 
 _METHODS = "hamsym integrate --list shows the methods."
@@ -322,25 +234,19 @@ def lyapunov(
     """
     if indicators:
         return _indicators(H, z0, span, **options)
-    import numpy as np
 
     from hamsym.dynamics.lyapunov import LyapunovExponents
     from hamsym.dynamics.lyapunov import lyapunov as run
 
     found: Any = run(H, z0, span, **options)
     names = [f"exponent {k + 1}" for k in range(found.exponents.shape[-1])]
-    values = picked(found, "statement message method energy_error seconds")
     if isinstance(found, LyapunovExponents):
         columns = [("t", found.t), *zip(names, found.exponents.T, strict=True)]
         arrays = {"t": found.t, "exponents": found.exponents}
-        values |= {"t": found.t[-1], "exponents": found.exponents[-1], "trend": found.trend}
-        report = Report(found.summary(4 if rows else None), values, found.success)
-        return found, report, columns, arrays
+        return found, report_of(found, rows), columns, arrays
     columns = [*zip(H.names, found.z0.T, strict=True), *zip(names, found.exponents.T, strict=True)]
     arrays = {"z0": found.z0, "exponents": found.exponents, "success": found.success}
-    values |= {"t": found.span[1], "exponents": found.exponents, "successes": found.success}
-    report = Report(found.summary(rows), values, bool(np.all(found.success)))
-    return found, report, columns, arrays
+    return found, report_of(found, rows), columns, arrays
 
 
 def _indicators(
@@ -359,9 +265,7 @@ def _indicators(
         "sali": found.sali,
     }
     columns = [(name.replace("_", " "), values) for name, values in arrays.items()]
-    values = picked(found, "statement message method energy_error seconds")
-    values |= {name: array[-1] for name, array in arrays.items()}
-    return found, Report(found.summary(), values, found.success), columns, arrays
+    return found, report_of(found), columns, arrays
 
 
 @click.command(
@@ -381,7 +285,7 @@ def _indicators(
 @integrator_options
 @click.option("--crossings", type=int, help="Stop at this number for each trajectory.")
 @output_options("Crossings as .csv or .npz.")
-@rows_option(5)
+@rows_option(ROWS)
 def section(
     H: Hamiltonian, z0: Any, span: tuple[float, float], rows: int | None, **options: Any
 ) -> Output:
@@ -392,10 +296,4 @@ def section(
     columns = [("trajectory", found.trajectory), ("t", found.t)]
     columns += zip(H.names, found.z.T, strict=True)
     arrays = {"trajectory": found.trajectory, "t": found.t, "z": found.z, "z0": found.z0}
-    values = {
-        **picked(found, "message surface method dt energy_error trajectory t"),
-        "z": by_name(H.names, found.z.T),
-        "z0": by_name(H.names, found.z0.T),
-        "seconds": found.seconds,
-    }
-    return found, Report(found.summary(rows), values, found.success), columns, arrays
+    return found, report_of(found, rows), columns, arrays

@@ -33,14 +33,13 @@ from hamsym.dynamics.growth import (
     orthonormal,
 )
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
-from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps, history
+from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.table import usual_method
 from hamsym.problem import checked_span
 from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.shown import Shown
-from hamsym.support.text_tables import wrapped
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
@@ -72,8 +71,11 @@ class ChaosIndicators(Shown):
         1.414, shape (n,). In chaos it falls like exp(-(lambda_1 - lambda_2) t), also below
         round-off; 0 means less than 1e-307. On a torus of two or more dimensions it keeps its size;
         on one of lower dimension, so with one degree of freedom, it falls like a power of t.
-    start : float
-        Time at the start.
+    H : Hamiltonian
+    z0 : numpy.ndarray
+        Initial state, shape (dim,).
+    span : (float, float)
+        The times that were asked for; the history ends early where the run failed.
     energy_error : float
         Largest change of H, nan if H depends on time or forces act.
     method : str
@@ -83,33 +85,32 @@ class ChaosIndicators(Shown):
         Whether the trajectory reached the end and kept H as for
         :class:`hamsym.LyapunovExponents`; independent of the verdict on chaos.
     message : str
-    is_integrable : bool
-        Whether H has one degree of freedom and no explicit time, which excludes chaos.
-    H : Hamiltonian, optional
-    title : str
-        Formula of H, above figures.
     """
 
     t: np.ndarray = field(repr=False)
     megno: np.ndarray = field(repr=False)
     mean_megno: np.ndarray = field(repr=False)
     sali: np.ndarray = field(repr=False)
-    start: float
+    H: Hamiltonian = field(repr=False, compare=False)
+    z0: np.ndarray = field(repr=False)
+    span: tuple[float, float]
     energy_error: float
     method: str
     dt: float
     seconds: float
     success: bool
     message: str
-    title: str = field(repr=False, default="")
-    is_integrable: bool = False
-    H: Hamiltonian | None = field(repr=False, default=None, compare=False)
 
     def __repr__(self) -> str:
         return (
-            f"ChaosIndicators({self.title!r}: mean MEGNO {self.mean_megno[-1]:.4g}, SALI "
+            f"ChaosIndicators({self.H.formulas!r}: mean MEGNO {self.mean_megno[-1]:.4g}, SALI "
             f"{self.sali[-1]:.2g} after t = {self.t[-1]:.6g}, success={self.success})"
         )
+
+    @property
+    def is_integrable(self) -> bool:
+        """Whether H has one degree of freedom and no explicit time, which excludes chaos."""
+        return self.H.dof == 1 and self.H.time is None
 
     @cached_property
     def slope(self) -> float:
@@ -118,7 +119,7 @@ class ChaosIndicators(Shown):
         An estimate of the largest Lyapunov exponent (Cincotta & Simo 2000), about 0 on regular
         motion; nan with less than ten points.
         """
-        elapsed = np.abs(self.t - self.start)
+        elapsed = np.abs(self.t - self.span[0])
         late = elapsed >= 0.2 * elapsed[-1]
         if late.sum() < 10:
             return float("nan")
@@ -129,7 +130,7 @@ class ChaosIndicators(Shown):
     @property
     def statement(self) -> str:
         """Interpretation of the indicators, with the limits of a finite time."""
-        end, mean, sali = abs(self.t[-1] - self.start), self.mean_megno[-1], self.sali[-1]
+        end, mean, sali = abs(self.t[-1] - self.span[0]), self.mean_megno[-1], self.sali[-1]
         begin = f"After a time of {end:.6g} the mean MEGNO is {mean:.3g} and SALI is {sali:.2g}"
         # A mean that grows in proportion to t is the exponent times t/2.
         grows = mean > 2 * _NEAR_TWO[1] and 0.5 <= self.slope * end / (2 * mean) <= 2
@@ -161,15 +162,6 @@ class ChaosIndicators(Shown):
         if not self.success:
             verdict = f"{verdict} However, the run failed: {self.message}."
         return f"{begin}. {verdict}"
-
-    def summary(self) -> str:
-        """Describe the outcome as text: the verdict, then a short history."""
-        lines = [wrapped(self.statement)]
-        if np.isfinite(self.energy_error):
-            lines.append(f"energy error {self.energy_error:.1e}")
-        columns = {"megno": self.megno, "mean megno": self.mean_megno, "sali": self.sali}
-        lines += ["", *history(self.t, self.start, columns)]
-        return "\n".join([*lines, wrapped(f"{self.message}, {self.seconds:.2g} s")])
 
     def plot(self, *names: Any, ax: Any = None) -> Figure:
         """Draw MEGNO with its mean, and SALI, over time.

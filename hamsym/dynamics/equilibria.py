@@ -96,6 +96,8 @@ def equilibria(
     --------
     >>> found = equilibria("p**2/2 - x**2/2 + x**4/4", box={"x": (-2, 2), "p": (-1, 1)})
     >>> print(found)
+    all 3 equilibria in the box, proven
+    <BLANKLINE>
        type     x  p  energy  stable
     1  centre  -1  0   -0.25     yes
        frequencies 1.4142136 (+)
@@ -103,8 +105,6 @@ def equilibria(
        frequencies 1.4142136 (+)
     3  saddle   0  0       0      no
        exponents +-1
-    <BLANKLINE>
-    all 3 equilibria in the box, proven
     """
     H = Hamiltonian.of(H, bound=False)
     if H.time is not None:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import itertools
 import math
-import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -20,14 +19,10 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.ball import Ball
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.shown import Shown
-from hamsym.support.text_tables import ROWS, left_out
 
 if TYPE_CHECKING:
     import sympy
     from matplotlib.figure import Figure
-
-_WIDTH = 80
-_SHOWN_REGIONS = 3
 
 
 @suggest_attributes
@@ -131,7 +126,7 @@ class Equilibrium(Shown):
         return self.linear
 
     def __str__(self) -> str:
-        return "\n".join(_wrapped(line) for line in self.lines)
+        return self.summary(rows=None)
 
     def plot(self, *, ax: Any = None) -> Figure:
         """Draw the eigenvalues in the complex plane, with Krein signatures of the frequencies.
@@ -148,11 +143,16 @@ class Equilibrium(Shown):
         """
         return hamsym.plot(self, ax=ax)
 
+    def coordinates(self, digits: int = 10) -> list[str]:
+        """Return the components as text, in closed form where a parameter has no value."""
+        values = self.z if self.exact is None or self.linear is not None else list(self.exact)
+        return [f"{v + 0.0:.{digits}g}" if isinstance(v, float) else str(v) for v in values]
+
     @property
     def lines(self) -> list[str]:
         """What is known of it, in words: a line each."""
-        values = self.z if self.exact is None or self.linear is not None else list(self.exact)
-        state = ", ".join(f"{n} = {_number(v)}" for n, v in zip(self.names, values, strict=True))
+        pairs = zip(self.names, self.coordinates(), strict=True)
+        state = ", ".join(f"{name} = {value}" for name, value in pairs)
         lines = [f"{self.type} at {state}"]
         if self.linear is not None:
             lines += [f"energy {self.energy:.10g}, {self.stability}", self.spectrum]
@@ -298,87 +298,7 @@ class Equilibria(Shown, Sequence[Equilibrium]):
         return hamsym.plot(self, *names, ax=ax)
 
     def __str__(self) -> str:
-        lines = [self.table(), ""] if self.found else []
-        return "\n".join([*lines, *self._completeness()])
-
-    def summary(self, rows: int | None = ROWS) -> str:
-        """Describe the outcome in text: whether these are all, then the equilibria.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most equilibria; None for all.
-        """
-        count = len(self.found) if rows is None else min(rows, len(self.found))
-        shown = replace(self, found=self.found[:count])
-        lines = self._completeness() + (["", shown.table()] if count else [])
-        lines += left_out(len(self.found) - count, "equilibria")
-        return "\n".join(lines)
-
-    def _completeness(self) -> list[str]:
-        """Whether the list is complete, and the parts of the box that are not decided."""
-        lines = [_wrapped(self.message)]
-        for region in self.undecided[:_SHOWN_REGIONS]:
-            lines.append(_wrapped(f"undecided: {region}"))
-        if len(self.undecided) > _SHOWN_REGIONS:
-            lines.append(f"and {len(self.undecided) - _SHOWN_REGIONS:,} further undecided regions")
-        return lines
-
-    def _cells(self, digits: int) -> list[list[str]]:
-        """Rows of the table, the header first."""
-        words = {True: "yes", False: "no", None: "?"}
-        rows = [["", "type", *self.H.names, "energy", "stable"]]
-        for number, each in enumerate(self.found, 1):
-            exact = each.exact if each.linear is None else None
-            values = each.z if exact is None else list(exact)
-            energy = "" if math.isnan(each.energy) else f"{each.energy:.{digits}g}"
-            state = [_number(value, digits) for value in values]
-            rows.append([f"{number}", each.type, *state, energy, words[each.stable]])
-        return rows
-
-    def table(self) -> str:
-        """Types, states and energies, a row each, with frequencies and exponents, as text."""
-        for digits in (8, 6):
-            header, *rows = cells = self._cells(digits)
-            widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-            if sum(widths) + 2 * (len(widths) - 1) <= _WIDTH:
-                break
-        else:
-            return "\n".join(itertools.starmap(_paragraph, enumerate(self.found, 1)))
-        lines = [_row(header, widths)]
-        for row, each in zip(rows, self.found, strict=True):
-            lines.append(_row(row, widths))
-            notes = [] if each.linear is None else [each.spectrum]
-            if each.how == "numerical":
-                notes.append("not proven")
-            if each.family:
-                notes.append(f"part of a continuum: {each.family}")
-            if each.on_edge:
-                notes.append("on the edge of the box")
-            if any(notes):
-                start = " " * (widths[0] + 2)
-                note = "; ".join(filter(None, notes))
-                lines.append(textwrap.fill(note, _WIDTH, initial_indent=start,
-                                           subsequent_indent=start))  # fmt: skip
-        return "\n".join(lines)
-
-
-def _paragraph(number: int, each: Equilibrium) -> str:
-    """An equilibrium with too many components for a row."""
-    marks = [f"{number:<3} ", *["    "] * len(each.lines)]
-    return "\n".join(map(_wrapped, each.lines, marks))
-
-
-def _row(cells: Sequence[str], widths: Sequence[int]) -> str:
-    aligned = [
-        cell.ljust(width) if k == 1 else cell.rjust(width)
-        for k, (cell, width) in enumerate(zip(cells, widths, strict=True))
-    ]
-    return "  ".join(aligned).rstrip()
-
-
-def _number(value: Any, digits: int = 10) -> str:
-    return f"{value + 0.0:.{digits}g}" if isinstance(value, float) else str(value)
+        return self.summary(rows=None)
 
 
 def _interval(name: str, low: float, high: float) -> str:
@@ -395,13 +315,3 @@ def _complex(value: complex) -> str:
     if value.real == 0:
         return f"{value.imag:.8g}i"
     return f"({value.real:.8g} {'+' if value.imag > 0 else '-'} {abs(value.imag):.8g}i)"
-
-
-def _wrapped(text: str, mark: str = "") -> str:
-    return textwrap.fill(
-        text,
-        _WIDTH,
-        initial_indent=mark,
-        subsequent_indent=" " * len(mark) + "  ",
-        break_on_hyphens=False,
-    )

@@ -24,7 +24,7 @@ from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.dynamics.growth import APART, PARALLEL, first_vectors, growth_limit, orthonormal
 from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
-from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps, history
+from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
 from hamsym.ensemble import ensemble_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
@@ -34,7 +34,6 @@ from hamsym.problem import checked_span, checked_steps
 from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.shown import Shown
 from hamsym.support.tables import data_frame, data_set
-from hamsym.support.text_tables import wrapped
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
@@ -54,8 +53,11 @@ class LyapunovExponents(Shown):
         Times of the history, shape (n,).
     exponents : numpy.ndarray
         Logarithm of the growth up to t, divided by t, the largest first, shape (n, count).
-    start : float
-        Time at the start.
+    H : Hamiltonian
+    z0 : numpy.ndarray
+        Initial state, shape (dim,).
+    span : (float, float)
+        The times that were asked for; the history ends early where the run failed.
     energy_error : float
         Largest change of H, nan if H depends on time or forces act.
     method : str
@@ -65,29 +67,23 @@ class LyapunovExponents(Shown):
         Whether the trajectory reached the end and kept H to 1 % of the energy that the motion
         exchanges (:mod:`hamsym.integrators.energy_drift`); independent of convergence.
     message : str
-    is_integrable : bool
-        Whether H has one degree of freedom and no explicit time, which excludes chaos.
-    H : Hamiltonian, optional
-    title : str
-        Formula of H, above figures.
     """
 
     t: np.ndarray = field(repr=False)
     exponents: np.ndarray = field(repr=False)
-    start: float
+    H: Hamiltonian = field(repr=False, compare=False)
+    z0: np.ndarray = field(repr=False)
+    span: tuple[float, float]
     energy_error: float
     method: str
     dt: float
     seconds: float
     success: bool
     message: str
-    title: str = field(repr=False, default="")
-    is_integrable: bool = False
-    H: Hamiltonian | None = field(repr=False, default=None, compare=False)
 
     def __repr__(self) -> str:
         return (
-            f"LyapunovExponents({self.title!r}: largest {self.maximal:.4g} after t = "
+            f"LyapunovExponents({self.H.formulas!r}: largest {self.maximal:.4g} after t = "
             f"{self.t[-1]:.6g}, success={self.success})"
         )
 
@@ -96,6 +92,11 @@ class LyapunovExponents(Shown):
         """The largest exponent at the last time, per unit of time."""
         return float(self.exponents[-1, 0])
 
+    @property
+    def is_integrable(self) -> bool:
+        """Whether H has one degree of freedom and no explicit time, which excludes chaos."""
+        return self.H.dof == 1 and self.H.time is None
+
     @cached_property
     def trend(self) -> float:
         """Slope d log(exponent) / d log(t) over the last decade of time.
@@ -103,7 +104,7 @@ class LyapunovExponents(Shown):
         A converged exponent has slope 0; on a regular trajectory, where differences grow in
         proportion to t, the slope is that of log(t)/t, slightly above -1.
         """
-        elapsed, values = np.abs(self.t - self.start), self.exponents[:, 0]
+        elapsed, values = np.abs(self.t - self.span[0]), self.exponents[:, 0]
         late = (elapsed >= 0.1 * elapsed[-1]) & (values > 0)
         if late.sum() < 10:
             return math.nan
@@ -112,7 +113,7 @@ class LyapunovExponents(Shown):
     @property
     def statement(self) -> str:
         """Interpretation of the exponents, with the limits of a finite time."""
-        end = abs(self.t[-1] - self.start)
+        end = abs(self.t[-1] - self.span[0])
         begin = f"After a time of {end:.6g} the largest exponent is {self.maximal:.3g}"
         if self.trend < -0.5:
             verdict = (
@@ -140,26 +141,6 @@ class LyapunovExponents(Shown):
         if not self.success:
             verdict = f"{verdict} However, the run failed: {self.message}."
         return f"{begin}, {verdict}"
-
-    def summary(self, rows: int | None = 4) -> str:
-        """Describe the outcome as text: the verdict, then a short history.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most columns of the history; None for all.
-        """
-        lines = [wrapped(self.statement)]
-        if math.isfinite(self.energy_error):
-            lines.append(f"energy error {self.energy_error:.1e}")
-        names = [f"exponent {k + 1}" for k in range(self.exponents.shape[1])]
-        if len(names) > 1:
-            ends = ", ".join(f"{value:.4g}" for value in self.exponents[-1])
-            lines.append(wrapped(f"at the end: {ends}"))
-        wide = len(names) if rows is None else min(rows, len(names))
-        columns = dict(zip(names[:wide], self.exponents.T, strict=False))
-        lines += ["", *history(self.t, self.start, columns)]
-        return "\n".join([*lines, wrapped(f"{self.message}, {self.seconds:.2g} s")])
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the exponents as a table of pandas: times as index, a column for each.
@@ -206,7 +187,7 @@ class LyapunovExponents(Shown):
 
     @property
     def _attributes(self) -> dict[str, Any]:
-        known = {"H": self.title, "start": self.start, "method": self.method, "dt": self.dt}
+        known = {"H": self.H.formulas, "start": self.span[0], "method": self.method, "dt": self.dt}
         return {**known, "hamsym": hamsym.__version__}
 
     def plot(self, *names: Any, ax: Any = None) -> Figure:

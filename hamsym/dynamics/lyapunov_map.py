@@ -42,7 +42,6 @@ from hamsym.suggestions import suggest_attributes
 from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Shown
-from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,9 +89,8 @@ class LyapunovMap(Shown):
     seconds : float
     interrupted : bool
         Whether Ctrl-C ended the run; members that were not finished are nan.
-    H : Hamiltonian, optional
-    title : str
-        Formula of H, above figures.
+    H : Hamiltonian
+        With the parameters of the first member where they differ.
     """
 
     exponents: np.ndarray = field(repr=False)
@@ -100,6 +98,7 @@ class LyapunovMap(Shown):
     message: np.ndarray = field(repr=False)
     z0: np.ndarray = field(repr=False)
     parameters: dict[str, np.ndarray] = field(repr=False)
+    H: Hamiltonian = field(repr=False, compare=False)
     names: tuple[str, ...]
     span: tuple[float, float]
     energy_error: np.ndarray = field(repr=False)
@@ -107,14 +106,12 @@ class LyapunovMap(Shown):
     method: str
     seconds: float
     interrupted: bool = False
-    title: str = field(repr=False, default="")
-    H: Hamiltonian | None = field(repr=False, default=None, compare=False)
 
     def __repr__(self) -> str:
         good, size = int(self.success.sum()), self.success.size
         return (
-            f"LyapunovMap({self.title!r}, shape {self.success.shape}, t to {self.span[1]:.6g}: "
-            f"{good:,} succeeded, {size - good:,} failed)"
+            f"LyapunovMap({self.H.formulas!r}, shape {self.success.shape}, "
+            f"t to {self.span[1]:.6g}: {good:,} succeeded, {size - good:,} failed)"
         )
 
     @property
@@ -143,32 +140,6 @@ class LyapunovMap(Shown):
             index = ", ".join(map(str, first))
             text += f"; the first that failed is [{index}]: {self.message[first]}"
         return text + "."
-
-    def summary(self, rows: int | None = ROWS) -> str:
-        """Describe the outcome as text: the largest exponents, then a row for each start.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most rows of a table; None for all.
-        """
-        lines, starts = [wrapped(self.statement)], self.exponents.shape[:-1]
-        if np.isfinite(self.energy_error).any():
-            lines.append(f"energy error {np.nanmax(self.energy_error):.1e}")
-        wide = self.exponents.shape[-1] if rows is None else min(4, self.exponents.shape[-1])
-        indices = list(np.ndindex(starts))
-        shown = indices if rows is None else indices[:rows]
-        listed = []
-        for index in shown:
-            values = [f"{value:.4e}" for value in self.exponents[index][:wide]]
-            listed.append([", ".join(map(str, index)), *values])
-        header = ["trajectory", *(f"exponent {k + 1}" for k in range(wide))]
-        lines += ["", *table(header, listed)]
-        lines += left_out(len(indices) - len(shown), "trajectories")
-        for index in [one for one in shown if not self.success[one]][:3]:
-            lines.append(wrapped(f"trajectory {', '.join(map(str, index))}: {self.message[index]}"))
-        steps = f"{self.method}: {self.steps.max():,} steps or fewer, {self.seconds:.2g} s"
-        return "\n".join([*lines, steps])
 
     def plot(self, *names: Any, ax: Any = None) -> Figure:
         """Draw the largest exponent over a plane of starts, or along a row of them.
@@ -228,7 +199,6 @@ def lyapunov_map(
         method=method,
         seconds=time.perf_counter() - began,
         interrupted=interrupted,
-        title=members.H.formulas,
         H=members.H,
     )
 

@@ -29,7 +29,6 @@ from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.record_fields import AnyFloat, Size, counts, floats
 from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, time_name
-from hamsym.support.text_tables import ALL, table, wrapped
 from hamsym.support.validation import require_number, require_whole
 from hamsym.surface import Surface, parse_surface
 
@@ -58,6 +57,8 @@ class Section(Saved):
         axes are counted along the last axis first, as by ``numpy.unravel_index``.
     z0 : numpy.ndarray
         Starts of the trajectories, by their number, shape (trajectories, dim).
+    span : (float, float)
+        The times that were asked for.
     parameters : mapping of str to numpy.ndarray
         Values of the parameters that were given as arguments, of each trajectory.
     energy_error : float
@@ -84,6 +85,7 @@ class Section(Saved):
     z: Annotated[np.ndarray, floats("crossings", "dim")] = field(repr=False)
     trajectory: Annotated[np.ndarray, counts("crossings")] = field(repr=False)
     z0: Annotated[np.ndarray, floats("starts", "dim", finite=False)] = field(repr=False)
+    span: tuple[float, float] = field(repr=False)
     energy_error: AnyFloat
     method: str
     dt: float
@@ -91,15 +93,15 @@ class Section(Saved):
     success: bool
     message: str
     axes: tuple[str, str] = field(repr=False)
+    H: Hamiltonian = field(repr=False)
     drift: AnyFloat = math.nan
-    H: Hamiltonian | None = field(default=None, repr=False)
     parameters: Mapping[str, Annotated[np.ndarray, floats("starts")]] = field(
         default_factory=dict, repr=False
     )
 
     def check(self) -> None:
         """Raise ValueError unless the crossings are those of trajectories of H, in order."""
-        if self.H is None or self.names != self.H.names or not {*self.axes} <= {*self.names}:
+        if self.names != self.H.names or not {*self.axes} <= {*self.names}:
             raise ValueError("its names are not those of H")
         if not {*self.parameters} <= {*self.H.parameter_names}:
             raise ValueError("a parameter varies that H does not have")
@@ -175,36 +177,8 @@ class Section(Saved):
 
     @property
     def _attributes(self) -> dict[str, Any]:
-        formula = "" if self.H is None else self.H.formulas
-        known = {"H": formula, "surface": self.surface, "method": self.method, "dt": self.dt}
-        return {**known, "hamsym": hamsym.__version__}
-
-    def summary(self, rows: int | None = 5) -> str:
-        """Describe the outcome as text: how well H was kept, then the first crossings.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most rows of a table; None for all.
-        """
-        lines = [wrapped(self.message)]
-        if math.isfinite(self.energy_error) and len(self.t):
-            lines.append(f"energy error {self.energy_error:.1e}")
-        count = len(self.t) if rows is None else min(rows, len(self.t))
-        wide = len(self.names) if rows is None else min(4, len(self.names))
-        listed = [
-            [f"{number}", f"{t:.6g}", *(f"{value:.5g}" for value in z[:wide])]
-            for number, t, z in zip(
-                self.trajectory[:count], self.t[:count], self.z[:count], strict=True
-            )
-        ]
-        if listed:
-            lines += ["", *table(["trajectory", "t", *self.names[:wide]], listed)]
-        rest = [f"{len(self.t) - count:,} crossings"] * (len(self.t) > count)
-        rest += [f"{len(self.names) - wide} components"] * (len(self.names) > wide)
-        if rest:
-            lines.append(f"... and {' and '.join(rest)}; all with {ALL}")
-        return "\n".join([*lines, f"time {self.seconds:.2g} s"])
+        known = {"H": self.H.formulas, "surface": self.surface, "method": self.method}
+        return {**known, "dt": self.dt, "hamsym": hamsym.__version__}
 
     def plot(self, *names: Any, ax: Any = None) -> Figure:
         """Draw the crossings in a plane, with a colour for each start.
@@ -346,6 +320,7 @@ def section(
         z=z,
         trajectory=trajectory,
         z0=members.states,
+        span=span,
         energy_error=_energy_error(members, z, trajectory),
         method=method,
         dt=size,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +21,6 @@ from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.linear_motion import fastest_rates
 from hamsym.integrators.stepper import Stepper
 from hamsym.problem import checked_steps
-from hamsym.support.text_tables import table
 
 #: Points of a history.
 KEPT = 2_000
@@ -93,16 +92,15 @@ class TangentSteps:
         energy_error, problem = self._judged(times, path, problem)
         done = f"{self.method}: {self.number:,} steps to t = {self.span[1]:.6g}"
         return {
-            "start": self.span[0],
+            "H": self.H,
+            "z0": path[0],
+            "span": self.span,
             "energy_error": energy_error,
             "method": self.method,
             "dt": self.size,
             "seconds": time.perf_counter() - began,
             "success": not problem,
             "message": problem or done,
-            "title": self.H.formulas,
-            "is_integrable": self.H.dof == 1 and self.H.time is None,
-            "H": self.H,
         }
 
     def _judged(
@@ -161,23 +159,3 @@ def _fastest_rate(
         rate = found
         length = min(length, _PILOT_STEPS / (STEPS_PER_RADIAN * rate))
     return rate, path, times
-
-
-def history(t: np.ndarray, start: float, columns: Mapping[str, np.ndarray]) -> list[str]:
-    """Return the lines of a table with two rows for each of three decades of time, and the end.
-
-    Examples
-    --------
-    >>> t = np.linspace(0.1, 100, 1000)
-    >>> print("\\n".join(history(t, 0.0, {"growth": 1 / t})[-2:]))
-    31.7      3.1546e-02
-    100       1.0000e-02
-    """
-    elapsed = np.abs(t - start)
-    wanted = np.append(elapsed[-1] * 10.0 ** np.arange(-3, 0, 0.5), elapsed[-1] * (1 - 1e-12))
-    rows = np.unique(np.searchsorted(elapsed, wanted))
-    listed = [
-        [f"{t[row]:.6g}", *(f"{values[row]:.4e}" for values in columns.values())]
-        for row in rows[rows < len(t)]
-    ]
-    return table(["t", *columns], listed)

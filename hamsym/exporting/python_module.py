@@ -20,6 +20,7 @@ _WRITTEN_OUT = 64  # numbers of an array that is written in decimals, not as byt
 def python_module(about: About, form: ClosedForm) -> bytes:
     """Return the module as text in UTF-8."""
     H = about.solution.H
+    errors = [e if np.isfinite(e) else None for e in about.solution.largest_error.tolist()]
     energy = H.source("numpy", part="energy").replace("def energy(", "def _hamiltonian(", 1)
     energy = energy.replace("    z = _floating(z)\n", "", 1)
     return (
@@ -32,7 +33,7 @@ def python_module(about: About, form: ClosedForm) -> bytes:
                 "span": tuple(map(float, about.solution.span)),
                 "parameters": dict(H.parameters),
                 "success": bool(about.solution.success),
-                "errors": about.errors,
+                "errors": dict(zip(H.names, errors, strict=True)),
                 "has_time": H.time is not None,
                 "definitions": [
                     (name, text)

@@ -9,6 +9,7 @@ Stage 2  The windows of a chunk are kept, or moved to a store of zarr
 from __future__ import annotations
 
 import os
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -134,6 +135,7 @@ def solve_many(
     >>> many[1, 2].success
     True
     """
+    began = time.perf_counter()
     members = ensemble_of(H, z0, parameters, finite=False)
     times = checked_span(span)
     require_whole("seed", seed, 0)
@@ -158,6 +160,7 @@ def solve_many(
             else:
                 run.solve_on(client, retries, report)
         found = run.solutions()
+    found.seconds = time.perf_counter() - began
     if prove:
         found.proofs = found.certify(progress=progress)
     return found

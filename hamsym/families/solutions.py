@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
@@ -122,12 +123,14 @@ class Solutions(Saved):
         Whether the estimated error, round-off included, is within the tolerance, shape (...).
     message : numpy.ndarray
         Outcome of each member, shape (...), of str.
-    error_estimate : numpy.ndarray
+    largest_error : numpy.ndarray
         Largest estimated error, round-off included, over the time that a member reached, shape
         (..., dim); infinite where it is unknown.
     excess : numpy.ndarray
         Largest ratio of the estimated to the allowed error, shape (...); infinite where it is
         unknown.
+    seconds : float
+        Run time; nan for a part of the members, and not part of files.
     proofs : Proofs or None
         With ``prove=True``, whether the errors of each member are proven to be within the
         tolerance.
@@ -140,6 +143,7 @@ class Solutions(Saved):
         self.family, self.table, self.windows = family, table, windows
         self.members = members  # their numbers in the table, in their shape
         self.proofs: Proofs | None = None
+        self.seconds = math.nan
 
     def __repr__(self) -> str:
         start, end = self.span
@@ -198,7 +202,7 @@ class Solutions(Saved):
         return self.table.success[self.members]
 
     @cached_property
-    def error_estimate(self) -> np.ndarray:
+    def largest_error(self) -> np.ndarray:
         return self.table.largest[self.members]
 
     @cached_property
@@ -434,7 +438,7 @@ class Solutions(Saved):
     def to_xarray(self, t: Any) -> xarray.Dataset:
         """Return states at times t, with success and error estimates, as a dataset of xarray.
 
-        Its variables are ``state``, ``success``, ``message``, ``error_estimate`` and ``z0``. Axes
+        Its variables are ``state``, ``success``, ``message``, ``largest_error`` and ``z0``. Axes
         of members are called ``member``, or ``axis_0``, ``axis_1``, ... if there are several; the
         other ones are ``time`` and ``component``. Parameters are coordinates.
 
@@ -455,7 +459,7 @@ class Solutions(Saved):
                 "state": ([*axes, "time", "component"], self(times)),
                 "success": (axes, self.success),
                 "message": (axes, self.message),
-                "error_estimate": ([*axes, "component"], self.error_estimate),
+                "largest_error": ([*axes, "component"], self.largest_error),
                 "z0": ([*axes, "component"], self.z0),
             },
             {

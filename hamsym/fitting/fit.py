@@ -10,6 +10,7 @@ Stage 4  The best minimum of every set of data is judged (:mod:`hamsym.fitting.v
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -141,6 +142,7 @@ def fit(
     times = checked_span(span)
     if flow is not None and times != checked_span(flow.span):
         raise InputError(f"span={span!r} is not that of the flow map, {flow.span!r}; leave it out")
+    began = time.perf_counter()
     unknowns = checked_unknowns(H, free, z0, parameters, bounds)
     observed = checked_observations(unknowns.H, checked_times(t, times), observations, sigma)
     needed = len(unknowns.names) + (0 if observed.known else 1)
@@ -179,7 +181,7 @@ def fit(
             progress=False,
         )
     verdicts = judged(model, found, uncertainty, motion)
-    return _result(model, found, uncertainty, verdicts, confidence, flow, motion)
+    return _result(model, found, uncertainty, verdicts, confidence, flow, motion, began)
 
 
 def _of_many(solved: SolvedMotions) -> Motions:
@@ -231,6 +233,7 @@ def _result(
     confidence: float,
     flow: FlowLike | None,
     motion: Any,
+    began: float,
 ) -> Fit:
     """Arrange the results; those of one set without an axis of sets."""
     unknowns, observed = model.unknowns, model.observed
@@ -271,6 +274,7 @@ def _result(
         p_value=_plain(of(verdicts.p_value)),
         success=_plain(of(verdicts.success)),
         message=of(messages),
+        seconds=time.perf_counter() - began,
         minima=tuple(minima) if observed.single else (),
         starts_reached=_plain(of(found.reached)),
         solution=None if flow is not None else motion,

@@ -20,10 +20,19 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import suggest_attributes
-from hamsym.support.record_fields import AnyFloat, As, Count, Limit, OneOf, counts, flags, floats
+from hamsym.support.record_fields import (
+    AnyFloat,
+    As,
+    Count,
+    Limit,
+    OneOf,
+    Size,
+    counts,
+    flags,
+    floats,
+)
 from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame
-from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 
 if TYPE_CHECKING:
     import pandas
@@ -100,6 +109,8 @@ class Fit(Saved):
         another one known that fits as well, by symmetry, aliasing or from another start, the
         motion is accurate to a tenth of sigma, and the model fits (p >= 1e-6).
     message : str or numpy.ndarray
+    seconds : float
+        Run time.
     minima : tuple of Minimum
         The minima that several starts reached, the best one first; empty for several sets.
     starts_reached : int or numpy.ndarray
@@ -131,6 +142,7 @@ class Fit(Saved):
     p_value: _Number
     success: Annotated[Any, As(bool | Annotated[np.ndarray, flags("*sets")])]
     message: Annotated[Any, As(str | _TEXTS, _texts, _messages)]
+    seconds: Size
     minima: tuple[Minimum, ...]
     starts_reached: _WHOLE_PER_SET
     solution: Annotated[Solution | Solutions, _MOTIONS] | None
@@ -238,36 +250,6 @@ class Fit(Saved):
     @cached_property
     def _functions(self) -> dict[str, Any]:
         return {label: self.H.observable(expr) for label, expr in self.expressions.items()}
-
-    def summary(self, rows: int | None = ROWS) -> str:
-        """Describe the outcome as text: the verdict, then the estimates with their errors.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most rows of a table; None for all.
-        """
-        if np.ndim(self.success):
-            failed = np.flatnonzero(~self.success)
-            first = "" if not len(failed) else f"; number {failed[0]:,}: {self.message[failed[0]]}"
-            return wrapped(f"{repr(self)[4:-1]}{first}")
-        errors = self.standard_errors
-        interval = f"{100 * self.confidence:g} % interval"
-        listed = []
-        for name, value in self.parameters.items():
-            low, high = self.confidence_intervals[name]
-            unit = self.H.units.get(name, "")
-            ends = f"{low:.8g} to {high:.8g}"
-            listed.append([name, unit, f"{value:.8g}", f"{errors[name]:.2g}", ends])
-        shown = listed if rows is None else listed[:rows]
-        header = ["", "unit", "estimate", "standard error", interval]
-        lines = [wrapped(self.message), "", *table(header, shown)]
-        lines += left_out(len(listed) - len(shown), "quantities")
-        worst = [
-            f"{label} {np.nanmax(np.abs(values)):.2g}"
-            for label, values in self.weighted_residuals.items()
-        ]
-        return "\n".join([*lines, "", wrapped(f"largest residuals in sigma: {', '.join(worst)}")])
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the estimates as a table of pandas, a row for each free quantity.

@@ -123,7 +123,7 @@ def _errors(
             return np.full(len(sigma), np.inf)
         states, errors = motion(observed.t)[None], np.abs(motion.error_estimate(observed.t))[None]
     elif isinstance(motion, Solutions):
-        states, errors = motion(observed.t), motion.error_estimate[:, None]
+        states, errors = motion(observed.t), motion.largest_error[:, None]
     else:
         states = model.motions(found.unknowns)[0]
         errors = motion.tol * np.abs(states).max(axis=1, keepdims=True)

@@ -33,24 +33,13 @@ def module_text(flow: Any) -> str:
     data = base64.b64encode(b"".join(array.tobytes() for array in numbers)).decode()
     lines = "\n".join(f'    "{data[k : k + _WIDTH]}"' for k in range(0, len(data), _WIDTH))
     start, end = flow.span
-    box = "\n".join(
-        f"    {name} from {low!r} to {high!r}" for name, (low, high) in flow.box.items()
-    )
-    fixed = "".join(f"\n    {name} = {value!r}" for name, value in flow.fixed.items())
-    curves = "".join(f"\n    {name} = {text}" for name, text in flow.region.expressions.items())
-    others = f"\n\nFixed:\n{fixed}{curves}" if fixed or curves else ""
-    errors = ", ".join(
-        f"{name} {error:.2g}" for name, error in zip(flow.H.names, flow.error_estimate, strict=True)
-    )
-    return f'''"""Trajectories of H = {flow.H.formulas}, for all starts in a box.
+    head = "\n".join(flow.facts.header())
+    return f'''"""Trajectories of a Hamiltonian system, for all starts in a box.
+
+{head}
 
 ``state(t, inputs)`` returns ({", ".join(flow.H.names)}) at times t from {start!r} to {end!r},
-shape (n,). The inputs have shape (n, {len(flow.inputs)}) and the columns
-
-{box}{others}
-
-Estimated largest error over the box: {errors}.
-{"The map did not meet its tolerance: " * (not flow.success)}{flow.message}.
+shape (n,). The inputs have shape (n, {len(flow.inputs)}), with columns {", ".join(flow.inputs)}.
 
 Made by hamsym {_version()}; needs only numpy.
 """

@@ -54,7 +54,7 @@ class FlowMap(Saved):
         Whether the estimated error over the whole box and span is within the tolerance.
     message : str
         Outcome, with the worst place found.
-    error_estimate : numpy.ndarray
+    largest_error : numpy.ndarray
         Estimated largest error of each component over the box and the span, shape (dim,); see
         :mod:`hamsym.flow_maps.judging`.
     excess : float
@@ -73,7 +73,7 @@ class FlowMap(Saved):
     tol: float
     success: bool
     message: str
-    error_estimate: Annotated[np.ndarray, floats("dim", finite=False)]
+    largest_error: Annotated[np.ndarray, floats("dim", finite=False)]
     excess: AnyFloat
     judgement: Judgement
     solutions: Count
@@ -83,7 +83,7 @@ class FlowMap(Saved):
         """Raise ValueError unless its parts follow each other, and success has an error."""
         require_order(self.map, self.span)
         require_inputs(self.map, self.H.dim, len(self.inputs))
-        if self.success and not (self.excess <= 1 and np.isfinite(self.error_estimate).all()):
+        if self.success and not (self.excess <= 1 and np.isfinite(self.largest_error).all()):
             raise ValueError("its success is true, but its error is not within the tolerance")
 
     def __repr__(self) -> str:

@@ -155,7 +155,7 @@ class _Search:
         self.ratios = np.append(self.ratios, ratios.max(axis=1))
         self.times = np.append(self.times, times[ratios.argmax(axis=1)])
         self.largest = np.maximum(self.largest, difference.max(axis=(0, 1)))
-        self.of_solutions = np.maximum(self.of_solutions, solutions.error_estimate.max(axis=0))
+        self.of_solutions = np.maximum(self.of_solutions, solutions.largest_error.max(axis=0))
 
     def compare_narrow(self, y: np.ndarray) -> None:
         """Compare at places of narrow features; a map that differs there only misses them."""

@@ -38,11 +38,11 @@ def require_trajectory(trajectory: Trajectory) -> None:
     success = np.broadcast_to(trajectory.success, members.shape).reshape(-1)
     if not there[success].all():
         raise ValueError("its success is true, but a state is not finite")
-    if (found is None) != (trajectory.error_estimate is None):
+    if (found is None) != (trajectory.errors is None):
         raise ValueError("its error estimate does not belong to its verdicts")
-    if found is None or trajectory.error_estimate is None:
+    if found is None or trajectory.errors is None:
         return
-    errors = trajectory.error_estimate.reshape(z.shape)
+    errors = trajectory.errors.reshape(z.shape)
     if not (errors >= 0).all() or not np.isfinite(errors[success]).all():
         raise ValueError("its error estimate is negative, not a number, or not finite")
     if len(found.largest) != len(members) or not found.problems.keys() <= set(range(len(members))):

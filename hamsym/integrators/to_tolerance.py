@@ -98,7 +98,7 @@ def integrate_to_tolerance(
         message=message,
         ensemble=members,
         interrupted=found.interrupted,
-        error_estimate=errors.reshape(*shape, *errors.shape[1:]),
+        errors=errors.reshape(*shape, *errors.shape[1:]),
         verdicts=found.verdicts,
         invariant_drift=drifts,
     )

@@ -14,13 +14,13 @@ import hamsym
 from hamsym.description import attributes_of
 from hamsym.ensemble import Ensemble
 from hamsym.errors import InputError
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import work_of
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.suggestions import suggest_attributes, unknown
 from hamsym.support.record_fields import UNSAVED, AnyFloat, Count, Size, counts, flags, floats
 from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
-from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:
     import pandas
@@ -112,7 +112,7 @@ class Trajectory(Saved):
         are more), relative to the energy that the motion exchanges between coordinates and momenta
         (:mod:`hamsym.integrators.energy_drift`); the largest of an ensemble. Infinite if H is not
         finite along the trajectory, nan if H depends on time, forces act, and with ``tol``.
-    error_estimate : numpy.ndarray, optional
+    errors : numpy.ndarray, optional
         With ``tol``: largest estimated error of each component up to each time, shape of z, in the
         units of the components; infinite where it is unknown.
     verdicts : Verdicts, optional
@@ -135,7 +135,7 @@ class Trajectory(Saved):
     ensemble: Ensemble = field(repr=False)
     interrupted: bool = False
     drift: AnyFloat = math.nan
-    error_estimate: Annotated[np.ndarray, _STATES] | None = field(default=None, repr=False)
+    errors: Annotated[np.ndarray, _STATES] | None = field(default=None, repr=False)
     verdicts: Verdicts | None = field(default=None, repr=False)
     invariant_drift: Mapping[str, Any] = field(default_factory=dict, repr=False, metadata=UNSAVED)
 
@@ -155,6 +155,26 @@ class Trajectory(Saved):
             f"Trajectory({self.ensemble.H.formulas!r}, {shape}{len(self.t):,} states, t from "
             f"{self.t[0]:.6g} to {self.t[-1]:.6g}, {self.method}{error}, {outcome})"
         )
+
+    @property
+    def H(self) -> Hamiltonian:
+        """The Hamiltonian, with the parameters of the first trajectory where they differ."""
+        return self.ensemble.H
+
+    @property
+    def z0(self) -> np.ndarray:
+        """Initial states, shape (*shape, dim)."""
+        return self.ensemble.states.reshape(*self.ensemble.shape, -1)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last of the saved times."""
+        return float(self.t[0]), float(self.t[-1])
+
+    @property
+    def largest_error(self) -> np.ndarray | None:
+        """Largest estimated error of each component, shape (*shape, dim); None without ``tol``."""
+        return None if self.errors is None else self.errors[..., -1, :]
 
     @cached_property
     def messages(self) -> np.ndarray:
@@ -199,28 +219,6 @@ class Trajectory(Saved):
         with np.errstate(all="ignore"):
             power = H.observable(H.power)(self.z, self.t, values)
         return change - work_of(self.t, power)
-
-    def summary(self, rows: int | None = ROWS, *, number: int = 0) -> str:
-        """Describe the outcome as text.
-
-        First the largest estimated error against ``tol``, or without it how well H is kept, then
-        the states at the ends of one trajectory, and the cost.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most components in the table; None for all.
-        number : int
-            Of the trajectory in the table, in a flat order of the ensemble.
-
-        Examples
-        --------
-        >>> trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-9)
-        >>> print(trajectory.summary())
-        largest estimated error ... in ..., ... % of tol 1.0e-09
-        blanes_moan6: ... steps to t = 5, estimated error ...
-        """
-        return hamsym.summary(self, rows, number=number)
 
     # -- by name and by time ---------------------------------------------------------------------
 
@@ -343,7 +341,7 @@ class Trajectory(Saved):
 
         Its axes are ``time`` and ``component``, and of an ensemble ``member``, or ``axis_0``,
         ``axis_1``, ..., on which parameters that vary are coordinates. With ``tol`` it has
-        ``error_estimate`` too.
+        ``errors`` too.
 
         Raises
         ------
@@ -367,8 +365,8 @@ class Trajectory(Saved):
             "success": (axes, success),
             "message": (axes, self.messages),
         }
-        if self.error_estimate is not None:
-            variables["error_estimate"] = (states, self.error_estimate)
+        if self.errors is not None:
+            variables["errors"] = (states, self.errors)
         varied = {name: (axes, own.reshape(shape)) for name, own in self.ensemble.columns.items()}
         return data_set(
             variables, {"time": self.t, "component": list(self.names), **varied}, self._attributes

@@ -147,7 +147,7 @@ def _stopping(options: DeepOptions, solution: Callable[[Training], Solution]) ->
             Criterion(
                 Stopped.TARGET_ERROR,
                 target,
-                lambda _, record: solution(record).relative_error_estimate <= target,
+                lambda _, record: solution(record).relative_error <= target,
             )
         )
     if (accuracy := options.accuracy) is not None:
@@ -321,7 +321,7 @@ def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tu
             f"no error can be estimated after {done}: the derivative of the trained network in "
             "forward mode is not that of its values; give another trial"
         )
-    relative = solution.relative_error_estimate
+    relative = solution.relative_error
     state = (
         f"loss {training.best_loss:.2e}, ell_max {solution.ell_max:.2e}, "
         f"estimated error {relative:.1e} of the motion"

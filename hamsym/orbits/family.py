@@ -16,7 +16,6 @@ from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Saved
-from hamsym.support.text_tables import left_out, table, wrapped
 from hamsym.support.validation import require_number, require_positive, require_whole
 
 if TYPE_CHECKING:
@@ -80,6 +79,16 @@ class OrbitFamily(Saved, Sequence[PeriodicOrbit]):
         )
 
     @property
+    def z0(self) -> np.ndarray:
+        """The starts of the orbits, shape (n, dim)."""
+        return np.array([orbit.z0 for orbit in self.orbits])
+
+    @property
+    def seconds(self) -> float:
+        """Run time of the orbits."""
+        return sum(orbit.seconds for orbit in self.orbits)
+
+    @property
     def energies(self) -> np.ndarray:
         """Energies of the orbits, shape (n,)."""
         return np.array([orbit.energy for orbit in self.orbits])
@@ -100,28 +109,6 @@ class OrbitFamily(Saved, Sequence[PeriodicOrbit]):
     def stabilities(self) -> list[str]:
         """Stability of each orbit, as :attr:`hamsym.PeriodicOrbit.stability`."""
         return [orbit.stability for orbit in self.orbits]
-
-    def summary(self, rows: int | None = 10) -> str:
-        """Describe the outcome as text: the range, then orbits along it.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most rows of a table; None for all.
-        """
-        count = len(self)
-        places: Sequence[int] = range(count)
-        if rows is not None and count > rows:
-            places = sorted({round(k * (count - 1) / (rows - 1)) for k in range(rows)})
-        listed = [
-            [f"{self[k].energy:.10g}", f"{self[k].period:.10g}", self[k].stability] for k in places
-        ]
-        lines = [wrapped(self.message, "family: ")]
-        lines += table(["energy", "period", "stability"], listed)
-        lines += left_out(count - len(listed), "orbits between them")
-        for found in self.bifurcations:
-            lines.append(f"{found.kind}: energy {found.orbit.energy:.10g}")
-        return "\n".join(lines)
 
     def plot(self, *names: Any, ax: Any = None) -> Figure:
         """Draw period, orbits and largest multiplier over the energy or the parameter.

@@ -26,9 +26,8 @@ from hamsym.random_features.flow import flow_of
 from hamsym.solution.discontinuities import first_jump, has_switches
 from hamsym.solution.path import Path
 from hamsym.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.record_fields import AnyFloat, Limit, floats
+from hamsym.support.record_fields import AnyFloat, Limit, Size, floats
 from hamsym.support.shown import Saved
-from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 from hamsym.support.validation import require_number, require_positive
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ class PeriodicOrbit(Saved):
     success : bool
         Whether the estimated error is within the tolerance.
     message : str
-    error_estimate : float
+    relative_error : float
         Estimated error of the states and of the period, relative to the largest size of each
         component and to the period.
     is_isolated : bool
@@ -64,22 +63,25 @@ class PeriodicOrbit(Saved):
         not, H has more conserved quantities, or the orbit is at a bifurcation.
     repetitions : int
         Number of times that the orbit is run through in its period.
+    seconds : float
+        Run time.
     """
 
     problem: Problem
     arc: Arc
     success: bool
     message: str
-    error_estimate: AnyFloat
+    relative_error: AnyFloat
     is_isolated: bool
     repetitions: Annotated[int, Limit(1)]
     _maps: Annotated[np.ndarray, floats("maps", "dim", "dim", finite=False)] = field(repr=False)
+    seconds: Size = 0.0
 
     def check(self) -> None:
         """Raise ValueError unless a successful orbit has states, and a period."""
         arc = self.arc
         finite = np.isfinite(arc.ends).all() and np.isfinite(arc.values).all()
-        if self.success and not (finite and 0 < arc.period < math.inf and self.error_estimate >= 0):
+        if self.success and not (finite and 0 < arc.period < math.inf and self.relative_error >= 0):
             raise ValueError("its success is true, but its states or its period are not finite")
 
     def __repr__(self) -> str:
@@ -99,6 +101,11 @@ class PeriodicOrbit(Saved):
     def z0(self) -> np.ndarray:
         """The state at the start, shape (dim,)."""
         return self.arc.ends[0].copy()
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """One period from the start."""
+        return self.problem.start, self.problem.start + self.period
 
     @property
     def period(self) -> float:
@@ -239,31 +246,6 @@ class PeriodicOrbit(Saved):
         """
         return hamsym.prove_orbit(self, time_limit=time_limit)
 
-    def summary(self, rows: int | None = ROWS) -> str:
-        """Describe the outcome as text: the error, then period, stability and start.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most rows of a table; None for all.
-        """
-        error = self.error_estimate
-        first = f"largest estimated error {error:.1e} of each component's size"
-        words = [f"converged: {first}", self.message] if self.success else [self.message]
-        lines = [wrapped(text) for text in words]
-        lines += ["", f"period {self.period:.15g}", f"energy {self.energy:.15g}"]
-        lines.append(f"stability: {self.stability}")
-        multipliers = ", ".join(_complex(value) for value in self.multipliers[:rows])
-        lines.append(wrapped(multipliers, "multipliers: "))
-        names = self.H.names
-        shown = len(names) if rows is None else min(rows, len(names))
-        listed = [
-            [name, self.H.units.get(name, ""), f"{value: .16g}"]
-            for name, value in zip(names[:shown], self.z0, strict=False)
-        ]
-        lines += ["", *table(["", "unit", "start"], listed)]
-        return "\n".join([*lines, *left_out(len(names) - shown, "components")])
-
     def plot(self, *names: Any, ax: Any = None) -> Figure:
         """Draw the orbit in the plane of its first two components, and its multipliers.
 
@@ -285,13 +267,6 @@ class PeriodicOrbit(Saved):
     def animate(self, *names: str, **options: Any) -> hamsym.Animation:
         """Animate one period, in a picture that names or options choose; :func:`hamsym.animate`."""
         return hamsym.animate(self, *names, **options)
-
-
-def _complex(value: complex) -> str:
-    """Return a complex number as text, without an imaginary part of round-off."""
-    if abs(value.imag) < 1e-12 * abs(value):
-        return f"{value.real:.8g}"
-    return f"{value.real:.8g}{value.imag:+.8g}i"
 
 
 @checked_keywords
@@ -397,6 +372,7 @@ def solved_orbit(
 
     With ``reduce``, an orbit that is run through several times is solved again once.
     """
+    start = time.perf_counter() if began is None else began
     found = refined(problem, arc)
     finer, step, error = check(problem, found.arc)
     if problem.closing.first is not None:  # exactly in its fixed set, for signed zeros too
@@ -405,7 +381,8 @@ def solved_orbit(
     if not failure and not error <= tol:
         failure = f"the estimated error {error:.1e} is above tol {tol:.1e}"
     failure = failure or _jump(problem, finer) or _other_period(problem, finer, tol)
-    elapsed = "" if began is None else f" in {time.perf_counter() - began:.2g} s"
+    seconds = time.perf_counter() - start
+    elapsed = "" if began is None else f" in {seconds:.2g} s"
     count = len(found.arc.edges) - 1
     message = failure or f"{count} windows, estimated error {error:.1e}{elapsed}"
     if not failure and step.singular:
@@ -418,7 +395,15 @@ def solved_orbit(
     if repetitions > 1:
         message += f"; the period is {repetitions} times the shortest one"
     return PeriodicOrbit(
-        problem, finer, not failure, message, error, not step.singular, repetitions, step.maps
+        problem,
+        finer,
+        not failure,
+        message,
+        error,
+        not step.singular,
+        repetitions,
+        step.maps,
+        seconds,
     )
 
 

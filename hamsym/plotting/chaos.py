@@ -19,7 +19,6 @@ from hamsym.plotting.figure import figure_of, label, legend, one_panel
 from hamsym.plotting.motions import parameters_of
 from hamsym.plotting.names import (
     known_name,
-    math_name,
     math_unit,
     number,
     quantity,
@@ -43,27 +42,15 @@ _PIECES = 80  # of the logarithm of time
 _MEANS = f"Drawn are means over {_PIECES} pieces of the logarithm of time, and the last values"
 
 
-def _caption(
-    H: Hamiltonian | None,
-    title: str,
-    *sentences: Any,
-    parameters: Mapping[str, float] | None = None,
-) -> list[str]:
-    if H is not None:
-        return caption_words(H, *filter(len, sentences), parameters=parameters)
-    texts = [text if isinstance(text, str) else " ".join(text) for text in sentences]
-    return " ".join(f"{text}." for text in [f"H = {title}", *texts] if text).split()
-
-
-def _rate_unit(H: Hamiltonian | None) -> str:
+def _rate_unit(H: Hamiltonian) -> str:
     """Return the unit of a growth rate."""
-    unit = "1" if H is None else H.units.get(time_name(H), "1")
+    unit = H.units.get(time_name(H), "1")
     return "" if unit == "1" else f"1/{math_unit(unit)}"
 
 
-def _label_elapsed(axes: Axes, H: Hamiltonian | None, start: float) -> None:
+def _label_elapsed(axes: Axes, H: Hamiltonian, start: float) -> None:
     text = "elapsed time" if start else "time"
-    name, unit = ("$t$", "") if H is None else quantity(H, time_name(H))
+    name, unit = quantity(H, time_name(H))
     label(axes.xaxis, f"{text} {name}" if not start else text, unit)
 
 
@@ -81,15 +68,14 @@ def draw_lyapunov(found: LyapunovExponents, *names: Any, ax: Any = None) -> Any:
     shown = ["convergence", "exponents"] if negative else ["convergence"]
     largest = f"{number(found.maximal, 3)} {unit}".split()
     sentences: list[Any] = [["Largest", "exponent", *largest, *words_of(f"by {found.method}")]]
-    if found.H is not None and count == found.H.dim and not found.H.forces:
+    if count == found.H.dim and not found.H.forces:
         sums = found.exponents[-1] + found.exponents[-1, ::-1]
         text = ["Exponents", "come", "in", "pairs", r"$\pm\lambda$:", "their", "sums", "are", "at"]
         sentences.append([*text, "most", number(float(np.abs(sums).max()), 2), *unit.split()])
     if len(found.t) > 2 * _PIECES:
         sentences.append(_MEANS)
-    warning = "" if found.success else f"Failed: {found.message}"
-    caption = _caption(found.H, found.title, *sentences)
-    return draw_panels(panels, shown, names, ax, caption, warning)
+    caption = caption_words(found.H, *sentences)
+    return draw_panels(panels, shown, names, ax, caption, found.facts.warning)
 
 
 def _thinned(t: np.ndarray, values: np.ndarray, reduce: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -118,7 +104,7 @@ def _lines_of(found: LyapunovExponents) -> list[tuple[dict[str, Any], str]]:
 
 def _draw_convergence(axes: Axes, found: LyapunovExponents) -> None:
     """Draw positive exponents and log(t)/t on logarithmic axes."""
-    t, exponents = _thinned(np.abs(found.t - found.start), found.exponents, np.add)
+    t, exponents = _thinned(np.abs(found.t - found.span[0]), found.exponents, np.add)
     lines = _lines_of(found)
     for k, (style, text) in enumerate(lines):
         values = positive(exponents[:, k])
@@ -135,13 +121,13 @@ def _draw_convergence(axes: Axes, found: LyapunovExponents) -> None:
     log_scales(axes, "no positive exponent")
     axes.set_title("Convergence")
     label(axes.yaxis, r"exponent $\lambda$", _rate_unit(found.H))
-    _label_elapsed(axes, found.H, found.start)
+    _label_elapsed(axes, found.H, found.span[0])
     _legend_of(axes, len(lines))
 
 
 def _draw_exponents(axes: Axes, found: LyapunovExponents) -> None:
     """Draw all exponents, on an axis that is linear around 0."""
-    t, exponents = _thinned(np.abs(found.t - found.start), found.exponents, np.add)
+    t, exponents = _thinned(np.abs(found.t - found.span[0]), found.exponents, np.add)
     lines = _lines_of(found)
     for k, (style, text) in enumerate(lines):
         axes.plot(t, exponents[:, k], **style, label=text)
@@ -156,7 +142,7 @@ def _draw_exponents(axes: Axes, found: LyapunovExponents) -> None:
         axes.yaxis.set_major_formatter(lambda value, _: number(value, 3))
     axes.set_title(f"All {len(lines)} exponents" if len(lines) > 1 else "Exponent")
     label(axes.yaxis, r"exponent $\lambda$", _rate_unit(found.H))
-    _label_elapsed(axes, found.H, found.start)
+    _label_elapsed(axes, found.H, found.span[0])
     _legend_of(axes, len(lines))
 
 
@@ -200,24 +186,23 @@ def draw_chaos_indicators(found: ChaosIndicators, *names: Any, ax: Any = None) -
         sentences.append(f"Of SALI, the smallest in {_PIECES} pieces of the logarithm of time")
     if not (found.sali > 0).all():
         sentences.append("SALI is below 1e-307 where it is not drawn")
-    warning = "" if found.success else f"Failed: {found.message}"
-    caption = _caption(found.H, found.title, *sentences)
-    return draw_panels(panels, list(panels), names, ax, caption, warning)
+    caption = caption_words(found.H, *sentences)
+    return draw_panels(panels, list(panels), names, ax, caption, found.facts.warning)
 
 
 def _draw_megno(axes: Axes, found: ChaosIndicators) -> None:
-    t = np.abs(found.t - found.start)
+    t = np.abs(found.t - found.span[0])
     axes.plot(t, found.megno, color=color_of(5), linewidth=0.7, label="MEGNO")
     axes.plot(t, found.mean_megno, color=color_of(0), label="its mean")
     axes.axhline(2.0, color=GREY, linestyle="--", linewidth=0.8, label="2, regular motion")
     axes.set_title("MEGNO")
     label(axes.yaxis, "MEGNO")
-    _label_elapsed(axes, found.H, found.start)
+    _label_elapsed(axes, found.H, found.span[0])
     axes.legend(fontsize=6)
 
 
 def _draw_sali(axes: Axes, found: ChaosIndicators) -> None:
-    t, values = _thinned(np.abs(found.t - found.start), found.sali, np.minimum)
+    t, values = _thinned(np.abs(found.t - found.span[0]), found.sali, np.minimum)
     axes.plot(t, positive(values), color=color_of(1))
     log_scales(axes, "below 1e-307 at all times")
     axes.set_title("SALI")
@@ -225,7 +210,7 @@ def _draw_sali(axes: Axes, found: ChaosIndicators) -> None:
     if shown.size and shown.min() > 0.1:  # an axis of one decade has too few ticks
         axes.set_ylim(0.01, 3)
     label(axes.yaxis, "SALI")
-    _label_elapsed(axes, found.H, found.start)
+    _label_elapsed(axes, found.H, found.span[0])
 
 
 # -- maps ------------------------------------------------------------------------------------------
@@ -252,12 +237,10 @@ def draw_lyapunov_map(found: LyapunovMap, *names: Any, ax: Any = None) -> Any:
             f"{failed:,} of {found.success.size:,} starts have no exponent, as they failed or are "
             "outside the energy; they are grey"
         )
-    parameters = None
-    if found.H is not None:
-        flat = {name: np.ravel(values) for name, values in found.parameters.items()}
-        parameters = parameters_of(found.H, flat)[0]
+    flat = {name: np.ravel(values) for name, values in found.parameters.items()}
+    parameters = parameters_of(found.H, flat)[0]
     warning = "Interrupted: starts that were not finished are grey." if found.interrupted else ""
-    caption = _caption(found.H, found.title, *sentences, parameters=parameters)
+    caption = caption_words(found.H, *sentences, parameters=parameters)
     with one_panel(ax, caption, warning, width=COLUMN + 2, height=8.0) as axes, style_for(ax):
         axes.set_title(f"Largest exponent of {found.maximal.size:,} starts")
         if len(chosen) == 2:
@@ -270,8 +253,6 @@ def draw_lyapunov_map(found: LyapunovMap, *names: Any, ax: Any = None) -> Any:
 
 
 def _named(found: LyapunovMap, name: str) -> tuple[str, str]:
-    if found.H is None:
-        return math_name(name), ""
     return quantity(found.H, name) if name != "number" else (name, "")
 
 

@@ -27,7 +27,7 @@ def draw_comparison(comparison: Comparison, *names: Any, ax: Any = None) -> Any:
         "Phase plane: the network, and the integrator whose error is nearest to its",
         LARGEST,
     )
-    warning = "" if solution.success else f"The network failed: {solution.message}"
+    warning = comparison.facts.warning
     curves = _curves(comparison)
     if names:
         panel = known_name(names[0], _PANELS, "a panel of a comparison")

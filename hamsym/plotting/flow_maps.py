@@ -23,7 +23,7 @@ def draw_flow_map(flow: FlowMap, *names: Any, ax: Any = None) -> Any:
     """Draw what becomes of the box; see :meth:`hamsym.FlowMap.plot`."""
     H = flow.H
     chosen = [known_name(name, H.names, "a component of z") for name in names]
-    warning = "" if flow.success else f"Failed: {flow.message}"
+    warning = flow.facts.warning
     if len(chosen) > 2:
         raise InputError(
             "one component is drawn over time and two in their plane; give one or two names"

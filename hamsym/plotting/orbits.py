@@ -37,10 +37,9 @@ def draw_orbit(orbit: PeriodicOrbit, *names: Any, ax: Any = None) -> Any:
     t, z, apart = resolved(orbit, start + np.linspace(0, orbit.period, SAMPLES))
     time, energy = quantity(H, time_name(H))[1], energy_unit(H)
     words = ["Period", f"{number(orbit.period, 8)} {time}".strip() + ",", "energy"]
-    words += [f"{number(orbit.energy, 8)} {energy}".strip() + ",", orbit.stability + ","]
-    words += ["estimated", "error", number(orbit.error_estimate, 2)]
-    warning = "" if orbit.success else f"Failed: {orbit.message}"
-    motion = Motion(H, t, z[None], sentences=[words], warning=warning, apart=apart)
+    words += [f"{number(orbit.energy, 8)} {energy}".strip() + ",", orbit.stability]
+    sentences, warning = [words, orbit.facts.headline], orbit.facts.warning
+    motion = Motion(H, t, z[None], sentences=sentences, warning=warning, apart=apart)
     if names and names != ("multipliers",):
         for name in names:
             component_of(H, name, "multipliers")
@@ -77,7 +76,7 @@ def draw_family(family: OrbitFamily, *names: Any, ax: Any = None) -> Any:
         raise InputError("the family has no orbits to draw")
     H = family[0].H
     parameters = {k: v for k, v in H.parameters.items() if k != family.parameter}
-    warning = "" if family.success else f"Ended early: {family.message}"
+    warning = family.facts.warning
     sentences = [f"{len(family)} orbits and {len(family.bifurcations)} bifurcations"]
     panels: dict[str, Panel] = {
         "period": Panel(lambda axes: _draw_periods(axes, family), 7.5),

@@ -38,14 +38,10 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
     sentences = [direction, section.message]
     if len(numbers) > MAX_LINES:
         sentences.insert(0, f"{len(numbers):,} trajectories")
-    varied, unit, values = "number", "", np.arange(len(section.z0), dtype=float)
-    if H is None:
-        words = [word for text in sentences if text for word in f"{text}.".split()]
-    else:
-        shared, ranges = parameters_of(H, section.parameters)
-        words = caption_words(H, *([ranges] if ranges else []), *sentences, parameters=shared)
-        varied, unit, values = varying(H, section.z0, section.parameters)
-    warning = "" if section.success else f"Failed: {section.message}"
+    shared, ranges = parameters_of(H, section.parameters)
+    words = caption_words(H, *([ranges] if ranges else []), *sentences, parameters=shared)
+    varied, unit, values = varying(H, section.z0, section.parameters)
+    warning = section.facts.warning
     with one_panel(ax, words, warning, width=COLUMN + 3, height=9.0) as axes, style_for(ax):
         i, j = section.names.index(x), section.names.index(y)
         norm = Normalize(float(values.min()), float(values.max()))
@@ -77,7 +73,7 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
                 beside: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}
                 axes.legend(title=title, title_fontsize=7, markerscale=6 / size, **beside)
         for axis, name in ((axes.xaxis, x), (axes.yaxis, y)):
-            label(axis, *(quantity(H, name) if H is not None else (math_name(name), "")))
+            label(axis, *quantity(H, name))
         if not len(section.t):
             axes.set(xticks=[], yticks=[])
             axes.text(0.5, 0.5, "no crossings", transform=axes.transAxes, ha="center")
@@ -129,9 +125,9 @@ def _starts(section: Section) -> list[str]:
 def _directions(section: Section) -> tuple[np.ndarray, str]:
     """Return at which crossings the function of the surface rises, and the sentence about them."""
     rising = np.ones(len(section.t), dtype=bool)
-    if section.H is None or not len(section.t):
+    if not len(section.t):
         return rising, ""
-    H: Hamiltonian = section.H
+    H = section.H
     value = parse_surface(H, section.surface).value
     system = H.compile("numpy")
     with np.errstate(all="ignore"):

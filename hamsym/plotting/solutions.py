@@ -86,7 +86,7 @@ def _motion(solution: Solution) -> Motion:
         sentences=[
             f"Method {solution.method}" + (f": {solution.message}" if solution.success else "")
         ],
-        warning="" if solution.success else f"Failed: {solution.message}",
+        warning=solution.facts.warning,
         apart=apart,
     )
 
@@ -243,11 +243,6 @@ def _ensemble(many: Solutions) -> tuple[Motion, Solutions]:
     shown = Solutions(many.family, many.table, many.windows, many.members.ravel()[chosen])
     times = np.linspace(*many.span, SAMPLES)
     t, z, apart = resolved(shown, times, len(chosen))
-    failed = int(many.size - many.success.sum())
-    warning = ""
-    if failed:
-        first = many.message.ravel()[int(np.argmin(many.success.ravel()))]
-        warning = f"{failed:,} of {many.size:,} trajectories failed; the first: {first}"
     same, ranges = parameters_of(many.H, many.parameters)
     motion = Motion(
         many.H,
@@ -255,7 +250,7 @@ def _ensemble(many: Solutions) -> tuple[Motion, Solutions]:
         z,
         total=many.size,
         sentences=[ranges, f"Relative tolerance {many.tol:.1e}"],
-        warning=warning,
+        warning=many.facts.warning,
         varied=varying(many.H, shown.z0, shown.parameters),
         parameters=same,
         apart=apart,

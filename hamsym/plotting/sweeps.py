@@ -88,8 +88,7 @@ def _text(value: Any) -> str:
 def draw_sweep(sweep: Sweep, *names: Any, ax: Any = None) -> Any:
     """Draw errors and times over settings; see :meth:`hamsym.Sweep.plot`."""
     layout, runs = _layout(sweep), [*sweep.solutions.values()]
-    failed = [solution for found in runs for solution in found if not solution.success]
-    total, seeds = sum(map(len, runs)), len(sweep.seeds)
+    seeds = len(sweep.seeds)
     sentences = [f"{len(runs)} settings, {seeds} seed{'s' if seeds > 1 else ''}"]
     if seeds > 1 and not layout.ticks:
         sentences.append("Dots are runs, and lines join the medians of the seeds")
@@ -98,19 +97,16 @@ def draw_sweep(sweep: Sweep, *names: Any, ax: Any = None) -> Any:
     if len(layout.ticks) > _NAMES:
         sentences.append(f"Names are those of {_NAMES} settings at most")
     sentences.append("Errors are the largest estimated ones, relative to the size of the motion")
-    warning = ""
-    if failed:
-        warning = f"{len(failed):,} of {total:,} runs failed, for example: {failed[0].message}"
     panels = {
         "error": Panel(functools.partial(_draw_errors, sweep=sweep, layout=layout), 7.0),
         "time": Panel(functools.partial(_draw_times, sweep=sweep, layout=layout), 7.0),
     }
     caption = caption_words(runs[0][0].H, *sentences)
-    return draw_panels(panels, list(panels), names, ax, caption, warning)
+    return draw_panels(panels, list(panels), names, ax, caption, sweep.facts.warning)
 
 
 def _draw_errors(axes: Axes, sweep: Sweep, layout: _Layout) -> None:
-    values = [[run.relative_error_estimate for run in own] for own in sweep.solutions.values()]
+    values = [[run.relative_error for run in own] for own in sweep.solutions.values()]
     _draw_runs(axes, sweep, layout, np.array(values))
     axes.set_title("Error")
     label(axes.yaxis, "largest estimated error / size")

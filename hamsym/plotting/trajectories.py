@@ -32,7 +32,7 @@ _SAVE_MORE = "Dots: the saved states, which are too far apart for lines between 
 def draw_trajectory(trajectory: Trajectory, *names: Any, ax: Any = None) -> Any:
     """Draw a trajectory or an ensemble; see :meth:`hamsym.Trajectory.plot`."""
     H = trajectory.ensemble.H
-    estimated = trajectory.error_estimate is not None
+    estimated = trajectory.errors is not None
     words = ("energy", "error") if estimated else ("energy",)
     if not len(trajectory.ensemble):
         raise InputError("there are no trajectories to draw; integrate at least one")
@@ -65,19 +65,14 @@ def _motion(trajectory: Trajectory, chosen: np.ndarray) -> Motion:
     members = trajectory.ensemble
     H, total = members.H, len(members)
     same, ranges = parameters_of(H, members.columns)
-    success = np.broadcast_to(trajectory.success, members.shape).ravel()
-    warning, failed = "", int(total - success.sum())
-    if failed:
-        first = trajectory.messages.ravel()[int(np.argmin(success))]
-        several = f"{failed:,} of {total:,} trajectories failed; the first"
-        warning = f"{several if total > 1 else 'Failed'}: {first}"
+    warning = trajectory.facts.warning
     t, z, apart = _resolved(trajectory, chosen)
     return Motion(
         H,
         t,
         z,
         total=total,
-        sentences=[ranges, "" if warning and total == 1 else trajectory.message],
+        sentences=[ranges, "" if warning else trajectory.message],
         warning=warning,
         varied=varying(
             H,
@@ -133,8 +128,8 @@ def _draw_energy(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.
 
 def _draw_error(axes: Axes, trajectory: Trajectory, motion: Motion, chosen: np.ndarray) -> None:
     """Draw the estimated error, the largest of the components relative to their sizes."""
-    assert trajectory.error_estimate is not None
-    errors = _flat(trajectory.error_estimate, trajectory, 2)[chosen]
+    assert trajectory.errors is not None
+    errors = _flat(trajectory.errors, trajectory, 2)[chosen]
     with np.errstate(all="ignore"):
         states = _flat(trajectory.z, trajectory, 2)[chosen]
         sizes = np.nanmax(np.abs(states), axis=1, keepdims=True)

@@ -184,7 +184,7 @@ class _Proof:
         d = len(flow.inputs)
         self._space = space_of(d, *_DEGREES.get(d, _MANY_INPUTS))
         self._stepper = Stepper(self._flow, self._space)
-        estimate = np.asarray(flow.error_estimate, dtype=float)
+        estimate = np.asarray(flow.largest_error, dtype=float)
         self._goal = np.where(np.isfinite(estimate), estimate, 0.0)
         self._starts = _Starts(flow.region, self._space)
 

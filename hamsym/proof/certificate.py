@@ -17,7 +17,6 @@ from hamsym.proof.balls import decimal, decimal_above, decimal_below
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.record_fields import Limit, Written
 from hamsym.support.sealed_text import SealedText
-from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -112,6 +111,11 @@ class Certificate(SealedText):
             f"t from {start:.6g} to {end:.6g})"
         )
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last of the edges."""
+        return self.edges[0], self.edges[-1]
+
     def bound_at(self, t: Any) -> Any:
         """A proven bound on |z^(t) - z(t)|, the 2-norm, at times t of the span.
 
@@ -191,38 +195,6 @@ class Certificate(SealedText):
             "again. "
             f"SHA-256 of the solution: {self.digest}."
         )
-
-    def summary(self, rows: int | None = ROWS) -> str:
-        """Describe the claim as text: the bounds, then the statement.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most rows of the table; None for all.
-        """
-        labels = self.components
-        worst = max(range(len(labels)), key=self.component_bounds.__getitem__)
-        first = (
-            f"proven: error at most {decimal(self.bound)} (2-norm); the largest of a component is "
-            f"that of {labels[worst]}, at most {decimal(self.component_bounds[worst])}"
-        )
-        if self.asked is not None:
-            first += f", where {decimal(self.asked[worst])} was asked"
-        asked = [""] * len(labels) if self.asked is None else list(map(decimal, self.asked))
-        parts = list(zip(labels, self.component_lowers, self.component_bounds, asked, strict=True))
-        order = sorted(range(len(parts)), key=self.component_bounds.__getitem__, reverse=True)
-        shown = order if rows is None else sorted(order[:rows])
-        listed = [
-            ("|z|", self.lower, self.bound, ""),
-            *(parts[k] for k in sorted(shown)),
-            ("H", self.energy_lower, self.energy_bound, ""),
-            ("ell_max", self.ell_max_lower, self.ell_max_bound, ""),
-        ]
-        cells = [[name, decimal(low), decimal(high), limit] for name, low, high, limit in listed]
-        lines = [wrapped(first), "", *table(["error of", "at least", "at most", "asked"], cells)]
-        count = len(parts) - len(shown)
-        lines += left_out(count, "components with smaller bounds")
-        return "\n".join([*lines, "", wrapped(self.statement), f"proven in {self.seconds:.2f} s"])
 
 
 def _check_pieces(edges: tuple[float, ...], bounds: tuple[float, ...]) -> None:

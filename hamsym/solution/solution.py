@@ -32,7 +32,6 @@ from hamsym.suggestions import suggest_attributes
 from hamsym.support.record_fields import UNSAVED, Size, floats
 from hamsym.support.shown import Saved
 from hamsym.support.tables import data_frame, data_set, time_name
-from hamsym.support.text_tables import ROWS
 
 if TYPE_CHECKING:  # torch and matplotlib are imported only where they are used
     import pandas
@@ -138,6 +137,11 @@ class Solution(Saved):
     def evaluations(self) -> int:
         """Evaluations of the vector field in the search, each at one point."""
         return self.record.point_evaluations
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the search; of a march that of the last one."""
+        return self.record.seconds
 
     @property
     def history(self) -> Any:
@@ -512,7 +516,7 @@ class Solution(Saved):
         return np.asarray(np.abs(self.error_estimate(self.scan_times)).max(axis=0))
 
     @property
-    def relative_error_estimate(self) -> float:
+    def relative_error(self) -> float:
         """Largest estimated error, relative to the size of the motion, max_i |dz_i| / s_i.
 
         Here s_i is the largest |z^_i|, or the coupled size of the component
@@ -742,30 +746,6 @@ class Solution(Saved):
         (1e-09, 1e-09)
         """
         return hamsym.certify(self, rtol, time_limit, progress, bound=bound)
-
-    def summary(self, rows: int | None = ROWS, *, analysis: bool = False) -> str:
-        """Describe the outcome as text.
-
-        First the largest estimated error, against what the tolerance asked, then the components,
-        the conservation of H and of invariants, and the time.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most components in the table, those with the largest errors; None for all.
-        analysis : bool
-            Whether the paper's bound ell_max / sigma_min is given also where it is infinite, is
-            violated or exceeds the motion.
-
-        Examples
-        --------
-        >>> import hamsym
-        >>> solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-6)
-        >>> print(solution.summary())
-        converged: largest estimated error ... in ..., ... % of the 1.0e-06 asked
-        tol 1.0e-06 met: ...
-        """
-        return hamsym.summary(self, rows, analysis=analysis)
 
     def plot(self, *names: Any, ax: Any = None, **options: Any) -> Figure:
         """Draw the solution: an overview, or what the names say.

@@ -21,7 +21,6 @@ from hamsym.study.references import SAMPLES, ReferenceSolution, largest, referen
 from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.shown import Shown
 from hamsym.support.tables import data_frame
-from hamsym.support.text_tables import wrapped
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ class Row:
 @suggest_attributes
 @dataclass(frozen=True)
 class Comparison(Shown):
-    """Result of :func:`compare`; its text is two tables.
+    """Result of :func:`compare`; its text has two tables.
 
     Attributes
     ----------
@@ -93,6 +92,36 @@ class Comparison(Shown):
     reference: ReferenceSolution = field(repr=False)
 
     @property
+    def H(self) -> Hamiltonian:
+        """The Hamiltonian."""
+        return self.solution.H
+
+    @property
+    def z0(self) -> np.ndarray:
+        """The initial state, shape (dim,)."""
+        return self.solution.z0
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The span of times."""
+        return self.solution.span
+
+    @property
+    def success(self) -> bool:
+        """Whether the solution of the network is what was asked for."""
+        return bool(self.solution.success)
+
+    @property
+    def message(self) -> str:
+        """Outcome of the solution of the network."""
+        return self.solution.message
+
+    @property
+    def seconds(self) -> float:
+        """Time of the network and of the rows of the table."""
+        return sum(row.seconds for row in self.rows)
+
+    @property
     def reference_error(self) -> float:
         """About the largest error of the reference; 0 for an exact solution."""
         return self.reference.error
@@ -102,54 +131,7 @@ class Comparison(Shown):
         return f"Comparison(network with error {self.rows[0].error:.2e}, with {methods})"
 
     def __str__(self) -> str:
-        width = max(18, *(len(name) for name in self.matches))
-        header = (
-            f"{'method':<{width}}{'points':>10}{'evaluations':>13}"
-            f"{'max |dz|':>11}{'max |dE|':>11}{'time s':>10}"
-        )
-        lines = [header, "-" * len(header)]
-        for row in self.rows:
-            points = f"{row.points:,}" if row.tolerance is None else f"rtol {row.tolerance:.0e}"
-            lines.append(
-                f"{row.label:<{width}}{points:>10}{row.evaluations:>13,}"
-                f"{row.error:>11.2e}{row.energy_error:>11.2e}{row.seconds:>10.2g}"
-            )
-        if not self.reference_error <= 0.01 * min(row.error for row in self.rows):
-            lines.append(f"reference: {self.reference.text}")
-        lines += ["", f"for the network's error, {self.rows[0].error:.2e}:"]
-        for name, match in self.matches.items():
-            line = f"{name:<{width}}{match!s:>10}"
-            if not match.reason:
-                line += f"{match.evaluations:>13,}{match.error:>11.2e}{match.seconds:>21.2g}"
-            lines.append(line)
-        if self._only_bounds:
-            lines += ["(the reference is less than ten times better: bounds, not numbers)"]
-        return "\n".join(lines)
-
-    @property
-    def _only_bounds(self) -> bool:
-        return not self.reference.judges(self.rows[0].error)
-
-    def summary(self) -> str:
-        """Describe the outcome in text: the error of the network, then the two tables."""
-        network, solution = self.rows[0], self.solution
-        worst = int(np.argmax(network.component_errors))
-        name = solution.H.names[worst]
-        verdict = "converged: " if solution.success else "not converged: "
-        first = (
-            f"{verdict}error {network.error:.2e} (2-norm) against {self.reference.text}; "
-            f"largest in {name}, "
-            f"{solution.H.quantity(name, network.component_errors[worst])}, where "
-            f"{solution.H.quantity(name, float(solution.largest_error[worst]))} was estimated"
-        )
-        if solution.allowed_error is not None:
-            first += f" and {solution.H.quantity(name, float(solution.allowed_error[worst]))} asked"
-        if self._only_bounds:
-            first += (
-                "; the reference is less than ten times better, so that steps for the network's "
-                "error have only bounds"
-            )
-        return "\n".join([wrapped(first), wrapped(solution.message), "", str(self)])
+        return self.summary(rows=None)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the rows as a table of pandas, with the errors of each component.

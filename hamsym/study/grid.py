@@ -31,7 +31,6 @@ from hamsym.support.locking import exclusive
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Shown
 from hamsym.support.tables import data_frame
-from hamsym.support.text_tables import table, wrapped
 from hamsym.support.validation import plain, require_whole
 
 if TYPE_CHECKING:  # optional packages
@@ -44,7 +43,7 @@ _MOST_ALONE = 16  # of tasks that treat one point at a time
 _SHARES = 4  # boxes for each thread of a cluster, at least
 # Names of variables and of other axes.
 _RESERVED = {
-    *("state", "error_estimate", "excess", "success", "message", "exponent", "energy_error"),
+    *("state", "largest_error", "excess", "success", "message", "exponent", "energy_error"),
     *("steps", "count", "t", "z", "drift", "z0", "done", "time", "component", "rank", "crossing"),
 }
 
@@ -101,20 +100,6 @@ class StoredSweep(Shown):
             If zarr is not installed.
         """
         return self.store.values()
-
-    def summary(self) -> str:
-        """Describe the store in text: how many points are done and succeeded, and the axes."""
-        found, size = self.values(), int(np.prod(self.shape))
-        state = "complete" if self.complete else "interrupted" if self.interrupted else "open"
-        words = f"{state}: {self.done:,} of {size:,} points in {self.path.name}"
-        if "success" in found:
-            words += f", of which {int(found['success'].sum()):,} succeeded"
-        rows = [
-            [name, f"{len(axis):,}", f"{axis.min():.6g}", f"{axis.max():.6g}"]
-            for name, axis in self.store.axes.items()
-        ]
-        heads = ["axis", "values", "from", "to"]
-        return "\n".join([wrapped(words), "", *table(heads, rows)])
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return :meth:`values` as a table of pandas with a row for each point of the grid.

@@ -90,7 +90,7 @@ def _solve(members: Ensemble, span: tuple[float, float], options: dict[str, Any]
         raise KeyboardInterrupt
     return {
         "state": (("time", "component"), many(times)),
-        "error_estimate": (("component",), many.error_estimate),
+        "largest_error": (("component",), many.largest_error),
         "excess": ((), many.excess),
         "success": ((), many.success),
         "message": ((), many.message),

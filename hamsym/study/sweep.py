@@ -32,7 +32,6 @@ from hamsym.support.cores import available_cores
 from hamsym.support.locking import exclusive
 from hamsym.support.shown import Shown
 from hamsym.support.tables import data_frame
-from hamsym.support.text_tables import ROWS, left_out, table, wrapped
 from hamsym.support.validation import plain, require_positive, require_whole
 
 if TYPE_CHECKING:  # optional packages
@@ -77,6 +76,39 @@ class Sweep(Shown):
         return f"Sweep({len(self.seeds)} seeds; {listed})"
 
     @property
+    def H(self) -> Hamiltonian:
+        """The Hamiltonian."""
+        return self._runs[0].H
+
+    @property
+    def z0(self) -> np.ndarray:
+        """The initial state, shape (dim,)."""
+        return self._runs[0].z0
+
+    @property
+    def success(self) -> bool:
+        """Whether every run is what was asked for."""
+        return all(bool(solution.success) for solution in self._runs)
+
+    @property
+    def message(self) -> str:
+        """How many runs failed, with the reason of the first; "" if none did."""
+        failed = [solution for solution in self._runs if not solution.success]
+        if not failed:
+            return ""
+        count = f"{len(failed):,} of {len(self._runs):,} runs failed"
+        return f"{count}, for example: {failed[0].message}"
+
+    @property
+    def seconds(self) -> float:
+        """Time of all runs."""
+        return sum(solution.seconds for solution in self._runs)
+
+    @property
+    def _runs(self) -> list[Solution]:
+        return [solution for found in self.solutions.values() for solution in found]
+
+    @property
     def swept(self) -> dict[str, tuple[Any, ...]]:
         """Options in which the settings differ, each with its value in each of the settings.
 
@@ -100,43 +132,11 @@ class Sweep(Shown):
             if len({repr(plain(value)) for value in found}) > 1
         }
 
-    def summary(self, rows: int | None = ROWS) -> str:
-        """Describe the runs in text: how many converged, then a line for each of the settings.
-
-        Parameters
-        ----------
-        rows : int, optional
-            The most lines of the table; None for all.
-        """
-        every = [solution for found in self.solutions.values() for solution in found]
-        converged = sum(bool(solution.success) for solution in every)
-        words = f"{converged:,} of {len(every):,} runs converged"
-        words += f", t from {self.span[0]:.6g} to {self.span[1]:.6g}"
-        if self.swept:
-            words += f"; the settings differ in {', '.join(self.swept)}"
-        lines = []
-        for name, found in self.solutions.items():
-            proofs = self.certificates.get(name, ())
-            proven = sum(not isinstance(proof, str) for proof in proofs)
-            lines.append(
-                [
-                    str(name),
-                    f"{sum(bool(solution.success) for solution in found)} of {len(found)}",
-                    f"{max(solution.relative_error_estimate for solution in found):.1e}",
-                    f"{proven} of {len(proofs)}" if proofs else "",
-                    f"{sum(solution.record.seconds for solution in found):.2g}",
-                ]
-            )
-        shown = lines if rows is None else lines[:rows]
-        header = ["settings", "converged", "error / size", "proven", "time s"]
-        more = left_out(len(lines) - len(shown), "settings")
-        return "\n".join([wrapped(words), "", *table(header, shown), *more])
-
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a table of pandas with a row for each run.
 
         Columns are ``settings``, the options of :attr:`swept`, ``seed``, ``success``,
-        ``error`` (:attr:`hamsym.Solution.relative_error_estimate`), ``seconds``, ``message``, and
+        ``error`` (:attr:`hamsym.Solution.relative_error`), ``seconds``, ``message``, and
         with certificates ``bound``, nan where there is none.
 
         Raises
@@ -156,7 +156,7 @@ class Sweep(Shown):
         columns |= {
             "seed": [self.seeds[number] for *_, number in runs],
             "success": [bool(solution.success) for solution in solutions],
-            "error": [solution.relative_error_estimate for solution in solutions],
+            "error": [solution.relative_error for solution in solutions],
             "seconds": [solution.record.seconds for solution in solutions],
             "message": [solution.message for solution in solutions],
         }

@@ -1,14 +1,39 @@
-"""Mixins of results: those that notebooks show as HTML, and those that have files."""
+"""Mixins of results: their facts, with what is made from them, and their files."""
 
 from __future__ import annotations
 
 import os
 
 import hamsym
+from hamsym.suggestions import checked_keywords
+from hamsym.support.text_tables import ROWS
 
 
 class Shown:
-    """A result with a representation as HTML, which Jupyter asks for."""
+    """A result that describes itself: as facts, as text, and as HTML, which Jupyter asks for."""
+
+    @property
+    def facts(self) -> hamsym.Facts:
+        """What is known of it: what was asked, the errors, how they are known, and the cost."""
+        return hamsym.describe(self)
+
+    @checked_keywords
+    def summary(self, rows: int | None = ROWS) -> str:
+        """Describe it as text: first the verdict and the largest error against what was asked.
+
+        Parameters
+        ----------
+        rows : int, optional
+            Most rows of a table; with None all, and further facts.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> print(hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-6).summary())
+        converged: largest estimated error ... in ..., ... % of the 1.0e-06 asked
+        tol 1.0e-06 met: ...
+        """
+        return self.facts.text(rows)
 
     def _repr_html_(self) -> str:
         return hamsym.representation(self)

@@ -40,8 +40,10 @@ def wrapped(text: str, start: str = "", width: int | None = None) -> str:
     )
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
-    """Return the lines of a table: the first columns flush left, the others flush right.
+def table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[bool] = (True,)
+) -> list[str]:
+    """Return the lines of a table: some columns flush left, by default the first, others right.
 
     A column whose cells are all empty is left out.
 
@@ -58,22 +60,11 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -
     widths = [max(len(line[k]) for line in lines) for k in used]
     return [
         "  ".join(
-            line[k].ljust(width) if k < left else line[k].rjust(width)
+            line[k].ljust(width) if k < len(left) and left[k] else line[k].rjust(width)
             for k, width in zip(used, widths, strict=True)
         ).rstrip()
         for line in lines
     ]
-
-
-def left_out(count: int, what: str) -> list[str]:
-    """Return the line about rows that a table does not have, if any.
-
-    Examples
-    --------
-    >>> left_out(48, "components with smaller errors")
-    ['... and 48 components with smaller errors; all with --full, summary(rows=None)']
-    """
-    return [f"... and {count:,} {what}; all with {ALL}"] if count > 0 else []
 
 
 def share(part: float, whole: float) -> str:

@@ -17,7 +17,6 @@ from hamsym.formula.printer import FormulaPrinter
 from hamsym.suggestions import suggest_attributes
 from hamsym.support.shown import Shown
 from hamsym.support.tables import data_frame
-from hamsym.support.text_tables import ROWS, left_out, wrapped
 
 if TYPE_CHECKING:
     import pandas
@@ -129,26 +128,6 @@ class Invariants(Shown, list[Invariant]):
 
     def __str__(self) -> str:
         return self.summary()
-
-    def summary(self, rows: int | None = ROWS) -> str:
-        """Describe the invariants in text: a line for each, then what is known about others.
-
-        Parameters
-        ----------
-        rows : int, optional
-            Most rows of the table; None for all.
-        """
-        if not self:
-            return wrapped(self.message)
-        shown = self if rows is None else self[:rows]
-        width = len(f"I_{len(self)}")
-        lines = [f"{'':<{width}}  degree  independent  formula"]
-        for place, one in enumerate(shown, 1):
-            independent = "yes" if one.independent else "no"
-            start = f"{f'I_{place}':<{width}}  {one.degree:>6}  {independent:>11}  "
-            lines.append(wrapped(str(one), start))
-        lines += left_out(len(self) - len(shown), "invariants")
-        return "\n".join([*lines, "", wrapped(self.message)])
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a table of pandas: formula, degree, independent, and holds_for as text.

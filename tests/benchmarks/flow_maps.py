@@ -106,9 +106,9 @@ def _errors(flow: hamsym.FlowMap, starts: int, times: int) -> dict[str, Any]:
     found = search(flow, starts, times)
     allowed = flow.tol * found.scale
     return {
-        "estimate": float(flow.error_estimate.max()),
+        "estimate": float(flow.largest_error.max()),
         "true": float(found.largest.max()),
-        "estimate ratio": float((flow.error_estimate / allowed).max()),
+        "estimate ratio": float((flow.largest_error / allowed).max()),
         "true ratio": float((found.largest / allowed).max()),
         "starts": found.starts,
         "failed": found.failed,

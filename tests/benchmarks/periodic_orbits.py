@@ -33,7 +33,7 @@ def measure(quick: bool) -> Section:
             "orbit": name,
             "period": orbit.period,
             "find": seconds,
-            "error": orbit.error_estimate,
+            "error": orbit.relative_error,
         }
         try:
             row["prove"], found = cpu(orbit.certify)

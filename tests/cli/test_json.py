@@ -9,11 +9,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import hamsym
-from hamsym.cli.command import strict
 from hamsym.cli.commands import cli, main
 
 OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
@@ -184,10 +182,3 @@ def test_warnings_stay_on_standard_error(capsys: Captured) -> None:
 def test_after_two_hyphens_json_is_an_argument(capsys: Captured) -> None:
     assert main(["derive", "--", "p^2", "--json"]) == 2
     assert capsys.readouterr().err.startswith("hamsym: ")
-
-
-def test_values_become_strict() -> None:
-    values = {"a": np.array([1.0, np.nan]), 2: (np.int64(3), -math.inf), "c": np.complex128(1j)}
-    text = json.dumps(strict(values), allow_nan=False)
-    assert json.loads(text) == {"a": [1.0, None], "2": [3, "-inf"], "c": [0.0, 1.0]}
-    assert strict(np.bool_(True)) is True

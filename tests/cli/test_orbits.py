@@ -25,7 +25,7 @@ def test_orbit_with_family_proof_and_figure(capsys: Captured, tmp_path: Path) ->
     options = ["--energy", "0.4", "--to-energy", "0.5", "--prove", "--plot", figure]
     status, out, _ = run(capsys, "orbit", *PENDULUM, *options)
     assert status == 0
-    assert "family: energy 0.5 reached" in out
+    assert "energy 0.5 reached" in out
     assert "has a periodic orbit of energy 0.4" in " ".join(out.split())
     assert Path(figure).stat().st_size > 10_000
     *lines, wrote = out.splitlines()

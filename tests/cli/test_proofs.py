@@ -37,7 +37,7 @@ def test_solve_with_a_proof_writes_the_certificate(capsys: Captured, tmp_path: P
     assert certificate.asked == pytest.approx((1e-8, 1e-8), rel=1e-3)
     status, out, _ = run(capsys, "verify", path)
     assert status == 0
-    assert out.startswith("verified: the error is at most ")
+    assert out.startswith("verified: error at most ")
 
 
 def test_solve_with_a_proof_needs_no_file(capsys: Captured) -> None:

@@ -233,11 +233,12 @@ def test_same_seed_same_indicators() -> None:
 # -- statements --------------------------------------------------------------------------------
 
 
-def made(mean: np.ndarray, sali: float, *, is_integrable: bool = False) -> ChaosIndicators:
+def made(mean: np.ndarray, sali: float, H: Hamiltonian | None = None) -> ChaosIndicators:
     t = np.geomspace(1, 1e3, 200)
+    H = H or henon_heiles().H
     return ChaosIndicators(
-        t, mean, mean, np.full(200, sali), 0.0, 0.0, "gauss4", 0.1, 1.0, success=True, message="",
-        is_integrable=is_integrable,
+        t, mean, mean, np.full(200, sali), H, np.zeros(H.dim), (0.0, 1e3), 0.0, "gauss4", 0.1, 1.0,
+        success=True, message="",
     )  # fmt: skip
 
 
@@ -247,7 +248,7 @@ def test_statement_needs_growth_in_proportion_to_time_and_alignment() -> None:
     assert "This is inconclusive" in made(0.05 * t, 0.1).statement
     assert "This is inconclusive" in made(3 + 0 * t, 1e-40).statement
     assert "This is inconclusive" in made(np.full(200, 40.0), 1e-40).statement
-    assert "not chaos" in made(0.05 * t, 1e-40, is_integrable=True).statement
+    assert "not chaos" in made(0.05 * t, 1e-40, Hamiltonian("p**2/2 - cos(x)")).statement
     assert "This is inconclusive" in made(np.full(200, np.nan), np.nan).statement
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -270,14 +271,13 @@ def test_chaotic_orbit_of_henon_heiles() -> None:
 
 
 def test_undecided_trend_is_stated() -> None:
-    t = np.geomspace(1, 1e4, 200)
+    t, problem = np.geomspace(1, 1e4, 200), henon_heiles()
     made = LyapunovExponents(
-        t, t[:, None] ** -0.35, 0.0, 0.0, "gauss4", 0.1, 1.0, success=True, message=""
-    )
+        t, t[:, None] ** -0.35, problem.H, problem.z0, (0.0, 1e4), 0.0, "gauss4", 0.1, 1.0,
+        success=True, message="",
+    )  # fmt: skip
     assert "This is inconclusive; use a longer span" in made.statement
-    short = LyapunovExponents(
-        t[:3], t[:3, None], 0.0, 0.0, "gauss4", 0.1, 1.0, success=True, message=""
-    )
+    short = dataclasses.replace(made, t=t[:3], exponents=t[:3, None])
     assert math.isnan(short.trend)
     assert "inconclusive" in short.statement
 

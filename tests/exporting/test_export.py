@@ -258,7 +258,7 @@ def test_docstrings_say_what_they_are(solution: Solution, exported: ModuleType) 
     for name, value in [*zip(H.names, solution.z0.tolist(), strict=True), *H.parameters.items()]:
         assert f"{name} = {value!r}" in text
     for name, force in H.force_texts.items():
-        assert f"Force of {name}: {force}" in text
+        assert f"force of {name} = {force}" in text
     for name, unit in H.units.items():
         assert f"{name} in {unit}" in text
     assert f"Span: t from {solution.span[0]!r} to {solution.span[1]!r}" in text
@@ -266,9 +266,9 @@ def test_docstrings_say_what_they_are(solution: Solution, exported: ModuleType) 
     assert f"Made by hamsym {hamsym.__version__}, seed 0" in text
     assert "not proven. SHA-256 of the solution: " in text
     assert "hamsym solve " in text
-    assert ("NOT converge (success=False)" in text) == (not solution.success)
+    assert ("FAILED (success=False)" in text) == (not solution.success)
     for name, error in zip(H.names, solution.largest_error, strict=True):
-        assert f"{name} {f'{error:.3g}' if math.isfinite(error) else 'unknown'}" in text
+        assert f"{name} = {f'{error:.1e}' if math.isfinite(error) else 'unknown'}" in text
 
 
 def test_lines_in_docstrings_make_the_solution_again(tmp_path: Path) -> None:
@@ -289,16 +289,18 @@ def test_certificates_are_in_the_docstring(tmp_path: Path) -> None:
     solution.export(tmp_path / "orbit.py", certificate=certificate)
     text = " ".join((module(tmp_path / "orbit.py").__doc__ or "").split())
     assert certificate.digest in text
-    bound = re.search(r"proven to be at most (\S+) \(2-norm\)", text)
+    bound = re.search(r"the error is at most (\S+) \(2-norm\)", text)
     assert bound is not None
     assert certificate.bound <= float(bound[1]) <= 1e-9
     solution.export(tmp_path / "orbit.json", certificate=certificate)
     about = json.loads((tmp_path / "orbit.json").read_text())["about"]
-    assert about["certificate"]["bound"] == certificate.bound
+    assert about["proven"] == certificate.bound
     assert about["sha256"] == certificate.digest
     proved = solve("p**2/2 + x**2/2", [1, 0], (0, 1), prove=True)
     proved.export(tmp_path / "own.py")
-    assert "proven to be at most" in (module(tmp_path / "own.py").__doc__ or "").replace("\n", " ")
+    assert "Proven: the error is at most" in (module(tmp_path / "own.py").__doc__ or "").replace(
+        "\n", " "
+    )
 
 
 def test_proofs_are_said_not_to_be_repeated(tmp_path: Path) -> None:
@@ -672,7 +674,7 @@ def test_command_exports_with_the_certificate_beside(capsys: pytest.CaptureFixtu
     assert "not proven" in (module(Path("a.py")).__doc__ or "")
     assert main(["certify", "a.hamsym", "--bound", "1e-9"]) == 0
     assert main(["export", "a.hamsym", "-o", "a.h"]) == 0
-    assert "is proven to be at" in Path("a.h").read_text()
+    assert "Proven: the error is at most" in Path("a.h").read_text()
 
 
 @pytest.mark.usefixtures("saved")

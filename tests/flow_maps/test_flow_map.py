@@ -275,7 +275,7 @@ def test_map_ends_before_a_solution_that_fails() -> None:
     exact = solve_many(flow.H, {"x": x, "p": 1.0}, flow.span, tol=1e-11)
     for t in np.linspace(*flow.span, 20):
         error = np.abs(flow(t, {"x": x}) - exact(t)).max(axis=0)
-        assert (error <= flow.error_estimate).all()
+        assert (error <= flow.largest_error).all()
 
 
 def test_more_solutions_than_allowed_are_refused() -> None:
@@ -386,7 +386,7 @@ def test_file_restores_the_map(with_parameter: FlowMap) -> None:
     np.testing.assert_array_equal(
         again(t, {"x": 1.3}, {"k": 1.1}), with_parameter(t, {"x": 1.3}, {"k": 1.1})
     )
-    np.testing.assert_array_equal(again.error_estimate, with_parameter.error_estimate)
+    np.testing.assert_array_equal(again.largest_error, with_parameter.largest_error)
 
 
 def test_damaged_or_forged_files_are_refused(oscillator: FlowMap, tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ def test_round_off_of_a_pulse_is_part_of_the_error() -> None:
     found = hamsym.integrate(H.format("1e10*(cos(t/8 - 0.4) - 1)"), [1.0, 0.0], (0, 10), tol=1e-6)
     assert found.success is False
     assert "limited by float64 round-off" in found.message
-    assert (np.abs(found.z - exact.z) <= found.error_estimate + exact.error_estimate).all()
+    assert (np.abs(found.z - exact.z) <= found.errors + exact.errors).all()
 
 
 def test_section_does_not_pass_over_a_pulse() -> None:

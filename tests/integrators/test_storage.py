@@ -77,7 +77,7 @@ def _set(array: np.ndarray, place: Any, value: Any) -> np.ndarray:
         (lambda a, v: a.update(z=_set(a["z"], (0, 0, 0, 0), 7.0)), "not begin at its starts"),
         (lambda a, v: a.update(success=a["success"] * np.uint8(2)), "numbers out of range"),
         (lambda a, v: a.update(success=a["success"] * np.uint8(0)), "contradicts its messages"),
-        (lambda a, v: a.update(error_estimate=-a["error_estimate"] - 1), "negative"),
+        (lambda a, v: a.update(errors=-a["errors"] - 1), "negative"),
         (
             lambda a, v: a.update({"verdicts.largest": a["verdicts.largest"] * np.nan}),
             "above its tolerance",
@@ -171,7 +171,7 @@ def test_datasets_have_names_and_coordinates() -> None:
     np.testing.assert_array_equal(data["energy"], row.energy)
     np.testing.assert_array_equal(data["k"], [1.0, 2.0, 3.0])
     grid = MADE["grid"]()
-    np.testing.assert_array_equal(grid.to_xarray()["error_estimate"], grid.error_estimate)
+    np.testing.assert_array_equal(grid.to_xarray()["errors"], grid.errors)
     assert data.attrs["unit of p"] == "m/s"
 
 

@@ -91,8 +91,8 @@ def test_true_errors_are_within_the_tolerance(
         errors = np.abs(found.z - truths[:, :: 200 // saves])
         sizes = np.abs(truths).max(axis=1)[:, None]
         assert (errors <= tol * sizes).all()
-        assert (errors <= found.error_estimate + 3e-12 * sizes).all()
-        assert (found.error_estimate <= 1.001 * tol * sizes).all()
+        assert (errors <= found.errors + 3e-12 * sizes).all()
+        assert (found.errors <= 1.001 * tol * sizes).all()
 
 
 def test_kepler_orbits_are_closed() -> None:
@@ -198,9 +198,7 @@ def test_bad_members_leave_the_others_unchanged() -> None:
     failed = np.flatnonzero(~found.success)
     assert failed.tolist() == [0, 8, 42, 83]
     np.testing.assert_array_equal(np.delete(found.z, failed, axis=0), alone.z)
-    np.testing.assert_array_equal(
-        np.delete(found.error_estimate, failed, axis=0), alone.error_estimate
-    )
+    np.testing.assert_array_equal(np.delete(found.errors, failed, axis=0), alone.errors)
     messages = found.messages
     assert "the start is not finite" in messages[0]
     assert "the start is not finite" in messages[8]
@@ -219,14 +217,14 @@ def test_division_of_members_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(to_tolerance, "available_cores", lambda: 3)
     other = hamsym.integrate(HENON_HEILES, starts, (0, 12), tol=1e-9, saves=3)
     np.testing.assert_array_equal(one.z, other.z)
-    np.testing.assert_array_equal(one.error_estimate, other.error_estimate)
+    np.testing.assert_array_equal(one.errors, other.errors)
 
 
 def test_each_member_has_its_parameters() -> None:
     strengths = np.array([[0.5], [2.0]])
     starts = np.array([ellipse(0.0), ellipse(0.2), ellipse(0.5)])
     found = hamsym.integrate(KEPLER, starts, (0, 5), tol=1e-9, saves=4, parameters={"k": strengths})
-    assert found.z.shape == found.error_estimate.shape == (2, 3, 5, 4)
+    assert found.z.shape == found.errors.shape == (2, 3, 5, 4)
     assert found.success.shape == found.messages.shape == (2, 3)
     assert found.success.all()
     x, y, p_x, p_y = np.moveaxis(found.z, -1, 0)
@@ -243,11 +241,11 @@ def test_escape_of_one_member_is_reported() -> None:
     found = hamsym.integrate(H, [[0.1, 0.0], [1.0, 1.0]], (0, 5), tol=1e-8, saves=50)
     assert found.success.tolist() == [True, False]
     assert "no longer finite" in found.messages[1]
-    assert np.isinf(found.error_estimate[1, -1]).all()
+    assert np.isinf(found.errors[1, -1]).all()
     one = hamsym.integrate(H, [1.0, 1.0], (0, 5), tol=1e-8, saves=50)
     assert one.success is False
     assert np.isfinite(one.z).all()
-    assert len(one.t) == len(one.z) == len(one.error_estimate) < 51
+    assert len(one.t) == len(one.z) == len(one.errors) < 51
 
 
 @pytest.fixture
@@ -473,9 +471,9 @@ def test_one_start_gives_plain_results() -> None:
     problem = kepler_problem(0.3)
     found = hamsym.integrate(problem.H, problem.z0, (0, 5), tol=1e-9)
     assert found.success is True
-    assert found.z.shape == found.error_estimate.shape == (101, 4)
-    assert (found.error_estimate[0] == 0).all()
-    assert (np.diff(found.error_estimate, axis=0) >= 0).all()
+    assert found.z.shape == found.errors.shape == (101, 4)
+    assert (found.errors[0] == 0).all()
+    assert (np.diff(found.errors, axis=0) >= 0).all()
     assert found.messages.shape == ()
     assert found.messages[()] == found.message
     assert f"{found.steps:,} steps to t = 5, estimated error" in found.message

@@ -147,7 +147,7 @@ def test_target_ends_training(method: str, option: str, value: float) -> None:
     reached = {
         "target_loss": solution.record.best_loss,
         "target_ell_max": solution.record.best_ell_max,
-        "target_error": solution.relative_error_estimate,
+        "target_error": solution.relative_error,
         "accuracy": solution.error_bound,
     }
     assert reached[option] <= value
@@ -360,6 +360,6 @@ def test_network_across_potential_step_fails(options: dict) -> None:
         iterations=60,
         **options,
     )
-    assert solution.relative_error_estimate < 0.005  # of an equation without the force of the step
+    assert solution.relative_error < 0.005  # of an equation without the force of the step
     assert not solution.success
     assert re.match(r"H jumps at t = 0\.(49|5)\d*, beyond which", solution.message)

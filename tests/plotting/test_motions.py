@@ -439,7 +439,7 @@ def test_failed_members_are_marked() -> None:
     many = hamsym.solve_many("p**2/2 - x**4/4", {"x": [0.01, 1.0], "p": [0.0, 1.0]}, (0, 3))
     figure = many.plot()
     check_layout(figure)
-    assert figure.warning.startswith("1 of 2 trajectories failed; the first: stopped at t")
+    assert figure.warning.startswith("1 of 2 trajectories failed, the first is [1]: stopped at t")
 
 
 def test_no_members_are_refused() -> None:

@@ -72,8 +72,9 @@ def test_text_and_table_have_every_run() -> None:
     pytest.importorskip("pandas")
     sweep = sweep_of({"coarse": {"tol": 1e-3}, "fine": {"tol": 1e-6}}, failed=("coarse",))
     lines = sweep.summary().splitlines()
-    assert lines[0] == "2 of 4 runs converged, t from 0 to 3; the settings differ in tol"
-    assert [line.split()[:2] for line in lines[3:]] == [["coarse", "0"], ["fine", "2"]]
+    assert lines[0].startswith("2 of 4 runs failed, for example: ")
+    assert lines[1] == "2 of 4 runs converged, t from 0 to 3; the settings differ in tol"
+    assert [line.split()[:2] for line in lines[4:]] == [["coarse", "0"], ["fine", "2"]]
     table = sweep.to_dataframe()
     assert table["tol"].tolist() == [1e-3, 1e-3, 1e-6, 1e-6]
     assert table["success"].tolist() == [False, False, True, True]

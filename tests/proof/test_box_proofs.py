@@ -82,7 +82,7 @@ def test_bound_contains_error_at_random_points(quartic, certificate):
 
 @pytest.mark.slow
 def test_bound_is_near_the_estimate(quartic, certificate):
-    assert (np.array(certificate.bound) <= 3 * quartic.error_estimate + 3e-8).all()
+    assert (np.array(certificate.bound) <= 3 * quartic.largest_error + 3e-8).all()
 
 
 @pytest.mark.slow

@@ -92,7 +92,7 @@ def test_estimate_of_chaos_ends_with_the_motion() -> None:
     assert "grow to the size of the motion by t = " in solution.message
     assert np.isinf(solution.error_estimate(2999.0)).all()
     assert np.isfinite(solution.error_estimate(10.0)).all()
-    assert np.isinf(solution.relative_error_estimate)
+    assert np.isinf(solution.relative_error)
 
 
 def test_allowed_error_is_relative_to_the_true_size() -> None:

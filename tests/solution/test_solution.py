@@ -126,8 +126,8 @@ def test_error_estimate_is_the_error(epochs: int) -> None:
     assert solution.error_estimate(1.0).shape == (2,)
     relative = (np.abs(error).max(axis=0) / solution.scale).max()
     # The coupled size of a component, after a radian of motion, is at most twice its own size.
-    assert relative / 3 < solution.relative_error_estimate <= relative * 1.001
-    assert solution.success == (solution.relative_error_estimate <= 0.01)
+    assert relative / 3 < solution.relative_error <= relative * 1.001
+    assert solution.success == (solution.relative_error <= 0.01)
 
 
 @pytest.mark.slow

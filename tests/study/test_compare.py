@@ -263,7 +263,6 @@ def test_errors_below_that_of_the_reference_have_only_bounds() -> None:
     path = hamsym.integrate(ROUGH, [0.1, 0.0], (0, 30), "blanes_moan6", steps=int(0.97 * fewest))
     errors = np.linalg.norm(path.z - comparison.reference(path.t), axis=1)
     assert errors.max() > network + 2 * u
-    assert "(the reference is less than ten times better: bounds, not numbers)" in str(comparison)
     assert "have only bounds" in comparison.summary().replace("\n", " ")
 
 
@@ -315,8 +314,9 @@ def test_only_solutions_are_compared() -> None:
 def test_table_fits_eighty_columns(comparison: Comparison) -> None:
     lines = str(comparison).splitlines()
     assert max(map(len, lines)) <= 80
-    assert lines[0].split()[:3] == ["method", "points", "evaluations"]
-    assert lines[-2].startswith("for the network's error, ")
+    table = lines.index("") + 1
+    assert lines[table].split()[:3] == ["method", "points", "evaluations"]
+    assert any(line.startswith("for the network's error, ") for line in lines[table:])
     assert lines[-1].startswith("symplectic_euler")
 
 

@@ -41,7 +41,7 @@ def test_states_are_those_of_solve_many(tmp_path: Path, chunk: int) -> None:
     many = hamsym.solve_many(H, starts, SPAN, parameters={"k": k})
     assert data["state"].dims == ("k", "energy", "time", "component")
     np.testing.assert_array_equal(data["state"], many(T))
-    for name in ("success", "message", "error_estimate", "excess", "z0"):
+    for name in ("success", "message", "largest_error", "excess", "z0"):
         np.testing.assert_array_equal(data[name], getattr(many, name), name)
     assert data["state"].sel(k=1.0, energy=0.1, time=7.5, component="x") == many(T)[1, 1, 1, 0]
     assert data["done"].all()

@@ -22,8 +22,8 @@ import sympy
 
 import hamsym
 from hamsym import Hamiltonian
-from hamsym.workbench.notebooks.cards import CARDS, card_of
-from hamsym.workbench.notebooks.proof_cards import _ball
+from hamsym.facts.proofs import ball_text
+from hamsym.facts.wording import DESCRIBED
 from hamsym.workbench.notebooks.representation import representation
 
 HENON = Hamiltonian(
@@ -67,38 +67,38 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
         lambda: HENON,
         ["2 degrees of freedom, separable, energy cons", "lam = 1"],
     ),
-    "Hamiltonian in SI": (lambda: SI, ["m = 9.1e-31 kg", "p: kg*m/s"]),
+    "Hamiltonian in SI": (lambda: SI, ["m = 9.1e-31 kg", "p in kg*m/s"]),
     "Formulas": (lambda: HENON.equations, ["Equations of motion", "<math"]),
     "Equations": (lambda: HENON.real_equations, ["<math"]),
     "System": (lambda: HENON.compile("numpy"), ["generated functions for numpy", "vector_field"]),
     "Solution": (solution, ["converged", "largest estimated error", "tol 1.0e-09 met", "<img"]),
     "Solution that failed": (
         lambda: hamsym.solve(FALLING, [1, 0], (0, 10)),
-        ["failed", "the error of x is not known", "stopped at t = 1.85"],
+        ["failed", "the error is not known, in x", "stopped at t = 1.85"],
     ),
     "Solution in SI": (
         lambda: hamsym.solve(SI, [1e-9, 0], (0, 1e-8)),
-        ["p [kg*m/s]", "parameters", "w = 1e+09 rad/s"],
+        ["kg*m/s", "parameters", "w = 1000000000.0 rad/s"],
     ),
     "Solution by training": (
         lambda: hamsym.solve(OSCILLATOR, [1, 0], (0, 1), method="adam", epochs=5, points=5),
-        ["failed", "best loss"],
+        ["failed", "largest estimated error"],
     ),
     "Solutions": (
         lambda: hamsym.solve_many(OSCILLATOR, [[1.0, 0.0], [2.0, 0.0]], (0, 5)),
-        ["all 2 converged"],
+        ["all 2 trajectories converged", "largest estimated error"],
     ),
     "Solutions that failed": (
         lambda: hamsym.solve_many(FALLING, [[1.0, 0.0], [0.01, 0.0]], (0, 10)),
-        ["1 of 2 failed", "failed member", "stopped at t"],
+        ["1 of 2 trajectories failed", "failed member", "stopped at t"],
     ),
     "Trajectory": (
         lambda: hamsym.integrate(OSCILLATOR, [1, 0], (0, 5), tol=1e-9),
-        ["met tol", "largest estimated relative error", "101 states", "<img"],
+        ["largest estimated error", "% of tol 1.0e-09", "<img"],
     ),
     "Trajectory that failed": (
         lambda: hamsym.integrate(FALLING, [1, 0], (0, 10), tol=1e-9),
-        ["failed", "the error is not within the tolerance"],
+        ["✗", "the error is not known"],
     ),
     "Trajectory of many": (
         lambda: hamsym.integrate(
@@ -108,7 +108,7 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
     ),
     "Comparison": (
         lambda: hamsym.compare(solution(), "gauss4", points=20),
-        ["the network&#39;s largest error", "gauss4"],
+        ["was estimated", "gauss4"],
     ),
     "Sweep": (
         lambda: hamsym.Sweep((0,), (0.0, 5.0), {"a": (solution(),)}, {"a": ("no proof",)}),
@@ -123,19 +123,19 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
         lambda: hamsym.enclose(OSCILLATOR, ["1 +- 1e-6", 0], (0, 2), parameters={"k": (0.9, 1.1)}),
         ["proven", "1 +- 1.01e-06"],
     ),
-    "FlowMap": (flow, ["success", "x from 1 to 2", "<img"]),
+    "FlowMap": (flow, ["converged", "x from 1.0 to 2.0", "<img"]),
     "BoxCertificate": (
         lambda: flow().certify({"x": (1.5, 1.6), "p": (0.0, 0.1)}),
         ["proven", "x from 1.5 to 1.6"],
     ),
-    "Fit": (fitted, ["success", "degrees of freedom", "95% interval"]),
+    "Fit": (fitted, ["degrees of freedom", "95 % interval"]),
     "LyapunovExponents": (
         lambda: hamsym.lyapunov(OSCILLATOR, [1, 0], (0, 50), count=2),
         ["largest exponent", "After a time of 50", "<img"],
     ),
     "LyapunovMap": (
         lambda: hamsym.lyapunov(OSCILLATOR, [[1.0, 0.0], [2.0, 0.0]], (0, 50)),
-        ["all 2", "largest exponents from"],
+        ["2 of 2 trajectories reached", "largest exponents run from"],
     ),
     "ChaosIndicators": (
         lambda: hamsym.chaos_indicators(OSCILLATOR, [1, 0], (0, 50)),
@@ -143,7 +143,7 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
     ),
     "Section": (
         lambda: hamsym.section(OSCILLATOR, [0, 1], (0, 50), "x = 0, p > 0"),
-        ["7 crossings of x = 0, p &gt; 0 by 1 trajectory"],
+        ["7 crossings of x = 0, p &gt; 0"],
     ),
     "Equilibria": (lambda: HENON.equilibria(), ["4 equilibria", "centre"]),
     "Equilibrium": (lambda: HENON.equilibria()[0], ["centre"]),
@@ -153,9 +153,9 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
     ),
     "Invariants": (
         lambda: Hamiltonian("(p_x**2 + p_y**2)/2 + (x**2 + y**2)**2").invariants(),
-        ["1 invariant of degree at most 2", "<math", "beyond degree 2"],
+        ["<math", "beyond degree 2"],
     ),
-    "PeriodicOrbit": (orbit, ["success", "period"]),
+    "PeriodicOrbit": (orbit, ["converged", "period"]),
     "OrbitFamily": (lambda: orbit().family(energy=0.8), ["orbits", "energy", "0.75 to 0.8"]),
     "OrbitCertificate": (lambda: orbit().certify(), ["proven", "a periodic orbit exists"]),
 }
@@ -234,16 +234,16 @@ def test_representations_say_what_is_asked_first(name: str) -> None:
 def test_every_result_has_a_card() -> None:
     classes = [getattr(hamsym, name) for name in hamsym.__all__]
     results = {kind for kind in classes if inspect.isclass(kind) and "Error" not in kind.__name__}
-    without = {hamsym.Animation, hamsym.Ball, hamsym.Regularizer}
+    without = {hamsym.Animation, hamsym.Ball, hamsym.Facts, hamsym.Regularizer}
     missing = [kind for kind in results - without if not hasattr(kind, "_repr_html_")]
     assert not missing
     made = {name.split(" ")[0] for name in MADE}
     assert {kind.__name__ for kind in results - without} <= made | {"StoredSweep"}
 
 
-def test_every_card_belongs_to_a_result() -> None:
+def test_every_description_belongs_to_a_result() -> None:
     made = {name.split(" ")[0] for name in MADE} | {"StoredSweep"}
-    assert made == CARDS.keys()
+    assert made == DESCRIBED.keys()
 
 
 HOSTILE = "<script>alert('1')</script> & <img src=http://x onerror=y> \"'$x$"
@@ -293,7 +293,7 @@ def test_nothing_that_is_broken_raises() -> None:
 def test_numbers_that_are_not_finite_are_shown() -> None:
     found = hamsym.lyapunov(OSCILLATOR, [1, 0], (0, 9))
     lost = dataclasses.replace(found, exponents=np.full_like(found.exponents, np.nan))
-    assert "largest exponent nan" in representation(lost)
+    assert "largest exponent is nan" in representation(lost)
     trajectory = hamsym.integrate(OSCILLATOR, [1, 0], (0, 1), "gauss4", steps=4)
     lost = dataclasses.replace(trajectory, drift=math.inf, success=False)
     assert "it is not finite" in representation(lost)
@@ -322,10 +322,10 @@ def test_many_components_are_counted_not_drawn_out() -> None:
     H = Hamiltonian(" + ".join(f"p_{n}**2/2 + {n}**2/2" for n in names))
     text = representation(H)
     assert "30 degrees of freedom" in text
-    assert "... and 48 equations" in text
+    assert "... and 49 equations" in text
     assert "and 18 more" in text
     trajectory = hamsym.integrate(H, np.ones(60), (0, 0.1), "dop853", steps=4)
-    assert "... and 48 components" in representation(trajectory)
+    assert "... and 50 components" in representation(trajectory)
 
 
 @pytest.mark.slow
@@ -345,7 +345,7 @@ def test_huge_formulas_are_not_derived(monkeypatch: pytest.MonkeyPatch) -> None:
      (1.0, 0.0), (-6.7e-18, 2.77e-17), (1e300, 1e290)],
 )  # fmt: skip
 def test_balls_as_written_contain_the_ball(mid: float, radius: float) -> None:
-    middle, _, width = _ball(mid, radius).partition(" +- ")
+    middle, _, width = ball_text(mid, radius).partition(" +- ")
     written = Fraction(middle)
     reach = Fraction(width or "0")
     assert written - reach <= Fraction(mid) - Fraction(radius)
@@ -353,8 +353,8 @@ def test_balls_as_written_contain_the_ball(mid: float, radius: float) -> None:
     assert reach <= 2 * Fraction(radius)
 
 
-def test_bounds_are_rounded_outward() -> None:
-    above, below = math.nextafter(1e-12, 1), math.nextafter(1e-12, 0)
+def test_bounds_are_written_as_they_are_proven() -> None:
+    above, below = 2.68374571e-12, 1.00000001e-12  # decimals of nine digits, as certify has them
     certificate = hamsym.Certificate(
         bound=above,
         lower=below,
@@ -371,11 +371,20 @@ def test_bounds_are_rounded_outward() -> None:
         seconds=1.0,
         components=("x",),
     )
-    head = card_of(certificate).headline
-    found = re.search(r"at most (\S+) and somewhere at least (\S+),", head)
+    facts = certificate.facts
+    found = re.search(r"at most (\S+) \(2-norm\)", facts.headline)
     assert found is not None
-    assert Fraction(found[1]) >= Fraction(certificate.bound)
-    assert Fraction(found[2]) <= Fraction(certificate.lower)
+    low, high = facts.tables[0].cells().rows[0][1:]
+    assert found[1] == high == "2.68374571e-12"
+    assert low == "1.00000001e-12"
+
+
+def test_bounds_over_a_box_are_rounded_outward() -> None:
+    proven = dataclasses.replace(
+        flow().certify({"x": (1.5, 1.6), "p": (0.0, 0.1)}), bound=(math.nextafter(1e-12, 1), 1e-9)
+    )
+    for (_, text), bound in zip(proven.facts.tables[0].cells().rows, proven.bound, strict=True):
+        assert bound <= Fraction(text) <= 1.0000001 * bound
 
 
 def test_formulas_have_latex_too() -> None:

@@ -241,7 +241,7 @@ class Page:
         if found is None:
             return
         self._equations.content, self._hessian.content = found.equations, found.hessian
-        self._facts.text = " ".join(found.facts)
+        self._facts.text = found.facts
         dof, names = found.dof, found.names
         planes = {f"{k},{k + dof}": f"{names[k]}, {names[k + dof]}" for k in range(dof)}
         planes |= {f"{k},{k + 1}": f"{names[k]}, {names[k + 1]}" for k in range(dof - 1)}
@@ -322,8 +322,7 @@ class Page:
         if found.success:
             energy = float(found.energy_error.max())
             self._say(
-                f"Accepted: estimated error at most {found.largest:.1e} of the motion, energy "
-                f"error at most {energy:.1e} of the terms of H. "
+                f"Accepted: {found.headline}, energy error at most {energy:.1e} of the terms of H. "
                 f"{_duration(found.seconds)}.{coarse}",
                 "accepted",
             )

@@ -16,8 +16,8 @@ class Derivation:
     #: equations, hessian: MathML, for an element of a page.
     equations: str
     hessian: str
-    #: Sentences on the structure of H.
-    facts: tuple[str, ...]
+    #: What the structure of H is, in words.
+    facts: str
     #: Whether H is conserved.
     has_energy: bool
     separable: bool
@@ -36,6 +36,8 @@ class Picture:
 
     success: bool
     message: str
+    #: The largest estimated error against what was asked.
+    headline: str
     #: Shape (n,).
     t: np.ndarray
     #: Shape (n, dim).
@@ -49,8 +51,6 @@ class Picture:
     levels: list[np.ndarray]
     #: Their range: q and p, each from and to.
     box: tuple[float, float, float, float] | None
-    #: The largest estimated error relative to the size of its component.
-    largest: float
     #: Time of solve and of sampling.
     seconds: float
     #: Whether the motion may be too fast for the times that are drawn.

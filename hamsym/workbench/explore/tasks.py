@@ -9,6 +9,7 @@ import math
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -66,14 +67,9 @@ def _bound(setting: Setting) -> Hamiltonian:
 def derive(formula: str, q: str, p: str, forces: str) -> Derivation:
     """Derive equations and Hessian of a formula."""
     H = _hamiltonian(formula, q, p, forces)
-    facts = ["H is separable, T(p) + V(q)." if H.is_separable else "H is not separable."]
-    if H.time is not None:
-        facts.append("It depends on the time t, so that the energy is not conserved.")
-    if H.forces:
-        facts.append("Forces do work, so that the energy is not conserved.")
-    cyclic = [symbol.name for symbol in H.cyclic_coordinates]
-    if cyclic:
-        facts.append(f"Cyclic coordinates: {', '.join(cyclic)}.")
+    facts = H.facts
+    cyclic = facts["cyclic"]
+    said = facts.headline + (f"; {cyclic.label} {cyclic.text}" if cyclic.text else "")
     # A surface through the origin that the second pair crosses.
     surface = f"{H.names[1]} = 0, {H.names[H.dof + 1]} > 0" if H.dof > 1 else ""
     return Derivation(
@@ -81,7 +77,7 @@ def derive(formula: str, q: str, p: str, forces: str) -> Derivation:
         parameter_names=H.parameter_names,
         equations=equations(H),
         hessian=hessian(H),
-        facts=tuple(facts),
+        facts=f"{said}.",
         has_energy=H.conserves_energy,
         separable=H.is_separable,
         surface=surface,
@@ -137,18 +133,17 @@ def picture(setting: Setting) -> Picture:
         terms = np.abs(pairs).sum(axis=1).max()
         energy_error = np.abs(solution.energy_drift(t)) / (terms if terms > 0 else 1.0)
         error = np.abs(solution.error_estimate(t)) / np.where(scale > 0, scale, 1)
-        largest = solution.largest_error / np.where(scale > 0, scale, 1)
     levels, box = _level_sets(solution, z) if solution.H.dof == 1 else ([], None)
     return Picture(
         success=solution.success,
         message=solution.message,
+        headline=solution.facts.headline,
         t=t,
         z=z,
         energy_error=energy_error,
         error=error.max(axis=1),
         levels=levels,
         box=box,
-        largest=float(np.nan_to_num(largest, nan=np.inf).max()),
         seconds=time.perf_counter() - began,
         coarse=needed > _MOST_POINTS,
     )
@@ -204,14 +199,15 @@ def certify(setting: Setting, seconds: float) -> JobResult:
     if not solution.success:
         return JobResult(f"Nothing to prove: {solution.message}.", success=False)
     found = hamsym.certify(solution, time_limit=seconds, progress=False)
-    names = ["|z|", *solution.H.names, "H"]
-    lowers = [found.lower, *found.component_lowers, found.energy_lower]
-    bounds = [found.bound, *found.component_bounds, found.energy_bound]
-    rows = tuple(
-        (name, f"{lower:.3e}", f"{bound:.3e}")
-        for name, lower, bound in zip(names, lowers, bounds, strict=True)
-    )
-    return JobResult(found.statement, ("error of", "at least", "at most"), rows)
+    return replace(_job(found.facts), statement=found.statement)
+
+
+def _job(facts: hamsym.Facts) -> JobResult:
+    """The first sentences of a result, and its first table."""
+    cells = facts.tables[0].cells(None)
+    said = "; ".join(facts.opening)
+    rows = tuple(map(tuple, cells.rows))
+    return JobResult(f"{said}.", tuple(cells.header), rows, facts.success is not False)
 
 
 def exponents(setting: Setting, spans: float) -> JobResult:
@@ -220,30 +216,16 @@ def exponents(setting: Setting, spans: float) -> JobResult:
     start, end = setting.span
     span = start, start + spans * (end - start)
     found = hamsym.lyapunov(H, setting.z0, span, count=H.dim, progress=False)
-    rows = tuple((str(k + 1), f"{value:.4g}") for k, value in enumerate(found.exponents[-1]))
-    statement = f"{found.statement} ({found.message}; t up to {span[1]:g})"
-    return JobResult(statement, ("exponent", "at the end"), rows, bool(found.success))
+    return _job(found.facts)
 
 
 def comparison(setting: Setting, methods: tuple[str, ...]) -> JobResult:
     """Compare the solution with integrators."""
     solution = _solve(setting)
     found = hamsym.compare(solution, list(methods) or "usual", max_steps=2_000_000)
-    rows = tuple(
-        (
-            row.label,
-            f"{row.points:,}" if row.tolerance is None else f"rtol {row.tolerance:.0e}",
-            f"{row.evaluations:,}",
-            f"{row.error:.2e}",
-            f"{row.energy_error:.2e}",
-            f"{1e3 * row.seconds:.3g}",
-        )
-        for row in found.rows
-    )
-    header = ("method", "points", "evaluations", "max |dz|", "max |dE|", "time in ms")
+    facts = found.facts
     needed = "; ".join(f"{name}: {match}" for name, match in found.matches.items())
-    said = f"Errors against {found.reference.text}. For the error of the network: {needed}."
-    return JobResult(said, header, rows)
+    return replace(_job(facts), statement=f"{facts.headline}. To reach this error: {needed}.")
 
 
 # -- files ----------------------------------------------------------------------------------------

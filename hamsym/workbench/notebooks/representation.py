@@ -16,8 +16,9 @@ import jinja2
 from markupsafe import Markup
 
 import hamsym
-from hamsym.workbench.notebooks import dynamics_cards, motion_cards, proof_cards  # noqa: F401  register cards
-from hamsym.workbench.notebooks.cards import Card, card_of
+from hamsym.facts.describe import describe
+from hamsym.facts.facts import Facts
+from hamsym.workbench.notebooks.cards import card_of
 from hamsym.workbench.page_templates import page_template
 
 _MOST_DRAWN = 2_000_000  # numbers that the figure of a result may evaluate
@@ -50,19 +51,20 @@ def representation(result: Any) -> str:
     (True, True)
     """
     try:
-        card = card_of(result)
-        return _rendered(card, _figure(result, card))
+        facts = describe(result)
+        return _rendered(facts, _figure(result, facts))
     except Exception:  # an object that cannot be described must not stop a notebook
         return str(Markup("<pre>{}</pre>").format(_text(result)))
 
 
-def _rendered(card: Card, figure: str) -> str:
-    return str(_template().render(card=card, figure=figure, width=_WIDTH // 2))
+def _rendered(facts: Facts, figure: str) -> str:
+    card = card_of(facts)
+    return _template().render(facts=facts, card=card, figure=figure, width=_WIDTH // 2)
 
 
-def _figure(result: Any, card: Card) -> str:
+def _figure(result: Any, facts: Facts) -> str:
     """The figure of a result as PNG in base64; empty if it has none, or it would take long."""
-    if not card.numbers_drawn <= _MOST_DRAWN:
+    if not facts.drawn <= _MOST_DRAWN:
         return ""
     try:
         with warnings.catch_warnings():

@@ -6,7 +6,6 @@ import importlib.metadata
 import math
 import platform
 import re
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,112 +14,30 @@ import sympy
 from markupsafe import Markup
 
 from hamsym.codegen.backends import BACKENDS
-from hamsym.conservation import KnownInvariants
 from hamsym.errors import HamsymError
+from hamsym.facts.solutions import proof_sentence
+from hamsym.facts.wording import error_text, largest_share, number
 from hamsym.formula.printer import FormulaPrinter
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import ratios
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.digest import digest
-from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.solution.solution import Solution
+from hamsym.support.text_tables import share
 from hamsym.workbench.mathml import derivative, equation, mathml, second_derivative
 
 _MATRIX = 8  # components of a Hessian that is shown as a matrix
 _LONG = 2_000  # operations of a formula beyond which it is shown as text
 _LONGEST = 4_000  # characters of it that are shown
-_FEW_NAMES = 12  # components that are listed
 _MOST_ENTRIES = 60  # of a Hessian that are shown
 _MOST_WINDOWS = 12  # that are shown
-_LARGE = 2e9  # operations of an analysis that takes longer than a reader waits
 _EXPONENT = re.compile(r"\d[\d.]*e[+-]\d+")
 _PACKAGES = ("numpy", "scipy", "sympy", "numba", "python-flint", "torch", "matplotlib")
-
-
-# -- numbers ---------------------------------------------------------------------------------------
-
-
-def number(value: float) -> str:
-    """Return a number with six digits."""
-    return f"{value:.6g}" if math.isfinite(value) else "not finite"
-
-
-def size(value: float) -> str:
-    """Return the size of an error, with two digits."""
-    if math.isnan(value):
-        return "unknown"
-    return f"{value:.2g}" if math.isfinite(value) else "infinite"
 
 
 def unbroken(text: str) -> Markup:
     """Return a text, escaped, in which no line ends inside a number such as 1e-9."""
     return Markup(_EXPONENT.sub(r'<span class="one">\g<0></span>', str(Markup.escape(text))))
-
-
-def _in_unit(value: str, unit: str) -> str:
-    return value if unit in ("", "1") else f"{value} {unit}"
-
-
-# -- the verdict -----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Whether a solution is what was asked for, in sentences."""
-
-    success: bool
-    headline: str
-    #: asked, error: What was asked, and the largest estimated error against it.
-    asked: str
-    error: str
-
-
-def verdict(solution: Solution) -> Verdict:
-    """Judge a solution, in sentences."""
-    success = bool(solution.success)
-    wanted, error = _asked_and_error(solution)
-    headline = "Succeeded" if success else "Failed: this solution is not what was asked for"
-    return Verdict(success, headline, wanted, error)
-
-
-def _asked_and_error(solution: Solution) -> tuple[str, str]:
-    H = solution.H
-    start, end = solution.span if solution.settings is None else solution.settings.span
-    time = H.units.get("t", "")
-    span = f"{number(start)} to {_in_unit(number(end), time)}"
-    allowed, largest = solution.allowed_error, solution.largest_error
-    relative = size(solution.relative_error_estimate)
-    if allowed is not None and solution.settings is not None:
-        shares = ratios(largest, allowed)
-        worst = int(np.argmax(shares))
-        unit = H.units.get(H.names[worst], "")
-        wanted = (
-            f"For t from {span}, each component with an error of at most "
-            f"{solution.settings.tol:g} of its largest value"
-        )
-        if any(solution.settings.atol):
-            wanted += f", and {', '.join(f'{value:g}' for value in solution.settings.atol)} more"
-        if not math.isfinite(shares[worst]):
-            return wanted, f"unknown: the estimate is infinite for {H.names[worst]}"
-        return wanted, (
-            f"{shares[worst]:.2g} times what was asked, in {H.names[worst]}: "
-            f"{_in_unit(size(largest[worst]), unit)} where "
-            f"{_in_unit(size(allowed[worst]), unit)} is allowed"
-        )
-    targets = {}
-    if solution.settings is not None:
-        names = ("target_error", "target_loss", "target_ell_max", "accuracy")
-        targets = {
-            n: v for n, v in solution.settings.options.items() if n in names and v is not None
-        }
-    wanted = f"For t from {span}"
-    if targets:
-        wanted += ", " + ", ".join(f"{name} = {value:g}" for name, value in targets.items())
-    elif solution.settings is not None:
-        wanted += ", an error of at most 0.01 of the motion (the default without a target)"
-    else:
-        wanted += "; which error was allowed is not recorded"
-    return wanted, f"{relative} of the motion"
 
 
 # -- equations -------------------------------------------------------------------------------------
@@ -147,7 +64,6 @@ def equations(H: Hamiltonian) -> dict[str, Any]:
             for symbol, rate in zip(H.z, H.vector_field, strict=True)
         ],
         **_hessian(H),
-        "facts": list(_facts(H)),
     }
 
 
@@ -174,118 +90,11 @@ def _hessian(H: Hamiltonian) -> dict[str, Any]:
     return {"matrix": "", "entries": rows, "more": len(entries) - len(rows)}
 
 
-def _listed(names: Sequence[str]) -> str:
-    if len(names) > _FEW_NAMES:
-        names = [*names[: _FEW_NAMES // 2], "...", names[-1]]
-    return ", ".join(names)
-
-
-def _facts(H: Hamiltonian) -> Iterator[str]:
-    freedom = "1 degree" if H.dof == 1 else f"{H.dof} degrees"
-    yield f"{freedom} of freedom, {H.dim} components: {_listed(H.names)}."
-    kind = "H is the sum of a function of the momenta and a function of the coordinates"
-    yield f"{kind}." if H.is_separable else "The equations are not separable."
-    if cyclic := [symbol.name for symbol in H.cyclic_coordinates]:
-        yield f"Cyclic coordinates: {_listed(cyclic)}."
-    if H.forces:
-        yield "Forces act, so that H is not conserved; its change is compared with their work."
-    elif H.time is not None:
-        yield "H depends on time, so that it is not conserved."
-    else:
-        yield "H is conserved."
-
-
-# -- settings and components -----------------------------------------------------------------------
-
-
-def settings(solution: Solution) -> list[tuple[str, str]]:
-    """Return names and values of settings and costs."""
-    H, given, record = solution.H, solution.settings, solution.record
-    time = H.units.get("t", "")
-    start, end = (repr(float(value)) for value in solution.span)
-    found = [("method", solution.method), ("span", f"{start} to {_in_unit(end, time)}")]
-    if given is not None:
-        if tuple(given.span) != tuple(solution.span):
-            found.append(("span that was asked for", " to ".join(map(repr, given.span))))
-        found.append(("seed", str(given.seed)))
-        if solution.error is not None:
-            found.append(("tolerance", f"tol {given.tol:g}"))
-            found.append(("absolute tolerance", ", ".join(f"{part:g}" for part in given.atol)))
-        others = ((name, v) for name, v in given.options.items() if name not in ("tol", "atol"))
-        found += [(name, str(value)) for name, value in others]
-        found += [(name, "an object of the caller's program") for name in given.missing]
-        if given.invariants:
-            found.append(("invariants", ", ".join(given.invariants)))
-        found.append(("proof asked for", "yes" if given.prove else "no"))
-    if solution.energy_weight:
-        found.append(("energy weight", number(solution.energy_weight)))
-    if record.edges is not None:
-        found.append(("windows", f"{len(record.edges) - 1:,}"))
-    found += [
-        ("collocation points", f"{solution.points:,}"),
-        ("evaluations of the vector field", f"{solution.evaluations:,}"),
-        ("time of the search", f"{record.seconds:.3g} s"),
-    ]
-    return found
-
-
-def components(solution: Solution, certificate: Certificate | None) -> list[dict[str, str]]:
-    """Return a row for each component: start, end, size, and errors."""
-    H, allowed = solution.H, solution.allowed_error
-    ends, largest, rows = solution(solution.span[1]), solution.largest_error, []
-    for i, name in enumerate(H.names):
-        row = {
-            "name": name,
-            "unit": H.units.get(name, ""),
-            "start": repr(float(solution.z0[i])),
-            "end": f"{ends[i]:.12g}",
-            "largest": number(float(solution.scale[i])),
-            "error": size(float(largest[i])),
-            "allowed": "" if allowed is None else size(float(allowed[i])),
-            "proven": "",
-        }
-        if certificate is not None:
-            row["proven"] = f"{certificate.component_bounds[i]:.3e}"
-        rows.append(row)
-    return rows
-
-
 # -- errors ----------------------------------------------------------------------------------------
 
 
-def errors(solution: Solution) -> dict[str, Any]:
-    """Return every statement about the error of a solution that is not a proof."""
-    return {
-        "energy": _energy(solution),
-        "invariants": _invariants(solution),
-        "check": _check(solution),
-        "paper": _paper(solution),
-    }
-
-
-def _energy(solution: Solution) -> str:
-    start = float(solution.energy(solution.span[0]))
-    with np.errstate(all="ignore"):
-        drift = np.abs(solution.energy_drift(solution.scan_times))
-    largest = float(np.nan_to_num(drift, nan=np.inf).max())
-    what = "|H(t) - H(start)|" if solution.H.conserves_energy else "|H(t) - H(start) - work(t)|"
-    return (
-        f"The largest {what} is {size(largest)}; H is {number(start)} at the start"
-        f"{', in the unit of q times p over t' if solution.H.units else ''}."
-    )
-
-
-def _invariants(solution: Solution) -> list[tuple[str, str]]:
-    drifts = solution.invariant_drift
-    formulas = () if solution.settings is None else solution.settings.invariants
-    if formulas and not drifts:  # they are not part of files
-        known = KnownInvariants(solution.H, list(formulas))
-        drifts = judged_by_invariants(solution, known, solution.largest_error).invariant_drift
-    return [(formula, size(float(change))) for formula, change in drifts.items()]
-
-
-def _check(solution: Solution) -> str:
-    """How much the estimate changes at a finer resolution."""
+def check(solution: Solution) -> str:
+    """Say how much the estimate changes at a finer resolution."""
     if not np.isfinite(solution.largest_error).all():
         return "The estimated error is infinite, so that it is not resolved."
     if solution.record.seconds > 20:
@@ -295,25 +104,7 @@ def _check(solution: Solution) -> str:
     worst = float(ratios(change, solution.largest_error).max())
     return (
         "At a finer resolution the estimate changes by at most "
-        f"{size(worst)} of itself, so that it is {'' if worst < 0.5 else 'not '}resolved."
-    )
-
-
-def _paper(solution: Solution) -> str:
-    """The bound ell_max / sigma_min with its limits."""
-    work = len(solution.scan_times) * float(solution.H.dim) ** 3
-    if not work <= _LARGE:
-        return "The paper's bound was not computed, because the trajectory is long."
-    residual = f"The largest residual |dz^/dt - J grad H(z^)| is {size(solution.ell_max)} (ell_max)"
-    bound = solution.analysis.bound
-    if not bound < math.inf:
-        return f"{residual}. There is no bound from it: {solution.analysis.vacuous}."
-    return (
-        f"{residual}, and the smallest singular value of the Hessian along the trajectory is "
-        f"{solution.sigma_min:.3g} (sigma_min). The paper's bound on each component of the error, "
-        f"ell_max/sigma_min = {size(bound)}, is a heuristic: it assumes an error in one component "
-        "only, does not hold where the residual is in resonance with the motion, and mixes the "
-        "units of coordinates and momenta."
+        f"{error_text(worst)} of itself, so that it is {'' if worst < 0.5 else 'not '}resolved."
     )
 
 
@@ -330,18 +121,11 @@ def windows(solution: Solution) -> dict[str, Any] | None:
     for k in chosen.tolist():
         t = np.linspace(times[k], times[k + 1], 26)[1:-1]
         found = np.abs(error(t)).max(axis=0)
-        shares = ratios(found, sizes)
-        worst = int(np.argmax(shares))
-        rows.append(
-            {
-                "number": f"{k + 1:,}",
-                "start": number(times[k]),
-                "end": number(times[k + 1]),
-                "error": size(float(found[worst])),
-                "component": solution.H.names[worst],
-                "ratio": size(float(shares[worst])),
-            }
-        )
+        worst = largest_share(found, sizes)
+        ends = (number(times[k]), number(times[k + 1]))
+        of_it = share(float(found[worst]), float(sizes[worst]))
+        name = solution.H.names[worst]
+        rows.append([f"{k + 1:,}", *ends, error_text(found[worst]), name, of_it])
     return {
         "count": f"{count:,}",
         "shortest": number(float(lengths.min())),
@@ -384,22 +168,7 @@ def proof(solution: Solution, certificate: Certificate | None, how: str) -> Proo
     """Say what a verified certificate proves, or the reason why there is none."""
     if certificate is None:
         return Proof(None, f"Not proven: {how}")
-    bounds, allowed = np.array(certificate.component_bounds), solution.allowed_error
-    if allowed is None:
-        worst = int(np.argmax(bounds / np.where(solution.scale > 0, solution.scale, 1.0)))
-        unit = solution.H.units.get(solution.H.names[worst], "")
-        bound = _in_unit(size(float(bounds[worst])), unit)
-        name = solution.H.names[worst]
-        sentence = f"Proven: the error of {name} is at most {bound}, the largest for its size"
-        return Proof(certificate, sentence, how)
-    shares = ratios(bounds, allowed)
-    worst = int(np.argmax(shares))
-    largest = f"at most {size(float(shares[worst]))} times that, in {solution.H.names[worst]}"
-    if (bounds <= allowed).all():
-        sentence = f"Proven: every error is within what was asked, {largest}"
-    else:
-        sentence = f"Proven, but not that every error is within what was asked: {largest}"
-    return Proof(certificate, sentence, how)
+    return Proof(certificate, proof_sentence(solution, certificate), how)
 
 
 def solution_digest(solution: Solution) -> str:

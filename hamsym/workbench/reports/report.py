@@ -24,6 +24,8 @@ from pygments.lexers import get_lexer_by_name
 from hamsym.archive import load_solution, read_certificate
 from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import CertificationError, FileError, HamsymError, InputError
+from hamsym.facts.facts import Fact
+from hamsym.facts.solutions import solution_facts
 from hamsym.proof.certificate import Certificate
 from hamsym.proof.prove import certify as prove
 from hamsym.proof.prove import verify
@@ -203,7 +205,7 @@ def _proof(
 
 def _compared(solution: Solution, wanted: bool) -> Compared:
     if not wanted:
-        return Compared([], [], reason="it was not asked for")
+        return Compared(reason="it was not asked for")
     return compared_within(solution, _COMPARE_SECONDS)
 
 
@@ -253,24 +255,21 @@ def _rendered(
     if proof.certificate is not None:
         commands += [shlex.join(["hamsym", "certify", name])]
     commands.append(shlex.join(["hamsym", "report", name, "-o", target]))
+    facts = solution_facts(solution, proof.certificate)
+    shown = [fact for fact in (*facts.given, *facts.found) if isinstance(fact, Fact) and fact.text]
     return _template().render(
         title=title or "Solution of Hamilton's equations",
         file=file,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         formula=solution.H.formulas,
-        message=solution.message,
-        verdict=contents.verdict(solution),
-        parameters=[
-            (name, repr(float(value)), solution.H.units.get(name, ""))
-            for name, value in solution.H.parameters.items()
-        ],
+        facts=facts,
+        settings=[(fact.label.rstrip(":"), fact.text) for fact in shown],
+        tables=[table.cells(None, brief=False) for table in facts.tables],
         equations=contents.equations(solution.H),
-        settings=contents.settings(solution),
-        has_units=bool(solution.H.units),
-        components=contents.components(solution, proof.certificate),
+        structure=solution.H.facts,
         figure=figure,
         no_figure=no_figure,
-        errors=contents.errors(solution),
+        check=contents.check(solution),
         windows=contents.windows(solution),
         proof=proof,
         digest=contents.solution_digest(solution),

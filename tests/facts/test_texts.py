@@ -78,10 +78,10 @@ def test_bound_of_the_paper_is_given_where_it_says_something() -> None:
     violated = hamsym.solve(KEPLER, [1, 0, 0, 1], (0, 60))  # errors grow, the bound does not
     assert violated.error_bound < violated.largest_error.max()
     assert "paper" not in violated.summary()
-    assert "ell_max/sigma_min" in violated.summary(analysis=True)
+    assert "ell_max/sigma_min" in violated.summary(rows=None)
     free = hamsym.solve(Hamiltonian("p**2/2", q=["x"], p=["p"]), [0.0, 1.0], (0, 1))
     assert "paper" not in free.summary()
-    text = " ".join(free.summary(analysis=True).split())
+    text = " ".join(free.summary(rows=None).split())
     assert "infinite: the Hessian is singular on the trajectory" in text
 
 
@@ -123,7 +123,7 @@ def test_trajectory_without_tolerance_has_no_error() -> None:
     assert narrow(text)
     assert text.startswith("dop853: ")
     assert "estimated error" not in text
-    assert "... and 48 components; all with" in text
+    assert "... and 50 components; all with" in text
     assert "q29 " in trajectory.summary(rows=None)
 
 
@@ -133,7 +133,7 @@ def test_comparison_begins_with_the_error_of_the_network() -> None:
     text = comparison.summary()
     assert text.startswith(f"converged: error {comparison.rows[0].error:.2e} (2-norm) against ")
     assert comparison.reference.text in text.replace("\n", " ")
-    assert str(comparison) in text
+    assert str(comparison) == text
 
 
 def results() -> list[tuple[Any, str]]:
@@ -158,7 +158,7 @@ def results() -> list[tuple[Any, str]]:
         (section, f"{len(section.t)} crossings of x = 0, p_x > 0"),
         (certificate, "proven: error at most "),
         (orbit, "converged: largest estimated error "),
-        (orbit.family(energy=0.9, max_orbits=50), "family: energy 0.9 reached"),
+        (orbit.family(energy=0.9, max_orbits=50), "family: "),
         (equilibria, "all 25 equilibria in the box, proven"),
         (fit, "converged in "),
     ]

@@ -1,0 +1,224 @@
+"""Facts of certificates and enclosures: bounds hold as they are written."""
+
+from __future__ import annotations
+
+import math
+from decimal import ROUND_CEILING, Context, Decimal, localcontext
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hamsym.facts.facts import Column, Fact, Facts, Table
+from hamsym.facts.wording import (
+    by_name,
+    error_text,
+    formulas_of,
+    given_of,
+    of_type,
+    seconds_text,
+    silent,
+    span_fact,
+    units_of,
+)
+from hamsym.proof.balls import decimal, decimal_above, decimal_below
+
+if TYPE_CHECKING:
+    from hamsym.families.proofs import Proofs
+    from hamsym.orbits.certificate import OrbitCertificate
+    from hamsym.proof.box_certificate import BoxCertificate
+    from hamsym.proof.certificate import Certificate
+    from hamsym.proof.enclose import Enclosure
+
+__all__: list[str] = []
+
+_BOUNDS = "bound lower energy_bound energy_lower ell_max_bound ell_max_lower"
+_THREE_DIGITS = Context(prec=3, rounding=ROUND_CEILING)
+
+
+@of_type("Certificate")
+def _certificate(certificate: Certificate) -> Facts:
+    names, bounds, asked = certificate.components, certificate.component_bounds, certificate.asked
+    worst = max(range(len(names)), key=bounds.__getitem__)
+    headline = (
+        f"error at most {decimal(certificate.bound)} (2-norm); the largest of a component is "
+        f"that of {names[worst]}, at most {decimal(bounds[worst])}"
+    )
+    if asked is not None:
+        headline += f", where {decimal(asked[worst])} was asked"
+    others = ("energy", "ell_max")
+    rows = ["|z|", *names, "H", "ell_max"]
+    lowers = [certificate.lower, *certificate.component_lowers]
+    highs = [certificate.bound, *bounds]
+    for name in others:
+        lowers.append(getattr(certificate, f"{name}_lower"))
+        highs.append(getattr(certificate, f"{name}_bound"))
+    limits = [""] * len(names) if asked is None else list(map(decimal, asked))
+    by_size = sorted(range(len(names)), key=bounds.__getitem__, reverse=True)
+    order = [0, len(rows) - 2, len(rows) - 1, *(k + 1 for k in by_size)]
+    table = Table(
+        "components with smaller bounds",
+        rows,
+        (
+            Column("at least", lowers, decimal),
+            Column("at most", highs, decimal),
+            Column("asked", ["", *limits, "", ""]),
+        ),
+        head="error of",
+        choose=lambda count: sorted(order[:count]),
+    )
+    return Facts(
+        "Certificate",
+        headline,
+        success=True,
+        verdict="proven",
+        given=(span_fact(certificate.span),),
+        entries=(
+            table,
+            *silent(certificate, _BOUNDS),
+            Fact("component_bounds", value=by_name(names, bounds)),
+            Fact("component_lowers", value=by_name(names, certificate.component_lowers)),
+            Fact("asked", value=None if asked is None else by_name(names, asked)),
+            *_proof(certificate),
+        ),
+        drawn=len(certificate.edges),
+    )
+
+
+def _proof(certificate: Any) -> tuple[Fact, ...]:
+    """What is proven, of what, and how long it took."""
+    seconds = certificate.seconds
+    return (
+        Fact("statement", "", certificate.statement, certificate.statement),
+        Fact("digest", value=certificate.digest),
+        Fact("seconds", "proven in", seconds, f"{seconds:.2f} s"),
+    )
+
+
+@of_type("BoxCertificate")
+def _box_certificate(certificate: BoxCertificate) -> Facts:
+    ends = [f"{name} from {low!r} to {high!r}" for name, (low, high) in certificate.box.items()]
+    return Facts(
+        "BoxCertificate",
+        f"{certificate.bounds} over the whole box",
+        success=True,
+        verdict="proven",
+        given=(
+            Fact("H", "H =", certificate.formula, certificate.formula),
+            Fact("box", "box", dict(certificate.box), ", ".join(ends)),
+            span_fact(certificate.span),
+        ),
+        entries=(
+            Table(
+                "components",
+                certificate.components,
+                (Column("at most", certificate.bound, decimal_above, "component_bounds"),),
+                head="error of",
+            ),
+            Fact("parts", "parts of the box", certificate.parts, f"{certificate.parts:,}"),
+            *_proof(certificate),
+        ),
+        drawn=len(certificate.bound),
+    )
+
+
+@of_type("OrbitCertificate")
+def _orbit_certificate(certificate: OrbitCertificate) -> Facts:
+    period, z0 = certificate.period, certificate.z0
+    balls = list(zip(np.ravel(z0.mid), np.ravel(z0.radius), strict=True))
+    away = f"at most {decimal_above(certificate.bound)} of its size"
+    return Facts(
+        "OrbitCertificate",
+        f"a periodic orbit exists, with the period {ball_text(period.mid, period.radius)}",
+        success=True,
+        verdict="proven",
+        entries=(
+            Table(
+                "components",
+                [f"{k + 1}" for k in range(len(balls))],
+                (Column("start", balls, lambda ball: ball_text(*ball)),),
+                head="component",
+            ),
+            Fact("stability", "stability:", certificate.stability, certificate.stability),
+            Fact("bound", "distance from the numerical orbit", certificate.bound, away),
+            Fact("unique_within", "unique within", certificate.unique_within,
+                 decimal_below(certificate.unique_within)),
+            Fact("pieces", "pieces", certificate.pieces, f"{certificate.pieces:,}"),
+            *_proof(certificate),
+        ),
+    )  # fmt: skip
+
+
+@of_type("Enclosure")
+def _enclosure(enclosure: Enclosure) -> Facts:
+    H, last = enclosure.H, enclosure(enclosure.span[1])
+    names, first = list(H.names), enclosure.z0
+    width = last.width
+    widest = int(np.argmax(last.radius))
+    columns = [
+        Column(label, list(zip(ball.mid, ball.radius, strict=True)), lambda own: ball_text(*own))
+        for label, ball in (("start", first), ("end", last))
+    ]
+    balls = {name: ball_text(own.mid, own.radius) for name, own in enclosure.parameters.items()}
+    count = len(enclosure.windows)
+    return Facts(
+        "Enclosure",
+        f"the true state at every time of the span, to {error_text(width)} at the end, the widest "
+        f"in {names[widest]}",
+        success=True,
+        verdict="proven",
+        formulas=formulas_of(H),
+        given=(
+            *given_of(enclosure, tuple(enclosure.parameters)),
+            *(Fact("", name, None, text) for name, text in balls.items()),
+        ),
+        entries=(
+            Table(
+                "components",
+                names,
+                (units_of(H), *columns),
+            ),
+            Fact("width", value=width),
+            Fact("windows", value=count),
+            Fact("seconds", "proven in", enclosure.seconds,
+                 f"{seconds_text(enclosure.seconds)} on {count:,} windows"),
+        ),
+    )  # fmt: skip
+
+
+def ball_text(mid: Any, radius: Any) -> str:
+    """A ball to the digits that its radius leaves; what is written contains it."""
+    mid, radius = float(mid), float(radius)
+    digits = 17
+    if radius > 0 and math.isfinite(radius) and mid:
+        digits = math.ceil(math.log10(abs(mid) / radius)) + 2 if radius < abs(mid) else 2
+    text = f"{mid:.{min(max(digits, 2), 17)}g}"
+    if not math.isfinite(radius):
+        return f"{text} +- {radius}"
+    with localcontext(prec=1_500):  # exact for all float64 numbers
+        whole = Decimal(radius) + abs(Decimal(mid) - Decimal(text))
+    if not whole:
+        return text
+    return f"{text} +- {float(_THREE_DIGITS.plus(whole)):.2e}"
+
+
+@of_type("Proofs")
+def _proofs(proofs: Proofs) -> Facts:
+    count, size = int(proofs.proven.sum()), proofs.proven.size
+    failed = np.argwhere(~proofs.proven)
+    most = decimal_above(proofs.bounds[proofs.proven].max(initial=0.0))
+    errors = f", errors at most {most}" if count else ""
+    reasons = [" ".join(str(proofs.message[tuple(place)]).split()) for place in failed]
+    return Facts(
+        "Proofs",
+        f"{count:,} of {size:,} members{errors}",
+        success=count == size,
+        verdict="all proven" if count == size else "not all proven",
+        entries=(
+            Table(
+                "members",
+                [", ".join(map(str, place)) for place in failed],
+                (Column("reason", reasons, left=True),),
+                head="member",
+            ),
+        ),
+    )

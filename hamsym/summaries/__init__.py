@@ -1,1 +1,0 @@
-"""Summaries of solutions and trajectories as text."""
