@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import fields
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,7 +22,7 @@ from hamsym.flow_maps.storage import read_flow_map, write_flow_map
 from hamsym.integrators.integrate import Trajectory
 from hamsym.integrators.storage import KIND as TRAJECTORY
 from hamsym.integrators.storage import read_trajectory, write_trajectory
-from hamsym.methods import METHODS
+from hamsym.methods import METHODS, option_names
 from hamsym.random_features.error_estimate import MarchError
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
@@ -164,8 +163,7 @@ def parts(solution: Solution) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     if error is not None:
         values["error"] = numbers_of(error)
         arrays |= arrays_of("error", error)
-    if solution.settings is not None:
-        values["settings"] = solution.settings.described()
+    values["settings"] = solution.settings.described()
     return arrays, values
 
 
@@ -206,7 +204,7 @@ def assembled(arrays: dict[str, np.ndarray], values: dict[str, Any]) -> Solution
         record = checked_record(March, found["march"], march)
     if given:
         raise ValueError(f"'{min(given)[:40]}' is not a part of a solution")
-    settings = Settings.from_description(found["settings"], dim) if "settings" in found else None
+    settings = Settings.from_description(found["settings"], dim)
     return Solution(
         H=hamiltonian_from(formula),
         z0=z0,
@@ -243,8 +241,7 @@ def _check(solution: Solution) -> None:
     method = METHODS.get(solution.method)
     if method is None or method.marches != marched:
         raise ValueError(f"method '{solution.method}' does not return such a trial solution")
-    if solution.settings is not None:
-        solution.settings.check({entry.name for entry in fields(method.options)}, solution.span)
+    solution.settings.check({*option_names(method)}, solution.span)
     record.check(trial)
     windows = record.edges is not None
     if error is not None:

@@ -35,10 +35,9 @@ class About:
             return ""
 
     @property
-    def tolerance(self) -> float | None:
-        """The relative tolerance that was asked for; None if it is unknown, or there is none."""
-        settings = self.solution.settings
-        return None if settings is None or self.solution.error is None else settings.tol
+    def tolerance(self) -> float:
+        """The relative tolerance that was asked for."""
+        return self.solution.settings.tol
 
     @property
     def errors(self) -> dict[str, float | None]:
@@ -63,7 +62,7 @@ class About:
             "success": bool(solution.success),
             "message": solution.message,
             "method": solution.method,
-            "seed": None if settings is None else settings.seed,
+            "seed": settings.seed,
             "tolerance": self.tolerance,
             "estimated_error": self.errors,
             "certificate": None
@@ -143,8 +142,6 @@ class About:
     def _origin(self) -> list[str]:
         solution, settings = self.solution, self.solution.settings
         version = f"Made by hamsym {hamsym.__version__}"
-        if settings is None:
-            return [f"{version}; the file of the solution does not say with which settings."]
         lines = [f"{version}, seed {settings.seed}. To make the solution again:"]
         for text in (python_lines(solution), command_line(solution)):
             lines += ["", *(f"    {line}" for line in text.splitlines())]

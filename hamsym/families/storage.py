@@ -58,7 +58,6 @@ from hamsym.families.windows import (
 )
 from hamsym.problem import checked_span
 from hamsym.random_features.basis import DEGREE
-from hamsym.random_features.options import FeatureOptions
 from hamsym.support.atomic import create_atomically
 from hamsym.support.checked_data import (
     checked_list,
@@ -206,7 +205,7 @@ class WindowStore:
 
 def _request(family: Family, members: Ensemble) -> str:
     """Compute SHA-256 of all that determines the solutions."""
-    found, longest = family.accuracy, family.options.max_window
+    found, longest = family.accuracy, family.max_window
     values = {
         "version": hamsym.__version__,
         "H": described(family.H),
@@ -306,7 +305,7 @@ def _columns(family: Family, table: Table) -> dict[str, np.ndarray]:
 def _values(solutions: Solutions) -> dict[str, Any]:
     """Return what is not an array, as values that JSON can store."""
     family, found = solutions.family, solutions.family.accuracy
-    longest = family.options.max_window
+    longest = family.max_window
     return {
         "H": described(family.H),
         "span": [float(time) for time in family.span],
@@ -341,7 +340,9 @@ def _assembled(
     family = Family(
         H=hamiltonian_from(given["H"]),
         span=checked_span(given["span"]),
-        options=FeatureOptions(**options),
+        tol=options["tol"],
+        atol=options["atol"],
+        max_window=options["max_window"],
         seed=given["seed"],
         varied=given["varied"],
         series=arrays["basis"],
@@ -399,7 +400,7 @@ def _check_table(solutions: Solutions) -> None:
     family, table = solutions.family, solutions.table
     H, count = family.H, len(table.status)
     H.require_parameters()
-    if not family.accuracy.tol == family.options.tol:
+    if not family.accuracy.tol == family.tol:
         raise ValueError("its tolerance is not valid")
     require_array("basis", family.series, (DEGREE + 1, family.series.size // (DEGREE + 1)))
     if not set(family.varied) <= set(H.parameter_names):

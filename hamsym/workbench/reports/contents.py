@@ -85,42 +85,26 @@ def verdict(solution: Solution) -> Verdict:
 
 def _asked_and_error(solution: Solution) -> tuple[str, str]:
     H = solution.H
-    start, end = solution.span if solution.settings is None else solution.settings.span
+    start, end = solution.settings.span
     time = H.units.get("t", "")
     span = f"{number(start)} to {_in_unit(number(end), time)}"
     allowed, largest = solution.allowed_error, solution.largest_error
-    relative = size(solution.relative_error_estimate)
-    if allowed is not None and solution.settings is not None:
-        shares = ratios(largest, allowed)
-        worst = int(np.argmax(shares))
-        unit = H.units.get(H.names[worst], "")
-        wanted = (
-            f"For t from {span}, each component with an error of at most "
-            f"{solution.settings.tol:g} of its largest value"
-        )
-        if any(solution.settings.atol):
-            wanted += f", and {', '.join(f'{value:g}' for value in solution.settings.atol)} more"
-        if not math.isfinite(shares[worst]):
-            return wanted, f"unknown: the estimate is infinite for {H.names[worst]}"
-        return wanted, (
-            f"{shares[worst]:.2g} times what was asked, in {H.names[worst]}: "
-            f"{_in_unit(size(largest[worst]), unit)} where "
-            f"{_in_unit(size(allowed[worst]), unit)} is allowed"
-        )
-    targets = {}
-    if solution.settings is not None:
-        names = ("target_error", "target_loss", "target_ell_max", "accuracy")
-        targets = {
-            n: v for n, v in solution.settings.options.items() if n in names and v is not None
-        }
-    wanted = f"For t from {span}"
-    if targets:
-        wanted += ", " + ", ".join(f"{name} = {value:g}" for name, value in targets.items())
-    elif solution.settings is not None:
-        wanted += ", an error of at most 0.01 of the motion (the default without a target)"
-    else:
-        wanted += "; which error was allowed is not recorded"
-    return wanted, f"{relative} of the motion"
+    shares = ratios(largest, allowed)
+    worst = int(np.argmax(shares))
+    unit = H.units.get(H.names[worst], "")
+    wanted = (
+        f"For t from {span}, each component with an error of at most "
+        f"{solution.settings.tol:g} of its largest value"
+    )
+    if any(solution.settings.atol):
+        wanted += f", and {', '.join(f'{value:g}' for value in solution.settings.atol)} more"
+    if not math.isfinite(shares[worst]):
+        return wanted, f"unknown: the estimate is infinite for {H.names[worst]}"
+    return wanted, (
+        f"{shares[worst]:.2g} times what was asked, in {H.names[worst]}: "
+        f"{_in_unit(size(largest[worst]), unit)} where "
+        f"{_in_unit(size(allowed[worst]), unit)} is allowed"
+    )
 
 
 # -- equations -------------------------------------------------------------------------------------
@@ -204,19 +188,18 @@ def settings(solution: Solution) -> list[tuple[str, str]]:
     time = H.units.get("t", "")
     start, end = (repr(float(value)) for value in solution.span)
     found = [("method", solution.method), ("span", f"{start} to {_in_unit(end, time)}")]
-    if given is not None:
-        if tuple(given.span) != tuple(solution.span):
-            found.append(("span that was asked for", " to ".join(map(repr, given.span))))
-        found.append(("seed", str(given.seed)))
-        if solution.error is not None:
-            found.append(("tolerance", f"tol {given.tol:g}"))
-            found.append(("absolute tolerance", ", ".join(f"{part:g}" for part in given.atol)))
-        others = ((name, v) for name, v in given.options.items() if name not in ("tol", "atol"))
-        found += [(name, str(value)) for name, value in others]
-        found += [(name, "an object of the caller's program") for name in given.missing]
-        if given.invariants:
-            found.append(("invariants", ", ".join(given.invariants)))
-        found.append(("proof asked for", "yes" if given.prove else "no"))
+    if tuple(given.span) != tuple(solution.span):
+        found.append(("span that was asked for", " to ".join(map(repr, given.span))))
+    found.append(("seed", str(given.seed)))
+    found.append(("tolerance", f"tol {given.tol:g}"))
+    found.append(("absolute tolerance", ", ".join(f"{part:g}" for part in given.atol)))
+    if given.breakpoints:
+        found.append(("breakpoints", ", ".join(f"{part:g}" for part in given.breakpoints)))
+    found += [(name, str(value)) for name, value in given.options.items()]
+    found += [(name, "an object of the caller's program") for name in given.missing]
+    if given.invariants:
+        found.append(("invariants", ", ".join(given.invariants)))
+    found.append(("proof asked for", "yes" if given.prove else "no"))
     if solution.energy_weight:
         found.append(("energy weight", number(solution.energy_weight)))
     if record.edges is not None:
@@ -277,10 +260,10 @@ def _energy(solution: Solution) -> str:
 
 def _invariants(solution: Solution) -> list[tuple[str, str]]:
     drifts = solution.invariant_drift
-    formulas = () if solution.settings is None else solution.settings.invariants
+    formulas = solution.settings.invariants
     if formulas and not drifts:  # they are not part of files
         known = KnownInvariants(solution.H, list(formulas))
-        drifts = judged_by_invariants(solution, known, solution.largest_error).invariant_drift
+        drifts = judged_by_invariants(solution, known).invariant_drift
     return [(formula, size(float(change))) for formula, change in drifts.items()]
 
 
@@ -413,7 +396,7 @@ def solution_digest(solution: Solution) -> str:
 def versions(solution: Solution) -> list[tuple[str, str]]:
     """Return names and versions of the programs that made the report."""
     found = [("hamsym", importlib.metadata.version("hamsym"))]
-    if solution.settings is not None and solution.settings.version:
+    if solution.settings.version:
         found = [("hamsym that solved", solution.settings.version), ("hamsym", found[0][1])]
     found.append(("Python", f"{platform.python_version()} on {platform.system()}"))
     for name in _PACKAGES:
