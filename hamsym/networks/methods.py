@@ -84,6 +84,10 @@ class NetworkChain(Method):
         "cpu", "Device of the training: cpu, cuda, cuda:1, mps.", _OWN_DEVICE, unit="DEVICE"
     )
 
+    def __post_init__(self) -> None:
+        _name_objects_of_torch(self, "device")
+        super().__post_init__()
+
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         _check_shared(self)
@@ -199,8 +203,7 @@ class JointTraining(Method):
         return "iterations"
 
     def __post_init__(self) -> None:
-        for name in ("dtype", "device"):  # a type and a device of torch stand for their names
-            object.__setattr__(self, name, str(getattr(self, name)).removeprefix("torch."))
+        _name_objects_of_torch(self, "dtype", "device")
         super().__post_init__()
 
     def check(self) -> None:
@@ -372,6 +375,14 @@ class LevenbergMarquardt(JointTraining):
         """Raise InputError if an option is invalid."""
         super().check()
         require_whole("restarts", self.restarts, 0)
+
+
+def _name_objects_of_torch(method: NetworkChain | JointTraining, *names: str) -> None:
+    """Let types and devices of torch stand for their names."""
+    for name in names:
+        value = getattr(method, name)
+        if type(value).__module__ == "torch":
+            object.__setattr__(method, name, str(value).removeprefix("torch."))
 
 
 def _check_shared(method: NetworkChain | JointTraining) -> None:
