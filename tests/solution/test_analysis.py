@@ -50,7 +50,7 @@ def oscillator() -> Solution:
 
 def resonant(eps: float, end: float) -> Solution:
     problem = harmonic_oscillator()
-    like = hamsym.solve(problem.H, problem.z0, (0, end), method="adam", epochs=1, points=2)
+    like = hamsym.solve(problem.H, problem.z0, (0, end), method=hamsym.Adam(epochs=1, points=2))
     return Solution(
         problem.H,
         like.z0,

@@ -58,7 +58,7 @@ def test_span_that_was_not_reached_is_kept(tmp_path: Path) -> None:
 def test_options_that_are_no_data_are_named(tmp_path: Path) -> None:
     network = torch.nn.Sequential(torch.nn.Linear(1, 4), torch.nn.Tanh(), torch.nn.Linear(4, 2))
     settings = hamsym.solve(
-        DUFFING, [1, 0], (0, 1), method="adam", epochs=2, points=5, trial=network.double()
+        DUFFING, [1, 0], (0, 1), method=hamsym.Adam(epochs=2, points=5, trial=network.double())
     ).settings
     assert settings.missing == ("trial",)
     assert settings.options == {"epochs": 2, "points": 5}

@@ -150,7 +150,7 @@ def test_bound_is_infinite_where_the_hessian_is_singular() -> None:
     """On the Henon-Heiles orbit an eigenvalue changes its sign between any two grid points."""
     problem = henon_heiles()
     solution = hamsym.solve(
-        problem.H, (0.0, 0.6, 0.0, 0.0), (0, 3), method="adam", epochs=300, points=30
+        problem.H, (0.0, 0.6, 0.0, 0.0), (0, 3), method=hamsym.Adam(epochs=300, points=30)
     )
     assert solution.sigma_min == 0.0
     with pytest.warns(VacuousBoundWarning, match="singular"):
@@ -160,7 +160,7 @@ def test_bound_is_infinite_where_the_hessian_is_singular() -> None:
 @pytest.mark.slow
 def test_bound_is_infinite_for_a_cyclic_coordinate() -> None:
     H = Hamiltonian("p**2/2", q=["x"], p=["p"])
-    solution = hamsym.solve(H, [0, 1], (0, 1), method="adam", epochs=100, points=10)
+    solution = hamsym.solve(H, [0, 1], (0, 1), method=hamsym.Adam(epochs=100, points=10))
     with pytest.warns(VacuousBoundWarning):
         assert solution.error_bound == math.inf
 
@@ -240,7 +240,7 @@ def test_same_seed_same_solution() -> None:
 @pytest.mark.slow
 def test_too_little_training_fails() -> None:
     problem = harmonic_oscillator()
-    solution = hamsym.solve(problem.H, problem.z0, (0, 10), method="adam", epochs=20)
+    solution = hamsym.solve(problem.H, problem.z0, (0, 10), method=hamsym.Adam(epochs=20))
     assert not solution.success
     assert "not converged after 20 epochs" in solution.message
     assert solution(3.0).shape == (2,)
@@ -355,7 +355,9 @@ def test_solvers_take_formulas(solver: Callable[..., np.ndarray]) -> None:
 def test_solving_is_silent_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        hamsym.solve(harmonic_oscillator().H, [1, 0], (0, 1), method="adam", epochs=30, points=5)
+        hamsym.solve(
+            harmonic_oscillator().H, [1, 0], (0, 1), method=hamsym.Adam(epochs=30, points=5)
+        )
     assert capfd.readouterr() == ("", "")
 
 
@@ -364,7 +366,11 @@ def test_progress_shows_loss_and_ell_max(
 ) -> None:
     monkeypatch.setattr(progress, "_BEGIN", 0.0)
     hamsym.solve(
-        harmonic_oscillator().H, [1, 0], (0, 1), method="adam", epochs=50, points=5, progress=True
+        harmonic_oscillator().H,
+        [1, 0],
+        (0, 1),
+        method=hamsym.Adam(epochs=50, points=5),
+        progress=True,
     )
     shown = capfd.readouterr().err
     assert "loss" in shown
@@ -390,7 +396,7 @@ def test_figure_has_its_panels(solution: Solution) -> None:
 def test_loss_is_that_of_residual_and_energy() -> None:
     problem = harmonic_oscillator()
     solution = hamsym.solve(
-        problem.H, problem.z0, (0, 2), method="adam", epochs=30, energy_weight=0.5
+        problem.H, problem.z0, (0, 2), method=hamsym.Adam(epochs=30, energy_weight=0.5)
     )
     t = np.array([0.1, 0.4, 1.9])
     squares = np.sum(solution.residual(t) ** 2, axis=1)
