@@ -6,6 +6,7 @@ complete a word in a shell.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
@@ -13,7 +14,7 @@ from hamsym.errors import InputError
 from hamsym.integrators.table import ALIASES, INTEGRATORS
 from hamsym.networks.methods import LBFGS, Adam, LevenbergMarquardt, NetworkChain, SSBroyden
 from hamsym.random_features.features import Features
-from hamsym.suggestions import did_you_mean, require_known
+from hamsym.suggestions import did_you_mean, require_known, similar
 from hamsym.support.method_object import Method
 
 _ALL: tuple[type[Method], ...] = (
@@ -51,23 +52,30 @@ def method_of(given: str | Method) -> Method:
     return METHODS[given]()
 
 
-def option_message(name: str, value: Any, method: Any = None) -> str | None:
+def option_message(
+    name: str, value: Any, method: Any = None, arguments: Iterable[str] = ()
+) -> str | None:
     """Return the sentence about an option of a method that is given as an argument of its own.
 
     - method: The method that was asked for, if any.
+    - arguments: Names of the arguments that there are.
 
     Examples
     --------
     >>> option_message("epochs", 400)
     "'epochs' is an option of a method; give method=hamsym.Adam(epochs=400)"
     """
-    kinds = [kind for kind in METHODS.values() if name in option_names(kind)]
+    every = {option for kind in METHODS.values() for option in option_names(kind)}
+    option = name if name in every else similar(name, [*arguments, *every])
+    kinds = [kind for kind in METHODS.values() if option in option_names(kind)]
     if not kinds:
         return None
     asked = METHODS.get(method) if isinstance(method, str) else type(method)
     kind = asked if asked in kinds else kinds[0 if method is None else -1]
     text = repr(value)
-    call = f"hamsym.{kind.__name__}({name}={text if len(text) < 60 else '...'})"
+    call = f"hamsym.{kind.__name__}({option}={text if len(text) < 60 else '...'})"
+    if option != name:
+        return f"'{name}' is not an argument of solve (did you mean method={call}?)"
     return f"'{name}' is an option of a method; give method={call}"
 
 

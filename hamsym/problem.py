@@ -170,8 +170,7 @@ def checked_window(
     """Return the length of the longest window; a span may have ``most`` windows."""
     if max_window is None:
         return default
-    if not (isinstance(max_window, (int, float)) and max_window > 0):
-        raise InputError(f"max_window={max_window!r} cannot be used; give a time above 0")
+    require_positive("max_window", max_window)
     if (shortest := abs(span[1] - span[0]) / most) > max_window:
         raise InputError(
             f"max_window={max_window!r} needs more than {most:,} windows; give "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -28,7 +29,8 @@ def _answer(name: str, arguments: Any, keywords: Mapping[str, Any]) -> str | Non
     H = arguments[0] if arguments else keywords.get("H")
     if isinstance(H, Hamiltonian) and name in H.parameter_names:
         return f"'{name}' is a parameter; use H.with_parameters({name}=...)"
-    return option_message(name, keywords[name], keywords.get("method"))
+    known = inspect.signature(solve).parameters
+    return option_message(name, keywords[name], keywords.get("method"), known)
 
 
 def solve(

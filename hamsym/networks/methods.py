@@ -14,6 +14,7 @@ from hamsym.support.validation import (
     require,
     require_positive,
     require_whole,
+    require_widths,
 )
 
 if TYPE_CHECKING:
@@ -91,10 +92,8 @@ class NetworkChain(Method):
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         _check_shared(self)
-        if not isinstance(self.train_hidden, bool):
-            raise InputError(
-                f"train_hidden={self.train_hidden!r} cannot be used; give True or False"
-            )
+        if self.max_window is not None:
+            require_positive("max_window", self.max_window)
         if self.windows is not None:
             require_whole("windows", self.windows, 1, 50_000)
             if self.max_window is not None:
@@ -322,6 +321,21 @@ class Adam(JointTraining):
         """Raise InputError if an option is invalid."""
         super().check()
         require_whole("epochs", self.epochs, 1)
+        require_positive("learning_rate", self.learning_rate)
+        require(
+            self.noise is None or self.noise == 0 or is_positive(self.noise),
+            "noise",
+            self.noise,
+            "0 or more",
+        )
+        require(
+            isinstance(self.betas, tuple)
+            and len(self.betas) == 2
+            and all(isinstance(beta, (int, float)) and 0 <= beta < 1 for beta in self.betas),
+            "betas",
+            self.betas,
+            "two numbers from 0 to below 1",
+        )
 
 
 @documented
@@ -332,6 +346,11 @@ class LBFGS(JointTraining):
     name = "lbfgs"
 
     iterations: int = option(5_000, *_ITERATIONS)
+
+    def check(self) -> None:
+        """Raise InputError if an option is invalid."""
+        super().check()
+        require_whole("iterations", self.iterations, 1)
 
 
 @documented
@@ -350,6 +369,7 @@ class SSBroyden(JointTraining):
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         super().check()
+        require_whole("iterations", self.iterations, 1)
         if (self.dtype, self.device) != ("float64", "cpu"):
             raise InputError(
                 f"dtype={self.dtype!r} and device={self.device!r} cannot be used with "
@@ -374,6 +394,7 @@ class LevenbergMarquardt(JointTraining):
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         super().check()
+        require_whole("iterations", self.iterations, 1)
         require_whole("restarts", self.restarts, 0)
 
 
@@ -386,6 +407,7 @@ def _name_objects_of_torch(method: NetworkChain | JointTraining, *names: str) ->
 
 
 def _check_shared(method: NetworkChain | JointTraining) -> None:
+    require_widths(method.hidden)
     if method.frequency is not None:
         require_positive("frequency", method.frequency)
     if method.time_limit is not None:

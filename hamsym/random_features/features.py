@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hamsym.support.method_object import Method, documented, option
+from hamsym.support.validation import require_positive
 
 if TYPE_CHECKING:
     from hamsym.problem import InitialValueProblem
@@ -44,6 +45,11 @@ class Features(Method):
         default_text=f"span/{FEWEST_WINDOWS}",
         unit="TIME",
     )
+
+    def check(self) -> None:
+        """Raise InputError if an option is invalid."""
+        if self.max_window is not None:
+            require_positive("max_window", self.max_window)
 
     def solve(self, problem: InitialValueProblem) -> Solution:
         """Solve by marching random features to the tolerance of the problem."""

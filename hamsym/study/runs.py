@@ -18,7 +18,7 @@ from hamsym.description import settings_text
 from hamsym.errors import CertificationError, FileError, InputError, KeywordError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.methods import method_of, option_message
-from hamsym.problem import InitialValueProblem
+from hamsym.problem import InitialValueProblem, checked_atol, checked_breakpoints, checked_tol
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
@@ -128,7 +128,7 @@ class Run:
         return self.base.with_name(self.base.name + ending)
 
 
-def arguments_of(given: Any) -> dict[str, Any]:
+def arguments_of(given: Any, where: str = "the settings") -> dict[str, Any]:
     """Return settings as arguments of solve with a method object.
 
     Raise InputError if there is no such argument or method.
@@ -142,10 +142,12 @@ def arguments_of(given: Any) -> dict[str, Any]:
     method = found.pop("method", "features")
     for name, value in found.items():
         if name in ("seed", "progress"):
-            raise InputError(f"'{name}' in the settings is set by sweep; remove it")
+            raise InputError(f"'{name}' in {where} is set by sweep; remove it")
         if name not in _ARGUMENTS:
             known = ("method", *_ARGUMENTS)
-            message = option_message(name, value, method) or keyword_message(name, "solve", known)
+            message = option_message(name, value, method, known) or keyword_message(
+                name, "solve", known
+            )
             raise KeywordError(message)
     return {**found, "method": method_of(method)}
 
@@ -153,7 +155,7 @@ def arguments_of(given: Any) -> dict[str, Any]:
 def planned_run(
     problem: InitialValueProblem,
     name: str,
-    options: dict[str, Any],
+    given: Any,
     seed: int,
     folder: Path,
     certify: float | None,
@@ -162,6 +164,11 @@ def planned_run(
 
     Raise InputError if a setting is invalid.
     """
+    options = arguments_of(given, f"the settings {name!r}")
+    if options.get("tol") is not None:
+        checked_tol(options["tol"])
+    checked_atol(options.get("atol", 0.0), problem.H.dim)
+    checked_breakpoints(options.get("breakpoints", ()), problem.span)
     method = options["method"]
     if method.resumes:
         if method.checkpoint is not None:

@@ -327,7 +327,7 @@ def sweep(
         raise FileError(f"'{folder}' cannot be created: {reason}") from None
     problem = InitialValueProblem.checked(H, z0, span)
     runs = [
-        planned_run(problem, name, arguments_of(_of_seed(given, seed)), seed, directory, certify)
+        planned_run(problem, name, _of_seed(given, seed), seed, directory, certify)
         for name, given in settings.items()
         for seed in chosen
     ]
@@ -368,4 +368,4 @@ def _values(settings: Mapping[str, Settings], seed: int) -> dict[str, dict[str, 
 
 
 def _of_seed(given: Any, seed: int) -> Any:
-    return given(seed) if callable(given) else given
+    return given(seed) if callable(given) and not isinstance(given, type) else given

@@ -15,7 +15,8 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.suggestions import checked_keywords
+from hamsym.suggestions import checked_keywords, did_you_mean
+from hamsym.support.validation import require
 
 M = TypeVar("M", bound="type[Any]")
 
@@ -49,15 +50,23 @@ def option(
 
 @dataclass(frozen=True, repr=False)
 class Method:
-    """A method of solution with its options: immutable, equal if all options are."""
+    """A method of solution with its options: immutable, equal if all options are.
 
-    #: Name that stands for the method with its default options.
+    Attributes
+    ----------
+    name : str
+        Name that stands for the method with its default options.
+    usual_tol : float
+        Tolerance of :func:`hamsym.solve` by default.
+    marches : bool
+        Whether its trial solution is a march of windows of features instead of networks.
+    resumes : bool
+        Whether all weights are trained together, so that a training can be resumed.
+    """
+
     name: ClassVar[str]
-    #: Tolerance of :func:`hamsym.solve` by default.
     usual_tol: ClassVar[float]
-    #: Whether its trial solution is a march of windows of features instead of networks.
     marches: ClassVar[bool] = False
-    #: Whether all weights are trained together, so that a training can be resumed.
     resumes: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -67,8 +76,12 @@ class Method:
                 value = tuple(value.tolist() if isinstance(value, np.ndarray) else value)
                 object.__setattr__(self, entry.name, value)
             if choices and not (isinstance(value, str) and value in choices):
-                known = ", ".join(choices)
-                raise InputError(f"{entry.name}={value!r} cannot be used; choose one of {known}")
+                hint, known = did_you_mean(value, choices), ", ".join(choices)
+                raise InputError(
+                    f"{entry.name}={value!r} cannot be used{hint}; choose one of {known}"
+                )
+            if isinstance(entry.default, bool):
+                require(isinstance(value, bool), entry.name, value, "True or False")
         self.check()
 
     def check(self) -> None:

@@ -358,7 +358,7 @@ def test_modules_beyond_least_squares_are_refused(monkeypatch: pytest.MonkeyPatc
     def branching(x: Tensor, y: Tensor) -> Tensor:
         return y if float(x.max()) > -1 else -y
 
-    method = {"method": "levenberg-marquardt", "points": 10}
+    method = {"points": 10}
     with pytest.raises(InputError, match="cannot be differentiated in batches by torch"):
         hamsym.solve(
             H, [1, 0], (0, 1), method=hamsym.LevenbergMarquardt(trial=Wrapped(branching), **method)

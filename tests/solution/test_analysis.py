@@ -38,9 +38,7 @@ class Resonant:
 @cache
 def trained(name: str) -> Solution:
     problem = {"oscillator": nonlinear_oscillator, "henon_heiles": henon_heiles}[name]()
-    return hamsym.solve(
-        problem.H, problem.z0, (0, 6), method="levenberg-marquardt", target_error=1e-3
-    )
+    return hamsym.solve(problem.H, problem.z0, (0, 6), method="levenberg-marquardt", tol=1e-3)
 
 
 @pytest.fixture(scope="module")

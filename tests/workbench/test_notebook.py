@@ -81,7 +81,7 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
         ["p [kg*m/s]", "parameters", "w = 1e+09 rad/s"],
     ),
     "Solution by training": (
-        lambda: hamsym.solve(OSCILLATOR, [1, 0], (0, 1), method="adam", epochs=5, points=5),
+        lambda: hamsym.solve(OSCILLATOR, [1, 0], (0, 1), method=hamsym.Adam(epochs=5, points=5)),
         ["failed", "best loss"],
     ),
     "Solutions": (
