@@ -28,18 +28,10 @@ print(f"\nsigma_min = {H.sigma_min}")
 print(f"x*p_y - y*p_x conserved: {H.is_conserved('x*p_y - y*p_x')}")
 
 print(f"\nTraining, {arguments.epochs:,} epochs ...")
-solution = hamsym.solve(
-    H,
-    problem.z0,
-    problem.span,
-    method="adam",
-    points=100,
-    epochs=arguments.epochs,
-    tau=0.5,
-    betas=(0.99, 0.999),
-    schedule="cosine",
-    seed=0,
+adam = hamsym.Adam(
+    points=100, epochs=arguments.epochs, tau=0.5, betas=(0.99, 0.999), schedule="cosine"
 )
+solution = hamsym.solve(H, problem.z0, problem.span, method=adam, seed=0)
 print(solution.message)
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")

@@ -19,9 +19,9 @@ import numpy as np
 import hamsym
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-parser.add_argument("--method", choices=["levenberg-marquardt", "adam"])
+parser.add_argument("--method", choices=["network-chain", "adam"])
 parser.add_argument("--epochs", type=int, default=30_000, help="epochs of adam")
-parser.set_defaults(method="levenberg-marquardt")
+parser.set_defaults(method="network-chain")
 parser.add_argument("--out", type=Path, default=Path("output"))
 arguments = parser.parse_args()
 
@@ -41,16 +41,17 @@ print(f"true error {error:.1e}, {1e3 * marched.record.seconds:.0f} ms\n")
 
 print(f"Training one network by {arguments.method} ...")
 if arguments.method == "adam":
-    settings = {
-        "epochs": arguments.epochs,
-        "tau": 0.25,
-        "betas": (0.99, 0.999),
-        "schedule": "cosine",
-        "energy_weight": 1.0,
-    }
+    tol = None
+    method = hamsym.Adam(
+        epochs=arguments.epochs,
+        tau=0.25,
+        betas=(0.99, 0.999),
+        schedule="cosine",
+        energy_weight=1.0,
+    )
 else:
-    settings = {"windows": 1, "tol": 1e-11}
-solution = hamsym.solve(H, problem.z0, problem.span, method=arguments.method, seed=0, **settings)
+    tol, method = 1e-11, hamsym.NetworkChain(windows=1)
+solution = hamsym.solve(H, problem.z0, problem.span, tol=tol, method=method, seed=0)
 print(solution.message)
 print(f"ell_max / sigma_min = {solution.error_bound:.2e} (the paper's bound, a heuristic)\n")
 

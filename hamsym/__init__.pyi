@@ -29,6 +29,11 @@ from .flow_maps.flow_map import FlowMap as FlowMap
 from .hamiltonian import Hamiltonian as Hamiltonian
 from .integrators.integrate import integrate as integrate
 from .integrators.trajectory import Trajectory as Trajectory
+from .networks.methods import LBFGS as LBFGS
+from .networks.methods import Adam as Adam
+from .networks.methods import LevenbergMarquardt as LevenbergMarquardt
+from .networks.methods import NetworkChain as NetworkChain
+from .networks.methods import SSBroyden as SSBroyden
 from .networks.objective import Regularizer as Regularizer
 from .orbits.certificate import OrbitCertificate as OrbitCertificate
 from .orbits.family import OrbitFamily as OrbitFamily
@@ -44,6 +49,7 @@ from .proof.enclose import Enclosure as Enclosure
 from .proof.enclose import enclose as enclose
 from .proof.prove import certify as certify
 from .proof.prove import verify as verify
+from .random_features.features import Features as Features
 from .solution.solution import Solution as Solution
 from .solving import solve as solve
 from .study.compare import Comparison as Comparison

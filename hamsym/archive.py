@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import stat
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from hamsym.errors import FileError, InputError
 from hamsym.families.storage import is_store, open_store
 from hamsym.integrators.storage import require_trajectory
 from hamsym.integrators.trajectory import Trajectory
-from hamsym.methods import METHODS
+from hamsym.methods import METHODS, option_names
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 from hamsym.suggestions import checked_keywords
@@ -189,9 +188,7 @@ def _check_method(solution: Solution) -> None:
     method = METHODS.get(solution.method)
     if method is None or method.marches != isinstance(solution.trial, FeatureTrial):
         raise ValueError(f"method '{solution.method}' does not return such a trial solution")
-    if solution.settings is not None:
-        names = {entry.name for entry in fields(method.options)}
-        solution.settings.require_method(names, solution.H.dim, solution.span)
+    solution.settings.require_method({*option_names(method)}, solution.H.dim, solution.span)
 
 
 check_also(Solution, _check_method)

@@ -1,4 +1,4 @@
-"""The methods of solution: a table of their names, options and functions.
+"""The table of the methods of solution by their names.
 
 Nothing that solves is imported here: the command line builds its options from this table, also to
 complete a word in a shell.
@@ -6,59 +6,97 @@ complete a word in a shell.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any
 
-from hamsym.networks.options import (
-    AdamOptions,
-    DeepOptions,
-    LBFGSOptions,
-    LevenbergMarquardtOptions,
-    SelfScaledBroydenOptions,
-    check_options,
+from hamsym.errors import InputError
+from hamsym.integrators.table import ALIASES, INTEGRATORS
+from hamsym.networks.methods import LBFGS, Adam, LevenbergMarquardt, NetworkChain, SSBroyden
+from hamsym.random_features.features import Features
+from hamsym.suggestions import did_you_mean, require_known, similar
+from hamsym.support.method_object import Method
+
+_ALL: tuple[type[Method], ...] = (
+    Features,
+    NetworkChain,
+    LevenbergMarquardt,
+    SSBroyden,
+    LBFGS,
+    Adam,
 )
-from hamsym.random_features.options import FeatureOptions
-
-if TYPE_CHECKING:
-    from hamsym.problem import InitialValueProblem
-    from hamsym.solution.solution import Solution
-
-#: Defaults of :func:`hamsym.solve`.
-METHOD, SEED = "features", 0
+#: Methods of solution by name; the first is the default of :func:`hamsym.solve`.
+METHODS: dict[str, type[Method]] = {method.name: method for method in _ALL}
 
 
-@dataclass(frozen=True)
-class Method:
-    """A method of solution."""
+def method_of(given: str | Method) -> Method:
+    """Return a method: one that is given, or that of a name with its default options.
 
-    #: Frozen dataclass of its options, with defaults.
-    options: type[Any]
-    #: (problem, options) -> Solution.
-    run: Callable[[InitialValueProblem, Any], Solution]
-    #: Whether its trial solution is a march of windows instead of a network.
-    marches: bool = False
+    Raise InputError if there is no such method.
 
-
-def _march(problem: InitialValueProblem, options: FeatureOptions) -> Solution:
-    from hamsym.random_features.method import solve_by_features
-
-    return solve_by_features(problem, options)
-
-
-def _train(problem: InitialValueProblem, options: DeepOptions) -> Solution:
-    check_options(problem.H, options)
-    # torch takes seconds to import, and the method "features" does not need it.
-    from hamsym.networks.method import solve_by_training
-
-    return solve_by_training(problem, options)
+    Examples
+    --------
+    >>> method_of("adam"), method_of(Features(max_window=0.5))
+    (Adam(), Features(max_window=0.5))
+    """
+    if isinstance(given, Method):
+        return given
+    if isinstance(given, type) and issubclass(given, Method):
+        raise InputError(f"method={given.__name__} is a class; give hamsym.{given.__name__}()")
+    if isinstance(given, str) and given in {*INTEGRATORS, *ALIASES}:
+        raise InputError(
+            f"'{given}' is a method of integrate; call hamsym.integrate, or choose one of "
+            f"{', '.join(METHODS)}"
+        )
+    require_known(given, METHODS, "a method")
+    return METHODS[given]()
 
 
-#: Methods of solution by name.
-METHODS: dict[str, Method] = {
-    "features": Method(FeatureOptions, _march, marches=True),
-    "levenberg-marquardt": Method(LevenbergMarquardtOptions, _train),
-    "ssbroyden": Method(SelfScaledBroydenOptions, _train),
-    "lbfgs": Method(LBFGSOptions, _train),
-    "adam": Method(AdamOptions, _train),
-}
+def option_message(
+    name: str, value: Any, method: Any = None, arguments: Iterable[str] = ()
+) -> str | None:
+    """Return the sentence about an option of a method that is given as an argument of its own.
+
+    - method: The method that was asked for, if any.
+    - arguments: Names of the arguments that there are.
+
+    Examples
+    --------
+    >>> option_message("epochs", 400)
+    "'epochs' is an option of a method; give method=hamsym.Adam(epochs=400)"
+    """
+    every = {option for kind in METHODS.values() for option in option_names(kind)}
+    option = name if name in every else similar(name, [*arguments, *every])
+    kinds = [kind for kind in METHODS.values() if option in option_names(kind)]
+    if not kinds:
+        return None
+    asked = METHODS.get(method) if isinstance(method, str) else type(method)
+    kind = asked if asked in kinds else kinds[0 if method is None else -1]
+    text = repr(value)
+    call = f"hamsym.{kind.__name__}({option}={text if len(text) < 60 else '...'})"
+    if option != name:
+        return f"'{name}' is not an argument of solve (did you mean method={call}?)"
+    return f"'{name}' is an option of a method; give method={call}"
+
+
+def option_names(kind: type[Method]) -> list[str]:
+    """Return the names of the options of a method."""
+    return [entry.name for entry in fields(kind)]
+
+
+def made_method(name: str, options: dict[str, Any]) -> Method:
+    """Make a method from its name and options as data.
+
+    Raise InputError if the method has no such option.
+    """
+    require_known(name, METHODS, "a method")
+    kind = METHODS[name]
+    known = option_names(kind)
+    for option in options:
+        if option not in known:
+            others = [f"'{other}'" for other, k in METHODS.items() if option in option_names(k)]
+            hint = f", but of {', '.join(others)}" if others else did_you_mean(option, known)
+            raise InputError(
+                f"'{option}' is not an option of method '{name}'{hint}; it has {', '.join(known)}"
+            )
+    return kind(**options)

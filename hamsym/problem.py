@@ -12,13 +12,14 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.support.validation import require_positive, require_whole
+from hamsym.symbolic.switching import switch_times
 
 MAX_STEPS = 2**53
 
 
 @dataclass(frozen=True)
 class InitialValueProblem:
-    """Hamilton's equations with an initial state and a time span."""
+    """Hamilton's equations with an initial state, a time span, and what is asked of a solution."""
 
     H: Hamiltonian
     #: Shape (dim,).
@@ -26,8 +27,19 @@ class InitialValueProblem:
     span: tuple[float, float]
     #: H at z0 and the start of the span.
     energy_0: float
-    seed: int
-    progress: bool | Callable[[Any], None] | None
+    seed: int = 0
+    progress: bool | Callable[[Any], None] | None = None
+    #: Relative tolerance, and whether it was given: a training then stops when it is met.
+    tol: float = 1e-9
+    tol_given: bool = False
+    #: Absolute tolerance, one or one for each component, in the units of the components.
+    atol: tuple[float, ...] = (0.0,)
+    #: Times at which a window ends, in the direction of the span.
+    breakpoints: tuple[float, ...] = ()
+    #: Whether errors are proven to be within the tolerance.
+    prove: bool = False
+    #: Known invariants, a :class:`~hamsym.conservation.KnownInvariants`; empty without any.
+    invariants: Any = ()
 
     @classmethod
     def checked(
@@ -35,20 +47,42 @@ class InitialValueProblem:
         H: HamiltonianLike,
         z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
         span: tuple[float, float],
-        seed: int,
-        progress: bool | Callable[[Any], None] | None,
+        seed: int = 0,
+        *,
+        tol: float = 1e-9,
+        atol: float | Sequence[float] = 0.0,
+        breakpoints: Sequence[float] = (),
+        **further: Any,
     ) -> InitialValueProblem:
-        """Make a problem from checked arguments.
+        """Make a problem from checked arguments; further fields are taken as they are.
 
-        Raise InputError if H is not a Hamiltonian, a parameter has no value, or the state, the span
-        or the seed is invalid.
+        Raise InputError if H is not a Hamiltonian, a parameter has no value, or another argument is
+        invalid.
         """
         H = Hamiltonian.of(H)
         state = H.state_from(z0)
         times = checked_span(span)
         energy_0 = _initial_energy(H, state, times[0])
         require_whole("seed", seed, 0)
-        return cls(H, state, times, energy_0, int(seed), progress)
+        return cls(
+            H,
+            state,
+            times,
+            energy_0,
+            int(seed),
+            tol=checked_tol(tol),
+            atol=checked_atol(atol, H.dim),
+            breakpoints=checked_breakpoints(breakpoints, times),
+            **further,
+        )
+
+    def window_ends(self) -> list[float]:
+        """Return breakpoints and the times at which t switches H, in the direction of the span."""
+        apart = 1e-12 * max(map(abs, self.span))
+        times = switch_times(self.H.real_equations, self.span)
+        given = self.breakpoints
+        found = [t for t in times if all(abs(t - stop) > apart for stop in given)]
+        return sorted([*given, *found], reverse=bool(self.span[1] < self.span[0]))
 
 
 def _initial_energy(H: Hamiltonian, state: np.ndarray, start: float) -> float:
@@ -100,3 +134,65 @@ def checked_steps(length: float, steps: int | None, dt: float | None, default: i
         )
     # A dt that divides the span up to round-off counts as dividing it.
     return max(1, math.ceil(count * (1 - 1e-12)))
+
+
+#: Smallest tolerance that float64 allows.
+SMALLEST_TOL = 1e-12
+
+
+def checked_tol(tol: Any) -> float:
+    """Return a relative tolerance.
+
+    Raise InputError if it is not a number from 1e-12 to below 1.
+    """
+    if not (isinstance(tol, (int, float, np.floating)) and SMALLEST_TOL <= tol < 1):
+        raise InputError(
+            f"tol={tol!r} cannot be used; give a number from {SMALLEST_TOL:g} to below 1"
+        )
+    return float(tol)
+
+
+def checked_atol(atol: float | Sequence[float], dim: int) -> tuple[float, ...]:
+    """Return absolute tolerances, one or one for each of ``dim`` components."""
+    try:
+        values = np.asarray(atol, dtype=float)
+        np.broadcast_to(values, (dim,))
+    except (TypeError, ValueError):
+        values = np.array(math.nan)
+    if not (np.all(np.isfinite(values)) and np.all(values >= 0)):
+        raise InputError(f"atol={atol!r} cannot be used; give a number from 0, or a list of {dim}")
+    return tuple(np.atleast_1d(values).tolist())
+
+
+def checked_window(
+    max_window: float | None, span: tuple[float, float], default: float, most: int
+) -> float:
+    """Return the length of the longest window; a span may have ``most`` windows."""
+    if max_window is None:
+        return default
+    require_positive("max_window", max_window)
+    if (shortest := abs(span[1] - span[0]) / most) > max_window:
+        raise InputError(
+            f"max_window={max_window!r} needs more than {most:,} windows; give "
+            f"{shortest:.3g} or more, or a shorter span"
+        )
+    return float(max_window)
+
+
+def checked_breakpoints(
+    breakpoints: Sequence[float], span: tuple[float, float]
+) -> tuple[float, ...]:
+    """Return the breakpoints in the direction of the span, without repetitions."""
+    try:
+        times = sorted({float(stop) for stop in breakpoints})
+    except (TypeError, ValueError):
+        raise InputError(
+            f"breakpoints={breakpoints!r} is not a list of times; give a list of numbers"
+        ) from None
+    for stop in times:
+        if not min(span) < stop < max(span):
+            raise InputError(
+                f"breakpoint {stop:.6g} is not inside the span from {min(span):.6g} to "
+                f"{max(span):.6g}; leave it out"
+            )
+    return tuple(times if span[0] < span[1] else times[::-1])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shlex
 import textwrap
-from dataclasses import MISSING, Field, fields
+from dataclasses import fields
 from typing import Any
 
 from hamsym.errors import HamsymError
@@ -41,23 +41,33 @@ def python_lines(solution: Solution) -> str:
     about["units"] = {name: unit for name, unit in H.units.items() if name != "t"}
     about["forces"] = H.force_texts
     given = {name: value for name, value in about.items() if value}
-    how: dict[str, Any] = {}
-    settings = solution.settings
-    if solution.method != "features":
-        how["method"] = solution.method
-    if _seed(solution):
-        how["seed"] = _seed(solution)
-    if settings is not None:
-        if settings.prove:
-            how["prove"] = True
-        if settings.invariants:
-            how["invariants"] = list(settings.invariants)
-        how |= settings.options
+    how = {name: _literal(value) for name, value in _asked(solution).items()}
+    settings, name = solution.settings, solution.method
+    if settings.options:
+        options = {option: _literal(value) for option, value in settings.options.items()}
+        how["method"] = _call(f"hamsym.{METHODS[name].__name__}", [], options)
+    elif name != "features":
+        how["method"] = repr(name)
     start = dict(zip(H.names, solution.z0.tolist(), strict=True))
-    construct = _call("H = hamsym.Hamiltonian", [_quoted(H.formula)], given)
-    times = repr(tuple(map(float, _span(solution))))
+    literals = {name: _literal(value) for name, value in given.items()}
+    construct = _call("H = hamsym.Hamiltonian", [_quoted(H.formula)], literals)
+    times = repr(tuple(map(float, settings.span)))
     solve = _call("solution = hamsym.solve", ["H", _literal(start), times], how)
     return f"import hamsym\n\n{construct}\n{solve}"
+
+
+def _asked(solution: Solution) -> dict[str, Any]:
+    """Return the arguments of solve that differ from its defaults, beside the method."""
+    settings = solution.settings
+    values: dict[str, Any] = {
+        "tol": settings.tol if settings.tol_given else None,
+        "atol": settings.atol[0] if len(settings.atol) == 1 else list(settings.atol),
+        "breakpoints": list(settings.breakpoints),
+        "seed": settings.seed,
+        "prove": settings.prove,
+        "invariants": list(settings.invariants),
+    }
+    return {name: value for name, value in values.items() if value not in (None, 0, False, [])}
 
 
 def command_line(solution: Solution, output: str | None = None) -> str:
@@ -82,19 +92,23 @@ def command_line(solution: Solution, output: str | None = None) -> str:
     parts += [["--force", f"{name}={text}"] for name, text in H.force_texts.items()]
     values = zip(H.names, solution.z0.tolist(), strict=True)
     parts.append(["--z0", ",".join(f"{name}={value!r}" for name, value in values)])
-    start, end = map(float, _span(solution))
+    settings = solution.settings
+    start, end = map(float, settings.span)
     if start:
         parts.append(["--t-start", repr(start)])
     parts.append(["--t-end", repr(end)])
     if solution.method != "features":
         parts.append(["--method", solution.method])
-    if seed := _seed(solution):
-        parts.append(["--seed", str(seed)])
-    if solution.settings is not None:
-        for name, value in solution.settings.options.items():
-            parts.append(_option(solution, name, value) or [])
-        parts += [["--prove"]] if solution.settings.prove else []
-        parts += [["--invariant", text] for text in solution.settings.invariants]
+    for name, given in _asked(solution).items():
+        if name == "prove":
+            parts.append(["--prove"])
+        elif name == "invariants":
+            parts += [["--invariant", text] for text in given]
+        else:
+            values_of = given if isinstance(given, list) else [given]
+            parts.append([f"--{name}", ",".join(map(repr, values_of))])
+    for name, value in settings.options.items():
+        parts.append(_option(solution, name, value) or [])
     if output is not None:
         parts.append(["-o", output])
     lines = [""]
@@ -110,20 +124,14 @@ def omissions(solution: Solution) -> list[str]:
     """Return sentences about what command and lines do not contain; none if they are complete."""
     found = []
     H, settings = solution.H, solution.settings
-    if settings is None:
+    if settings.missing:
         found.append(
-            "It is not recorded with which options this solution was computed; the lines have the "
-            "defaults."
+            f"The values of {', '.join(settings.missing)} are objects of the caller's program, "
+            "which the lines cannot contain."
         )
-    else:
-        if settings.missing:
-            found.append(
-                f"The values of {', '.join(settings.missing)} are objects of the caller's program, "
-                "which the lines cannot contain."
-            )
-        absent = [n for n, v in settings.options.items() if _option(solution, n, v) is None]
-        if absent:
-            found.append(f"The command has no option for these values: {', '.join(absent)}.")
+    absent = [n for n, v in settings.options.items() if _option(solution, n, v) is None]
+    if absent:
+        found.append(f"The command has no option for these values: {', '.join(absent)}.")
     if H.units:
         found.append("The command has no units; they change no number.")
     if not _same_again(H):
@@ -131,16 +139,6 @@ def omissions(solution: Solution) -> list[str]:
             "H has binary fractions that its text does not have exactly; the saved solution does."
         )
     return found
-
-
-def _seed(solution: Solution) -> int:
-    if solution.settings is not None:
-        return solution.settings.seed
-    return int(getattr(solution.record, "seed", 0))
-
-
-def _span(solution: Solution) -> tuple[float, float]:
-    return solution.span if solution.settings is None else solution.settings.span
 
 
 def _pairs_are_found(H: Hamiltonian) -> bool:
@@ -164,14 +162,9 @@ def _same_again(H: Hamiltonian) -> bool:
 
 def _option(solution: Solution, name: str, value: Any) -> list[str] | None:
     """Return words of the command line, none for a default, or None if it has no such option."""
-    field = _field(solution.method, name)
-    if field is None:
+    field = {entry.name: entry for entry in fields(METHODS[solution.method])}[name]
+    if not field.metadata["help"]:
         return None
-    default = field.default_factory() if field.default_factory is not MISSING else field.default
-    if isinstance(default, tuple):
-        default = list(default)
-    if type(value) is type(default) and value == default:
-        return []
     flag = "--" + name.replace("_", "-")
     choices = field.metadata["choices"]
     if isinstance(choices, dict):
@@ -188,30 +181,15 @@ def _option(solution: Solution, name: str, value: Any) -> list[str] | None:
     if value is None:
         return None
     if isinstance(value, list):
-        if not value or field.type == "int | Sequence[float] | np.ndarray":
-            return None if value else []
+        if field.type == "int | Sequence[float]":
+            return None
         texts = [repr(part) for part in value]
         return [flag, *texts] if field.type == "tuple[float, float]" else [flag, ",".join(texts)]
     return [flag, value if isinstance(value, str) else repr(value)]
 
 
-def _field(method: str, name: str) -> Field[Any] | None:
-    """The field of an option; None if the command line has no option of this name."""
-    own = {entry.name: entry for entry in fields(METHODS[method].options)}
-    if name not in own:
-        return None
-    if own[name].metadata:
-        return own[name]
-    # A method may change the default alone; the command line takes the option from another one.
-    for other in METHODS.values():
-        for entry in fields(other.options):
-            if entry.name == name and entry.metadata:
-                return entry
-    return None
-
-
-def _call(start: str, positional: list[str], named: dict[str, Any]) -> str:
-    texts = positional + [f"{name}={_literal(value)}" for name, value in named.items()]
+def _call(start: str, positional: list[str], named: dict[str, str]) -> str:
+    texts = positional + [f"{name}={text}" for name, text in named.items()]
     line = f"{start}({', '.join(texts)})"
     if len(line) <= _WIDTH and "\n" not in line:
         return line

@@ -94,15 +94,16 @@ _PARAMETERS = (
     "H.with_parameters(m=1.0)"
 )
 
-#: What takes the place of the keywords of ``scipy.integrate.solve_ivp``, and of ``parameters``.
+#: What takes the place of the keywords of ``scipy.integrate.solve_ivp``, and of others.
 _ELSEWHERE = {
     "fun": "give H, a formula or a Hamiltonian, as the first argument: its equations follow",
     "y0": "give the initial state as the second argument, z0",
     "t_span": "give the times as the third argument, the pair span=(start, end)",
     "t_eval": _TIMES,
     "dense_output": _TIMES,
+    "target_error": "give solve a tolerance, tol=...: a training stops when its error is within it",
     "rtol": "give tol=..., or dt=... or steps=... where steps have a fixed length",
-    "max_step": "give dt=... or steps=..., or max_window=... to solve",
+    "max_step": "give dt=... or steps=..., or method=hamsym.Features(max_window=...) to solve",
     "events": (
         "call solution.events('x = 0, p_x > 0') of the result, or section(H, z0, span, "
         "'x = 0, p_x > 0')"
@@ -134,13 +135,19 @@ def keyword_message(name: str, function: str, arguments: Sequence[str]) -> str:
     return f"{begin}{hint}; it has {', '.join(arguments) or 'none'}"
 
 
-def checked_keywords(function: Callable[P, R], title: str | None = None) -> Callable[P, R]:
+def checked_keywords(
+    function: Callable[P, R],
+    title: str | None = None,
+    answer: Callable[[str, Any, Any], str | None] | None = None,
+) -> Callable[P, R]:
     """Let a function answer keywords that it lacks, and missing ones, with :class:`KeywordError`.
 
     Of a function with ``**options``, which checks them itself, a keyword is answered here if
     arguments are missing, e.g. ``solve(H, y0=z0, t_span=span)``.
 
     - title: Name of the method that calls this function with its object.
+    - answer: (name, positional arguments, keywords) -> the sentence about a keyword that it lacks,
+      or None for the usual one.
 
     Examples
     --------
@@ -182,7 +189,8 @@ derived from H
             else:
                 others = []
         if others:
-            raise KeywordError(keyword_message(others[0], called, named))
+            own = answer and answer(others[0], arguments, keywords)
+            raise KeywordError(own or keyword_message(others[0], called, named))
         missing = [n for n, k in required.items() if k > len(arguments) and n not in keywords]
         if missing:
             given = ", ".join(n if k < math.inf else f"{n}=..." for n, k in required.items())

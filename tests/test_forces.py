@@ -71,7 +71,7 @@ def test_work_balances_the_energy(solution: hamsym.Solution) -> None:
 @pytest.mark.slow
 def test_drift_of_the_balance_shows_errors() -> None:
     coarse = hamsym.solve(
-        DAMPED, [1, 0], (0, 20), method="levenberg-marquardt", iterations=5, seed=1
+        DAMPED, [1, 0], (0, 20), method=hamsym.LevenbergMarquardt(iterations=5), seed=1
     )
     error = np.abs(coarse(T) - damped(T)).max()
     assert error > 1e-4
@@ -336,11 +336,11 @@ def test_flow_map_of_friction() -> None:
 
 @pytest.mark.slow
 def test_trained_networks_solve_forces() -> None:
-    found = hamsym.solve(DAMPED, [1, 0], (0, 5), method="levenberg-marquardt", tol=1e-8)
+    found = hamsym.solve(DAMPED, [1, 0], (0, 5), method="network-chain", tol=1e-8)
     assert found.success
     t = T / 4
     np.testing.assert_allclose(found(t), damped(t), atol=1e-7)
-    joint = hamsym.solve(DAMPED, [1, 0], (0, 3), method="levenberg-marquardt", iterations=25)
+    joint = hamsym.solve(DAMPED, [1, 0], (0, 3), method=hamsym.LevenbergMarquardt(iterations=25))
     np.testing.assert_allclose(
         joint.error_estimate(t[:100]), damped(t[:100]) - joint(t[:100]), atol=1e-9
     )
@@ -351,12 +351,12 @@ def test_trained_networks_solve_forces() -> None:
     ("option", "message"),
     [
         ({"energy_weight": 0.1}, "not conserved, because of the forces; leave it at 0"),
-        ({"accuracy": 0.1}, "needs equations without forces; give target_error"),
+        ({"accuracy": 0.1}, "needs equations without forces; give solve a tolerance, tol=..."),
     ],
 )
 def test_options_that_need_conservation_are_refused(option: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        hamsym.solve(DAMPED, [1, 0], (0, 1), method="lbfgs", **option)
+        hamsym.solve(DAMPED, [1, 0], (0, 1), method=hamsym.LBFGS(**option))
 
 
 # -- files, figures, command line ------------------------------------------------------------------

@@ -41,7 +41,7 @@ CASES: dict[str, tuple[Any, Any, tuple[float, float], dict[str, Any]]] = {
         Hamiltonian("p**2/2 + x**2/2", forces={"p": "-c*p + sin(t)"}, parameters={"c": 0.1}),
         [1, 0],
         (0, 1),
-        {"max_window": 0.3},
+        {"method": hamsym.Features(max_window=0.3)},
     ),
     "many components": (
         Hamiltonian("+".join(f"p{i}**2/2 + (x{i} - x{(i + 1) % 9})**2/2" for i in range(9))),
@@ -53,10 +53,19 @@ CASES: dict[str, tuple[Any, Any, tuple[float, float], dict[str, Any]]] = {
         "p**2/2 + x**2/2",
         [1, 0],
         (0, 1),
-        {"method": "adam", "epochs": 3, "points": 8, "hidden": (4, 3), "betas": (0.8, 0.9)}
-        | {"shared_weights": False, "dtype": torch.float32, "seed": 2},
+        {
+            "method": hamsym.Adam(
+                epochs=3,
+                points=8,
+                hidden=(4, 3),
+                betas=(0.8, 0.9),
+                shared_weights=False,
+                dtype=torch.float32,
+            ),
+            "seed": 2,
+        },
     ),
-    "chain": ("p**2/2 + x**2/2", [1, 0], (0, 1), {"method": "levenberg-marquardt", "windows": 2}),
+    "chain": ("p**2/2 + x**2/2", [1, 0], (0, 1), {"method": hamsym.NetworkChain(windows=2)}),
 }
 
 
@@ -100,19 +109,12 @@ def test_complete_lines_omit_nothing() -> None:
 @pytest.mark.slow
 def test_omissions_are_named() -> None:
     network = torch.nn.Sequential(torch.nn.Linear(1, 4), torch.nn.Tanh(), torch.nn.Linear(4, 2))
-    options = {"method": "adam", "epochs": 2, "points": [0.0, 0.5, 1.0], "frequency": None}
+    method = hamsym.Adam(epochs=2, points=[0.0, 0.5, 1.0], trial=network.double())
     x, p = sympy.symbols("x p")
     H = Hamiltonian(p**2 / 2 + sympy.Float("0.3", 30) * x**2)
-    solution = hamsym.solve(H, [1, 0], (0, 1), trial=network.double(), **options)
+    solution = hamsym.solve(H, [1, 0], (0, 1), method=method)
     text = " ".join(omissions(solution))
     assert "trial" in text
     assert "no option for these values: points" in text
     assert "binary fractions" in text
     assert "no units" in " ".join(omissions(solved("units")))
-
-
-def test_unknown_options_are_said() -> None:
-    plain = solved("defaults")
-    object.__setattr__(plain, "settings", None)
-    assert "not recorded" in omissions(plain)[0]
-    assert "tol" not in command_line(plain)

@@ -9,10 +9,7 @@ import pytest
 import hamsym
 from hamsym import InputError
 from hamsym.errors import CertificationError
-from hamsym.methods import METHODS, Method
 from hamsym.proof.prove import verify
-from hamsym.random_features.method import solve_by_features
-from hamsym.random_features.options import FeatureOptions
 
 OSCILLATOR = "p**2/2 + x**2/2"
 
@@ -20,13 +17,14 @@ OSCILLATOR = "p**2/2 + x**2/2"
 def altered(change):
     """The method of features with changed weights."""
 
-    def run(problem, options):
-        solution = solve_by_features(problem, options)
-        trial = copy.deepcopy(solution.trial)
-        change(trial)
-        return dataclasses.replace(solution, trial=trial)
+    class Altered(hamsym.Features):
+        def solve(self, problem):
+            solution = super().solve(problem)
+            trial = copy.deepcopy(solution.trial)
+            change(trial)
+            return dataclasses.replace(solution, trial=trial)
 
-    return Method(FeatureOptions, run, marches=True)
+    return Altered()
 
 
 def _readout(size):
@@ -74,15 +72,14 @@ def test_components_at_rest_are_proven_to_be_exact(formula, start, zero):
     verify(solution.certificate, solution)
 
 
-def test_component_that_leaves_zero_is_not_at_rest(monkeypatch):
+def test_component_that_leaves_zero_is_not_at_rest():
     # y is driven by x^2 off zero; a trial with y = 0 is wrong
     def rest(trial):
         for array in (trial.states, trial.readouts):
             array[..., [1, 3]] = 0.0
 
     formula, start = "(p_x**2 + p_y**2 + x**2 + y**2)/2 + x**2*y", [0.3, 0.0, 0.0, 0.0]
-    monkeypatch.setitem(METHODS, "features", altered(rest))
-    assert not hamsym.solve(formula, start, (0, 3), prove=True).success
+    assert not hamsym.solve(formula, start, (0, 3), method=altered(rest), prove=True).success
 
 
 def test_nothing_is_proven_without_being_asked():
@@ -92,18 +89,18 @@ def test_nothing_is_proven_without_being_asked():
 
 
 @pytest.mark.parametrize("size", [1e-4, -1e-2, 1.0])
-def test_too_large_error_is_no_success(monkeypatch, size):
-    monkeypatch.setitem(METHODS, "features", altered(_readout(size)))
-    assert hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), tol=1e-8).success
-    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), tol=1e-8, prove=True)
+def test_too_large_error_is_no_success(size):
+    given = {"method": altered(_readout(size)), "tol": 1e-8}
+    assert hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), **given).success
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), prove=True, **given)
     assert not solution.success
     assert "not proven: the error of" in solution.message
     assert solution.certificate is None
 
 
-def test_error_below_the_tolerance_is_still_proven(monkeypatch):
-    monkeypatch.setitem(METHODS, "features", altered(_readout(1e-10)))
-    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), tol=1e-8, prove=True)
+def test_error_below_the_tolerance_is_still_proven():
+    method = altered(_readout(1e-10))
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 3), method=method, tol=1e-8, prove=True)
     assert solution.success
     assert 1e-13 < solution.certificate.bound < 1e-8
 
@@ -135,26 +132,33 @@ def test_failed_solution_is_not_proven():
 
 
 def test_chain_of_networks_is_proven():
-    options = {"method": "levenberg-marquardt", "tol": 1e-6, "windows": 2}
-    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 1), prove=True, **options)
+    method = hamsym.NetworkChain(windows=2)
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 1), method=method, tol=1e-6, prove=True)
     assert solution.success
     assert solution.certificate.asked == pytest.approx((1e-6, np.sin(1) * 1e-6), rel=1e-3)
 
 
 @pytest.mark.slow
-def test_network_without_a_tolerance_is_not_proven():
-    brief = {"hidden": (6,), "points": 20, "iterations": 30, "restarts": 0, "target_error": 0.5}
-    solution = hamsym.solve(
-        OSCILLATOR, [1.0, 0.0], (0, 1), method="levenberg-marquardt", prove=True, **brief
-    )
+def test_trained_network_is_proven_to_its_tolerance():
+    method = hamsym.LevenbergMarquardt(hidden=(8,), points=20, iterations=60)
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 1), method=method, tol=1e-3, prove=True)
+    assert solution.success, solution.message
+    assert solution.record.stopped == "tolerance"
+    assert solution.certificate.asked == pytest.approx((1e-3, np.sin(1) * 1e-3), rel=1e-2)
+    t = np.linspace(0, 1, 101)
+    error = np.abs(solution(t) - np.stack([np.cos(t), -np.sin(t)], axis=1)).max(axis=0)
+    assert (error <= np.array(solution.certificate.component_bounds) + 1e-15).all()
+
+
+@pytest.mark.slow_cases("LBFGS", "SSBroyden", "Adam")
+@pytest.mark.parametrize("kind", [hamsym.Adam, hamsym.LBFGS, hamsym.SSBroyden])
+def test_network_beyond_its_tolerance_is_not_proven(kind):
+    few = {"epochs": 2} if kind is hamsym.Adam else {"iterations": 2}
+    method = kind(hidden=(6,), points=20, **few)
+    solution = hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 1), method=method, tol=1e-6, prove=True)
     assert not solution.success
+    assert "proven" not in solution.message
     assert solution.certificate is None
-
-
-@pytest.mark.parametrize("method", ["adam", "lbfgs", "ssbroyden"])
-def test_methods_without_a_tolerance_are_refused(method):
-    with pytest.raises(InputError, match=f"needs a method with a tolerance, which '{method}'"):
-        hamsym.solve(OSCILLATOR, [1.0, 0.0], (0, 1), method=method, prove=True)
 
 
 @pytest.mark.parametrize("value", [1, 0, None, "yes", np.array([True])])

@@ -31,8 +31,8 @@ class Fourier(nn.Module):
         return self.layers(torch.cat((torch.sin(self.k * s), torch.cos(self.k * s)), -1))
 
 
-settings = {"method": "levenberg-marquardt", "points": 60, "iterations": 30, "stages": 3}
-solution = hamsym.solve(H, problem.z0, span, trial=Fourier(), **settings)
+method = hamsym.LevenbergMarquardt(trial=Fourier(), points=60, iterations=30, stages=3)
+solution = hamsym.solve(H, problem.z0, span, method=method)
 print(solution.message)
 
 # %%
@@ -41,8 +41,8 @@ print(solution.message)
 energy = H.compile("torch").energy
 start_energy = float(H.compile("numpy").energy(np.array(problem.z0)))
 term = hamsym.Regularizer(0.5, lambda t, z, dz: (energy(z) - start_energy) ** 2)
-lbfgs = {"method": "lbfgs", "iterations": 600, "points": 60, "hidden": (30, 30)}
-trained = hamsym.solve(H, problem.z0, span, regularizers=[term], **lbfgs)
+lbfgs = hamsym.LBFGS(regularizers=[term], iterations=600, points=60, hidden=(30, 30))
+trained = hamsym.solve(H, problem.z0, span, method=lbfgs)
 print(trained.message)
 
 # %%

@@ -37,7 +37,7 @@ def courses(script, tau):
             for name, (method, numbers) in second_order.items()
         },
         "Levenberg-Marquardt, one network": [
-            {"method": "levenberg-marquardt", "windows": 1, "tol": tol} for tol in (1e-4, 1e-11)
+            CHAIN | {"windows": 1, "tol": tol} for tol in (1e-4, 1e-11)
         ],
         "Levenberg-Marquardt, chain": [CHAIN],
         "features": [{"method": "features", "tol": tol} for tol in TOLERANCES],

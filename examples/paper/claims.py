@@ -124,7 +124,7 @@ def judge_accuracy(experiment, found):
     solutions = found.solutions["accuracy = 1e-4 asked for"]
     t = np.linspace(*experiment.span, 4_001)
     errors = spread(np.abs(z(t) - experiment.truth(t)).max() for z in solutions)
-    reached = all(z.success for z in solutions)
+    reached = all(z.record.stopped == "accuracy" for z in solutions)
     experiment.claim(
         "II.B",
         "training can be stopped at an accuracy chosen beforehand, here 1e-4",

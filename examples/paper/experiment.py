@@ -19,6 +19,7 @@ import numpy as np
 
 import hamsym
 from hamsym.integrators.adaptive import reference
+from hamsym.methods import made_method
 from hamsym.paper.tables import console_table, finite, markdown_table, spread, write
 
 INTEGRATORS = ("symplectic_euler", "stormer_verlet", "yoshida4", "yoshida8")
@@ -38,9 +39,8 @@ AUTHORS = AS_WRITTEN | {"betas": (0.999, 0.9999)}
 # Third, with hamsym's schedule: the rate decreases along half a cosine.
 COSINE = {"method": "adam", "schedule": "cosine", "learning_rate": 8e-3, "betas": (0.99, 0.999)}
 
-# Levenberg-Marquardt on a chain of networks, to its default tolerance; other options of training
-# make it train one network.
-CHAIN = {"method": "levenberg-marquardt"}
+# Levenberg-Marquardt on a chain of networks, to its default tolerance.
+CHAIN = {"method": "network-chain"}
 
 
 class Experiment:
@@ -89,7 +89,7 @@ class Experiment:
             problem.H,
             problem.z0,
             span or self.span,
-            limited,
+            {name: arguments(given) for name, given in limited.items()},
             folder=self.folder / "runs",
             seeds=self.seeds,
             certify=(self.arguments.certify or None) if prove else None,
@@ -244,10 +244,19 @@ def limit(settings, epochs):
         return lambda seed: limit(settings(seed), epochs)
     if settings["method"] == "adam":
         return settings | {"epochs": min(settings["epochs"], epochs)}
-    if settings["method"] == "features" or settings == CHAIN or "tol" in settings:
+    if settings["method"] in ("features", "network-chain"):
         return settings  # a number of windows, not of iterations, reaches a tolerance
     given = settings.get("iterations", epochs)
     return settings | {"iterations": max(1, min(given, epochs // 10))}
+
+
+def arguments(settings):
+    """Return settings, options of a method among them, as arguments of :func:`hamsym.solve`."""
+    if callable(settings):
+        return lambda seed: arguments(settings(seed))
+    options = dict(settings)
+    tolerance = {"tol": options.pop("tol")} if "tol" in options else {}
+    return tolerance | {"method": made_method(options.pop("method"), options)}
 
 
 # -- numbers -----------------------------------------------------------------------------------

@@ -40,7 +40,7 @@ SETTINGS = {
     **{f"authors' code: {name}": PUBLISHED | options for name, options in ARCHITECTURES.items()},
     "cosine": COSINE | NETWORK | {"tau": 0.5},
     "SSBroyden": {"method": "ssbroyden"},
-    "Levenberg-Marquardt": {"method": "levenberg-marquardt", "target_error": 2e-7},
+    "Levenberg-Marquardt": {"method": "levenberg-marquardt", "tol": 2e-7},
     "Levenberg-Marquardt, chain": CHAIN,
     "features, tol = 1e-6": {"method": "features", "tol": 1e-6},
     "features, tol = 1e-12": {"method": "features", "tol": 1e-12},

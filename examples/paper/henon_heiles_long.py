@@ -64,7 +64,7 @@ def main(arguments=None):
             "method": "levenberg-marquardt",
             "hidden": (80, 80),
             "stages": 24,
-            "target_error": 2e-7,
+            "tol": 2e-7,
         },
         "Levenberg-Marquardt, chain": CHAIN,
         "features, tol = 1e-6": {"method": "features", "tol": 1e-6},

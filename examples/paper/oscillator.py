@@ -42,7 +42,7 @@ SETTINGS = {
     "authors' code, lambda = 1": PUBLISHED | {"energy_weight": 1.0},
     "cosine, lambda = 1": COSINE | NETWORK | {"tau": 0.25, "energy_weight": 1.0, "epochs": 30_000},
     "SSBroyden": {"method": "ssbroyden"},
-    "Levenberg-Marquardt": {"method": "levenberg-marquardt", "target_error": 2e-7},
+    "Levenberg-Marquardt": {"method": "levenberg-marquardt", "tol": 2e-7},
     "Levenberg-Marquardt, chain": CHAIN,
     "features, tol = 1e-6": {"method": "features", "tol": 1e-6},
     "features, tol = 1e-12": {"method": "features", "tol": 1e-12},

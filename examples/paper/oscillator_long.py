@@ -30,7 +30,7 @@ SETTINGS = {
         "points": 500,
         "stages": 60,
         "tau": 2.0,
-        "target_error": 1e-6,
+        "tol": 1e-6,
     },
     "Levenberg-Marquardt, chain": CHAIN,
     "features, tol = 1e-6": {"method": "features", "tol": 1e-6},

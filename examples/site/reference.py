@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 # Public names by subject; names that are missing here come last, under "More".
 GROUPS = {
     "Equations and code": ["Hamiltonian", "System", "Invariant", "Invariants", "systems"],
-    "Trajectories": ["solve", "Solution", "integrate", "Trajectory", "Regularizer"],
+    "Trajectories": ["solve", "Solution", "integrate", "Trajectory"],
+    "Methods of solve": ["Features", "NetworkChain", "LevenbergMarquardt", "SSBroyden", "LBFGS"],
     "Many trajectories": ["solve_many", "Solutions", "flow_map", "FlowMap", "sweep", "Sweep"],
     "Data": ["fit", "Fit"],
     "Proofs": ["certify", "verify", "Certificate", "enclose", "Enclosure", "Ball"],
@@ -30,6 +31,7 @@ GROUPS = {
 }
 GROUPS["Many trajectories"] += ["StoredSweep"]
 GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
+GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
 GROUPS["Proofs"] += ["BoxCertificate"]
 GROUPS["Dynamics"] += ["chaos_indicators", "ChaosIndicators", "monodromy"]
 GROUPS["Equilibria and periodic orbits"] += ["periodic_orbit", "PeriodicOrbit", "orbit_family"]

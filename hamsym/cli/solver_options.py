@@ -26,9 +26,18 @@ class SolverCommand(Command):
         return [*super().get_params(ctx), *_solver_parameters()]
 
     def invoke(self, ctx: click.Context) -> int:
+        from hamsym.methods import made_method
+
+        options = {}
         for parameter in _solver_parameters():
-            if parameter.name in ctx.params and ctx.params[parameter.name] is None:
-                del ctx.params[parameter.name]
+            value = ctx.params.get(str(parameter.name))
+            if isinstance(parameter, _MethodOption):
+                ctx.params.pop(str(parameter.name), None)
+                if value is not None:
+                    options[str(parameter.name)] = value
+            elif value is None:
+                ctx.params.pop(str(parameter.name), None)
+        ctx.params["method"] = made_method(ctx.params["method"], options)
         return super().invoke(ctx)
 
 
@@ -70,25 +79,23 @@ class _NamedChoice(Choice):
 _TOPICS = {
     name: topic
     for topic, names in {
-        "Accuracy": "tol atol breakpoints max_window",
-        "Method": "windows train_hidden",
+        "Windows": "max_window windows train_hidden",
         "Network": "hidden activation envelope tau frequency shared_weights initial dtype device",
         "Loss": "points energy_weight invariant_weight",
         "Search for the weights": "stages iterations restarts",
         "Training": "epochs learning_rate betas schedule noise",
-        "End of the training": "target_loss target_ell_max target_error accuracy patience "
-        "time_limit",
+        "End of the training": "target_loss target_ell_max accuracy patience time_limit",
         "Checkpoints": "checkpoint checkpoint_every",
     }.items()
     for name in names.split()
 }
-_SHARED = ("Accuracy", "Method", "Search for the weights")
+_SHARED = ("Windows", "Search for the weights")
 _OTHERS = "Other options"
 
 #: Types of options by the annotation of their field, without "| None".
 _TYPES: dict[str, Any] = {
     "int": click.INT,
-    "int | Sequence[float] | np.ndarray": click.INT,
+    "int | Sequence[float]": click.INT,
     "bool": click.BOOL,
     "float": _Parsed("number", number),
     "tuple[float, float]": (click.FLOAT, click.FLOAT),
@@ -104,60 +111,66 @@ _TYPES: dict[str, Any] = {
 @functools.cache
 def _solver_parameters() -> tuple[click.Parameter, ...]:
     """Return the options of all methods, each once."""
-    from hamsym.methods import METHOD, METHODS, SEED
+    from hamsym.methods import METHODS
 
     found: list[click.Parameter] = [
         click.Option(
+            ["--tol"],
+            type=_Parsed("number", number),
+            metavar="NUMBER",
+            help="Tolerance, relative to the largest value of each component; networks that are "
+            "trained jointly stop when it is met.  [1e-09; 0.01 for networks trained jointly]",
+        ),
+        click.Option(
+            ["--atol"],
+            type=_Parsed("numbers", numbers),
+            metavar="NUMBERS",
+            help="Absolute tolerance, one or one for each component.  [0]",
+        ),
+        click.Option(
+            ["--breakpoints"],
+            type=_Parsed("numbers", numbers),
+            metavar="TIMES",
+            help="Times at which a window ends.",
+        ),
+        click.Option(
             ["--method"],
             type=Choice(METHODS),
-            default=METHOD,
+            default=next(iter(METHODS)),
             show_default=True,
             help="Method of solution.",
         ),
         click.Option(
-            ["--seed"],
-            type=click.INT,
-            default=SEED,
-            show_default=True,
-            help="Seed of random numbers.",
+            ["--seed"], type=click.INT, default=0, show_default=True, help="Seed of random numbers."
         ),
     ]
     by_name: dict[str, dict[str, Field[Any]]] = {}
-    for method, entry in METHODS.items():
-        for field in fields(entry.options):
-            by_name.setdefault(field.name, {})[method] = field
-    described: dict[str, Field[Any]] = {}
-    for name, of_methods in by_name.items():
-        # A subclass may change a default alone: the metadata is that of the field it replaces.
-        first = next((field for field in of_methods.values() if field.metadata), None)
-        if first is not None:
-            described[name] = first
+    for method, kind in METHODS.items():
+        for field in fields(kind):
+            if field.metadata["help"]:
+                by_name.setdefault(field.name, {})[method] = field
     for topic in dict.fromkeys([*_TOPICS.values(), _OTHERS]):
-        names = [name for name in described if _TOPICS.get(name, _OTHERS) == topic]
+        names = [name for name in by_name if _TOPICS.get(name, _OTHERS) == topic]
         if names:
             usual = Counter(tuple(by_name[name]) for name in names).most_common(1)[0][0]
             if topic in _SHARED:
                 usual = ()
             for name in names:
-                found.append(_parameter(described[name], by_name[name], topic, usual))
+                found.append(_parameter(by_name[name], topic, usual))
     return tuple(found)
 
 
 def _parameter(
-    described: Field[Any],
-    of_methods: Mapping[str, Field[Any]],
-    topic: str,
-    usual: tuple[str, ...],
+    of_methods: Mapping[str, Field[Any]], topic: str, usual: tuple[str, ...]
 ) -> click.Parameter:
     """Return the option of a field; ``usual`` are the methods of most options of its topic."""
+    described = next(iter(of_methods.values()))
     metadata, name = described.metadata, described.name.replace("_", "-")
     choices = metadata["choices"]
     kind = _TYPES.get(str(described.type).removesuffix(" | None"))
     if choices is not None:
         kind = _NamedChoice(choices) if isinstance(choices, Mapping) else Choice(choices)
-    defaults = _default_text(
-        {m: _text(f.default, f.metadata or metadata) for m, f in of_methods.items()}
-    )
+    defaults = _default_text({m: _text(f.default, f.metadata) for m, f in of_methods.items()})
     return _MethodOption(
         [f"--{name}/--no-{name}" if kind is click.BOOL else f"--{name}"],
         type=kind,
@@ -176,8 +189,8 @@ def _of_methods(methods: tuple[str, ...], usual: tuple[str, ...]) -> str:
 def _listed(methods: tuple[str, ...]) -> str:
     from hamsym.methods import METHODS
 
-    training = tuple(name for name, entry in METHODS.items() if not entry.marches)
-    return "methods that train" if methods == training else ", ".join(methods)
+    training = tuple(name for name, kind in METHODS.items() if kind.resumes)
+    return "methods that train one network" if methods == training else ", ".join(methods)
 
 
 def _text(default: Any, metadata: Mapping[str, Any]) -> str:

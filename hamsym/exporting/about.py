@@ -73,8 +73,6 @@ class About:
     def _origin(self) -> list[str]:
         solution, settings = self.solution, self.solution.settings
         version = f"Made by hamsym {hamsym.__version__}"
-        if settings is None:
-            return [f"{version}; the file of the solution does not say with which settings."]
         lines = [f"{version}, seed {settings.seed}. To make the solution again:"]
         for text in (python_lines(solution), command_line(solution)):
             lines += ["", *(f"    {line}" for line in text.splitlines())]

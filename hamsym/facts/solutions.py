@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 __all__: list[str] = []
 
 _LONG = 2e9  # operations of an analysis that takes longer than a reader waits
-_TARGETS = ("target_error", "target_loss", "target_ell_max", "accuracy")
 
 
 @of_type("Solution")
@@ -45,12 +44,10 @@ def solution_facts(solution: Solution, certificate: Certificate | None = None) -
     - certificate: Of this solution, in place of its own.
     """
     certificate = certificate or solution.certificate
-    H, limits, of = solution.H, solution.allowed_error, "the {} asked"
-    if limits is None:
-        limits, of = solution.scale, "its size {}"
+    H, limits = solution.H, solution.allowed_error
     return Facts(
         "Solution",
-        against(H, solution.largest_error, limits, of=of),
+        against(H, solution.largest_error, limits, of="the {} asked"),
         solution.message,
         bool(solution.success),
         "converged" if solution.success else "failed",
@@ -72,12 +69,12 @@ def _settings(solution: Solution) -> list[Fact]:
     given, unit = solution.settings, solution.H.units.get("t", "")
     found = [span_fact(solution.span, unit)]
     method = Fact("method", "method", solution.method, solution.method)
-    if given is None:
-        return [*found, method, Fact("tol", "tolerance", None, "not recorded")]
     if tuple(given.span) != tuple(solution.span):
         found.append(Fact("span_asked", "span asked", given.span, span_fact(given.span, unit).text))
-    options = {name: value for name, value in given.options.items() if name not in ("tol", "atol")}
+    options = dict(given.options)
     texts = [f"{name} = {value}" for name, value in options.items()]
+    if given.breakpoints:
+        texts.append(f"breakpoints = {list(given.breakpoints)}")
     texts += [f"{name} = an object of the caller's program" for name in given.missing]
     return [
         *found,
@@ -92,11 +89,6 @@ def _settings(solution: Solution) -> list[Fact]:
 
 def _tolerance(solution: Solution) -> Fact:
     given = solution.settings
-    assert given is not None
-    if solution.allowed_error is None or given.tol is None:
-        targets = [f"{n} = {v:g}" for n in _TARGETS if (v := given.options.get(n)) is not None]
-        text = ", ".join(targets) or "an error of at most 0.01 of the motion"
-        return Fact("tol", "tolerance", None, text)
     text = f"an error of at most {given.tol:g} of the largest value of each component"
     if any(given.atol):
         text += f", and {', '.join(f'{value:g}' for value in given.atol)} more"
@@ -131,9 +123,9 @@ def _conserved(solution: Solution) -> Sequence[Fact]:
     largest = float(np.nan_to_num(drift, nan=np.inf).max())
     energies = float(solution.energy(solution.span[0])), largest
     drifts, given = solution.invariant_drift, solution.settings
-    if not drifts and given is not None and given.invariants:  # they are not part of files
+    if not drifts and given.invariants:  # they are not part of files
         known = KnownInvariants(solution.H, list(given.invariants))
-        drifts = judged_by_invariants(solution, known, solution.largest_error).invariant_drift
+        drifts = judged_by_invariants(solution, known).invariant_drift
     return conservation_facts(solution.H, energies, drifts)
 
 
@@ -193,8 +185,6 @@ def proof_sentence(solution: Solution, certificate: Certificate) -> str:
     """Say what a certificate proves of a solution, against what was asked of it."""
     bounds, allowed = np.array(certificate.component_bounds), solution.allowed_error
     what = "the largest error at most"
-    if allowed is None:
-        return f"Proven: {against(solution.H, bounds, solution.scale, what=what, of='its size {}')}"
     largest = against(solution.H, bounds, allowed, what=what)
     if (bounds <= allowed).all():
         return f"Proven: every error is within what was asked, {largest}"

@@ -36,10 +36,8 @@ def _comparison(comparison: Comparison) -> Facts:
     headline = (
         f"error {network.error:.2e} (2-norm) against {comparison.reference.text}; largest in "
         f"{name}, {H.quantity(name, network.component_errors[worst])}, where {estimated} was "
-        "estimated"
+        f"estimated and {H.quantity(name, float(solution.allowed_error[worst]))} asked"
     )
-    if solution.allowed_error is not None:
-        headline += f" and {H.quantity(name, float(solution.allowed_error[worst]))} asked"
     if not comparison.reference.judges(network.error):
         headline += (
             "; the reference is less than ten times better, so that steps for the network's error "

@@ -21,6 +21,7 @@ from hamsym.families.solutions import Family
 from hamsym.families.windows import ACCEPTED, MARCHED, REFUSED, Note, Packed, Table
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.problem import InitialValueProblem
+from hamsym.random_features.features import Features
 from hamsym.random_features.members import Batch, MemberSolver
 from hamsym.random_features.method import basis_for, solve_by_march
 from hamsym.solution.invariant_check import judged_by_invariants
@@ -87,7 +88,8 @@ class BlockSolver:
     def _problem(self, member: int, H: HamiltonianLike) -> InitialValueProblem:
         family = self._family
         state = self._members.states[member]
-        return InitialValueProblem.checked(H, state, family.span, family.seed, None)
+        asked: dict[str, Any] = {"tol": family.tol, "atol": family.atol}
+        return InitialValueProblem.checked(H, state, family.span, family.seed, **asked)
 
     def batch(self, chunk: np.ndarray) -> tuple[Batch | None, float]:
         """Solve a chunk by the loop over members; return the seconds that it took."""
@@ -133,12 +135,9 @@ class BlockSolver:
         """Solve one member as solve does; return the message if it has no solution."""
         try:
             problem = self._problem(member, self._members.hamiltonian(member))
-            found = solve_by_march(problem, self._family.options, self._basis, "features")
-            if not self._known:
-                return found
-            error: Any = found.error
-            allowed = self._family.accuracy.allowed(error.scale)
-            return judged_by_invariants(found, self._known, allowed)
+            method = Features(max_window=self._family.max_window)
+            found = solve_by_march(problem, method, self._basis)
+            return judged_by_invariants(found, self._known) if self._known else found
         except InputError as error:
             return str(error)
 

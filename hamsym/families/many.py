@@ -31,7 +31,6 @@ from hamsym.hamiltonian import HamiltonianLike
 from hamsym.problem import checked_span
 from hamsym.random_features.members import Batch
 from hamsym.random_features.method import basis_for, checked_accuracy
-from hamsym.random_features.options import FeatureOptions
 from hamsym.solution.solution import Solution
 from hamsym.suggestions import checked_keywords
 from hamsym.support.cores import available_cores
@@ -139,10 +138,11 @@ def solve_many(
     members = ensemble_of(H, z0, parameters, finite=False)
     times = checked_span(span)
     require_whole("seed", seed, 0)
-    options = FeatureOptions(tol=tol, atol=atol, max_window=max_window)
-    accuracy = checked_accuracy(options, times, members.H.dim)
+    accuracy = checked_accuracy(tol, atol, max_window, times, members.H.dim)
     basis = basis_for(int(seed), accuracy.tol)
-    family = Family(members.H, times, options, int(seed), members.varied, basis.series)
+    absolute = tuple(accuracy.absolute.tolist())
+    asked = accuracy.tol, absolute, max_window
+    family = Family(members.H, times, *asked, int(seed), members.varied, basis.series)
     if client is not None:
         require_client(client)
         require_whole("retries", retries, 0)

@@ -8,10 +8,7 @@ from typing import Any
 import numpy as np
 
 import hamsym
-from hamsym.errors import CertificationError, InputError
-from hamsym.random_features.options import FeatureOptions
-from hamsym.solution.solution import Solution
-from hamsym.solution.window_error import allowed_errors
+from hamsym.errors import CertificationError
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Shown
 
@@ -55,7 +52,7 @@ def prove_members(many: Any, bound: Any, progress: bool | None) -> Proofs:
                 if not successes[k]:
                     raise CertificationError("the member has no solution within the tolerance")
                 solution = many[place]
-                own = _tolerance(many.family.options, solution) if bound is None else bound
+                own = solution.allowed_error.tolist() if bound is None else bound
                 found = hamsym.certify(solution, progress=False, bound=own)
                 certificates[k], bounds[k] = found, found.component_bounds
             except CertificationError as error:
@@ -68,10 +65,3 @@ def prove_members(many: Any, bound: Any, progress: bool | None) -> Proofs:
         certificates.reshape(shape),
         messages.reshape(shape),
     )
-
-
-def _tolerance(options: FeatureOptions, solution: Solution) -> list[float]:
-    """The error that is allowed for each component."""
-    if solution.error is None:
-        raise InputError("the solution has no tolerance; give a bound")
-    return allowed_errors(options.tol, options.atol, solution.error.scale).tolist()

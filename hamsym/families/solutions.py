@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -20,20 +20,21 @@ from hamsym.families.windows import ACCEPTED, MARCHED, OPEN, Table, Windows
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.random_features.basis import basis_of_series, size_of
 from hamsym.random_features.error_estimate import RESOLUTIONS, MarchError, estimate_error
+from hamsym.random_features.features import Features
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import origin_of
 from hamsym.random_features.members import MemberSolver, march_of
 from hamsym.random_features.method import (
     Accuracy,
-    accepted_solution,
+    accepted_march,
     basis_for,
     checked_accuracy,
-    success_message,
+    state_of,
 )
-from hamsym.random_features.options import FeatureOptions
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
-from hamsym.solution.settings import settings_of
+from hamsym.solution.acceptance import met, with_error
+from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
 from hamsym.suggestions import suggest_attributes
@@ -54,7 +55,10 @@ class Family:
     #: With the parameters of the first member.
     H: Hamiltonian
     span: tuple[float, float]
-    options: FeatureOptions
+    tol: float
+    #: Absolute tolerance, one or one for each component.
+    atol: float | tuple[float, ...]
+    max_window: float | None
     seed: int
     #: Parameters that were given as arguments.
     varied: tuple[str, ...]
@@ -67,8 +71,15 @@ class Family:
 
     @cached_property
     def accuracy(self) -> Accuracy:
-        """The checked options."""
-        return checked_accuracy(self.options, self.span, self.H.dim)
+        """The checked accuracy."""
+        return checked_accuracy(self.tol, self.atol, self.max_window, self.span, self.H.dim)
+
+    @cached_property
+    def settings(self) -> Settings:
+        """What is asked of each member."""
+        accuracy, method = self.accuracy, Features(max_window=self.max_window)
+        atol = tuple(accuracy.absolute.tolist())
+        return Settings(self.span, accuracy.tol, atol=atol, seed=self.seed, options=method.given)
 
     @property
     def origin(self) -> float:
@@ -164,7 +175,7 @@ class Solutions(Saved):
     @property
     def tol(self) -> float:
         """The relative tolerance."""
-        return float(self.family.options.tol)
+        return float(self.family.tol)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -218,7 +229,8 @@ class Solutions(Saved):
     def _message(self, member: int) -> str:
         table = self.table
         if table.status[member] == ACCEPTED:
-            return success_message(self.tol, table.counts[member], table.excess[member])
+            state = with_error(state_of(table.counts[member]), table.excess[member])
+            return met(self.tol, state)
         if table.status[member] == OPEN:
             return table.stopped
         return table.notes[member].message
@@ -244,16 +256,6 @@ class Solutions(Saved):
         return self._solution(int(members))
 
     def _solution(self, member: int) -> Solution:
-        family, given = self.family, {}
-        for name in ("tol", "atol", "max_window"):
-            given[name] = getattr(family.options, name)
-        settings = settings_of(
-            self.span, family.seed, family.options, given, version=hamsym.__version__
-        )
-        return replace(self._unlabelled(member), settings=settings)
-
-    def _unlabelled(self, member: int) -> Solution:
-        """The solution of a member, without its settings."""
         table, family = self.table, self.family
         if not table.counts[member]:
             raise InputError(self._message(member))
@@ -268,6 +270,7 @@ class Solutions(Saved):
                 trial,
                 method="features",
                 record=march,
+                settings=family.settings,
                 error=error,
                 success=bool(table.success[member]),
                 message=self._message(member),
@@ -297,17 +300,11 @@ class Solutions(Saved):
             family.origin,
             seconds,
         )
-        excess = float(table.excess[member])
         if error is None:  # the windows are from a machine that rounds differently
             basis = basis_of_series(family.seed, family.series)
             flow = flow_of(H)
             error = estimate_error(march, basis, flow, accuracy.local).error
-            excess = error.excess(accuracy.allowed(error.scale))
-        solution = accepted_solution(H, z0, self.span, march, basis, error, accuracy.tol, excess)
-        if not excess <= 1:
-            reason = f"the error, estimated again, is {excess:.1e} of the tolerance"
-            return solution.judged(False, reason)
-        return solution
+        return accepted_march(H, z0, march, basis, error, family.settings)
 
     def marched(self, member: int) -> tuple[March, MarchError, FeatureTrial]:
         """Return march, error and trial solution of a member that was solved by itself."""

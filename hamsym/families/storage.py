@@ -41,7 +41,6 @@ from hamsym.families.windows import MARCHED, Packed, Pieces, Table, Windows, pie
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problem import checked_span
 from hamsym.random_features.basis import DEGREE
-from hamsym.random_features.options import FeatureOptions
 from hamsym.support.atomic import create_atomically
 from hamsym.support.locking import exclusive
 from hamsym.support.record_fields import Count, Limit, convert, counts, floats
@@ -73,7 +72,7 @@ class Contents:
     def of(cls, solutions: Solutions, **windows: Any) -> Any:
         """Make them from solutions, with windows or what stands for them."""
         family, found = solutions.family, solutions.family.accuracy
-        longest = family.options.max_window
+        longest = family.max_window
         return cls(
             H=family.H,
             span=family.span,
@@ -100,9 +99,9 @@ class Contents:
     @property
     def family(self) -> Family:
         """The problem of the members."""
-        options = FeatureOptions(tol=self.tol, atol=self.atol, max_window=self.max_window)
+        asked = self.tol, self.atol, self.max_window
         span = checked_span(self.span)
-        return Family(self.H, span, options, self.seed, self.varied, self.basis)
+        return Family(self.H, span, *asked, self.seed, self.varied, self.basis)
 
     def solutions(self, windows: Windows, order: np.ndarray | None = None) -> Solutions:
         """Return the solutions with their windows.
@@ -258,7 +257,7 @@ class WindowStore:
 
 def _request(family: Family, members: Ensemble) -> str:
     """Compute SHA-256 of all that determines the solutions."""
-    found, longest = family.accuracy, family.options.max_window
+    found, longest = family.accuracy, family.max_window
     values = {
         "version": hamsym.__version__,
         "H": described(family.H),

@@ -1,4 +1,4 @@
-"""The method "levenberg-marquardt" to a tolerance: a chain of networks."""
+"""Solution by a chain of networks, trained to a tolerance."""
 
 from __future__ import annotations
 
@@ -16,21 +16,16 @@ from hamsym.networks.chain_error import ErrorOfChain, estimate_chain_error
 from hamsym.networks.chain_training import ChainRun, ChainSettings, Layout, TrainedChain
 from hamsym.networks.devices import available_device
 from hamsym.networks.equal_windows import train_windows
-from hamsym.networks.options import LevenbergMarquardtOptions
+from hamsym.networks.methods import NetworkChain
 from hamsym.networks.record import TrainingState
 from hamsym.networks.window_training import late
-from hamsym.problem import InitialValueProblem
-from hamsym.solution.accuracy import (
-    checked_atol,
-    checked_tol,
-    checked_window,
-    window_ends,
-)
+from hamsym.problem import InitialValueProblem, checked_window
+from hamsym.solution.acceptance import accepted
 from hamsym.solution.discontinuities import first_jump, unresolved
+from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.window_error import allowed_errors
 from hamsym.support.progress import stepping_progress
-from hamsym.support.validation import require_positive, require_whole
 
 _LOCAL = 1e-2  # tolerance of the residual in a window, relative to that of the error
 _LEAST_LOCAL, _LARGEST_LOCAL = 1e-12, 1e-10
@@ -54,36 +49,45 @@ class _Pass:
     def excess(self) -> float:
         return self.estimate.error.excess(self.allowed)
 
+    def cause(self, is_late: bool) -> str:
+        """Why its error could not be made smaller."""
+        if self.estimate.limit:
+            return self.estimate.limit
+        if not (self.estimate.error.floors.max(axis=0) <= 0.3 * self.allowed).all():
+            return "limited by float64 round-off"
+        if is_late:
+            return "the time limit was reached"
+        return "the networks could not be made accurate enough"
 
-def solve_by_chain(problem: InitialValueProblem, options: LevenbergMarquardtOptions) -> Solution:
-    """Train a chain of networks to a tolerance; options as in :func:`hamsym.solve`."""
-    H, span = problem.H, problem.span
-    tol, absolute = checked_tol(options.tol), checked_atol(options.atol, H.dim)
+
+def _jump(solution: Solution, record: ChainTraining) -> str | None:
+    times = record.times(solution.span, _JUMP_SAMPLES * len(record.edges))
+    return first_jump(solution, times, unresolved(solution))
+
+
+def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Solution:
+    """Train a chain of networks to the tolerance of the problem."""
+    H, span, tol = problem.H, problem.span, problem.tol
     whole = abs(span[1] - span[0])
-    if options.windows is not None:
-        require_whole("windows", options.windows, 1, MAX_WINDOWS)
-        for name in ("max_window", "breakpoints"):
-            if name in options.of_chain:
-                raise InputError(
-                    f"windows={options.windows} makes equal windows, but {name} is given too; "
-                    "leave one of them out"
-                )
-    if options.time_limit is not None:
-        require_positive("time_limit", options.time_limit)
+    if method.windows is not None and problem.breakpoints:
+        raise InputError(
+            f"windows={method.windows} makes equal windows, but breakpoints are given too; leave "
+            "one of them out"
+        )
     settings = ChainSettings(
         min(max(_LOCAL * tol, _LEAST_LOCAL), _LARGEST_LOCAL),
-        _HIDDEN_STEPS if options.train_hidden else 0,
-        window_ends(H, options.breakpoints, span),
-        checked_window(options.max_window, span, whole / _FEWEST_WINDOWS, MAX_WINDOWS),
-        None if options.time_limit is None else time.perf_counter() + options.time_limit,
+        _HIDDEN_STEPS if method.train_hidden else 0,
+        problem.window_ends(),
+        checked_window(method.max_window, span, whole / _FEWEST_WINDOWS, MAX_WINDOWS),
+        None if method.time_limit is None else time.perf_counter() + method.time_limit,
         max(_LOCAL * tol, _LEAST_LOCAL),
     )
     layout = Layout(
-        options.hidden,
-        options.activation,
-        options.envelope,
-        options.frequency,
-        available_device(options.device, torch.float64),
+        method.hidden,
+        method.activation,
+        method.envelope,
+        method.frequency,
+        available_device(method.device, torch.float64),
     )
     wall, cpu = time.perf_counter(), time.process_time()
     best, passes, evaluations, rejected = None, 0, 0, 0
@@ -91,14 +95,15 @@ def solve_by_chain(problem: InitialValueProblem, options: LevenbergMarquardtOpti
         while passes < _PASSES:
             passes += 1
             with _progress(problem.progress) as advance:
-                trained = _trained(problem, options, layout, settings, advance)
+                trained = _trained(problem, method, layout, settings, advance)
             if trained.chain is None or trained.training is None:
                 break
             evaluations += trained.training.point_evaluations
             rejected += trained.training.rejected
             estimate = estimate_chain_error(H, trained.chain, trained.training)
-            allowed = allowed_errors(tol, absolute, estimate.error.scale)
-            found = _Pass(trained, estimate, allowed)
+            found = _Pass(
+                trained, estimate, allowed_errors(tol, problem.atol, estimate.error.scale)
+            )
             if best is None or (
                 trained.reached == best.trained.reached and found.excess < best.excess
             ):
@@ -123,16 +128,25 @@ def solve_by_chain(problem: InitialValueProblem, options: LevenbergMarquardtOpti
         problem.z0,
         (span[0], best.trained.reached),
         best.trained.chain,
-        method=options.method,
+        method=method.name,
         record=record,
+        settings=Settings.of(problem, method),
         error=best.estimate.error,
     )
-    return solution.judged(*_verdict(solution, best, record, tol, late(settings.deadline)))
+    count = len(record.steps)
+    return accepted(
+        solution,
+        f"{count:,} network{'s' if count > 1 else ''}",
+        stopped=best.trained.reason,
+        jump=None if best.trained.reason else _jump(solution, record),
+        doubt=best.trained.doubt,
+        cause=best.cause(late(settings.deadline)),
+    )
 
 
 def _trained(
     problem: InitialValueProblem,
-    options: LevenbergMarquardtOptions,
+    method: NetworkChain,
     layout: Layout,
     settings: ChainSettings,
     advance: Callable[[float], None],
@@ -140,56 +154,20 @@ def _trained(
     H, z0, span = problem.H, problem.z0, problem.span
     generator = torch.Generator().manual_seed(problem.seed)
     free = layout
-    if options.windows is not None:
+    if method.windows is not None:
         # Networks of the usual size make the first guess.
-        free = replace(layout, hidden=LevenbergMarquardtOptions().hidden)
+        free = replace(layout, hidden=NetworkChain().hidden)
     trained = ChainRun(H, z0, span, free, settings, generator).trained(advance)
-    if options.windows is None or trained.chain is None or trained.reason:
+    if method.windows is None or trained.chain is None or trained.reason:
         return trained
-    widen = tuple(options.hidden) == tuple(LevenbergMarquardtOptions().hidden)
+    widen = tuple(method.hidden) == tuple(NetworkChain().hidden)
     found = train_windows(
-        H, trained.chain, options.windows, layout, settings, generator, widen=widen
+        H, trained.chain, method.windows, layout, settings, generator, widen=widen
     )
     if found.training is None or trained.training is None:
         return found
     evaluations = found.training.point_evaluations + trained.training.point_evaluations
     return replace(found, training=replace(found.training, point_evaluations=evaluations))
-
-
-def _verdict(
-    solution: Solution, found: _Pass, record: ChainTraining, tol: float, is_late: bool
-) -> tuple[bool, str]:
-    """Return success and message."""
-    count, excess = len(record.steps), found.excess
-    trained, error = found.trained, found.estimate.error
-    networks = f"{count:,} network{'s' if count > 1 else ''}"
-    state = f"{networks}, estimated error {excess:.1e} of the tolerance"
-    held = error.until(found.allowed)
-    if trained.reason:
-        return False, (
-            f"stopped at t = {trained.reached:.6g}: {trained.reason}; tol {tol:.1e} held until "
-            f"t = {held:.6g}"
-        )
-    jump = first_jump(
-        solution,
-        record.times(solution.span, _JUMP_SAMPLES * len(record.edges)),
-        unresolved(solution),
-    )
-    if jump is not None:
-        return False, f"{jump} ({state})"
-    if trained.doubt:
-        return False, f"{trained.doubt}; {state}"
-    if excess <= 1:
-        return True, f"tol {tol:.1e} met: {state}"
-    if found.estimate.limit:
-        cause = found.estimate.limit
-    elif not (error.floors.max(axis=0) <= 0.3 * found.allowed).all():
-        cause = "limited by float64 round-off"
-    elif is_late:
-        cause = "the time limit was reached"
-    else:
-        cause = "the networks could not be made accurate enough"
-    return False, f"tol {tol:.1e} met only until t = {held:.6g}: {cause}; {state}"
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,23 +21,13 @@ from hamsym.codegen.system import System
 from hamsym.description import settings_text
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.networks.chain_method import solve_by_chain
+from hamsym.networks import levenberg_marquardt, optimizers
 from hamsym.networks.checkpoint import Checkpoint
 from hamsym.networks.devices import available_device
-from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
+from hamsym.networks.methods import LBFGS, Adam, JointTraining, LevenbergMarquardt, SSBroyden
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
 from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
-from hamsym.networks.optimizers import LBFGS, Adam
-from hamsym.networks.options import (
-    CONVERGED,
-    AdamOptions,
-    DeepOptions,
-    LBFGSOptions,
-    LevenbergMarquardtOptions,
-    SelfScaledBroydenOptions,
-    precision_name,
-)
 from hamsym.networks.points import checked_points
 from hamsym.networks.progress import training_progress
 from hamsym.networks.record import Stopped, Training
@@ -46,62 +36,55 @@ from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
 from hamsym.networks.training import Optimizer, train
 from hamsym.networks.trial import TrialSolution
 from hamsym.problem import InitialValueProblem
+from hamsym.solution.acceptance import accepted, excess
 from hamsym.solution.digest import digest
 from hamsym.solution.discontinuities import first_jump, unresolved
+from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
-from hamsym.support.validation import require_positive
 
 _DTYPES = {"float32": torch.float32, "float64": torch.float64}
 # Largest input of the network for methods of second order, on any span.
 _INPUT_RANGE = 4 * math.pi
 _STALLED_AFTER = 60  # iterations of Levenberg-Marquardt on one span
-# Reasons for which a training stopped without a target, as they end its message.
-_REASONS = {
-    Stopped.ITERATIONS: "",
-    Stopped.PATIENCE: "; the loss did not fall in the last {patience} {unit}",
-    Stopped.TIME_LIMIT: "; the time limit of {time_limit:g} s was reached",
-    Stopped.STALLED: "; the optimizer stalled",
-}
 
 
-def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Solution:
-    """Train a deep network, or a chain of them; options as in :func:`hamsym.solve`."""
-    if isinstance(options, LevenbergMarquardtOptions) and not options.joint:
-        return solve_by_chain(problem, options)
+def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> Solution:
+    """Train a deep network, judged by the tolerance of the problem."""
     H, (start, end) = problem.H, problem.span
     if not (
-        isinstance(options.regularizers, Sequence)
-        and all(isinstance(r, Regularizer) for r in options.regularizers)
+        isinstance(method.regularizers, Sequence)
+        and all(isinstance(r, Regularizer) for r in method.regularizers)
     ):
         raise InputError(
             "regularizers is not a list of Regularizer objects; give e.g. "
             "[Regularizer(weight, function)]"
         )
-    points = checked_points(options.points, problem.span)
-    options = replace(options, points=points)
-    tau = abs(end - start) / _INPUT_RANGE if options.tau is None else options.tau
-    precision = _DTYPES[precision_name(options.dtype)]
-    device = available_device(options.device, precision)
+    points = checked_points(method.points, problem.span)
+    tau = abs(end - start) / _INPUT_RANGE if method.tau is None else method.tau
+    precision = _DTYPES[str(method.dtype)]
+    device = available_device(method.device, precision)
     # Random numbers are drawn on the CPU, so that a seed means the same on every device.
     generator = torch.Generator("cpu").manual_seed(problem.seed)
     form: dict[str, Any] = {
         "z0": torch.tensor(problem.z0, dtype=precision, device="cpu"),
         "t0": start,
         "tau": math.copysign(tau, end - start),
-        "envelope": options.envelope,
+        "envelope": method.envelope,
     }
     trial: TrialSolution | ModuleTrial
-    if options.trial is None:
-        trial = TrialSolution(_network(H.dim, options, generator, precision), **form)
+    if method.trial is None:
+        trial = TrialSolution(_network(H.dim, method, generator, precision), **form)
     else:
         longest = abs(end - start) / tau
-        trial = ModuleTrial(checked_copy(options.trial, H.dim, longest, precision), **form)
-    if options.initial is not None:
-        _take_over(options.initial, trial)
+        trial = ModuleTrial(checked_copy(method.trial, H.dim, longest, precision), **form)
+    if method.initial is not None:
+        _take_over(method.initial, trial)
     trial.hold([H.dof + H.q.index(q) for q in H.cyclic_coordinates])  # their momenta
     trial.to(device)
     if isinstance(trial, ModuleTrial):
         trial.check_evaluation()
+
+    settings = Settings.of(problem, method)
 
     def solution(training: Training) -> Solution:
         return Solution(
@@ -109,49 +92,47 @@ def solve_by_training(problem: InitialValueProblem, options: DeepOptions) -> Sol
             problem.z0,
             problem.span,
             trial,
-            method=options.method,
+            method=method.name,
             record=training,
-            energy_weight=options.energy_weight,
+            settings=settings,
+            energy_weight=method.energy_weight,
         )
 
-    stopping = _stopping(options, solution)
-    with training_progress(options.total, problem.progress) as callbacks:
+    stopping = _stopping(problem, method, solution)
+    with training_progress(method.total, problem.progress) as callbacks:
         training = train(
             trial,
             _objective(
                 H,
-                _penalties(problem, options),
-                tuple(options.regularizers),
+                _penalties(problem, method),
+                tuple(method.regularizers),
             ),
             problem.span,
-            _optimizer(options, points),
+            _optimizer(method, points),
             stopping,
             generator=generator,
-            stages=_stages(options, trial),
+            stages=_stages(method, trial),
             callbacks=callbacks,
-            checkpoint=_checkpoint(problem, options),
+            checkpoint=_checkpoint(problem, method),
         )
     trial.requires_grad_(False).to("cpu")
     if isinstance(trial, TrialSolution):
         trial.release()
-    found = solution(training)
-    return found.judged(*_verdict(found, training, options))
+    return _judged(solution(training), training, method)
 
 
-def _stopping(options: DeepOptions, solution: Callable[[Training], Solution]) -> Stopping:
+def _stopping(
+    problem: InitialValueProblem, method: JointTraining, solution: Callable[[Training], Solution]
+) -> Stopping:
     """Return the rules for stopping; criteria judge the solution with the best weights so far."""
     criteria = []
-    if (target := options.target_error) is not None:
-        require_positive("target_error", target)
+    if problem.tol_given:
         criteria.append(
             Criterion(
-                Stopped.TARGET_ERROR,
-                target,
-                lambda _, record: solution(record).relative_error <= target,
+                Stopped.TOLERANCE, problem.tol, lambda _, record: excess(solution(record)) <= 1
             )
         )
-    if (accuracy := options.accuracy) is not None:
-        require_positive("accuracy", accuracy)
+    if (accuracy := method.accuracy) is not None:
         criteria.append(
             Criterion(
                 Stopped.ACCURACY,
@@ -160,11 +141,11 @@ def _stopping(options: DeepOptions, solution: Callable[[Training], Solution]) ->
             )
         )
     return Stopping(
-        iterations=options.total,
-        target_loss=options.target_loss,
-        target_ell_max=options.target_ell_max,
-        patience=options.patience,
-        time_limit=options.time_limit,
+        iterations=method.total,
+        target_loss=method.target_loss,
+        target_ell_max=method.target_ell_max,
+        patience=method.patience,
+        time_limit=method.time_limit,
         criteria=tuple(criteria),
     )
 
@@ -174,22 +155,20 @@ def _is_accurate(solution: Solution, accuracy: float) -> bool:
     return solution.ell_max_regularized <= solution.sigma_min * accuracy
 
 
-def _checkpoint(problem: InitialValueProblem, options: DeepOptions) -> Checkpoint | None:
+def _checkpoint(problem: InitialValueProblem, method: JointTraining) -> Checkpoint | None:
     """Return the checkpoint with all settings that determine the weights, if it has a path."""
-    if options.checkpoint is None:
+    if method.checkpoint is None:
         return None
-    require_positive("checkpoint_every", options.checkpoint_every)
-    if options.regularizers:
-        raise InputError("regularizers cannot be serialised; train without checkpoint")
-    rules = {"target_loss", "target_ell_max", "target_error", "accuracy", "patience", "time_limit"}
+    rules = {"target_loss", "target_ell_max", "accuracy", "patience", "time_limit"}
     without = {*rules, "regularizers", "checkpoint", "checkpoint_every", "iterations", "initial"}
     settings = settings_text(
-        problem.H, problem.z0, problem.span, problem.seed, options, without=without
+        problem.H, problem.z0, problem.span, problem.seed, method, without=without
     )
-    settings["initial"] = "None" if options.initial is None else digest(options.initial)
-    settings |= {"dtype": precision_name(options.dtype), "device": str(options.device)}
-    settings |= {"method": options.method, "torch": torch.__version__}
-    return Checkpoint(options.checkpoint, settings, options.checkpoint_every)
+    settings["initial"] = "None" if method.initial is None else digest(method.initial)
+    settings |= {"method": method.name, "torch": torch.__version__}
+    if method.invariant_weight:
+        settings["invariants"] = repr(problem.invariants)
+    return Checkpoint(method.checkpoint, settings, method.checkpoint_every)
 
 
 @dataclass(frozen=True)
@@ -211,14 +190,14 @@ class _Penalty:
         return math.sqrt(self.weight) * gradient
 
 
-def _penalties(problem: InitialValueProblem, options: DeepOptions) -> list[_Penalty]:
+def _penalties(problem: InitialValueProblem, method: JointTraining) -> list[_Penalty]:
     """Return the penalty on the energy, which has weight 0 by default, and those on invariants."""
-    found = [_Penalty(problem.H.compile("torch"), problem.energy_0, options.energy_weight)]
-    functions = options.invariants.functions if options.invariants is not None else ()
+    found = [_Penalty(problem.H.compile("torch"), problem.energy_0, method.energy_weight)]
+    functions = problem.invariants.functions if method.invariant_weight else ()
     for function in functions:
         exact = function.compile("numpy")
         start = float(exact.energy(*exact.arguments(problem.z0, problem.span[0])))
-        found.append(_Penalty(function.compile("torch"), start, options.invariant_weight))
+        found.append(_Penalty(function.compile("torch"), start, method.invariant_weight))
     return found
 
 
@@ -257,19 +236,19 @@ def _objective(
 
 
 def _network(
-    dim: int, options: DeepOptions, generator: torch.Generator, dtype: torch.dtype
+    dim: int, method: JointTraining, generator: torch.Generator, dtype: torch.dtype
 ) -> Network | ComponentNetworks:
     def network(outputs: int) -> Network:
         return Network(
             outputs,
-            options.hidden,
-            options.activation,
-            frequency=options.frequency,
+            method.hidden,
+            method.activation,
+            frequency=method.frequency,
             generator=generator,
             dtype=dtype,
         )
 
-    if options.shared_weights:
+    if method.shared_weights:
         return network(dim)
     return ComponentNetworks([network(1) for _ in range(dim)])
 
@@ -309,43 +288,50 @@ def _layout(trial: TrialSolution) -> str:
     return f"{sizes} {trial.network.activation}"
 
 
-def _verdict(solution: Solution, training: Training, options: DeepOptions) -> tuple[bool, str]:
-    """Return success and message of a solution by the way its training ended."""
-    done = f"{training.iterations:,} {options.unit}"
+def _judged(solution: Solution, training: Training, method: JointTraining) -> Solution:
+    """Return the solution with its verdict."""
+    done = f"{training.iterations:,} {method.unit}"
     if training.restarts:
         done += f" with {training.restarts} restart{'s' if training.restarts > 1 else ''}"
     if training.stopped == Stopped.DIVERGED:
-        return False, f"the loss was not finite after {done}; reduce the learning rate"
-    if isinstance(solution.trial, ModuleTrial) and not _rates_agree(solution, solution.trial):
-        return False, (
-            f"no error can be estimated after {done}: the derivative of the trained network in "
-            "forward mode is not that of its values; give another trial"
+        return solution.judged(
+            False, f"the loss was not finite after {done}; reduce the learning rate"
         )
-    relative = solution.relative_error
-    state = (
-        f"loss {training.best_loss:.2e}, ell_max {solution.ell_max:.2e}, "
-        f"estimated error {relative:.1e} of the motion"
+    if isinstance(solution.trial, ModuleTrial) and not _rates_agree(solution, solution.trial):
+        return solution.judged(
+            False,
+            f"no error can be estimated after {done}: the derivative of the trained network in "
+            "forward mode is not that of its values; give another trial",
+        )
+    rule = _ended_by(solution, training, method)
+    state = f"{done}{rule}, loss {training.best_loss:.2e}, ell_max {solution.ell_max:.2e}"
+    interrupted = training.stopped == Stopped.INTERRUPTED
+    return accepted(
+        solution,
+        state,
+        # Estimated errors are not valid beyond a discontinuity of H.
+        jump=None
+        if interrupted or not excess(solution) <= 1
+        else first_jump(solution, solution.scan_times, unresolved(solution)),
+        doubt="interrupted" if interrupted else "",
+        cause="the network could not be made accurate enough",
     )
-    if training.stopped == Stopped.INTERRUPTED:
-        return False, f"interrupted after {done}: {state}"
-    targets = _targets(options)
-    reached = targets.get(training.stopped)
-    # Estimated errors are not valid beyond a discontinuity of H.
-    if training.stopped == Stopped.TARGET_ERROR or (not targets and relative <= CONVERGED):
-        jump = first_jump(solution, solution.scan_times, unresolved(solution))
-        if jump is not None:
-            return False, f"{jump} ({state})"
-    if reached is not None:
-        return True, f"{training.stopped} {reached:.2e} reached after {done}: {state}"
-    reason = _REASONS[Stopped(training.stopped)].format(**vars(options), unit=options.unit)
-    if targets:
-        missed = " and ".join(f"{name} {value:.2e}" for name, value in targets.items())
-        if options.accuracy is not None and solution.sigma_min == 0:
-            reason += "; accuracy is undefined: sigma_min = 0 on this trajectory"
-        return False, f"{missed} not reached after {done}: {state}{reason}"
-    if relative <= CONVERGED:
-        return True, f"error below {CONVERGED:.0%} of the motion after {done}: {state}{reason}"
-    return False, f"not converged after {done}: {state}, more than {CONVERGED:g}{reason}"
+
+
+def _ended_by(solution: Solution, training: Training, method: JointTraining) -> str:
+    """Return the rule that ended the training, in brackets; nothing if it is the last iteration."""
+    rules = {
+        Stopped.TARGET_LOSS: f"target loss {method.target_loss} reached",
+        Stopped.TARGET_ELL_MAX: f"target ell_max {method.target_ell_max} reached",
+        Stopped.ACCURACY: f"accuracy {method.accuracy} reached",
+        Stopped.PATIENCE: f"no lower loss in the last {method.patience} {method.unit}",
+        Stopped.TIME_LIMIT: f"time limit of {method.time_limit} s reached",
+        Stopped.STALLED: "the optimizer stalled",
+    }
+    found = [rules[Stopped(training.stopped)]] if training.stopped in rules else []
+    if method.accuracy is not None and solution.sigma_min == 0:
+        found.append("accuracy is undefined: sigma_min = 0 on this trajectory")
+    return f" ({'; '.join(found)})" if found else ""
 
 
 def _rates_agree(solution: Solution, trial: ModuleTrial) -> bool:
@@ -354,38 +340,27 @@ def _rates_agree(solution: Solution, trial: ModuleTrial) -> bool:
     return bool((rate_defect(trial, solution.span) <= allowed).all())
 
 
-def _targets(options: DeepOptions) -> dict[str, float]:
-    """Return the targets that are set, by the names of the rules that they end a training by."""
-    targets = {
-        Stopped.TARGET_LOSS: options.target_loss,
-        Stopped.TARGET_ELL_MAX: options.target_ell_max,
-        Stopped.TARGET_ERROR: options.target_error,
-        Stopped.ACCURACY: options.accuracy,
-    }
-    return {name: value for name, value in targets.items() if value is not None}
-
-
-def _optimizer(options: DeepOptions, points: int | np.ndarray) -> Optimizer:
-    match options:
-        case AdamOptions():
-            return Adam(
-                learning_rate=options.learning_rate,
-                betas=options.betas,
-                schedule=options.schedule,
+def _optimizer(method: JointTraining, points: int | np.ndarray) -> Optimizer:
+    match method:
+        case Adam():
+            return optimizers.Adam(
+                learning_rate=method.learning_rate,
+                betas=method.betas,
+                schedule=method.schedule,
                 points=points,
-                noise=options.noise,
+                noise=method.noise,
             )
-        case LBFGSOptions():
-            return LBFGS(points=points)
-        case SelfScaledBroydenOptions():
+        case LBFGS():
+            return optimizers.LBFGS(points=points)
+        case SSBroyden():
             return SelfScaledBroyden(points=points)
         case _:
-            return LevenbergMarquardt(points=points)
+            return levenberg_marquardt.LevenbergMarquardt(points=points)
 
 
-def _stages(options: DeepOptions, trial: TrialSolution | ModuleTrial) -> Stages:
+def _stages(method: JointTraining, trial: TrialSolution | ModuleTrial) -> Stages:
     # Without new weights a training cannot restart.
     drawn = not isinstance(trial, ModuleTrial) or trial.can_be_drawn
-    if isinstance(options, LevenbergMarquardtOptions) and drawn:
-        return Stages(options.stages, restart_after=_STALLED_AFTER, restarts=options.restarts)
-    return Stages(options.stages)
+    if isinstance(method, LevenbergMarquardt) and drawn:
+        return Stages(method.stages, restart_after=_STALLED_AFTER, restarts=method.restarts)
+    return Stages(method.stages)

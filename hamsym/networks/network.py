@@ -14,8 +14,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from hamsym.errors import InputError
 from hamsym.suggestions import require_known
+from hamsym.support.validation import require_widths
 
 
 @dataclass(frozen=True)
@@ -143,12 +143,8 @@ class Network(torch.nn.Module):
         super().__init__()
         self.activation, self.frequency = activation, frequency
         self._activation = chosen(activation, ACTIVATIONS, "activation")
-        widths = tuple(hidden) if isinstance(hidden, Sequence) else ()
-        if not widths or any(
-            not isinstance(n, int) or isinstance(n, bool) or not 1 <= n <= 100_000 for n in widths
-        ):
-            raise InputError(f"hidden={hidden!r} is not a list of layer widths; give e.g. (50, 50)")
-        self.sizes = (1, *widths, outputs)
+        require_widths(hidden)
+        self.sizes = (1, *hidden, outputs)
         count = weights_of(self.sizes)
         #: All weights as one vector, layer by layer, each matrix before its bias.
         self.theta = torch.nn.Parameter(torch.empty(count, dtype=dtype, device="cpu"))

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from hamsym.networks.objective import Objective
 from hamsym.networks.points import Collocation, midpoints, points_between, points_within
-from hamsym.support.validation import is_positive, require, require_positive, require_whole
+from hamsym.support.validation import require_whole
 
 
 class GradientOptimizer:
@@ -60,17 +60,6 @@ class Adam(GradientOptimizer):
         noise: float | None = None,
     ) -> None:
         self._collocation = Collocation(points)
-        require_positive("learning_rate", learning_rate)
-        require(noise is None or noise == 0 or is_positive(noise), "noise", noise, "0 or more")
-        require(
-            isinstance(betas, (tuple, list))
-            and len(betas) == 2
-            and all(isinstance(beta, (int, float)) and 0 <= beta < 1 for beta in betas),
-            "betas",
-            betas,
-            "two numbers from 0 to below 1",
-        )
-        require(schedule in ("constant", "cosine"), "schedule", schedule, "'constant' or 'cosine'")
         self.learning_rate, self.betas, self.schedule = learning_rate, betas, schedule
         self.points, self.noise = self._collocation.count, noise
 

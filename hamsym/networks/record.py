@@ -17,7 +17,7 @@ class Stopped(StrEnum):
     ITERATIONS = "iterations"
     TARGET_LOSS = "target loss"
     TARGET_ELL_MAX = "target ell_max"
-    TARGET_ERROR = "target error"
+    TOLERANCE = "tolerance"
     ACCURACY = "accuracy"
     PATIENCE = "patience"
     TIME_LIMIT = "time limit"

@@ -101,14 +101,7 @@ def asked_of(solution: Solution, sizes: np.ndarray) -> list[tuple[float, dict[st
 
     With an absolute tolerance the components differ; the line is then that of the strictest.
     """
-    if solution.settings is None:
-        return []
-    allowed, target = (
-        solution.settings.allowed(sizes),
-        solution.settings.options.get("target_error"),
-    )
-    if allowed is None:
-        return [(float(target), _ASKED_STYLE)] if isinstance(target, float) else []
+    allowed = solution.settings.allowed(sizes)
     ratios = allowed[sizes > 0] / sizes[sizes > 0]
     if not ratios.size:
         return []

@@ -116,7 +116,7 @@ def enclosed(
         if not math.isfinite(ball.radius):
             raise InputError("a ball has an infinite radius; give a finite one")
     # H must be finite at the start: its derivatives may be so where it is not real.
-    problem = InitialValueProblem.checked(H, [ball.mid for ball in start], span, 0, None)
+    problem = InitialValueProblem.checked(H, [ball.mid for ball in start], span)
     times = problem.span
     if time_limit is not None:
         require_positive("time_limit", time_limit)

@@ -12,19 +12,21 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import ratios
-from hamsym.problem import InitialValueProblem
+from hamsym.problem import InitialValueProblem, checked_atol, checked_tol, checked_window
 from hamsym.random_features.basis import FeatureBasis, feature_basis
 from hamsym.random_features.error_estimate import (
     Estimate,
     MarchError,
     estimate_error,
 )
+from hamsym.random_features.features import FEWEST_WINDOWS, Features
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.march import MAX_WINDOWS, march
 from hamsym.random_features.members import (
@@ -35,17 +37,11 @@ from hamsym.random_features.members import (
     TIGHTER,
     MemberSolver,
 )
-from hamsym.random_features.options import FEWEST_WINDOWS, FeatureOptions
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
-from hamsym.solution.accuracy import (
-    checked_atol,
-    checked_breakpoints,
-    checked_tol,
-    checked_window,
-    window_ends,
-)
+from hamsym.solution.acceptance import accepted, excess, held
 from hamsym.solution.discontinuities import first_jump
+from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import allowed_errors
@@ -59,7 +55,7 @@ _JUMP_SAMPLES = 25  # of a window, in the search for jumps of the force
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Checked options of a march."""
+    """Checked accuracy of a march."""
 
     #: tol, local: Tolerance, and local tolerance of the first march.
     tol: float
@@ -68,29 +64,26 @@ class Accuracy:
     absolute: np.ndarray
     #: Longest window.
     longest: float
-    #: Times at which a window ends.
-    stops: list[float]
 
     def allowed(self, sizes: np.ndarray) -> np.ndarray:
         """Return the allowed error of components of these computed sizes, shape (dim,)."""
         return allowed_errors(self.tol, self.absolute, sizes)
 
 
-def checked_accuracy(options: FeatureOptions, span: tuple[float, float], dim: int) -> Accuracy:
-    """Check the options of the method "features".
+def checked_accuracy(
+    tol: float, atol: Any, max_window: float | None, span: tuple[float, float], dim: int
+) -> Accuracy:
+    """Check the accuracy of a march and its longest window.
 
-    Raise InputError if one cannot be used.
+    Raise InputError if a value cannot be used.
     """
-    tol = checked_tol(options.tol)
+    tol = checked_tol(tol)
     return Accuracy(
         tol,
         # The cost grows as a root of the accuracy: a margin is cheaper than a second march.
         max(_LOCAL * tol, SMALLEST),
-        checked_atol(options.atol, dim),
-        checked_window(
-            options.max_window, span, abs(span[1] - span[0]) / FEWEST_WINDOWS, MAX_WINDOWS
-        ),
-        checked_breakpoints(options.breakpoints, span),
+        np.broadcast_to(checked_atol(atol, dim), (dim,)),
+        checked_window(max_window, span, abs(span[1] - span[0]) / FEWEST_WINDOWS, MAX_WINDOWS),
     )
 
 
@@ -99,12 +92,12 @@ def basis_for(seed: int, tol: float) -> FeatureBasis:
     return feature_basis(seed, 16 if tol >= _SMALL_BASIS else 24)
 
 
-def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> Solution:
-    """Solve by marching random features to a tolerance; options as in :func:`hamsym.solve`."""
+def solve_by_features(problem: InitialValueProblem, method: Features) -> Solution:
+    """Solve by marching random features to the tolerance of the problem."""
     H, span = problem.H, problem.span
-    accuracy = checked_accuracy(options, span, H.dim)
+    accuracy = checked_accuracy(problem.tol, problem.atol, method.max_window, span, H.dim)
     basis = basis_for(problem.seed, accuracy.tol)
-    if not accuracy.stops and MemberSolver.applies(H):
+    if not problem.breakpoints and MemberSolver.applies(H):
         wall, cpu = time.perf_counter(), time.thread_time()
         solver = MemberSolver(
             H, span, accuracy.tol, accuracy.local, accuracy.absolute, accuracy.longest, basis
@@ -113,61 +106,58 @@ def solve_by_features(problem: InitialValueProblem, options: FeatureOptions) -> 
         batch = solver.solve(problem.z0[None], parameters, keep_error=True)
         if batch.accepted[0]:
             seconds = time.perf_counter() - wall, time.thread_time() - cpu
-            return accepted_solution(
-                H,
-                problem.z0,
-                span,
-                solver.march_of(batch, *seconds),
-                basis,
-                solver.error_of(batch),
-                accuracy.tol,
-                float(batch.excess[0]),
-            )
-    return solve_by_march(problem, options, basis, "features")
+            march, error = solver.march_of(batch, *seconds), solver.error_of(batch)
+            settings = Settings.of(problem, method)
+            return accepted_march(H, problem.z0, march, basis, error, settings)
+    return solve_by_march(problem, method, basis)
 
 
-def accepted_solution(
+def accepted_march(
     H: Hamiltonian,
     z0: np.ndarray,
-    span: tuple[float, float],
     windows: March,
     basis: FeatureBasis,
     error: MarchError,
-    tol: float,
-    excess: float,
+    settings: Settings,
 ) -> Solution:
-    """Make the solution of a march that passed every check."""
+    """Make the solution of a march that the library has accepted."""
+    found = _solution_of(H, z0, windows, basis, error, settings, Features.name)
+    return accepted(found, state_of(len(windows.readouts)))
+
+
+def state_of(windows: int) -> str:
+    """Return the number of windows, for a message."""
+    return f"{windows:,} windows"
+
+
+def _solution_of(
+    H: Hamiltonian,
+    z0: np.ndarray,
+    windows: March,
+    basis: FeatureBasis,
+    error: MarchError,
+    settings: Settings,
+    name: str,
+) -> Solution:
+    """Make the solution of a march, before its verdict."""
     return Solution(
         H,
         z0,
-        span,
+        (settings.span[0], windows.reached),
         FeatureTrial.of_march(windows, basis),
-        method="features",
+        method=name,
         record=windows,
+        settings=settings,
         error=error,
-        success=True,
-        message=success_message(tol, len(windows.readouts), excess),
     )
 
 
-def success_message(tol: float, windows: int, excess: float) -> str:
-    """Return the message of a march that met its tolerance."""
-    return f"tol {tol:.1e} met: {_state(windows, excess)}"
-
-
-def _state(windows: int, excess: float) -> str:
-    return f"{windows:,} windows, estimated error {excess:.1e} of the tolerance"
-
-
-def solve_by_march(
-    problem: InitialValueProblem, options: FeatureOptions, basis: FeatureBasis, method: str
-) -> Solution:
+def solve_by_march(problem: InitialValueProblem, method: Features, basis: FeatureBasis) -> Solution:
     """Solve by marching windows of a basis to a tolerance; the solution has the method's name."""
-    H = problem.H
-    accuracy = checked_accuracy(options, problem.span, H.dim)
-    tol, local = accuracy.tol, accuracy.local
-    stops = window_ends(H, accuracy.stops, problem.span)
-    flow = flow_of(H)
+    H, span = problem.H, problem.span
+    accuracy = checked_accuracy(problem.tol, problem.atol, method.max_window, span, H.dim)
+    local, stops = accuracy.local, problem.window_ends()
+    settings, flow = Settings.of(problem, method), flow_of(H)
     best: _Attempt | None = None
     loosened = tightened = False
     with np.errstate(all="ignore"):
@@ -175,7 +165,7 @@ def solve_by_march(
             windows = march(
                 flow,
                 problem.z0,
-                problem.span,
+                span,
                 local,
                 basis,
                 breakpoints=stops,
@@ -185,8 +175,8 @@ def solve_by_march(
                 break
             estimate = estimate_error(windows, basis, flow, local)
             error = estimate.error
-            solution = _solution_of(problem, windows, basis, error, method)
-            tried = _Attempt(windows, estimate, accuracy.allowed(error.scale), solution)
+            solution = _solution_of(H, problem.z0, windows, basis, error, settings, method.name)
+            tried = _Attempt(windows, estimate, solution)
             if best is None or tried.is_better_than(best):
                 best = tried
             # So close to round-off, residuals may exceed their limit in windows of any length.
@@ -211,45 +201,52 @@ def solve_by_march(
                 break
             local = max(local * min(max(MARGIN / tried.too_large, LEAST_STEP), MOST_STEP), SMALLEST)
     if best is None:
-        reached = shown_time(windows.reached, *problem.span)
+        reached = shown_time(windows.reached, *span)
         raise InputError(f"no solution beyond t = {reached}: {windows.reason}")
-    success, message = _verdict(best, tol, problem.span)
-    if best.jump is not None:
-        success, message = False, f"{best.jump} ({message})"
-    return best.solution.judged(success, message)
-
-
-def _solution_of(
-    problem: InitialValueProblem,
-    windows: March,
-    basis: FeatureBasis,
-    error: MarchError,
-    method: str,
-) -> Solution:
-    """Make the solution of a march, before its verdict."""
-    return Solution(
-        problem.H,
-        problem.z0,
-        (problem.span[0], windows.reached),
-        FeatureTrial.of_march(windows, basis),
-        method=method,
-        record=windows,
-        error=error,
+    return accepted(
+        best.solution,
+        state_of(len(best.windows.readouts)),
+        stopped=best.windows.reason,
+        jump=best.jump,
+        doubt=best.doubt,
+        cause=best.cause,
     )
 
 
 @dataclass(frozen=True)
 class _Attempt:
-    """A march, its estimated error, the error that is allowed, shape (dim,), and its solution."""
+    """A march, its estimated error, and its solution."""
 
     windows: March
     estimate: Estimate
-    allowed: np.ndarray
     solution: Solution
+
+    @property
+    def allowed(self) -> np.ndarray:
+        """Error that is allowed, shape (dim,)."""
+        return self.solution.allowed_error
 
     @cached_property
     def excess(self) -> float:
-        return self.estimate.error.excess(self.allowed)
+        return excess(self.solution)
+
+    @property
+    def doubt(self) -> str:
+        """Why its estimate may not hold, empty without a reason."""
+        cause = "a close encounter, a narrow pulse, a step or a jump"
+        return self.windows.doubt and f"{self.windows.doubt}: {cause}"
+
+    @property
+    def cause(self) -> str:
+        """Why its error could not be made smaller."""
+        # An estimate that ends on the way has no round-off beyond its last window.
+        floors = self.estimate.error.floors
+        floors = floors[np.isfinite(floors).all(axis=1)].max(axis=0, initial=0.0)
+        limit = self.estimate.limit
+        if not (floors <= 0.3 * self.allowed).all():
+            cause = "limited by float64 round-off, beyond which hamsym.enclose goes on"
+            return f"{cause}; {limit}" if limit else cause
+        return limit or "the march could not be made accurate enough"
 
     @cached_property
     def jump(self) -> str | None:
@@ -271,11 +268,6 @@ class _Attempt:
         linear = float(ratios(self.estimate.linear, self.allowed).max())
         return max(linear, TIGHTER) if self.estimate.limit else linear
 
-    @cached_property
-    def held(self) -> float:
-        """Time until which the error is allowed."""
-        return self.estimate.error.until(self.allowed)
-
     @property
     def fails(self) -> bool:
         """Whether it is in doubt, its error is not allowed, or the force seems to jump."""
@@ -292,31 +284,4 @@ class _Attempt:
         if (self.fails, self.excess) != (other.fails, other.excess):
             return (self.fails, self.excess) < (other.fails, other.excess)
         start = self.windows.origin + self.windows.edges[0]
-        return bool(abs(self.held - start) > abs(other.held - start))
-
-
-def _verdict(attempt: _Attempt, tol: float, span: tuple[float, float]) -> tuple[bool, str]:
-    windows, excess = attempt.windows, attempt.excess
-    error, limit = attempt.estimate.error, attempt.estimate.limit
-    state = _state(len(windows.readouts), excess)
-    held = shown_time(attempt.held, *span)
-    if windows.reason:
-        until, missing = f"t = {held}", abs(windows.reached - attempt.held)
-        reached = shown_time(windows.reached, *span)
-        if held == reached:
-            until = f"{missing:.1e} before that" if missing else "there"
-        return False, (
-            f"stopped at t = {reached}: {windows.reason}; tol {tol:.1e} held until {until}"
-        )
-    if windows.doubt:
-        cause = "a close encounter, a narrow pulse, a step or a jump"
-        return False, f"{windows.doubt}: {cause}; {state}"
-    if excess <= 1:
-        return True, success_message(tol, len(windows.readouts), excess)
-    # An estimate that ends on the way has no round-off beyond its last window.
-    floors = error.floors[np.isfinite(error.floors).all(axis=1)].max(axis=0, initial=0.0)
-    if not (floors <= 0.3 * attempt.allowed).all():
-        cause = "limited by float64 round-off, beyond which hamsym.enclose goes on; "
-    else:
-        cause = "" if limit else "the march could not be made accurate enough; "
-    return False, f"tol {tol:.1e} met only until t = {held}: {cause}{limit or state}"
+        return bool(abs(held(self.solution) - start) > abs(held(other.solution) - start))

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from hamsym.conservation import KnownInvariants
 from hamsym.solution.solution import Solution
 
 
-def judged_by_invariants(
-    solution: Solution, known: KnownInvariants, allowed: np.ndarray
-) -> Solution:
-    """Return the solution with the drifts of known invariants, which may refuse it.
-
-    - allowed: Allowed errors of the components, shape (dim,).
-    """
+def judged_by_invariants(solution: Solution, known: KnownInvariants) -> Solution:
+    """Return the solution with the drifts of known invariants, which may refuse it."""
     times = solution.scan_times
     change, explained = known.drifts(
-        solution.z0[None], solution.span[0], solution(times), times, allowed
+        solution.z0[None], solution.span[0], solution(times), times, solution.allowed_error
     )
     solution = replace(solution, invariant_drift=known.largest(change))
     reason = known.verdict(change, explained)

@@ -89,6 +89,9 @@ class ErrorEstimate(Protocol):
     def __call__(self, t: np.ndarray) -> np.ndarray:
         """z - z^ at times t, shape (*t.shape, dim)."""
 
+    def until(self, allowed: np.ndarray) -> float:
+        """Time until which the error is within the allowed one, shape (dim,)."""
+
     def refined(self, path: Any) -> Any:
         """The estimate at a finer resolution, a function of t."""
 

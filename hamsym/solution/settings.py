@@ -9,7 +9,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
+import hamsym
+from hamsym.problem import InitialValueProblem
 from hamsym.solution.window_error import allowed_errors
+from hamsym.support.method_object import Method
 from hamsym.support.record_fields import Count, Limit, Size
 
 _MOST_OPTIONS = 100
@@ -19,40 +22,66 @@ _Names = Annotated[tuple[str, ...], Limit(most=_MOST_OPTIONS)]
 
 @dataclass(frozen=True)
 class Settings:
-    """Arguments with which :func:`hamsym.solve` was called, beside H, z0 and the method."""
+    """Arguments with which :func:`hamsym.solve` was called, beside H, z0 and the method's name."""
 
     #: The times that were asked for; a solution that had to stop spans fewer.
     span: tuple[float, float]
-    seed: Count
-    #: Relative tolerance, given or by default; None for a method without one.
-    tol: float | None
+    #: Relative tolerance, given or by default.
+    tol: float
+    #: Whether it was given: a training then stops when it is met.
+    tol_given: bool = True
     #: Absolute tolerance, one, or one for each component, in the units of the components.
-    atol: tuple[Size, ...]
+    atol: tuple[Size, ...] = (0.0,)
+    #: Times at which a window ends.
+    breakpoints: tuple[float, ...] = ()
+    seed: Count = 0
     prove: bool = False
     invariants: _Names = ()
-    #: The options that were given: numbers, texts, None, and lists of them.
+    #: Options of the method that were given: numbers, texts, None, and lists of them.
     options: Mapping[str, Any] = field(default_factory=dict)
     #: Names of further options, with values that are not data, for example a network of one's own.
     missing: _Names = ()
     #: Version of hamsym that solved.
-    version: str = ""
+    version: str = field(default_factory=lambda: hamsym.__version__)
 
-    def allowed(self, scale: np.ndarray) -> np.ndarray | None:
+    @classmethod
+    def of(cls, problem: InitialValueProblem, method: Method) -> Settings:
+        """Record what is asked of the solution of a problem by a method."""
+        plain: dict[str, Any] = {}
+        for name, value in method.given.items():
+            try:
+                plain[name] = _plain(value)
+            except ValueError:
+                continue
+        return cls(
+            problem.span,
+            problem.tol,
+            problem.tol_given,
+            problem.atol,
+            problem.breakpoints,
+            problem.seed,
+            problem.prove,
+            problem.invariants.formulas if problem.invariants else (),
+            plain,
+            tuple(sorted({*method.given} - {*plain})),
+        )
+
+    def allowed(self, scale: np.ndarray) -> np.ndarray:
         """Return the error that is allowed of components of these sizes, shape (dim,).
-
-        None without a tolerance.
 
         Examples
         --------
-        >>> Settings((0.0, 1.0), 0, 1e-6, (0.0,)).allowed(np.array([1.0, 100.0])).round(8)
+        >>> Settings((0.0, 1.0), 1e-6).allowed(np.array([1.0, 100.0])).round(8)
         array([1.e-06, 1.e-04])
         """
-        return None if self.tol is None else allowed_errors(self.tol, self.atol, scale)
+        return allowed_errors(self.tol, self.atol, scale)
 
     def check(self) -> None:
         """Raise ValueError unless its numbers and texts are those of a call."""
-        if self.tol is not None and not 0 < self.tol < 1:
+        if not 0 < self.tol < 1:
             raise ValueError("its tol is out of range")
+        if not all(min(self.span) < stop < max(self.span) for stop in self.breakpoints):
+            raise ValueError("a breakpoint is not inside its span")
         for text in (*self.invariants, *self.missing, self.version):
             _text("settings", text)
         if {name: _plain(value) for name, value in self.options.items()} != self.options:
@@ -69,43 +98,6 @@ class Settings:
         (start, end), (first, last) = self.span, span
         if start != first or not (start < last <= end or start > last >= end):
             raise ValueError("it does not lie in the span that was asked for")
-
-
-def settings_of(
-    span: tuple[float, float],
-    seed: int,
-    chosen: Any,
-    options: Mapping[str, Any],
-    *,
-    prove: bool = False,
-    invariants: tuple[str, ...] = (),
-    version: str = "",
-) -> Settings:
-    """Record the arguments of a call.
-
-    - span, seed, prove, invariants: As checked.
-    - chosen: The dataclass of all options, with their defaults.
-    - options: The options that were given.
-    """
-    plain: dict[str, Any] = {}
-    for name, value in options.items():
-        try:
-            plain[name] = _plain(value)
-        except ValueError:
-            continue
-    atol = np.atleast_1d(np.asarray(getattr(chosen, "atol", 0.0), dtype=float))
-    tol = getattr(chosen, "tol", None)
-    return Settings(
-        span=span,
-        seed=seed,
-        tol=None if tol is None else float(tol),
-        atol=tuple(atol.tolist()),
-        prove=prove,
-        invariants=invariants,
-        options=plain,
-        missing=tuple(sorted({*options} - {*plain})),
-        version=version,
-    )
 
 
 def _plain(value: Any) -> Any:

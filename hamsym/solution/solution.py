@@ -16,7 +16,7 @@ import hamsym
 from hamsym.description import attributes_of
 from hamsym.errors import InputError, ParameterError, VacuousBoundWarning
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios
+from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios, resolved_sizes
 from hamsym.solution.analysis import Analysis
 from hamsym.solution.digest import Definition
 from hamsym.solution.discontinuities import parameter_jump
@@ -62,13 +62,15 @@ class Solution(Saved):
     method : str
     record : March, ChainTraining or Training
         Course and cost of the search for the weights.
+    settings : Settings
+        Tolerance, seed, span and options with which it was solved.
     error : WindowError or None
         Estimated error of a march or a chain of networks; None for one network that was trained
         jointly, whose error is integrated on first use.
     energy_weight : float
         Weight of the energy penalty in the loss of a network.
     success : bool
-        Whether the stopping criterion was met.
+        Whether the estimated error, round-off included, is within the tolerance.
     message : str
         Outcome of the method.
     certificate : Certificate or None
@@ -76,8 +78,6 @@ class Solution(Saved):
     invariant_drift : mapping of str to float
         Largest change of each of the ``invariants`` that were given, by its formula; not part of
         files.
-    settings : Settings or None
-        Tolerance, seed, span and options with which it was solved, where they are known.
     """
 
     H: Hamiltonian
@@ -86,13 +86,13 @@ class Solution(Saved):
     trial: Annotated[Trial, TRIALS]
     method: str
     record: Annotated[Record, RECORDS]
+    settings: Settings
     error: Annotated[ErrorEstimate, ERRORS] | None = None
     energy_weight: Size = 0.0
     success: bool = False
     message: str = ""
     certificate: hamsym.Certificate | None = field(default=None, metadata=UNSAVED)
     invariant_drift: Mapping[str, float] = field(default_factory=dict, metadata=UNSAVED)
-    settings: Settings | None = None
 
     def __repr__(self) -> str:
         start, end = self.span
@@ -148,9 +148,9 @@ class Solution(Saved):
         """Loss and ell_max during the training, or the windows of a march."""
         return self.record.history
 
-    @property
-    def allowed_error(self) -> np.ndarray | None:
-        """Error that the tolerance allows each component, shape (dim,); None without a tolerance.
+    @cached_property
+    def allowed_error(self) -> np.ndarray:
+        """Error that the tolerance allows each component, shape (dim,).
 
         Examples
         --------
@@ -159,10 +159,9 @@ class Solution(Saved):
         >>> solution.allowed_error.round(8)
         array([1.e-06, 2.e-06])
         """
-        # One network that was trained jointly is not judged by a tolerance.
-        if self.settings is None or self.error is None:
-            return None
-        return self.settings.allowed(self.error.scale)
+        if self.error is not None:
+            return self.settings.allowed(self.error.scale)
+        return self.settings.allowed(resolved_sizes(self.scale, *self._coupling))
 
     # -- evaluation --------------------------------------------------------------------------
 
@@ -527,11 +526,16 @@ class Solution(Saved):
 
     @cached_property
     def _coupled_scales(self) -> np.ndarray:
+        return coupled_sizes(self.scale, *self._coupling)
+
+    @cached_property
+    def _coupling(self) -> tuple[np.ndarray, float]:
+        """Mean sizes of the derivatives of the equations, shape (dim, dim), and their time."""
         start, end = self.span
         with np.errstate(all="ignore"):
             coupling = np.abs(self.jacobians(self.scan_times)).mean(axis=0)
         # A short span has the scales of a span ten times as long.
-        return coupled_sizes(self.scale, coupling, 10 * abs(end - start))
+        return coupling, 10 * abs(end - start)
 
     @cached_property
     def _integrated_error(self) -> Callable[[np.ndarray], np.ndarray]:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,24 +15,27 @@ import torch
 
 from hamsym.archive import load_solution
 from hamsym.description import settings_text
-from hamsym.errors import CertificationError, FileError, InputError
+from hamsym.errors import CertificationError, FileError, InputError, KeywordError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.methods import METHODS
-from hamsym.networks.options import LevenbergMarquardtOptions
-from hamsym.problem import InitialValueProblem
+from hamsym.methods import method_of, option_message
+from hamsym.problem import InitialValueProblem, checked_atol, checked_breakpoints, checked_tol
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
-from hamsym.solving import checked_options, solve
+from hamsym.solving import solve
+from hamsym.suggestions import keyword_message
 from hamsym.support.atomic import write_atomically
+from hamsym.support.validation import plain
 
 if TYPE_CHECKING:
     from hamsym.networks.record import TrainingState
 
 # Increased by changes of the methods after which existing runs are not reused.
-_REVISION = 3
+_REVISION = 4
 # Options that do not affect the solution, or that are handled separately.
 _SEPARATE = frozenset({"checkpoint", "checkpoint_every", "regularizers", "initial"})
+# Arguments of solve in settings, beside the method.
+_ARGUMENTS = ("tol", "atol", "breakpoints", "prove", "invariants")
 
 
 @dataclass(frozen=True)
@@ -96,12 +99,12 @@ class Run:
         return self._refusal.read_text(encoding="utf-8", errors="replace")
 
     def _solve(self, progress: Callable[[TrainingState], None]) -> None:
-        options = dict(self.options)
+        options: dict[str, Any] = dict(self.options)
         checkpoint = self._beside(".checkpoint")
         if self.initial is not None:
-            options["initial"] = load_solution(self.initial)
-        if _has_checkpoints(options):
-            options["checkpoint"] = checkpoint
+            options["method"] = replace(options["method"], initial=load_solution(self.initial))
+        if options["method"].resumes:
+            options["method"] = replace(options["method"], checkpoint=checkpoint)
         resumed = checkpoint.exists()
 
         def solved() -> Solution:
@@ -125,20 +128,34 @@ class Run:
         return self.base.with_name(self.base.name + ending)
 
 
-def _has_checkpoints(options: Mapping[str, Any]) -> bool:
-    """Return whether these options train one network, which can be resumed."""
-    given = dict(options)
-    method = METHODS[given.pop("method", "features")]
-    if method.options is LevenbergMarquardtOptions:
-        # A checkpoint is an option of joint training: with it no chain is trained.
-        return bool(method.options(**given).joint)
-    return not method.marches
+def arguments_of(given: Any, where: str = "the settings") -> dict[str, Any]:
+    """Return settings as arguments of solve with a method object.
+
+    Raise InputError if there is no such argument or method.
+
+    Examples
+    --------
+    >>> arguments_of("adam"), arguments_of({"tol": 1e-6})
+    ({'method': Adam()}, {'tol': 1e-06, 'method': Features()})
+    """
+    found = dict(given) if isinstance(given, Mapping) else {"method": given}
+    method = found.pop("method", "features")
+    for name, value in found.items():
+        if name in ("seed", "progress"):
+            raise InputError(f"'{name}' in {where} is set by sweep; remove it")
+        if name not in _ARGUMENTS:
+            known = ("method", *_ARGUMENTS)
+            message = option_message(name, value, method, known) or keyword_message(
+                name, "solve", known
+            )
+            raise KeywordError(message)
+    return {**found, "method": method_of(method)}
 
 
 def planned_run(
     problem: InitialValueProblem,
     name: str,
-    options: dict[str, Any],
+    given: Any,
     seed: int,
     folder: Path,
     certify: float | None,
@@ -147,30 +164,32 @@ def planned_run(
 
     Raise InputError if a setting is invalid.
     """
-    for reserved in ("seed", "progress", "checkpoint"):
-        if reserved in options:
-            raise InputError(f"'{reserved}' in the settings {name!r} is set by sweep; remove it")
-    if options.get("trial") is not None:
-        raise InputError("trial cannot be serialised; call solve for each run")
-    if options.get("regularizers"):
-        raise InputError("regularizers cannot be serialised; call solve for each run")
-    checked = checked_options(
-        problem.H,
-        options.get("method", "features"),
-        {key: value for key, value in options.items() if key != "method"},
-    )
-    values = settings_text(problem.H, problem.z0, problem.span, seed, checked, without=_SEPARATE)
-    initial = options.pop("initial", None)
+    options = arguments_of(given, f"the settings {name!r}")
+    if options.get("tol") is not None:
+        checked_tol(options["tol"])
+    checked_atol(options.get("atol", 0.0), problem.H.dim)
+    checked_breakpoints(options.get("breakpoints", ()), problem.span)
+    method = options["method"]
+    if method.resumes:
+        if method.checkpoint is not None:
+            raise InputError(f"checkpoint in the settings {name!r} is set by sweep; remove it")
+        if method.trial is not None or method.regularizers:
+            which = "regularizers" if method.regularizers else "trial"
+            raise InputError(f"{which} cannot be serialised; call solve for each run")
+    values = settings_text(problem.H, problem.z0, problem.span, seed, method, without=_SEPARATE)
     path = None
-    if initial is not None:
+    if method.resumes and method.initial is not None:
+        initial = method.initial
         if not isinstance(initial, Solution):
             raise InputError(f"initial in the settings {name!r} is not a Solution; give one")
         values["initial"] = digest(initial)
         path = folder / f"initial-{values['initial'][:16]}.hamsym"
         if not path.exists():
             initial.save(path)
+        options["method"] = replace(method, initial=None)
+    values |= {option: repr(plain(options[option])) for option in _ARGUMENTS if option in options}
     values |= {
-        "method": options.get("method", "features"),
+        "method": method.name,
         "torch": torch.__version__,
         "revision": str(_REVISION),
     }

@@ -22,14 +22,14 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.problem import InitialValueProblem
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.solution import Solution
-from hamsym.solving import checked_options
 from hamsym.study.compare import Row, measure
 from hamsym.study.grid import sweep_to_store
 from hamsym.study.processes import carry_out, carry_out_on
-from hamsym.study.runs import planned_run
+from hamsym.study.runs import arguments_of, planned_run
 from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.cores import available_cores
 from hamsym.support.locking import exclusive
+from hamsym.support.method_object import Method
 from hamsym.support.shown import Shown
 from hamsym.support.tables import data_frame
 from hamsym.support.validation import plain, require_positive, require_whole
@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # optional packages
     from matplotlib.figure import Figure
 
 #: Options of :func:`hamsym.solve`, or a function from a seed to options.
-Settings = Mapping[str, Any] | Callable[[int], Mapping[str, Any]]
+Settings = Mapping[str, Any] | str | Method | Callable[[int], Any]
 
 
 @suggest_attributes
@@ -247,7 +247,8 @@ def sweep(
         As in :func:`hamsym.solve`. With an axis ``"energy"``, z0 is a mapping without one
         component, which :meth:`hamsym.Hamiltonian.state_at_energy` finds.
     settings : mapping, optional
-        Name -> options of :func:`hamsym.solve`, or a function from a seed to options.
+        Name -> arguments of :func:`hamsym.solve`, e.g. ``{"tol": 1e-6}``; or a method alone, e.g.
+        ``hamsym.Adam(epochs=5_000)``; or a function from a seed to one of them.
     folder : path, optional
         Directory with the files of all runs; created if it does not exist. Existing runs with
         the same settings are reused, and interrupted ones are resumed. It is locked against other
@@ -318,11 +319,9 @@ def sweep(
     except (OSError, TypeError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileError(f"'{folder}' cannot be created: {reason}") from None
-    problem = InitialValueProblem.checked(H, z0, span, 0, None)
+    problem = InitialValueProblem.checked(H, z0, span)
     runs = [
-        planned_run(
-            problem, name, dict(given(seed) if callable(given) else given), seed, directory, certify
-        )
+        planned_run(problem, name, _of_seed(given, seed), seed, directory, certify)
         for name, given in settings.items()
         for seed in chosen
     ]
@@ -345,23 +344,22 @@ def sweep(
         for name, group in named.items()
         if certify is not None
     }
-    return Sweep(
-        chosen, problem.span, solutions, certificates, _values(problem.H, settings, chosen[0])
-    )
+    return Sweep(chosen, problem.span, solutions, certificates, _values(settings, chosen[0]))
 
 
-def _values(
-    H: Hamiltonian, settings: Mapping[str, Settings], seed: int
-) -> dict[str, dict[str, Any]]:
+def _values(settings: Mapping[str, Settings], seed: int) -> dict[str, dict[str, Any]]:
     """Return the values of the options that any settings give, for each of the settings."""
-    every = {
-        name: dict(given(seed) if callable(given) else given) for name, given in settings.items()
-    }
-    names = list(dict.fromkeys(option for given in every.values() for option in given))
-    found: dict[str, dict[str, Any]] = {}
-    for name, given in every.items():
-        method = given.get("method", "features")
-        own = {option: value for option, value in given.items() if option != "method"}
-        known = {"method": method, **vars(checked_options(H, method, own))}
-        found[name] = {option: known.get(option) for option in names if option != "initial"}
-    return found
+    every: dict[str, dict[str, Any]] = {}
+    given: dict[str, None] = {}
+    for name, entry in settings.items():
+        arguments = arguments_of(_of_seed(entry, seed))
+        method = arguments.pop("method")
+        given |= dict.fromkeys(["method", *arguments, *method.given])
+        asked = {"tol": method.usual_tol, "method": method.name, **arguments}
+        every[name] = vars(method) | asked
+    names = [name for name in given if name != "initial"]
+    return {name: {n: values.get(n) for n in names} for name, values in every.items()}
+
+
+def _of_seed(given: Any, seed: int) -> Any:
+    return given(seed) if callable(given) and not isinstance(given, type) else given

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,15 @@ def require_number(name: str, value: object, least: float = -math.inf) -> None:
     """Raise InputError unless a value is a finite number from ``least``."""
     number = _is_finite(value) and value >= least  # type: ignore[operator]
     require(number, name, value, "a number" if least == -math.inf else f"a number from {least:g}")
+
+
+def require_widths(hidden: object) -> None:
+    """Raise InputError unless a value is a list of the widths of hidden layers."""
+    widths = tuple(hidden) if isinstance(hidden, Sequence) else ()
+    if not widths or any(
+        not isinstance(n, int) or isinstance(n, bool) or not 1 <= n <= 100_000 for n in widths
+    ):
+        raise InputError(f"hidden={hidden!r} is not a list of layer widths; give e.g. (50, 50)")
 
 
 def require_positive(name: str, value: object) -> None:

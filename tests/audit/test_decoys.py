@@ -44,7 +44,7 @@ def _many(H: hamsym.Hamiltonian, decoy: Decoy, tol: float) -> tuple[bool, np.nda
 
 def _chain(H: hamsym.Hamiltonian, decoy: Decoy, tol: float) -> tuple[bool, np.ndarray]:
     solution = hamsym.solve(
-        H, decoy.z0, decoy.span, tol=tol, method="levenberg-marquardt", time_limit=20
+        H, decoy.z0, decoy.span, tol=tol, method=hamsym.NetworkChain(time_limit=20)
     )
     return solution.success, solution(solution.span[1])
 

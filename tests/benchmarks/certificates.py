@@ -52,10 +52,10 @@ def _cases(quick: bool) -> Iterator[_CASE]:
         yield "oscillator", oscillator, (0.0, 2.0), "features 1e-9", {"tol": 1e-9}
         return
     networks: list[tuple[str, dict[str, Any]]] = [
-        ("adam 1,000", {"method": "adam", "epochs": 1_000, "tau": 0.25, "points": 100}),
-        ("LM 1e-3", {"method": "levenberg-marquardt", "target_error": 1e-3}),
-        ("LM 1e-5", {"method": "levenberg-marquardt", "target_error": 1e-5}),
-        ("LM 2e-7", {"method": "levenberg-marquardt", "target_error": 2e-7}),
+        ("adam 1,000", {"method": hamsym.Adam(epochs=1_000, tau=0.25, points=100)}),
+        ("LM 1e-3", {"method": hamsym.LevenbergMarquardt(), "tol": 1e-3}),
+        ("LM 1e-5", {"method": hamsym.LevenbergMarquardt(), "tol": 1e-5}),
+        ("LM 2e-7", {"method": hamsym.LevenbergMarquardt(), "tol": 2e-7}),
     ]
     for name, problem in (("A, oscillator", oscillator), ("B, Henon-Heiles", henon)):
         for label, options in networks:

@@ -58,7 +58,7 @@ def own(epochs: int, dtype: torch.dtype) -> float:
     """CPU seconds of an epoch of hamsym."""
     problem = hamsym.systems.nonlinear_oscillator()
     solution = hamsym.solve(
-        problem.H, problem.z0, problem.span, method="adam", epochs=epochs, dtype=dtype
+        problem.H, problem.z0, problem.span, method=hamsym.Adam(epochs=epochs, dtype=dtype)
     )
     return float(solution.record.cpu_seconds / epochs)
 

@@ -18,6 +18,7 @@ from torch import Tensor
 
 import hamsym
 from hamsym import systems
+from hamsym.methods import made_method
 
 from . import markdown
 from .measuring import cpu, median
@@ -70,9 +71,8 @@ def measure(quick: bool) -> Section:
             settings = options | (count if quick else {}) | brief
             for seed in range(1 if quick else 5):
                 arguments = (problem.H, problem.z0, (0.0, end))
-                run = partial(
-                    hamsym.solve, *arguments, method=method, seed=seed, progress=False, **settings
-                )
+                chosen = made_method(method, settings)
+                run = partial(hamsym.solve, *arguments, method=chosen, seed=seed, progress=False)
                 seconds, solution = cpu(run)
                 error = float(np.abs(solution(t) - truth).max() / np.abs(truth).max())
                 row = {"problem": label, "method": method, "variant": variant, "seed": seed}

@@ -17,7 +17,8 @@ import numpy as np
 from flint import arb
 
 import hamsym
-from hamsym import systems
+from hamsym import LevenbergMarquardt, NetworkChain, systems
+from hamsym.support.method_object import Method
 from hamsym.support.records import packed
 from tests.audit.taylor import Equations, Orbit, integrate
 
@@ -63,14 +64,9 @@ class _Case:
         )
         return integrate(equations, list(self.z0), 0.0, self.times.tolist())
 
-    def solve(self, **options: Any) -> hamsym.Solution:
+    def solve(self, tol: float, method: Method, seed: int = 0) -> hamsym.Solution:
         return hamsym.solve(
-            self.H,
-            self.z0,
-            (0.0, self.end),
-            method="levenberg-marquardt",
-            progress=False,
-            **options,
+            self.H, self.z0, (0.0, self.end), tol=tol, method=method, seed=seed, progress=False
         )
 
     def error(self, solution: hamsym.Solution) -> float | None:
@@ -90,12 +86,12 @@ class _Case:
 
 @dataclass(frozen=True)
 class _Training:
-    """A row of a table: a case, the words for its options, and the tolerance they ask for."""
+    """A row of a table: a case, the words for its method, and the tolerance that is asked for."""
 
     table: str
     case: _Case
     words: str
-    options: dict[str, Any]
+    method: Method
     tol: float = 1e-9
 
 
@@ -142,31 +138,31 @@ def _in_units() -> Iterator[_Case]:
 def _trainings(quick: bool) -> Iterator[_Training]:
     if quick:
         case = replace(_paper()[0], end=1.0)
-        yield _Training(_TOLERANCE, case, "chain", {"tol": 1e-6}, 1e-6)
-        yield _Training(_ONE, case, "one network", {"windows": 1, "tol": 1e-6}, 1e-6)
-        yield _Training(_UNITS, next(_in_units()), "chain", {"tol": 1e-6}, 1e-6)
-        small = {"hidden": (10,), "points": 20, "iterations": 20, "target_error": 1e-3}
+        yield _Training(_TOLERANCE, case, "chain", NetworkChain(), 1e-6)
+        yield _Training(_ONE, case, "one network", NetworkChain(windows=1), 1e-6)
+        yield _Training(_UNITS, next(_in_units()), "chain", NetworkChain(), 1e-6)
+        small = LevenbergMarquardt(hidden=(10,), points=20, iterations=20)
         yield _Training(_ABLATION, case, "joint, 10", small, 1e-3)
         return
-    limit = {"time_limit": _LIMIT}
+    chain = NetworkChain(time_limit=_LIMIT)
     for case in _to_tolerance():
-        yield _Training(_TOLERANCE, case, "chain", limit)
+        yield _Training(_TOLERANCE, case, "chain", chain)
     for case in _paper():
-        options = {"windows": 1, "tol": 1e-11, **limit}
-        yield _Training(_ONE, case, "one network, tol 1e-11", options, 1e-11)
+        yield _Training(_ONE, case, "one network, tol 1e-11", replace(chain, windows=1), 1e-11)
     for case in _in_units():
-        yield _Training(_UNITS, case, "chain", limit)
-    kinds: dict[str, dict[str, Any]] = {
-        "chain": {},
-        "chain, readouts only": {"train_hidden": False},
-        "one network": {"windows": 1},
-        "joint, all weights": {"target_error": 1e-9},
+        yield _Training(_UNITS, case, "chain", chain)
+    kinds: dict[str, Method] = {
+        "chain": NetworkChain(),
+        "chain, readouts only": NetworkChain(train_hidden=False),
+        "one network": NetworkChain(windows=1),
+        "joint, all weights": LevenbergMarquardt(),
     }
     for case in _paper():
         for width in _WIDTHS:
-            for words, own in kinds.items():
-                shared = {"hidden": (width, width), "time_limit": _ABLATION_LIMIT}
-                yield _Training(_ABLATION, case, f"{words}, {width} + {width}", {**shared, **own})
+            for words, kind in kinds.items():
+                options: dict[str, Any] = {"hidden": (width, width), "time_limit": _ABLATION_LIMIT}
+                method = replace(kind, **options)
+                yield _Training(_ABLATION, case, f"{words}, {width} + {width}", method)
 
 
 def measure(quick: bool) -> Section:
@@ -176,7 +172,7 @@ def measure(quick: bool) -> Section:
         case = training.case
         if case.label not in ready:
             # The first call generates the code of H.
-            replace(case, end=case.end / 20).solve(tol=1e-3)
+            replace(case, end=case.end / 20).solve(1e-3, NetworkChain())
             ready.add(case.label)
         count = 1 if quick else 5 if training.table == _ABLATION else 10
         row, first = _row(training, count)
@@ -219,7 +215,7 @@ def _row(training: _Training, count: int) -> tuple[dict[str, Any], hamsym.Soluti
 
 def _attempt(training: _Training, seed: int) -> hamsym.Solution | None:
     try:
-        return training.case.solve(seed=seed, **training.options)
+        return training.case.solve(training.tol, training.method, seed)
     except hamsym.InputError as refusal:
         print(f"{training.case.label}, {training.words}, seed {seed}: {refusal}", flush=True)
         return None

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 import hamsym
+from hamsym.methods import made_method
 
 from . import markdown
 from .measuring import median
@@ -35,7 +36,7 @@ _HIDDEN, _POINTS = (50, 50), 200
 _RATE = 8e-3  # of Adam, as in the paper and in hamsym
 _PAIRS = 100  # of L-BFGS, DeepXDE's default
 _EPOCHS = 10**9  # more than fit into the time
-_METHODS = ("adam", "lbfgs", "ssbroyden", "levenberg-marquardt")
+_METHODS = ("adam", "lbfgs", "ssbroyden", "network-chain")
 
 
 def measure(quick: bool) -> Section:
@@ -94,15 +95,14 @@ def _judged(case: Case, states: np.ndarray, seconds: float, iterations: int | No
 
 def _hamsym(method: str, case: Case, limit: float, seed: int) -> _Trained:
     def solve(**options: Any) -> Any:
-        return hamsym.solve(
-            case.H, case.z0, case.span, method=method, seed=seed, progress=False, **options
-        )
+        chosen = made_method(method, options)
+        return hamsym.solve(case.H, case.z0, case.span, method=chosen, seed=seed, progress=False)
 
     options: dict[str, Any] = {"iterations": _EPOCHS}
     if method == "adam":
         epoch = solve(epochs=200).record.seconds / 200
         options = {"epochs": max(1, int(0.97 * limit / epoch))}
-    elif method == "levenberg-marquardt":
+    elif method == "network-chain":
         options = {}
     solution = solve(time_limit=limit, **options)
     record = solution.record

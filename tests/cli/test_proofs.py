@@ -11,10 +11,8 @@ import pytest
 
 import hamsym
 from hamsym import Certificate
-from hamsym.methods import METHODS, Method
 from hamsym.proof.certificate import rounded_down
 from hamsym.random_features.method import solve_by_features
-from hamsym.random_features.options import FeatureOptions
 from tests.cli.test_commands import Captured, run
 
 SOLVE = ["p**2/2 + x**2/2", "--z0", "1,0", "--t-end", "3", "--tol", "1e-8"]
@@ -54,13 +52,13 @@ def test_solve_without_a_proof_writes_no_certificate(saved: str) -> None:
 def test_solution_that_is_not_proven_exits_with_1(
     capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def altered(problem, options):  # type: ignore[no-untyped-def]
-        solution = solve_by_features(problem, options)
+    def altered(problem, method):  # type: ignore[no-untyped-def]
+        solution = solve_by_features(problem, method)
         trial = copy.deepcopy(solution.trial)
         trial.readouts[3, 5, 1] += 1e-3
         return dataclasses.replace(solution, trial=trial)
 
-    monkeypatch.setitem(METHODS, "features", Method(FeatureOptions, altered, marches=True))
+    monkeypatch.setattr("hamsym.random_features.method.solve_by_features", altered)
     status, out, _ = run(capsys, "solve", *SOLVE, "--prove")
     assert status == 1
     assert "not proven: the error of" in " ".join(out.split())

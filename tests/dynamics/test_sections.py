@@ -371,14 +371,15 @@ def test_events_on_a_trained_network_and_backward() -> None:
         problem.H,
         problem.z0,
         (0, 2),
-        method="adam",
-        hidden=(20, 20),
-        points=30,
-        noise=0.0,
-        tau=0.25,
-        schedule="cosine",
-        learning_rate=0.02,
-        epochs=200,
+        method=hamsym.Adam(
+            hidden=(20, 20),
+            points=30,
+            noise=0.0,
+            tau=0.25,
+            schedule="cosine",
+            learning_rate=0.02,
+            epochs=200,
+        ),
     )
     found = trained.events("x = 0")
     np.testing.assert_allclose(found.t_events[0], [np.pi / 2], atol=0.05)

@@ -31,7 +31,7 @@ from hamsym.exporting.torch_program import _InSpan
 PAGE = Path(__file__).parents[2] / "examples" / "guide" / "exporting.md"
 EPS = np.finfo(float).eps
 
-_QUICK: dict[str, Any] = {"method": "adam", "epochs": 4, "points": 12}
+_QUICK = hamsym.Adam(epochs=4, points=12)
 _RINGS = "(p_x**2 + p_y**2)/2 + x**2/2 + cos(x)"
 #: H, parameters, start, span and options of each kind of solution.
 CASES: dict[str, tuple[Any, Any, tuple[float, float], dict[str, Any]]] = {
@@ -98,34 +98,41 @@ CASES: dict[str, tuple[Any, Any, tuple[float, float], dict[str, Any]]] = {
         "p**2/2 + x**4/4",
         [1, 0],
         (0, 6),
-        {"method": "levenberg-marquardt", "windows": 3, "hidden": (8, 30)},
+        {"method": hamsym.NetworkChain(windows=3, hidden=(8, 30))},
     ),
     "chain backwards": (
         "p**2/2 + x**4/4",
         [1, 0],
         (6, 0),
-        {"method": "levenberg-marquardt", "max_window": 2},
+        {"method": hamsym.NetworkChain(max_window=2)},
     ),
-    "network, sine": (f"{_RINGS}", [0.3, 0, 0, 0.1], (1, 2), _QUICK),
+    "network, sine": (f"{_RINGS}", [0.3, 0, 0, 0.1], (1, 2), {"method": _QUICK}),
     "networks, sigmoid, linear, float32": (
         "p**2/2 + x**4/4",
         [1.1, 0],
         (0, -1),
-        _QUICK
-        | {"activation": "sigmoid", "envelope": "linear", "dtype": "float32"}
-        | {"shared_weights": False, "hidden": (5, 4, 3)},
+        {
+            "method": replace(
+                _QUICK,
+                activation="sigmoid",
+                envelope="linear",
+                dtype="float32",
+                shared_weights=False,
+                hidden=(5, 4, 3),
+            )
+        },
     ),
     "network, tanh": (
         "p**2/2 + x**4/4",
         [1.1, 0],
         (0, 1),
-        _QUICK | {"activation": "tanh", "hidden": [7], "method": "adam"},
+        {"method": replace(_QUICK, activation="tanh", hidden=[7])},
     ),
     "networks, one held": (
         "p**2/2 + x**4/4",
         [0, 0],
         (0, 1),
-        _QUICK | {"shared_weights": False, "hidden": [7]},
+        {"method": replace(_QUICK, shared_weights=False, hidden=[7])},
     ),
 }
 # Their libraries start in seconds.
@@ -524,7 +531,9 @@ def test_programs_run_without_hamsym(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_programs_hold_networks_of_the_caller(tmp_path: Path) -> None:
     network = torch.nn.Sequential(torch.nn.Linear(1, 6), torch.nn.Tanh(), torch.nn.Linear(6, 2))
-    solution = solve("p**2/2 + x**2/2", [1, 0], (0, 1), trial=network, progress=False, **_QUICK)
+    solution = solve(
+        "p**2/2 + x**2/2", [1, 0], (0, 1), method=replace(_QUICK, trial=network), progress=False
+    )
     solution.export(tmp_path / "orbit.pt2", allow_failed=True)
     t = times(solution)
     close(program(tmp_path / "orbit.pt2")(torch.from_numpy(t)).numpy(), solution, t, 100)
@@ -544,7 +553,7 @@ class Branching(torch.nn.Module):
 @pytest.mark.slow
 def test_networks_that_torch_cannot_export_are_refused(tmp_path: Path) -> None:
     H = Hamiltonian("p**2/2 + x**2/2")
-    solution = solve(H, [1, 0], (0, 1), trial=Branching(), progress=False, **_QUICK)
+    solution = solve(H, [1, 0], (0, 1), method=replace(_QUICK, trial=Branching()), progress=False)
     with pytest.raises(InputError, match="torch cannot export the network"):
         solution.export(tmp_path / "orbit.pt2", allow_failed=True)
     assert not list(tmp_path.iterdir())

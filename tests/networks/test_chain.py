@@ -14,12 +14,12 @@ import torch
 
 import hamsym
 from hamsym import Hamiltonian, InputError
+from hamsym.methods import made_method
 from hamsym.networks.chain import Chain, ChainTraining
 from hamsym.networks.chain_error import estimate_chain_error
 from hamsym.networks.network import Network
 from hamsym.networks.window_training import Equations, Settings, train_window
 
-LM = "levenberg-marquardt"
 PENDULUM = Hamiltonian("p**2/2 - cos(x)")
 CIRCLE = Hamiltonian("p**2/2 + x**2/2")
 
@@ -33,7 +33,9 @@ def _saddle(t: np.ndarray) -> np.ndarray:
 @pytest.mark.slow_cases("2", "1")
 @pytest.mark.parametrize("seed", range(3))
 def test_linear_motion_is_exact_to_round_off(seed: int) -> None:
-    solution = hamsym.solve(CIRCLE, [1.0, 0.0], (0, 20), method=LM, seed=seed, tol=1e-11)
+    solution = hamsym.solve(
+        CIRCLE, [1.0, 0.0], (0, 20), method="network-chain", seed=seed, tol=1e-11
+    )
     assert solution.success, solution.message
     t = np.linspace(0, 20, 997)
     truth = np.stack((np.cos(t), -np.sin(t)), axis=-1)
@@ -44,7 +46,7 @@ def test_linear_motion_is_exact_to_round_off(seed: int) -> None:
 
 def test_growing_motion_is_solved() -> None:
     H = Hamiltonian("p**2/2 - x**2/2")
-    solution = hamsym.solve(H, [1.0, -0.5], (0, 10), method=LM)
+    solution = hamsym.solve(H, [1.0, -0.5], (0, 10), method="network-chain")
     assert solution.success, solution.message
     t = np.linspace(0, 10, 501)
     truth = _saddle(t)
@@ -53,9 +55,11 @@ def test_growing_motion_is_solved() -> None:
 
 @pytest.mark.parametrize("size", [1e-9, 1e6])
 def test_weights_have_no_units(size: float) -> None:
-    one = hamsym.solve(CIRCLE, [1.0, 0.5], (0, 5), method=LM)
-    other = hamsym.solve(CIRCLE, [size, 0.5 * size], (0, 5), method=LM)
-    slow = hamsym.solve(Hamiltonian("p**2/2e6 + x**2/2e6"), [1.0, 0.5], (0, 5e6), method=LM)
+    one = hamsym.solve(CIRCLE, [1.0, 0.5], (0, 5), method="network-chain")
+    other = hamsym.solve(CIRCLE, [size, 0.5 * size], (0, 5), method="network-chain")
+    slow = hamsym.solve(
+        Hamiltonian("p**2/2e6 + x**2/2e6"), [1.0, 0.5], (0, 5e6), method="network-chain"
+    )
     t = np.linspace(0, 5, 101)
     assert one.success
     assert other.success
@@ -65,9 +69,9 @@ def test_weights_have_no_units(size: float) -> None:
 
 
 def test_backward_and_far_spans() -> None:
-    there = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 12), method=LM)
-    back = hamsym.solve(PENDULUM, there(12.0), (12, 0), method=LM)
-    far = hamsym.solve(PENDULUM, [1.0, 0.5], (1e9, 1e9 + 12), method=LM)
+    there = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 12), method="network-chain")
+    back = hamsym.solve(PENDULUM, there(12.0), (12, 0), method="network-chain")
+    far = hamsym.solve(PENDULUM, [1.0, 0.5], (1e9, 1e9 + 12), method="network-chain")
     assert back.success
     assert far.success
     np.testing.assert_allclose(back(0.0), [1.0, 0.5], atol=1e-11)
@@ -76,7 +80,10 @@ def test_backward_and_far_spans() -> None:
 
 @pytest.mark.slow
 def test_cost_grows_in_proportion_to_the_span() -> None:
-    short, long = (hamsym.solve(PENDULUM, [1.0, 0.5], (0, end), method=LM) for end in (20.0, 200.0))
+    short, long = (
+        hamsym.solve(PENDULUM, [1.0, 0.5], (0, end), method="network-chain")
+        for end in (20.0, 200.0)
+    )
     assert short.success
     assert long.success
     assert len(long.trial.pieces) <= 15 * len(short.trial.pieces)
@@ -87,9 +94,12 @@ def test_cost_grows_in_proportion_to_the_span() -> None:
 @pytest.mark.parametrize(("activation", "envelope"), [("sin", "linear"), ("tanh", "exponential")])
 def test_other_networks(hidden: tuple[int, ...], activation: str, envelope: str) -> None:
     solution = hamsym.solve(
-        PENDULUM, [1.0, 0.5], (0, 4), method=LM, hidden=hidden, activation=activation,
-        envelope=envelope, tol=1e-7,
-    )  # fmt: skip
+        PENDULUM,
+        [1.0, 0.5],
+        (0, 4),
+        method=hamsym.NetworkChain(hidden=hidden, activation=activation, envelope=envelope),
+        tol=1e-7,
+    )
     truth = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 4), tol=1e-11)
     t = np.linspace(0, 4, 101)
     assert solution.success, solution.message
@@ -98,10 +108,16 @@ def test_other_networks(hidden: tuple[int, ...], activation: str, envelope: str)
 
 @pytest.mark.slow
 def test_hidden_layers_are_trained_where_readouts_do_not_suffice() -> None:
-    options: dict[str, Any] = {"method": LM, "hidden": (10, 10), "tol": 1e-7}
-    trained = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), **options)
+    narrow: dict[str, Any] = {"hidden": (10, 10)}
+    trained = hamsym.solve(
+        PENDULUM, [1.0, 0.5], (0, 5), method=hamsym.NetworkChain(**narrow), tol=1e-7
+    )
     readouts = hamsym.solve(
-        PENDULUM, [1.0, 0.5], (0, 5), train_hidden=False, time_limit=1, **options
+        PENDULUM,
+        [1.0, 0.5],
+        (0, 5),
+        method=hamsym.NetworkChain(train_hidden=False, time_limit=1, **narrow),
+        tol=1e-7,
     )
     assert trained.success
     assert trained.record.hidden_steps.sum() > 0
@@ -111,7 +127,9 @@ def test_hidden_layers_are_trained_where_readouts_do_not_suffice() -> None:
 
 def test_one_network_over_the_whole_span() -> None:
     problem = hamsym.systems.nonlinear_oscillator()
-    solution = hamsym.solve(problem.H, problem.z0, (0, 5), method=LM, windows=1, tol=1e-11)
+    solution = hamsym.solve(
+        problem.H, problem.z0, (0, 5), method=hamsym.NetworkChain(windows=1), tol=1e-11
+    )
     assert solution.success, solution.message
     assert len(solution.trial.pieces) == 1
     assert solution.trial.edges.tolist() == [0, 5]
@@ -121,14 +139,16 @@ def test_one_network_over_the_whole_span() -> None:
 
 
 def test_given_number_of_windows() -> None:
-    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 6), method=LM, windows=3)
+    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 6), method=hamsym.NetworkChain(windows=3))
     assert solution.success
     np.testing.assert_allclose(solution.trial.edges, [0, 2, 4, 6])
 
 
 def test_windows_end_at_breakpoints_and_are_short_enough() -> None:
     H = Hamiltonian("p**2/2 + abs(t - 1)*x**2")
-    solution = hamsym.solve(H, [1.0, 0.5], (0, 3), method=LM, breakpoints=[1.0], max_window=0.25)
+    solution = hamsym.solve(
+        H, [1.0, 0.5], (0, 3), method=hamsym.NetworkChain(max_window=0.25), breakpoints=[1.0]
+    )
     assert solution.success, solution.message
     assert 1.0 in solution.trial.edges
     assert np.diff(solution.trial.edges).max() <= 0.25 * (1 + 1e-12)
@@ -137,7 +157,7 @@ def test_windows_end_at_breakpoints_and_are_short_enough() -> None:
 @pytest.mark.slow
 def test_narrow_pulse_is_not_stepped_over() -> None:
     H = Hamiltonian("p**2/2 + x**2/2 + x*exp(-1e6*(t - 3.3)**2)")
-    solution = hamsym.solve(H, [1.0, 0.0], (0, 6), method=LM)
+    solution = hamsym.solve(H, [1.0, 0.0], (0, 6), method="network-chain")
     assert solution.success, solution.message
     # The pulse changes p by about its area.
     kick = -math.sqrt(math.pi) * 1e-3
@@ -153,7 +173,7 @@ def test_narrow_pulse_is_not_stepped_over() -> None:
     ],
 )
 def test_motions_that_end_are_refused(text: str, z0: list[float], message: str) -> None:
-    solution = hamsym.solve(text, z0, (0, 5), method=LM)
+    solution = hamsym.solve(text, z0, (0, 5), method="network-chain")
     assert not solution.success
     assert message in solution.message
     assert solution.span[1] < 5
@@ -162,7 +182,7 @@ def test_motions_that_end_are_refused(text: str, z0: list[float], message: str) 
 @pytest.mark.slow
 def test_chaos_beyond_round_off_is_refused() -> None:
     problem = hamsym.systems.henon_heiles()
-    solution = hamsym.solve(problem.H, [0.0, -0.15, 0.5555, 0.0], (0, 700), method=LM)
+    solution = hamsym.solve(problem.H, [0.0, -0.15, 0.5555, 0.0], (0, 700), method="network-chain")
     assert not solution.success
     assert "met only until t = " in solution.message
     held = float(solution.message.split("until t = ")[1].split(":")[0])
@@ -171,7 +191,9 @@ def test_chaos_beyond_round_off_is_refused() -> None:
 
 @pytest.mark.slow
 def test_time_limit_keeps_what_was_reached() -> None:
-    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 1e5), method=LM, time_limit=0.5)
+    solution = hamsym.solve(
+        PENDULUM, [1.0, 0.5], (0, 1e5), method=hamsym.NetworkChain(time_limit=0.5)
+    )
     assert not solution.success
     assert "the time limit was reached" in solution.message
     assert 0 < solution.span[1] < 1e5
@@ -180,7 +202,7 @@ def test_time_limit_keeps_what_was_reached() -> None:
 @pytest.mark.slow
 def test_networks_that_are_too_small_are_named() -> None:
     solution = hamsym.solve(
-        PENDULUM, [1.0, 0.5], (0, 20), method=LM, hidden=(5, 5), train_hidden=False
+        PENDULUM, [1.0, 0.5], (0, 20), method=hamsym.NetworkChain(hidden=(5, 5), train_hidden=False)
     )
     assert not solution.success
     assert "give wider layers" in solution.message
@@ -191,13 +213,15 @@ def test_interruption_keeps_what_was_reached() -> None:
         if state.iteration == 3:
             raise KeyboardInterrupt
 
-    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 100), method=LM, progress=interrupt)
+    solution = hamsym.solve(
+        PENDULUM, [1.0, 0.5], (0, 100), method="network-chain", progress=interrupt
+    )
     assert not solution.success
     assert "interrupted" in solution.message
 
 
 def test_file_and_pickle_restore_the_same_bits(tmp_path: Path) -> None:
-    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), method=LM)
+    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), method="network-chain")
     solution.save(tmp_path / "chain.hamsym")
     t = np.linspace(0, 5, 77)
     for other in (hamsym.load(tmp_path / "chain.hamsym"), pickle.loads(pickle.dumps(solution))):
@@ -209,7 +233,7 @@ def test_file_and_pickle_restore_the_same_bits(tmp_path: Path) -> None:
 
 
 def test_solutions_that_contradict_themselves_are_not_saved(tmp_path: Path) -> None:
-    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), method=LM)
+    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), method="network-chain")
     first, *rest = solution.trial.pieces
     broken = [
         replace(solution, trial=Chain((first, *rest[1:]), solution.trial.end)),
@@ -225,7 +249,7 @@ def test_solutions_that_contradict_themselves_are_not_saved(tmp_path: Path) -> N
 
 
 def test_tensors_are_differentiable_in_time() -> None:
-    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), method=LM)
+    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), method="network-chain")
     t = torch.linspace(0, 5, 40, dtype=torch.float64).flip(0).requires_grad_()
     z = solution(t)
     rates = torch.stack([torch.autograd.grad(part.sum(), t, retain_graph=True)[0] for part in z.T])
@@ -233,7 +257,7 @@ def test_tensors_are_differentiable_in_time() -> None:
 
 
 def test_estimate_is_that_of_an_error_that_was_put_in() -> None:
-    solution = hamsym.solve(CIRCLE, [1.0, 0.0], (0, 6), method=LM)
+    solution = hamsym.solve(CIRCLE, [1.0, 0.0], (0, 6), method="network-chain")
     # Another Hamiltonian: the exact difference of the two motions is known.
     other = Hamiltonian("p**2/2 + x**2*(1 + 2e-4)/2")
     estimate = estimate_chain_error(other, solution.trial, solution.record)
@@ -245,7 +269,7 @@ def test_estimate_is_that_of_an_error_that_was_put_in() -> None:
 
 
 def test_estimate_of_a_wrong_motion_is_infinite() -> None:
-    solution = hamsym.solve(CIRCLE, [1.0, 0.0], (0, 30), method=LM)
+    solution = hamsym.solve(CIRCLE, [1.0, 0.0], (0, 30), method="network-chain")
     estimate = estimate_chain_error(
         Hamiltonian("p**2/2 + x**2 + x**4"), solution.trial, solution.record
     )
@@ -254,14 +278,16 @@ def test_estimate_of_a_wrong_motion_is_infinite() -> None:
 
 
 def test_estimate_agrees_with_its_check() -> None:
-    solution = hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), method=LM, tol=1e-3, hidden=(8,))
+    solution = hamsym.solve(
+        PENDULUM, [1.0, 0.5], (0, 5), method=hamsym.NetworkChain(hidden=(8,)), tol=1e-3
+    )
     t = np.linspace(0, 5, 60)
     largest = np.abs(solution.error_estimate(t)).max()
     assert np.abs(solution.error_estimate_check(t)).max() <= 0.05 * largest + 1e-13
 
 
 def test_certificate_proves_round_off() -> None:
-    solution = hamsym.solve(CIRCLE, [1.0, 0.0], (0, 2), method=LM, tol=1e-11)
+    solution = hamsym.solve(CIRCLE, [1.0, 0.0], (0, 2), method="network-chain", tol=1e-11)
     certificate = solution.certify()
     assert certificate.bound <= 1e-12
     assert certificate.bound <= 1.05 * certificate.lower
@@ -285,19 +311,26 @@ def test_certificate_proves_round_off() -> None:
         ({"hidden": ()}, "hidden=()"),
         ({"frequency": -1}, "frequency=-1"),
         ({"activation": "relu"}, "relu"),
-        ({"tol": 1e-6, "points": 50}, "tol belongs to a chain of networks and points to"),
-        ({"windows": 2, "target_loss": 1e-5}, "windows belongs to a chain"),
+        ({"points": 50}, "'points' is not an option of method 'network-chain', but of 'levenberg-"),
+        ({"windows": 2, "target_loss": 1e-5}, "'target_loss' is not an option of method"),
     ],
 )
 def test_options_that_cannot_be_used(options: dict[str, Any], message: str) -> None:
+    asked = {name: options[name] for name in ("tol", "atol", "breakpoints") if name in options}
+    rest = {name: value for name, value in options.items() if name not in asked}
+
+    def solve() -> None:
+        method = made_method("network-chain", rest)
+        hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), method=method, **asked)
+
     with pytest.raises(InputError) as caught:
-        hamsym.solve(PENDULUM, [1.0, 0.5], (0, 5), method=LM, **options)
+        solve()
     assert message in str(caught.value)
 
 
 def test_start_without_finite_derivatives_is_refused() -> None:
     with pytest.raises(InputError, match="no solution beyond t = 0"):
-        hamsym.solve("p**2/2 + abs(x)**1.5", [0.0, 0.0], (0, 5), method=LM)
+        hamsym.solve("p**2/2 + abs(x)**1.5", [0.0, 0.0], (0, 5), method="network-chain")
 
 
 def test_window_of_many_seeds_reaches_the_tolerance() -> None:

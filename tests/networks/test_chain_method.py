@@ -1,4 +1,4 @@
-"""The method "levenberg-marquardt" to a tolerance: what it promises and what it refuses."""
+"""The method "network-chain": what it promises and what it refuses."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import subprocess
 import sys
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,19 @@ KEPLER = "(px**2 + py**2)/2 - 1/sqrt(x**2 + y**2)"
 DRIVEN = "p**2/2 + q**2/2 + q*cos(t)"
 
 
-def trained(H: str, z0: list[float], span: tuple[float, float], **options: Any) -> Solution:
-    return hamsym.solve(H, z0, span, method="levenberg-marquardt", progress=False, **options)
+def trained(
+    H: str,
+    z0: list[float],
+    span: tuple[float, float],
+    *,
+    tol: float | None = None,
+    breakpoints: Sequence[float] = (),
+    **options: Any,
+) -> Solution:
+    method = hamsym.NetworkChain(**options)
+    return hamsym.solve(
+        H, z0, span, method=method, tol=tol, breakpoints=breakpoints, progress=False
+    )
 
 
 def driven(t: np.ndarray, start: float) -> np.ndarray:

@@ -14,6 +14,7 @@ import hamsym
 from hamsym import InputError
 from hamsym.cli.commands import main
 from hamsym.errors import FileError
+from hamsym.methods import made_method
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
@@ -43,18 +44,23 @@ def no_default_device() -> Iterator[None]:
 def test_every_tensor_is_made_on_the_device_of_the_training(
     method: str, own: bool, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
-    options = {"method": method, "energy_weight": 0.1, **BRIEF[method]}
+    options = {"energy_weight": 0.1, **BRIEF[method]}
     if own:
         module = nn.Sequential(nn.Linear(1, 6), nn.Tanh(), nn.Linear(6, 2))
         options |= {"trial": module, "points": 12}
     else:
         options |= SMALL
-    one = hamsym.solve(H, [1, 0], (0, 3), **options)
+    one = hamsym.solve(H, [1, 0], (0, 3), method=made_method(method, options))
     request.getfixturevalue("no_default_device")
     if not own:
         options["checkpoint"] = tmp_path / "run"
     for _ in range(1 if own else 2):  # the second time from the checkpoint
-        other = hamsym.solve(H, [1, 0], (0, 3), device=torch.device("cpu"), **options)
+        other = hamsym.solve(
+            H,
+            [1, 0],
+            (0, 3),
+            method=made_method(method, {"device": torch.device("cpu"), **options}),
+        )
         np.testing.assert_array_equal(one([0.5, 3.0]), other([0.5, 3.0]))
     assert other.message == one.message
 
@@ -75,7 +81,7 @@ def test_absent_devices_are_refused_in_one_sentence(
     method: str, device: object, message: str
 ) -> None:
     with pytest.raises(InputError) as caught:
-        hamsym.solve(H, [1, 0], (0, 1), method=method, device=device)
+        hamsym.solve(H, [1, 0], (0, 1), method=made_method(method, {"device": device}))
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -94,7 +100,10 @@ def test_command_line_takes_device_and_precision(capsys: pytest.CaptureFixture[s
 @pytest.mark.parametrize("method", BRIEF)
 def test_float32_weights_are_evaluated_in_float64(method: str) -> None:
     solution = hamsym.solve(
-        H, [1.3, -0.7], (0, 2), method=method, dtype="float32", **BRIEF[method], **SMALL
+        H,
+        [1.3, -0.7],
+        (0, 2),
+        method=made_method(method, {"dtype": "float32", **BRIEF[method], **SMALL}),
     )
     trial = solution.trial
     assert trial.network.theta.dtype == torch.float32
@@ -111,7 +120,9 @@ def test_float32_weights_are_evaluated_in_float64(method: str) -> None:
 def test_float32_converges_with_its_error_estimated(method: str) -> None:
     settings = {"dtype": "float32", "hidden": (12, 12), "points": 40, "stages": 3}
     iterations = 400 if method == "lbfgs" else 40
-    solution = hamsym.solve(H, [1, 0], (0, 3), method=method, iterations=iterations, **settings)
+    solution = hamsym.solve(
+        H, [1, 0], (0, 3), method=made_method(method, {"iterations": iterations, **settings})
+    )
     assert solution.success, solution.message
     t = np.linspace(0, 3, 31)
     error = np.stack((np.cos(t), -np.sin(t)), 1) - solution(t)
@@ -138,16 +149,28 @@ def test_least_damping_is_that_of_the_precision() -> None:
 
 @pytest.mark.slow
 def test_float32_resumes_to_the_same_bits(tmp_path: Path) -> None:
-    options = {"method": "levenberg-marquardt", "dtype": "float32", **SMALL}
-    whole = hamsym.solve(H, [1, 0], (0, 3), iterations=20, **options)
+    options = {"dtype": "float32", **SMALL}
+    whole = hamsym.solve(
+        H, [1, 0], (0, 3), method=hamsym.LevenbergMarquardt(iterations=20, **options)
+    )
     for iterations in (9, 20):
         parts = hamsym.solve(
-            H, [1, 0], (0, 3), iterations=iterations, checkpoint=tmp_path / "run", **options
+            H,
+            [1, 0],
+            (0, 3),
+            method=hamsym.LevenbergMarquardt(
+                iterations=iterations, checkpoint=tmp_path / "run", **options
+            ),
         )
     assert torch.equal(whole.trial.network.theta, parts.trial.network.theta)
     with pytest.raises(FileError, match="belongs to a training with dtype=float32, not float64"):
         hamsym.solve(
-            H, [1, 0], (0, 3), checkpoint=tmp_path / "run", **options | {"dtype": "float64"}
+            H,
+            [1, 0],
+            (0, 3),
+            method=hamsym.LevenbergMarquardt(
+                checkpoint=tmp_path / "run", **options | {"dtype": "float64"}
+            ),
         )
 
 
@@ -162,4 +185,4 @@ def test_constants_of_a_module_must_be_buffers() -> None:
             return self.last(torch.tanh(x @ self.first))
 
     with pytest.raises(InputError, match="with weights in float64: .*; register its constant"):
-        hamsym.solve(H, [1, 0], (0, 1), method="adam", trial=Fixed(), dtype="float32")
+        hamsym.solve(H, [1, 0], (0, 1), method=hamsym.Adam(trial=Fixed(), dtype="float32"))

@@ -13,9 +13,9 @@ import torch
 import hamsym
 from hamsym.conservation import KnownInvariants
 from hamsym.errors import InputError
+from hamsym.methods import made_method
 from hamsym.networks.method import _objective, _penalties
 from hamsym.networks.objective import Objective
-from hamsym.networks.options import AdamOptions
 from hamsym.problem import InitialValueProblem
 
 KEPLER = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
@@ -32,10 +32,11 @@ QUICK: dict[str, dict[str, Any]] = {
 
 
 def objective(energy_weight: float, weight: float) -> Objective:
-    problem = InitialValueProblem.checked(KEPLER, START, (0, 1), 0, None)
-    known = KnownInvariants(problem.H, [MOMENTUM]) if weight else None
-    options = AdamOptions(energy_weight=energy_weight, invariant_weight=weight, invariants=known)
-    return _objective(problem.H, _penalties(problem, options), ())
+    problem = InitialValueProblem.checked(
+        KEPLER, START, (0, 1), invariants=KnownInvariants(hamsym.Hamiltonian(KEPLER), [MOMENTUM])
+    )
+    method = hamsym.Adam(energy_weight=energy_weight, invariant_weight=weight)
+    return _objective(problem.H, _penalties(problem, method), ())
 
 
 @pytest.mark.parametrize("energy_weight", [0.0, 0.3])
@@ -78,7 +79,9 @@ def test_slopes_of_rows_are_their_derivatives() -> None:
 def test_every_method_takes_the_penalty(method: str) -> None:
     options = {"hidden": (6,), "points": 10, **QUICK[method]}
     with_penalty, without = (
-        hamsym.solve(KEPLER, START, (0, 1), method=method, invariants=[MOMENTUM], **own, **options)
+        hamsym.solve(
+            KEPLER, START, (0, 1), method=made_method(method, own | options), invariants=[MOMENTUM]
+        )
         for own in ({"invariant_weight": 4.0}, {})
     )
     assert with_penalty.history.loss[0] != without.history.loss[0]
@@ -89,7 +92,10 @@ def test_every_method_takes_the_penalty(method: str) -> None:
 @pytest.mark.parametrize("method", QUICK)
 def test_cyclic_momenta_are_constant_to_the_last_bit(method: str, tmp_path: Path) -> None:
     solution = hamsym.solve(
-        POLAR, Z0, (0, 2), method=method, hidden=(6,), points=10, **QUICK[method]
+        POLAR,
+        Z0,
+        (0, 2),
+        method=made_method(method, {"hidden": (6,), "points": 10, **QUICK[method]}),
     )
     t = np.linspace(0, 2, 101)
     z, dz = solution.evaluate(t)
@@ -106,7 +112,7 @@ def test_cyclic_momenta_are_constant_to_the_last_bit(method: str, tmp_path: Path
 @pytest.mark.parametrize("options", [{"shared_weights": False}, {"envelope": "linear"}])
 def test_cyclic_momenta_are_constant_in_every_layout(options: dict[str, Any]) -> None:
     solution = hamsym.solve(
-        POLAR, Z0, (0, 2), method="adam", epochs=5, hidden=(6, 6), points=10, **options
+        POLAR, Z0, (0, 2), method=hamsym.Adam(epochs=5, hidden=(6, 6), points=10, **options)
     )
     assert (solution(np.linspace(0, 2, 21))[:, 2] == 1.1).all()
 
@@ -116,7 +122,10 @@ def test_cyclic_momenta_are_constant_in_every_layout(options: dict[str, Any]) ->
 def test_cyclic_momenta_of_an_own_network_are_constant(method: str) -> None:
     module = torch.nn.Sequential(torch.nn.Linear(1, 6), torch.nn.Tanh(), torch.nn.Linear(6, 4))
     solution = hamsym.solve(
-        POLAR, Z0, (0, 2), method=method, trial=module, points=5, **QUICK[method]
+        POLAR,
+        Z0,
+        (0, 2),
+        method=made_method(method, {"trial": module, "points": 5, **QUICK[method]}),
     )
     again = pickle.loads(pickle.dumps(solution))
     for own in (solution, again):
@@ -129,13 +138,19 @@ def test_cyclic_momenta_of_a_march_are_constant() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "sentence"),
+    ("weight", "invariants", "sentence"),
     [
-        ({"invariant_weight": 1.0}, "needs invariants"),
-        ({"invariant_weight": -1.0, "invariants": [MOMENTUM]}, "give 0 or more"),
-        ({"invariant_weight": 1.0, "invariants": ["p_x"]}, "'p_x' is not an invariant"),
+        (1.0, [], "needs invariants"),
+        (-1.0, [MOMENTUM], "give 0 or more"),
+        (1.0, ["p_x"], "'p_x' is not an invariant"),
     ],
 )
-def test_unusable_penalties_are_refused(options: dict[str, Any], sentence: str) -> None:
+def test_unusable_penalties_are_refused(
+    weight: float, invariants: list[str], sentence: str
+) -> None:
+    def solve() -> None:
+        method = hamsym.Adam(epochs=1, invariant_weight=weight)
+        hamsym.solve(KEPLER, START, (0, 1), method=method, invariants=invariants)
+
     with pytest.raises(InputError, match=sentence):
-        hamsym.solve(KEPLER, START, (0, 1), method="adam", epochs=1, **options)
+        solve()

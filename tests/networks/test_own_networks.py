@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 import hamsym
 from hamsym import CertificationError, InputError
+from hamsym.methods import made_method
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.module_rates import ModuleRates
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
@@ -79,7 +80,10 @@ def test_solution_starts_exactly_and_leaves_the_module(method: str) -> None:
     module = layered()
     before = copy.deepcopy(module.state_dict())
     solution = hamsym.solve(
-        H, [1.3, -0.2], (3.0, 1.0), method=method, trial=module, points=15, **BRIEF[method]
+        H,
+        [1.3, -0.2],
+        (3.0, 1.0),
+        method=made_method(method, {"trial": module, "points": 15, **BRIEF[method]}),
     )
     np.testing.assert_array_equal(solution(3.0), [1.3, -0.2])
     assert all(torch.equal(before[name], value) for name, value in module.state_dict().items())
@@ -97,11 +101,12 @@ def test_solution_has_derivatives_errors_and_energy() -> None:
         H,
         [1.0, 0.0],
         (0, 3),
-        method="levenberg-marquardt",
-        trial=copy_of(Network(2, (10, 10), frequency=3.0, generator=torch.Generator())),
-        iterations=30,
-        stages=3,
-        points=30,
+        method=hamsym.LevenbergMarquardt(
+            trial=copy_of(Network(2, (10, 10), frequency=3.0, generator=torch.Generator())),
+            iterations=30,
+            stages=3,
+            points=30,
+        ),
     )
     assert solution.success, solution.message
     t = np.linspace(0, 3, 31)
@@ -120,8 +125,13 @@ def test_solution_has_derivatives_errors_and_energy() -> None:
 @pytest.mark.slow
 def test_same_seed_gives_same_bits_and_leaves_torch_state() -> None:
     state = torch.get_rng_state()
-    options = {"method": "levenberg-marquardt", "trial": layered(3), "points": 12}
-    runs = [hamsym.solve(H, [1, 0], (0, 30), iterations=70, stages=2, **options) for _ in range(2)]
+    options = {"trial": layered(3), "points": 12}
+    runs = [
+        hamsym.solve(
+            H, [1, 0], (0, 30), method=hamsym.LevenbergMarquardt(iterations=70, stages=2, **options)
+        )
+        for _ in range(2)
+    ]
     assert runs[0].record.restarts == runs[1].record.restarts == 1
     assert torch.equal(runs[0].trial.network[0].weight, runs[1].trial.network[0].weight)
     assert torch.equal(torch.get_rng_state(), state)
@@ -166,7 +176,10 @@ class Plain(nn.Module):
 @pytest.mark.slow
 def test_module_without_resets_is_never_restarted() -> None:
     solution = hamsym.solve(
-        H, [1, 0], (0, 40), method="levenberg-marquardt", trial=Plain(2), points=12, iterations=70
+        H,
+        [1, 0],
+        (0, 40),
+        method=hamsym.LevenbergMarquardt(trial=Plain(2), points=12, iterations=70),
     )
     assert solution.record.restarts == 0
     assert not solution.success
@@ -207,7 +220,10 @@ def test_frozen_weights_and_eval_mode_are_kept() -> None:
     module[0].weight.requires_grad_(False)
     for method, options in BRIEF.items():
         solution = hamsym.solve(
-            H, [1, 0], (0, 1), method=method, trial=module, points=10, stages=1, **options
+            H,
+            [1, 0],
+            (0, 1),
+            method=made_method(method, {"trial": module, "points": 10, "stages": 1, **options}),
         )
         assert torch.equal(solution.trial.network[0].weight, module[0].weight.double())
         assert not torch.equal(solution.trial.network[3].weight, module[3].weight.double())
@@ -216,7 +232,9 @@ def test_frozen_weights_and_eval_mode_are_kept() -> None:
 
 @pytest.mark.slow
 def test_copies_are_equal_and_files_are_refused(tmp_path: Path) -> None:
-    solution = hamsym.solve(H, [1, 0], (0, 1), method="adam", trial=Plain(), epochs=5, points=10)
+    solution = hamsym.solve(
+        H, [1, 0], (0, 1), method=hamsym.Adam(trial=Plain(), epochs=5, points=10)
+    )
     t = np.linspace(0, 1, 7)
     for other in (pickle.loads(pickle.dumps(solution)), copy.deepcopy(solution)):
         np.testing.assert_array_equal(other(t), solution(t))
@@ -231,18 +249,24 @@ def test_copies_are_equal_and_files_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_initial_weights_are_those_of_the_same_module() -> None:
-    options = {"method": "adam", "points": 10, "learning_rate": 1e-9}
-    first = hamsym.solve(H, [1, 0], (0, 1), trial=layered(6), epochs=1, **options)
+    options = {"points": 10, "learning_rate": 1e-9}
+    first = hamsym.solve(
+        H, [1, 0], (0, 1), method=hamsym.Adam(trial=layered(6), epochs=1, **options)
+    )
     other = layered(6)
     with torch.no_grad():
         other[0].weight.fill_(0.25)
-    second = hamsym.solve(H, [1, 0], (0, 1), trial=other, initial=first, epochs=1, **options)
+    second = hamsym.solve(
+        H, [1, 0], (0, 1), method=hamsym.Adam(trial=other, initial=first, epochs=1, **options)
+    )
     torch.testing.assert_close(
         second.trial.network[0].weight, first.trial.network[0].weight, atol=1e-8, rtol=0
     )
     for given in ({"trial": layered(7)}, {}):
         with pytest.raises(InputError, match="initial has another network than this training"):
-            hamsym.solve(H, [1, 0], (0, 1), initial=first, epochs=1, **given, **options)
+            hamsym.solve(
+                H, [1, 0], (0, 1), method=hamsym.Adam(initial=first, epochs=1, **given, **options)
+            )
 
 
 # -- refused before a training ---------------------------------------------------------------------
@@ -308,7 +332,7 @@ def test_unusable_modules_are_refused_in_one_sentence(case: str) -> None:
     module, message = REFUSED[case]
     state = torch.get_rng_state()
     with pytest.raises(InputError) as caught:
-        hamsym.solve(H, [1, 0], (0, 1), method="lbfgs", trial=module)
+        hamsym.solve(H, [1, 0], (0, 1), method=hamsym.LBFGS(trial=module))
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert torch.equal(torch.get_rng_state(), state)
@@ -326,7 +350,7 @@ def test_unusable_modules_are_refused_in_one_sentence(case: str) -> None:
 )
 def test_options_of_other_networks_are_refused(options: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        hamsym.solve(H, [1, 0], (0, 1), method="lbfgs", trial=layered(), **options)
+        hamsym.solve(H, [1, 0], (0, 1), method=hamsym.LBFGS(trial=layered(), **options))
 
 
 @pytest.mark.slow
@@ -334,14 +358,16 @@ def test_modules_beyond_least_squares_are_refused(monkeypatch: pytest.MonkeyPatc
     def branching(x: Tensor, y: Tensor) -> Tensor:
         return y if float(x.max()) > -1 else -y
 
-    method = {"method": "levenberg-marquardt", "points": 10}
+    method = {"points": 10}
     with pytest.raises(InputError, match="cannot be differentiated in batches by torch"):
-        hamsym.solve(H, [1, 0], (0, 1), trial=Wrapped(branching), **method)
-    adam = hamsym.solve(H, [1, 0], (0, 1), trial=Wrapped(branching), method="adam", epochs=2)
+        hamsym.solve(
+            H, [1, 0], (0, 1), method=hamsym.LevenbergMarquardt(trial=Wrapped(branching), **method)
+        )
+    adam = hamsym.solve(H, [1, 0], (0, 1), method=hamsym.Adam(trial=Wrapped(branching), epochs=2))
     assert adam.record.iterations == 2
     monkeypatch.setattr("hamsym.networks.module_rates._LARGEST", 100)
     with pytest.raises(InputError, match="too many for the least squares of"):
-        hamsym.solve(H, [1, 0], (0, 1), trial=layered(), **method)
+        hamsym.solve(H, [1, 0], (0, 1), method=hamsym.LevenbergMarquardt(trial=layered(), **method))
 
 
 def test_wrong_rates_are_never_a_success() -> None:
@@ -357,7 +383,7 @@ def test_wrong_rates_are_never_a_success() -> None:
             return self.inner(x) + self.gain * hidden
 
     solution = hamsym.solve(
-        H, [1, 0], (0, 1), method="levenberg-marquardt", trial=Later(), points=8, iterations=10
+        H, [1, 0], (0, 1), method=hamsym.LevenbergMarquardt(trial=Later(), points=8, iterations=10)
     )
     defect = rate_defect(solution.trial, solution.span)
     assert defect.max() > 1e-6

@@ -12,6 +12,7 @@ from torch import Tensor
 import hamsym
 from hamsym import InputError
 from hamsym.errors import FileError
+from hamsym.methods import made_method
 from hamsym.networks.points import checked_points, points_within
 
 H = hamsym.Hamiltonian("p**2/2 + x**2/2")
@@ -40,11 +41,15 @@ def test_loss_is_trained_at_exactly_the_given_times(method: str, span: tuple[flo
         H,
         [1, 0],
         span,
-        method=method,
-        points=OWN,
-        hidden=(6,),
-        regularizers=[hamsym.Regularizer(1.0, seen)],
-        **BRIEF[method] | {"stages": 1},
+        method=made_method(
+            method,
+            {
+                "points": OWN,
+                "hidden": (6,),
+                "regularizers": [hamsym.Regularizer(1.0, seen)],
+                **(BRIEF[method] | {"stages": 1}),
+            },
+        ),
     )
     assert solution.points == len(OWN)
     trained = [t for t in seen if len(t) == len(OWN)]
@@ -61,12 +66,9 @@ def test_least_squares_fit_the_given_times() -> None:
         H,
         [1, 0],
         (0, 3),
-        method="levenberg-marquardt",
-        points=np.array(OWN),
-        hidden=(8,),
-        iterations=30,
-        stages=1,
-        patience=None,
+        method=hamsym.LevenbergMarquardt(
+            points=np.array(OWN), hidden=(8,), iterations=30, stages=1, patience=None
+        ),
     )
     assert solution.record.history.loss[-1] < 1e-10
     found = float(np.mean(np.sum(solution.residual(np.linspace(0, 3, 301)) ** 2, axis=1)))
@@ -80,12 +82,13 @@ def test_noise_of_given_times_is_asked_for() -> None:
         H,
         [1, 0],
         (0, 3),
-        method="adam",
-        points=OWN,
-        noise=0.2,
-        epochs=5,
-        hidden=(4,),
-        regularizers=[hamsym.Regularizer(1.0, seen)],
+        method=hamsym.Adam(
+            points=OWN,
+            noise=0.2,
+            epochs=5,
+            hidden=(4,),
+            regularizers=[hamsym.Regularizer(1.0, seen)],
+        ),
     )
     trained = [t for t in seen if len(t) == len(OWN)]
     assert len({tuple(t.tolist()) for t in trained}) == 5
@@ -123,20 +126,32 @@ def test_stages_take_the_given_times_within_them() -> None:
 @pytest.mark.parametrize("method", BRIEF)
 def test_unusable_points_are_refused(method: str, points: object, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        hamsym.solve(H, [1, 0], (0, 1), method=method, points=points)
+        hamsym.solve(H, [1, 0], (0, 1), method=made_method(method, {"points": points}))
     assert message in str(caught.value)
 
 
 @pytest.mark.slow
 def test_given_times_resume_to_the_same_bits(tmp_path: Path) -> None:
-    options = {"method": "levenberg-marquardt", "hidden": (5,), "points": OWN}
-    whole = hamsym.solve(H, [1, 0], (0, 3), iterations=20, **options)
+    options = {"hidden": (5,), "points": OWN}
+    whole = hamsym.solve(
+        H, [1, 0], (0, 3), method=hamsym.LevenbergMarquardt(iterations=20, **options)
+    )
     for iterations in (7, 20):
         parts = hamsym.solve(
-            H, [1, 0], (0, 3), iterations=iterations, checkpoint=tmp_path / "run", **options
+            H,
+            [1, 0],
+            (0, 3),
+            method=hamsym.LevenbergMarquardt(
+                iterations=iterations, checkpoint=tmp_path / "run", **options
+            ),
         )
     assert torch.equal(whole.trial.network.theta, parts.trial.network.theta)
     with pytest.raises(FileError, match="belongs to a training with points="):
         hamsym.solve(
-            H, [1, 0], (0, 3), checkpoint=tmp_path / "run", **options | {"points": OWN[1:]}
+            H,
+            [1, 0],
+            (0, 3),
+            method=hamsym.LevenbergMarquardt(
+                checkpoint=tmp_path / "run", **options | {"points": OWN[1:]}
+            ),
         )

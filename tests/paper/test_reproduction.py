@@ -20,7 +20,7 @@ from hamsym.paper import (
     oscillator_long,
     page,
 )
-from hamsym.paper.experiment import ARCHITECTURES, CHAIN, limit, parse
+from hamsym.paper.experiment import ARCHITECTURES, CHAIN, arguments, limit, parse
 from hamsym.paper.judging import euler, judge_architectures, judge_steps
 from hamsym.paper.tables import lower, markdown_table, short, spread
 
@@ -57,7 +57,10 @@ def test_accuracy_draws_every_method(tmp_path, monkeypatch):
     """On a short span, with small networks and two amounts of training."""
     (title, methods), *_ = accuracy.COURSES.items()
     small = {
-        name: [o if "tol" in o or o == CHAIN else o | {"hidden": (4,)} for o in several[:2]]
+        name: [
+            o if o["method"] in ("features", CHAIN["method"]) else o | {"hidden": (4,)}
+            for o in several[:2]
+        ]
         for name, several in methods.items()
     }
     drawn = {}
@@ -173,9 +176,18 @@ def test_limit_shortens_trainings_only():
     assert limit({"method": "levenberg-marquardt", "tau": 2.0}, 300)["iterations"] == 30
     assert limit(CHAIN, 300) == CHAIN
     assert limit(CHAIN | {"windows": 1, "tol": 1e-4}, 300) == CHAIN | {"windows": 1, "tol": 1e-4}
+    assert limit({"method": "levenberg-marquardt", "tol": 2e-7}, 300)["iterations"] == 30
     assert limit({"method": "ssbroyden"}, 300)["iterations"] == 30
     assert limit({"method": "lbfgs", "iterations": 5}, 300)["iterations"] == 5
     assert limit({"method": "features"}, 20) == {"method": "features"}
+
+
+def test_settings_become_arguments_of_solve():
+    adam = {"method": "adam", "epochs": 20, "points": 3}
+    assert arguments(adam) == {"method": hamsym.Adam(epochs=20, points=3)}
+    assert arguments(lambda seed: adam | {"points": seed})(5)["method"].points == 5
+    chain = {"tol": 1e-4, "method": hamsym.NetworkChain(windows=1)}
+    assert arguments(CHAIN | {"windows": 1, "tol": 1e-4}) == chain
 
 
 def test_quick_is_a_limit_of_epochs():

@@ -31,16 +31,14 @@ _OPTIONS = {
     "features": {"tol": 1e-9},
     "fine features": {"tol": 1e-12},
     "levenberg-marquardt": {
-        "method": "levenberg-marquardt",
-        "hidden": (16, 16),
-        "points": 60,
-        "target_error": 1e-4,
+        "method": hamsym.LevenbergMarquardt(hidden=(16, 16), points=60),
+        "tol": 1e-4,
     },
-    "tanh": {"method": "adam", "epochs": 30, "hidden": (8, 8), "activation": "tanh"},
-    "sigmoid": {"method": "adam", "epochs": 30, "hidden": (8,), "activation": "sigmoid"},
-    "linear": {"method": "adam", "epochs": 30, "hidden": (8, 8), "envelope": "linear"},
-    "apart": {"method": "adam", "epochs": 30, "hidden": (8,), "shared_weights": False},
-    "float32": {"method": "adam", "epochs": 30, "hidden": (8,), "dtype": "float32"},
+    "tanh": {"method": hamsym.Adam(epochs=30, hidden=(8, 8), activation="tanh")},
+    "sigmoid": {"method": hamsym.Adam(epochs=30, hidden=(8,), activation="sigmoid")},
+    "linear": {"method": hamsym.Adam(epochs=30, hidden=(8, 8), envelope="linear")},
+    "apart": {"method": hamsym.Adam(epochs=30, hidden=(8,), shared_weights=False)},
+    "float32": {"method": hamsym.Adam(epochs=30, hidden=(8,), dtype="float32")},
 }
 
 
@@ -236,7 +234,7 @@ def case():
     """A network over a span short enough for a proof in milliseconds."""
     problem = systems.nonlinear_oscillator()
     solution = hamsym.solve(
-        problem.H, problem.z0, (0.0, 1.0), method="adam", epochs=30, hidden=(6,), seed=0
+        problem.H, problem.z0, (0.0, 1.0), method=hamsym.Adam(epochs=30, hidden=(6,)), seed=0
     )
     return solution, solution.certify()
 
@@ -379,7 +377,7 @@ def test_times_outside_the_span_are_rejected(case):
 )
 def test_certify_fails_with_the_reason(formula, z0, end, reason):
     H = hamsym.Hamiltonian(formula)
-    solution = hamsym.solve(H, z0, (0.0, end), method="adam", epochs=5, hidden=(4,))
+    solution = hamsym.solve(H, z0, (0.0, end), method=hamsym.Adam(epochs=5, hidden=(4,)))
     with pytest.raises(CertificationError, match=reason):
         solution.certify()
 
@@ -579,7 +577,7 @@ def test_certificates_of_random_solutions_verify(seed):
     z0 = generator.uniform(-0.5, 0.5, 4 if formula == _HENON else 2)
     options = {"tol": 10.0 ** -generator.integers(4, 11)}
     if seed % 8 == 7:
-        options = {"method": "adam", "epochs": 30, "hidden": (8, 8), "seed": seed}
+        options = {"method": hamsym.Adam(epochs=30, hidden=(8, 8)), "seed": seed}
         length /= 3
     solution = hamsym.solve(formula, z0, (start, start + length), **options)
     verify(solution.certify(rtol=10.0 ** -generator.uniform(0, 3)), solution)
@@ -787,7 +785,7 @@ def cheap():
     """A solution of one smooth part with a large error, so that a proof takes milliseconds."""
     H = hamsym.Hamiltonian("p**2/2 + x**2/2")
     solution = hamsym.solve(
-        H, [1.0, 0.0], (0.0, 0.3), method="adam", epochs=30, hidden=(4,), seed=0
+        H, [1.0, 0.0], (0.0, 0.3), method=hamsym.Adam(epochs=30, hidden=(4,)), seed=0
     )
     return solution, solution.certify()
 

@@ -83,7 +83,7 @@ def test_solve_with_proof_fails_for_a_changed_solution(monkeypatch):
 
 def test_networks_that_are_held_are_not_proven_as_moving():
     network = hamsym.solve(
-        LINEAR, [1.0, 0.0], (0, 1), method="levenberg-marquardt", tol=1e-4, hidden=(8,)
+        LINEAR, [1.0, 0.0], (0, 1), method=hamsym.NetworkChain(hidden=(8,)), tol=1e-4
     )
     check_solution(network)
     for piece in network.trial.pieces:

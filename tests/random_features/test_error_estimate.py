@@ -21,7 +21,6 @@ from hamsym.random_features.error_estimate import (
 from hamsym.random_features.flow import flow_of, has_rounded_numbers
 from hamsym.random_features.march import march
 from hamsym.random_features.method import checked_accuracy
-from hamsym.random_features.options import FeatureOptions
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.random_features.windows import March
 from hamsym.solution.window_error import _dense
@@ -98,7 +97,7 @@ def test_estimate_of_chaos_ends_with_the_motion() -> None:
 def test_allowed_error_is_relative_to_the_true_size() -> None:
     # Where the computed motion is as much larger than the true one as the error allows.
     for tol in (0.9, 0.3, 1e-2):
-        accuracy = checked_accuracy(FeatureOptions(tol=tol), (0.0, 1.0), 2)
+        accuracy = checked_accuracy(tol, 0.0, None, (0.0, 1.0), 2)
         computed = np.array([1.0, 5.0])
         allowed = accuracy.allowed(computed)
         np.testing.assert_allclose(allowed, tol * (computed - allowed), rtol=1e-14)

@@ -428,7 +428,7 @@ def test_angle_crosses_its_cut_where_forces_are_smooth(potential: str, smooth: b
 
 def test_brief_pulse_in_long_rest_is_resolved() -> None:
     H = Hamiltonian("p**2/2 - x*exp(-(t - 51.3)**2)")
-    truth = hamsym.solve(H, [0.0, 0.0], (0, 100), tol=1e-9, max_window=0.5)
+    truth = hamsym.solve(H, [0.0, 0.0], (0, 100), tol=1e-9, method=hamsym.Features(max_window=0.5))
     solution = hamsym.solve(H, [0.0, 0.0], (0, 100), tol=1e-6)
     assert truth(100.0)[1] == pytest.approx(math.sqrt(math.pi), rel=1e-9)
     assert true_error(solution, truth).max() <= 1e-6
@@ -518,13 +518,18 @@ def test_root_of_the_force_is_resolved_at_any_tolerance(tol: float) -> None:
 
 @pytest.mark.parametrize("max_window", [0.0, -1.0, math.nan, "long"])
 def test_unusable_max_window_is_rejected(max_window: object) -> None:
-    with pytest.raises(InputError, match="max_window=.* cannot be used; give a time above 0"):
-        hamsym.solve(Hamiltonian("p**2 + x**2"), [1, 0], (0, 1), max_window=max_window)
+    with pytest.raises(InputError, match="max_window=.* cannot be used; give a number above 0"):
+        hamsym.solve(
+            Hamiltonian("p**2 + x**2"),
+            [1, 0],
+            (0, 1),
+            method=hamsym.Features(max_window=max_window),
+        )
 
 
 def test_too_many_windows_are_rejected_beforehand() -> None:
     with pytest.raises(InputError, match="needs more than 200,000 windows; give 5e-05 or more"):
-        hamsym.solve("p**2 + x**2", [1, 0], (0, 10), max_window=1e-6)
+        hamsym.solve("p**2 + x**2", [1, 0], (0, 10), method=hamsym.Features(max_window=1e-6))
 
 
 def test_collision_is_reported() -> None:

@@ -17,7 +17,6 @@ from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import flow_of
 from hamsym.random_features.members import Batch, MemberSolver
 from hamsym.random_features.method import basis_for, checked_accuracy
-from hamsym.random_features.options import FeatureOptions
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.systems import CATALOGUE
 
@@ -75,7 +74,7 @@ def _solved(
     tol: float = 1e-9,
     parameters: Any = None,
 ) -> Batch:
-    accuracy = checked_accuracy(FeatureOptions(tol=tol), span, H.dim)
+    accuracy = checked_accuracy(tol, 0.0, None, span, H.dim)
     given = accuracy.local, accuracy.absolute, accuracy.longest, basis_for(0, tol)
     values = [[H.parameters[name] for name in H.parameter_names]] * len(states)
     values = np.array(values if parameters is None else parameters, dtype=float)

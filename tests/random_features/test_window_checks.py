@@ -88,7 +88,7 @@ def test_pulses_of_any_shape_are_found(pulse: str, impulse: float | None) -> Non
 def test_turning_point_on_a_bump_is_resolved() -> None:
     H = Hamiltonian("p**2/2 + x**2/2 + exp(-1e16*(x - 1)**2)/1e9")
     solution = hamsym.solve(H, [0.0, 1.0], (0, 6), tol=1e-9)
-    finer = hamsym.solve(H, [0.0, 1.0], (0, 6), tol=1e-11, max_window=0.01)
+    finer = hamsym.solve(H, [0.0, 1.0], (0, 6), tol=1e-11, method=hamsym.Features(max_window=0.01))
     assert solution.success, solution.message
     t = np.linspace(0, 6, 601)
     np.testing.assert_allclose(solution(t), finer(t), atol=2e-9)

@@ -38,9 +38,7 @@ class Resonant:
 @cache
 def trained(name: str) -> Solution:
     problem = {"oscillator": nonlinear_oscillator, "henon_heiles": henon_heiles}[name]()
-    return hamsym.solve(
-        problem.H, problem.z0, (0, 6), method="levenberg-marquardt", target_error=1e-3
-    )
+    return hamsym.solve(problem.H, problem.z0, (0, 6), method="levenberg-marquardt", tol=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +48,7 @@ def oscillator() -> Solution:
 
 def resonant(eps: float, end: float) -> Solution:
     problem = harmonic_oscillator()
-    like = hamsym.solve(problem.H, problem.z0, (0, end), method="adam", epochs=1, points=2)
+    like = hamsym.solve(problem.H, problem.z0, (0, end), method=hamsym.Adam(epochs=1, points=2))
     return Solution(
         problem.H,
         like.z0,

@@ -148,7 +148,10 @@ def test_derivatives_against_differences_of_solves() -> None:
 def test_trained_network_is_differentiated() -> None:
     H = Hamiltonian(DRIVEN, parameters={"F": 0.0, "w": 50.0})
     solution = hamsym.solve(
-        H, [1, 0], (0, 6), method="levenberg-marquardt", iterations=60, points=50, hidden=(20, 20)
+        H,
+        [1, 0],
+        (0, 6),
+        method=hamsym.LevenbergMarquardt(iterations=60, points=50, hidden=(20, 20)),
     )
     t = np.linspace(0, 6, 7)
     expected = exact_derivatives(driven, t, {"F": 0.0, "w": 50.0})

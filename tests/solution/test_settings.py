@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -29,14 +28,15 @@ def test_arguments_are_kept_in_files(tmp_path: Path) -> None:
             seed=3,
             tol=1e-6,
             atol=(0.0, 1e-8),
-            options={"tol": 1e-6, "atol": [0.0, 1e-8], "breakpoints": [0.5]},
+            breakpoints=(0.5,),
             version=hamsym.__version__,
         )
 
 
 def test_defaults_are_settings() -> None:
     settings = hamsym.solve(DUFFING, [1, 0], (0, 1), invariants=[DUFFING], prove=True).settings
-    assert (settings.tol, settings.atol, settings.options) == (1e-9, (0.0,), {})
+    assert (settings.tol, settings.tol_given, settings.atol) == (1e-9, False, (0.0,))
+    assert (settings.breakpoints, settings.options) == ((), {})
     assert (settings.invariants, settings.prove) == ((DUFFING,), True)
 
 
@@ -59,7 +59,7 @@ def test_span_that_was_not_reached_is_kept(tmp_path: Path) -> None:
 def test_options_that_are_no_data_are_named(tmp_path: Path) -> None:
     network = torch.nn.Sequential(torch.nn.Linear(1, 4), torch.nn.Tanh(), torch.nn.Linear(4, 2))
     settings = hamsym.solve(
-        DUFFING, [1, 0], (0, 1), method="adam", epochs=2, points=5, trial=network.double()
+        DUFFING, [1, 0], (0, 1), method=hamsym.Adam(epochs=2, points=5, trial=network.double())
     ).settings
     assert settings.missing == ("trial",)
     assert settings.options == {"epochs": 2, "points": 5}
@@ -71,11 +71,14 @@ def test_member_of_a_family_keeps_its_tolerance() -> None:
     assert members[1].settings.span == (0, 1)
 
 
-def test_solutions_without_it_have_files(tmp_path: Path) -> None:
+def test_files_without_it_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a"
-    solution = hamsym.solve(DUFFING, [1, 0], (0, 1))
-    dataclasses.replace(solution, settings=None).save(path)
-    assert hamsym.load(path).settings is None
+    hamsym.solve(DUFFING, [1, 0], (0, 1)).save(path)
+    arrays, values = read_tensors(path, "solution")
+    del values["settings"]
+    write_tensors(path, "solution", arrays, values)
+    with pytest.raises(FileError, match="not a valid file of a solution"):
+        hamsym.load(path)
 
 
 @pytest.mark.parametrize(
@@ -91,10 +94,13 @@ def test_solutions_without_it_have_files(tmp_path: Path) -> None:
         {"span": [0.5, 1.0]},
         {"span": [0.0, float("nan")]},
         {"options": {"toll": 1e-9}},
-        {"options": {"tol": {"a": 1}}},
-        {"options": {"tol": [[1.0]]}},
-        {"options": {"tol": float("inf")}},
-        {"missing": ["tol", "tol"]},
+        {"options": {"max_window": {"a": 1}}},
+        {"options": {"max_window": [[1.0]]}},
+        {"options": {"max_window": float("inf")}},
+        {"missing": ["max_window", "max_window"]},
+        {"breakpoints": [1.0]},
+        {"breakpoints": 0.5},
+        {"tol_given": 1},
         {"missing": [1]},
         {"prove": 1},
         {"version": None},

@@ -32,14 +32,15 @@ def quick(make: Callable[[], Problem], epochs: int = 600) -> Solution:
         problem.H,
         problem.z0,
         (0, 1.5),
-        method="adam",
-        hidden=(20, 20),
-        points=30,
-        noise=0.0,
-        tau=0.25,
-        schedule="cosine",
-        learning_rate=0.02,
-        epochs=epochs,
+        method=hamsym.Adam(
+            hidden=(20, 20),
+            points=30,
+            noise=0.0,
+            tau=0.25,
+            schedule="cosine",
+            learning_rate=0.02,
+            epochs=epochs,
+        ),
     )
 
 
@@ -335,7 +336,9 @@ def test_non_separable_systems_are_compared() -> None:
 def test_failed_euler_has_infinite_error() -> None:
     # H = p q^2 blows up at t = 1/q(0), and its implicit step has no solution for h q > 1/4.
     H = hamsym.Hamiltonian("p*q**2", q=["q"], p=["p"])
-    solution = hamsym.solve(H, [1.0, 1.0], (0, 0.7), method="adam", epochs=200, points=3, noise=0)
+    solution = hamsym.solve(
+        H, [1.0, 1.0], (0, 0.7), method=hamsym.Adam(epochs=200, points=3, noise=0)
+    )
     rows = hamsym.compare(solution).rows
     assert rows[1].error == math.inf
     assert math.isfinite(rows[3].error)

@@ -17,8 +17,8 @@ from hamsym.support.locking import LOCK
 
 OSCILLATOR = hamsym.systems.nonlinear_oscillator()
 H, Z0, SPAN = OSCILLATOR.H, OSCILLATOR.z0, (0.0, 2.0)
-ADAM = {"method": "adam", "epochs": 60, "points": 20, "hidden": (8, 8)}
-LM = {"method": "levenberg-marquardt", "iterations": 20, "points": 30, "hidden": (8, 8)}
+ADAM = hamsym.Adam(epochs=60, points=20, hidden=(8, 8))
+LM = hamsym.LevenbergMarquardt(iterations=20, points=30, hidden=(8, 8))
 T = np.linspace(*SPAN, 33)
 
 
@@ -33,8 +33,8 @@ def _files(folder):
 
 @pytest.mark.slow
 def test_runs_in_other_processes_equal_solve(tmp_path):
-    chain = {"method": "levenberg-marquardt"}
-    settings = {"Adam": ADAM, "chain": chain, "to 1e-8": {"tol": 1e-8}}
+    chain = {"method": hamsym.NetworkChain(windows=2), "tol": 1e-6}
+    settings = {"Adam": {"method": ADAM}, "chain": chain, "to 1e-8": {"tol": 1e-8}}
     found = _sweep(tmp_path / "a" / "b", settings, workers=2, seeds=[3])
     assert found.seeds == (3,)
     for name, options in settings.items():
@@ -62,7 +62,7 @@ def test_existing_runs_are_reused(tmp_path, monkeypatch):
         again = _sweep(tmp_path)
     for one, other in zip(first.solutions["Adam"], again.solutions["Adam"], strict=True):
         assert (one(T) == other(T)).all()
-    _sweep(tmp_path, {"Adam": ADAM | {"epochs": 61}})
+    _sweep(tmp_path, {"Adam": replace(ADAM, epochs=61)})
     hamsym.sweep(H, [1.0, 0.0], SPAN, {"Adam": ADAM}, folder=tmp_path, workers=1, seeds=2)
     assert len(_files(tmp_path)) == 6
     assert all(path.stat().st_mtime_ns == changed for path, changed in files.items())
@@ -77,7 +77,7 @@ def test_interrupted_run_resumes_to_the_same_bits(tmp_path, monkeypatch):
         if reports == 2:
             raise KeyboardInterrupt
 
-    settings = {"Adam": ADAM | {"epochs": 50, "checkpoint_every": 1e-9}}
+    settings = {"Adam": replace(ADAM, epochs=50, checkpoint_every=1e-9)}
     with monkeypatch.context() as patch:
         patch.setattr(processes, "_REPORT_EVERY", 0.0)
         patch.setattr(Display, "put", interrupt)
@@ -85,7 +85,7 @@ def test_interrupted_run_resumes_to_the_same_bits(tmp_path, monkeypatch):
             _sweep(tmp_path, settings, seeds=1)
     assert [path.suffix for path in _files(tmp_path)] == [".checkpoint"]
     found = _sweep(tmp_path, settings, seeds=1)
-    alone = hamsym.solve(H, Z0, SPAN, seed=0, **settings["Adam"])
+    alone = hamsym.solve(H, Z0, SPAN, seed=0, method=settings["Adam"])
     assert (found.solutions["Adam"][0](T) == alone(T)).all()
     assert [path.suffix for path in _files(tmp_path)] == [".hamsym"]
 
@@ -106,10 +106,10 @@ def test_workers_ignore_interrupts():
 def test_settings_may_depend_on_the_seed(tmp_path):
     first = _sweep(tmp_path, seeds=[1, 2])
     begun = dict(zip(first.seeds, first.solutions["Adam"], strict=True))
-    settings = {"on": lambda seed: ADAM | {"initial": begun[seed], "epochs": 1}}
+    settings = {"on": lambda seed: replace(ADAM, initial=begun[seed], epochs=1)}
     longer = hamsym.sweep(H, Z0, (0, 4), settings, folder=tmp_path, workers=1, seeds=[1, 2])
     for seed, solution in zip(longer.seeds, longer.solutions["on"], strict=True):
-        alone = hamsym.solve(H, Z0, (0, 4), seed=seed, **settings["on"](seed))
+        alone = hamsym.solve(H, Z0, (0, 4), seed=seed, method=settings["on"](seed))
         assert (solution(T) == alone(T)).all()
 
 
@@ -155,12 +155,16 @@ def test_progress_lines_without_a_terminal(tmp_path, capsys):
         ({"seeds": [-1]}, "seeds=-1"),
         ({"workers": 0}, "workers=0"),
         ({"certify": 0}, "certify=0"),
-        ({"settings": {"a": {"seed": 3}}}, "'seed' in the settings 'a'"),
-        ({"settings": {"a": {"checkpoint": "x"}}}, "'checkpoint' in the settings 'a'"),
-        ({"settings": {"a": ADAM | {"initial": 3}}}, "initial in the settings 'a'"),
-        ({"settings": {"a": ADAM | {"regularizers": [1]}}}, "regularizers"),
-        ({"settings": {"a": ADAM | {"epoch": 3}}}, "'epoch' is not an option"),
-        ({"settings": {"a": ADAM | {"epoch": 3}}, "workers": 2}, "'epoch' is not an option"),
+        ({"settings": {"a": {"seed": 3}}}, "'seed' in the settings 'a' is set by sweep"),
+        ({"settings": {"a": replace(ADAM, checkpoint="x")}}, "checkpoint in the settings 'a'"),
+        ({"settings": {"a": replace(ADAM, initial=3)}}, "initial in the settings 'a'"),
+        ({"settings": {"a": replace(ADAM, regularizers=[1])}}, "regularizers"),
+        ({"settings": {"a": {"epochs": 3}}}, r"method=hamsym.Adam\(epochs=3\)"),
+        ({"settings": {"a": {"toll": 3}}, "workers": 2}, "'toll' is not an argument of solve"),
+        ({"settings": {"a": hamsym.Adam}}, r"give hamsym.Adam\(\)"),
+        ({"settings": {"a": {"method": hamsym.Adam}}}, r"give hamsym.Adam\(\)"),
+        ({"settings": {"a": {"tol": 3}}}, "tol=3"),
+        ({"settings": {"a": {"tol": 3}}, "workers": 2}, "tol=3"),
     ],
 )
 def test_bad_input_is_rejected(tmp_path, change, message):
@@ -186,7 +190,7 @@ with exclusive(sys.argv[1]):
 @pytest.mark.slow
 def test_folder_is_locked_against_other_processes(tmp_path):
     _sweep(tmp_path)
-    longer = {"Adam": ADAM | {"epochs": 61}}
+    longer = {"Adam": replace(ADAM, epochs=61)}
     run = [sys.executable, "-c", _HOLD, str(tmp_path)]
     with subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout.readline() == "held\n"
@@ -215,7 +219,7 @@ class _Dies:
     """Settings whose values kill the process that unpickles them."""
 
     def __call__(self, seed):
-        return ADAM | {"hidden": _Deadly()}
+        return replace(ADAM, points=_Deadly())
 
 
 class _Deadly:

@@ -81,7 +81,7 @@ MADE: dict[str, tuple[Callable[[], Any], list[str]]] = {
         ["kg*m/s", "parameters", "w = 1000000000.0 rad/s"],
     ),
     "Solution by training": (
-        lambda: hamsym.solve(OSCILLATOR, [1, 0], (0, 1), method="adam", epochs=5, points=5),
+        lambda: hamsym.solve(OSCILLATOR, [1, 0], (0, 1), method=hamsym.Adam(epochs=5, points=5)),
         ["failed", "largest estimated error"],
     ),
     "Solutions": (

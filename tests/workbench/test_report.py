@@ -162,7 +162,9 @@ def test_invariants_of_a_file_are_measured_again(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_trained_network_is_reported(tmp_path: Path) -> None:
-    solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 1), method="adam", epochs=5, points=8)
+    solution = hamsym.solve(
+        "p**2/2 + x**2/2", [1, 0], (0, 1), method=hamsym.Adam(epochs=5, points=8)
+    )
     text = page_of(solution, tmp_path).text
     assert "an error of at most 0.01 of the motion" in text
     assert "Failed" in text
@@ -172,7 +174,7 @@ def test_trained_network_is_reported(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_target_of_a_training_is_what_was_asked(tmp_path: Path) -> None:
     problem = ("p**2/2 + x**2/2", [1, 0], (0, 1))
-    solution = hamsym.solve(*problem, method="adam", epochs=5, points=8, target_loss=1e-3)
+    solution = hamsym.solve(*problem, method=hamsym.Adam(epochs=5, points=8, target_loss=1e-3))
     assert "target_loss = 0.001" in page_of(solution, tmp_path).text
 
 

@@ -117,7 +117,7 @@ def windows(solution: Solution) -> dict[str, Any] | None:
     lengths, count = np.abs(np.diff(times)), len(times) - 1
     chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_WINDOWS)).round().astype(int))
     allowed, rows = solution.allowed_error, []
-    sizes = solution.scale if allowed is None else allowed
+    sizes = allowed
     for k in chosen.tolist():
         t = np.linspace(times[k], times[k + 1], 26)[1:-1]
         found = np.abs(error(t)).max(axis=0)
@@ -131,7 +131,7 @@ def windows(solution: Solution) -> dict[str, Any] | None:
         "shortest": number(float(lengths.min())),
         "longest": number(float(lengths.max())),
         "rows": rows,
-        "of": "the largest value" if allowed is None else "what is allowed",
+        "of": "what is allowed",
         "all": len(chosen) == count,
     }
 
@@ -182,7 +182,7 @@ def solution_digest(solution: Solution) -> str:
 def versions(solution: Solution) -> list[tuple[str, str]]:
     """Return names and versions of the programs that made the report."""
     found = [("hamsym", importlib.metadata.version("hamsym"))]
-    if solution.settings is not None and solution.settings.version:
+    if solution.settings.version:
         found = [("hamsym that solved", solution.settings.version), ("hamsym", found[0][1])]
     found.append(("Python", f"{platform.python_version()} on {platform.system()}"))
     for name in _PACKAGES:
