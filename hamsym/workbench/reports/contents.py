@@ -116,8 +116,7 @@ def windows(solution: Solution) -> dict[str, Any] | None:
     times = solution.record.origin + np.asarray(edges)
     lengths, count = np.abs(np.diff(times)), len(times) - 1
     chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_WINDOWS)).round().astype(int))
-    allowed, rows = solution.allowed_error, []
-    sizes = allowed
+    sizes, rows = solution.allowed_error, []
     for k in chosen.tolist():
         t = np.linspace(times[k], times[k + 1], 26)[1:-1]
         found = np.abs(error(t)).max(axis=0)
@@ -131,7 +130,6 @@ def windows(solution: Solution) -> dict[str, Any] | None:
         "shortest": number(float(lengths.min())),
         "longest": number(float(lengths.max())),
         "rows": rows,
-        "of": "what is allowed",
         "all": len(chosen) == count,
     }
 
