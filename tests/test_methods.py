@@ -162,12 +162,9 @@ def test_options_select_no_other_method() -> None:
     solution = hamsym.solve(OSCILLATOR, [1, 0], (0, 1), method=joint)
     assert (solution.method, solution.points) == ("levenberg-marquardt", 201)
     assert solution.settings.tol == 1e-2
-    for method in (
-        LevenbergMarquardt(iterations=3, hidden=(5,)),
-        LevenbergMarquardt(time_limit=1e-6),
-    ):
-        alone = hamsym.solve(OSCILLATOR, [1, 0], (0, 1), method=method, tol=1e-6)
-        assert alone.record.stopped in ("iterations", "time limit")  # one training, no windows
+    brief = LevenbergMarquardt(hidden=(5,), time_limit=1e-6)  # options that a chain has too
+    alone = hamsym.solve(OSCILLATOR, [1, 0], (0, 1), method=brief, tol=1e-6)
+    assert alone.record.stopped == "time limit"  # of one training, without windows
     chain = hamsym.solve(OSCILLATOR, [1, 0], (0, 1), method=NetworkChain(hidden=(20, 20)), tol=1e-6)
     assert chain.method == "network-chain"
     assert len(chain.record.edges) > 2
@@ -208,19 +205,16 @@ def test_reached_target_is_no_success_beyond_the_tolerance() -> None:
 
 
 def test_given_tolerance_stops_a_training() -> None:
-    method = LevenbergMarquardt(hidden=(8,), points=30, stages=1, patience=None)
-    loose, usual = (
-        hamsym.solve(
-            OSCILLATOR, [1, 0], (0, 1), method=dataclasses.replace(method, iterations=n), tol=tol
-        )
-        for n, tol in ((1_000, 1e-2), (60, None))
-    )
+    method = LevenbergMarquardt(hidden=(8,), points=20, stages=1)
+    loose = hamsym.solve(OSCILLATOR, [1, 0], (0, 1), method=method, tol=0.1)
     assert loose.success
-    assert usual.success
     assert loose.record.stopped == "tolerance"
-    assert loose.record.iterations < usual.record.iterations
-    assert usual.record.stopped != "tolerance"
-    assert loose.settings.tol == usual.settings.tol
+    assert loose.record.iterations < method.iterations
+    done = loose.record.iterations + 1
+    usual = hamsym.solve(
+        OSCILLATOR, [1, 0], (0, 1), method=dataclasses.replace(method, iterations=done)
+    )
+    assert usual.record.stopped == "iterations"
     assert (loose.settings.tol_given, usual.settings.tol_given) == (True, False)
 
 
