@@ -189,8 +189,13 @@ def _of_methods(methods: tuple[str, ...], usual: tuple[str, ...]) -> str:
 def _listed(methods: tuple[str, ...]) -> str:
     from hamsym.methods import METHODS
 
-    training = tuple(name for name, kind in METHODS.items() if kind.resumes)
-    return "methods that train one network" if methods == training else ", ".join(methods)
+    words = {
+        tuple(name for name, kind in METHODS.items() if not kind.marches): "methods that train",
+        tuple(
+            name for name, kind in METHODS.items() if kind.resumes
+        ): "methods that train one network",
+    }
+    return words.get(methods, ", ".join(methods))
 
 
 def _text(default: Any, metadata: Mapping[str, Any]) -> str:

@@ -304,7 +304,8 @@ class Solutions(Saved):
             basis = basis_of_series(family.seed, family.series)
             flow = flow_of(H)
             error = estimate_error(march, basis, flow, accuracy.local).error
-        return accepted_march(H, z0, march, basis, error, family.settings)
+        cause = "the error was estimated again, with the rounding of this machine"
+        return accepted_march(H, z0, march, basis, error, family.settings, cause)
 
     def marched(self, member: int) -> tuple[March, MarchError, FeatureTrial]:
         """Return march, error and trial solution of a member that was solved by itself."""

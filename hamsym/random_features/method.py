@@ -119,10 +119,14 @@ def accepted_march(
     basis: FeatureBasis,
     error: MarchError,
     settings: Settings,
+    cause: str = "",
 ) -> Solution:
-    """Make the solution of a march that the library has accepted."""
+    """Make the solution of a march that the library has accepted.
+
+    - cause: Why its error may be found too large all the same.
+    """
     found = _solution_of(H, z0, windows, basis, error, settings, Features.name)
-    return accepted(found, state_of(len(windows.readouts)))
+    return accepted(found, state_of(len(windows.readouts)), cause=cause)
 
 
 def state_of(windows: int) -> str:

@@ -643,13 +643,6 @@ def test_binary_fractions_of_a_formula_are_told(tmp_path: Path) -> None:
     assert "H has binary fractions" not in (module(tmp_path / "orbit.py").__doc__ or "")
 
 
-def test_solutions_without_settings_say_so(tmp_path: Path) -> None:
-    replace(solution_of("march"), settings=None).export(tmp_path / "orbit.py")
-    assert "does not say with which settings" in (module(tmp_path / "orbit.py").__doc__ or "")
-    replace(solution_of("march"), settings=None).export(tmp_path / "orbit.json")
-    assert json.loads((tmp_path / "orbit.json").read_text())["about"]["python"] is None
-
-
 @pytest.mark.slow
 def test_members_and_flow_maps_are_exported(tmp_path: Path) -> None:
     many = hamsym.solve_many("p**2/2 + x**2/2", [[1, 0], [2, 0]], (0, 3))

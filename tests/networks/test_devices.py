@@ -163,7 +163,7 @@ def test_float32_resumes_to_the_same_bits(tmp_path: Path) -> None:
             ),
         )
     assert torch.equal(whole.trial.network.theta, parts.trial.network.theta)
-    with pytest.raises(FileError, match="belongs to a training with dtype=float32, not float64"):
+    with pytest.raises(FileError, match="a training with dtype='float32', not 'float64'"):
         hamsym.solve(
             H,
             [1, 0],

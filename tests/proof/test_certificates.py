@@ -423,7 +423,13 @@ def test_resonant_residual_refutes_the_papers_bound():
     other = hamsym.solve(forced, [1.0, 0.0], (0, end), tol=1e-10)
     H = systems.harmonic_oscillator().H
     solution = hamsym.Solution(
-        H, other.z0, (0.0, end), other.trial, method="features", record=other.record
+        H,
+        other.z0,
+        (0.0, end),
+        other.trial,
+        method="features",
+        record=other.record,
+        settings=other.settings,
     )
     certificate = solution.certify()
     assert certificate.ell_max_bound < 1.02e-3
@@ -440,7 +446,13 @@ def test_singular_energy_has_no_bound():
     through = hamsym.solve(free, [0.5, -1.0], (0.0, 0.6), tol=1e-6)
     H = hamsym.Hamiltonian("p**2/2 + 1/x")
     solution = hamsym.Solution(
-        H, through.z0, through.span, through.trial, method="features", record=through.record
+        H,
+        through.z0,
+        through.span,
+        through.trial,
+        method="features",
+        record=through.record,
+        settings=through.settings,
     )
     honest = solution.certify()
     assert honest.energy_bound == honest.ell_max_bound == math.inf
@@ -477,7 +489,7 @@ def test_incomplete_windows_are_rejected():
     solution = solved("features")
     longer = hamsym.Solution(
         solution.H, solution.z0, (0.0, 4.01), solution.trial,
-        method="features", record=solution.record,
+        method="features", record=solution.record, settings=solution.settings,
     )  # fmt: skip
     with pytest.raises(CertificationError, match="span differs from that of its windows"):
         longer.certify()

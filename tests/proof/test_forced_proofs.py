@@ -54,7 +54,7 @@ def test_wrong_force_is_noticed(solution: hamsym.Solution) -> None:
     other = hamsym.Solution(
         **{
             name: getattr(solution, name)
-            for name in ("z0", "span", "trial", "method", "record", "error", "success")
+            for name in ("z0", "span", "trial", "method", "record", "settings", "error", "success")
         },
         H=DAMPED.with_parameters(c=0.201),
     )

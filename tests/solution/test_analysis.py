@@ -56,6 +56,7 @@ def resonant(eps: float, end: float) -> Solution:
         Resonant(eps),  # type: ignore[arg-type]
         method="adam",
         record=like.record,
+        settings=like.settings,
     )
 
 

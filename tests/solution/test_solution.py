@@ -62,7 +62,9 @@ def test_converges_to_the_exact_solution(solution: Solution) -> None:
 def test_short_spans_of_the_catalogue(name: str) -> None:
     problem = CATALOGUE[name]()
     span = (problem.span[0], problem.span[0] + 0.3)
-    solution = hamsym.solve(problem.H, problem.z0, span, method=hamsym.Adam(**QUICK))
+    # Of components that begin at rest a network resolves only what is large beside the others.
+    atol = 0.01 * float(np.abs(problem.z0).max())
+    solution = hamsym.solve(problem.H, problem.z0, span, method=hamsym.Adam(**QUICK), atol=atol)
     truth = hamsym.integrate(problem.H, problem.z0, span, "dop853", steps=200)
     assert solution.success, solution.message
     assert np.abs(solution(truth.t) - truth.z).max() < 0.03

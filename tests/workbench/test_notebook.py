@@ -24,6 +24,7 @@ import hamsym
 from hamsym import Hamiltonian
 from hamsym.facts.proofs import ball_text
 from hamsym.facts.wording import DESCRIBED
+from hamsym.methods import METHODS
 from hamsym.workbench.notebooks.representation import representation
 
 HENON = Hamiltonian(
@@ -234,7 +235,7 @@ def test_representations_say_what_is_asked_first(name: str) -> None:
 def test_every_result_has_a_card() -> None:
     classes = [getattr(hamsym, name) for name in hamsym.__all__]
     results = {kind for kind in classes if inspect.isclass(kind) and "Error" not in kind.__name__}
-    without = {hamsym.Animation, hamsym.Ball, hamsym.Facts, hamsym.Regularizer}
+    without = {hamsym.Animation, hamsym.Ball, hamsym.Facts, hamsym.Regularizer, *METHODS.values()}
     missing = [kind for kind in results - without if not hasattr(kind, "_repr_html_")]
     assert not missing
     made = {name.split(" ")[0] for name in MADE}
