@@ -19,7 +19,7 @@ from hamsym.cli.commands import main
 from hamsym.codegen.backends import BACKENDS
 from hamsym.integrators import stepper
 from hamsym.integrators.table import listing
-from hamsym.methods import METHODS
+from hamsym.methods import METHODS, option_names
 
 OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
 HENON_HEILES = "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"
@@ -171,7 +171,8 @@ def test_solve_reports_and_draws(capsys: Captured, tmp_path: Path) -> None:
     status, out, err = run(capsys, "solve", *SOLVE, *QUICK, "--plot", str(figure), "--full")
     assert status == 1
     assert err == ""
-    assert out.startswith("not converged after 40 epochs")
+    assert out.startswith("tol 1.0e-02 met only until t = ")
+    assert "40 epochs, loss" in " ".join(out.split())
     assert "ell_max" in out
     assert "bound ell_max/sigma_min" in out
     assert "ms of CPU per epoch" in out
@@ -186,19 +187,19 @@ def test_solve_exits_with_success(capsys: Captured) -> None:
     assert status == 0, out
     first, second = out.splitlines()[:2]
     assert first.startswith("converged: largest estimated error ")
-    assert second.startswith("error below 1% of the motion after 600 epochs: ")
+    assert second.startswith("tol 1.0e-02 met: 600 epochs, loss ")
 
 
 @pytest.mark.slow
 def test_solve_by_least_squares_saves_and_resumes(capsys: Captured, tmp_path: Path) -> None:
     saved, checkpoint = str(tmp_path / "s.hamsym"), str(tmp_path / "run")
     settings = ["--method", "levenberg-marquardt", "--hidden", "10,10", "--points", "40"]
-    settings += ["--target-error", "1e-2", "--checkpoint", checkpoint, "-o", saved]
+    settings += ["--tol", "1e-2", "--checkpoint", checkpoint, "-o", saved]
     for _ in range(2):  # the second run reads the finished checkpoint
         status, out, err = run(capsys, "solve", *SOLVE, *settings)
         assert (status, err) == (0, "")
         assert out.startswith("converged: largest estimated error ")
-        assert out.splitlines()[1].startswith("target error 1.00e-02 reached after ")
+        assert out.splitlines()[1].startswith("tol 1.0e-02 met: ")
         assert f"wrote {saved}" in out
     solution = hamsym.load(saved)
     assert solution.relative_error <= 1e-2
@@ -574,7 +575,7 @@ BAD = [
     ),
     (
         ["compare", OSCILLATOR, "--z0", "1,1", "--t-end", "1", "--method", "adam", "--tol", "1"],
-        "'tol'",
+        "tol=1.0",
     ),
 ]
 
@@ -594,10 +595,9 @@ def test_bad_input_gets_one_line_and_status_2(
 def test_every_option_of_solve_is_offered(capsys: Captured) -> None:
     _, out, _ = run(capsys, "solve", "--help")
     offered = {word.rstrip(",") for word in out.split() if word.startswith("--")}
-    names = {
-        field.name for entry in METHODS.values() for field in dataclasses.fields(entry.options)
-    }
-    names -= {"regularizers", "trial", "invariants"}  # --invariant is of all methods
+    names = {name for kind in METHODS.values() for name in option_names(kind)}
+    names |= {"tol", "atol", "breakpoints", "seed", "prove", "invariant"}  # of all methods
+    names -= {"regularizers", "trial"}
     assert {f"--{name.replace('_', '-')}" for name in names} <= offered
 
 
@@ -614,7 +614,7 @@ def test_options_of_solve_are_passed_on(capsys: Captured, tmp_path: Path) -> Non
     arguments += f" --checkpoint {path} --checkpoint-every 5"
     state = ["--z0", "1.3,1", "--t-end", "2", "--method", "adam"]
     assert run(capsys, "solve", OSCILLATOR, *state, *arguments.split())[0] == 1
-    solution = hamsym.solve(OSCILLATOR, [1.3, 1], (0, 2), method="adam", **options)
+    solution = hamsym.solve(OSCILLATOR, [1.3, 1], (0, 2), method=hamsym.Adam(**options))
     assert solution.record.iterations == 3
     status, _, err = run(
         capsys, "solve", OSCILLATOR, *state, *arguments.split(), "--shared-weights"
@@ -627,7 +627,10 @@ def test_options_of_solve_are_passed_on(capsys: Captured, tmp_path: Path) -> Non
     ("arguments", "options"),
     [
         ("--atol 1e-3 --tol 1e-5", {"atol": 1e-3, "tol": 1e-5}),
-        ("--atol 1e-3,1e-2 --max-window 1/8", {"atol": [1e-3, 1e-2], "max_window": 0.125}),
+        (
+            "--atol 1e-3,1e-2 --max-window 1/8",
+            {"atol": [1e-3, 1e-2], "method": hamsym.Features(max_window=0.125)},
+        ),
     ],
 )
 def test_options_of_features_are_passed_on(
@@ -694,9 +697,9 @@ def test_initial_weights_from_a_file(tmp_path, capsys):
     first, second = str(tmp_path / "first"), str(tmp_path / "second")
     settings = ["--method", "adam", "--hidden", "6,6", "--points", "20", "--target-loss", "1e9"]
     state = ["p**2/2 + x**2/2", "--z0", "x=1,p=0"]
-    assert main(["solve", *state, "--t-end", "2", *settings, "-o", first]) == 0
+    assert main(["solve", *state, "--t-end", "2", *settings, "-o", first]) == 1  # untrained
     begun = ["solve", *state, "--t-end", "3", *settings, "--initial"]
-    assert main([*begun, first, "-o", second]) == 0
+    assert main([*begun, first, "-o", second]) == 1
     one, two = hamsym.load(first), hamsym.load(second)
     assert one.trial.network.sizes == two.trial.network.sizes
     capsys.readouterr()

@@ -153,7 +153,7 @@ def offered(
         ("hamsym systems", "ken", []),
         ("hamsym systems", "", sorted(CATALOGUE)),
         ("hamsym systems", "kep", ["kepler"]),
-        ("hamsym solve H", "--targ", ["--target-loss", "--target-ell-max", "--target-error"]),
+        ("hamsym solve H", "--targ", ["--target-loss", "--target-ell-max"]),
         ("hamsym solve H --method", "", list(METHODS)),
         ("hamsym solve H --activation", "s", ["sin", "sigmoid"]),
         ("hamsym integrate H --method", "gau", ["gauss4", "gauss6"]),
