@@ -11,7 +11,6 @@ from dataclasses import fields
 from typing import Any
 
 from hamsym.errors import InputError
-from hamsym.integrators.table import ALIASES, INTEGRATORS
 from hamsym.networks.methods import LBFGS, Adam, LevenbergMarquardt, NetworkChain, SSBroyden
 from hamsym.random_features.features import Features
 from hamsym.suggestions import did_you_mean, require_known, similar
@@ -43,6 +42,8 @@ def method_of(given: str | Method) -> Method:
         return given
     if isinstance(given, type) and issubclass(given, Method):
         raise InputError(f"method={given.__name__} is a class; give hamsym.{given.__name__}()")
+    from hamsym.integrators.table import ALIASES, INTEGRATORS  # slow to import
+
     if isinstance(given, str) and given in {*INTEGRATORS, *ALIASES}:
         raise InputError(
             f"'{given}' is a method of integrate; call hamsym.integrate, or choose one of "

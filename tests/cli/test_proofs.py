@@ -77,14 +77,6 @@ def test_solution_without_a_proof_is_saved_without_a_certificate(
     assert not Path(f"{path}.certificate").exists()
 
 
-def test_method_without_a_tolerance_is_refused_in_one_line(capsys: Captured) -> None:
-    arguments = [*SOLVE[:-2], "--method", "adam", "--prove"]
-    status, out, err = run(capsys, "solve", *arguments)
-    assert (status, out) == (2, "")
-    assert "needs a method with a tolerance" in err
-    assert err.count("\n") == 1
-
-
 def test_file_that_is_no_text_is_no_certificate(
     capsys: Captured, saved: str, tmp_path: Path
 ) -> None:
