@@ -40,10 +40,7 @@ class Regularizer:
     ...     "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)",
     ...     [1, 0, 0, 1],
     ...     (0, 1),
-    ...     method="adam",
-    ...     regularizers=[hamsym.Regularizer(0.5, change)],
-    ...     epochs=20,
-    ...     points=20,
+    ...     method=hamsym.Adam(epochs=20, regularizers=[hamsym.Regularizer(0.5, change)]),
     ... )
     >>> orbit(1.0).shape
     (4,)
