@@ -168,7 +168,7 @@ def test_certificate_is_shown(page, address):
     page.get_by_role("button", name="Certify").click()
     expect(page.locator(".result p").first).to_contain_text("Proven: ")
     first = page.locator(".result tbody tr td:first-child")
-    expect(first).to_have_text(["|z|", "x", "p", "H"])
+    expect(first).to_have_text(["|z|", "x", "p", "H", "ell_max"])
 
 
 def test_long_run_is_cancelled_and_page_stays_live(page, address):
