@@ -42,13 +42,14 @@ def method_of(given: str | Method) -> Method:
         return given
     if isinstance(given, type) and issubclass(given, Method):
         raise InputError(f"method={given.__name__} is a class; give hamsym.{given.__name__}()")
-    from hamsym.integrators.table import ALIASES, INTEGRATORS  # slow to import
+    if isinstance(given, str) and given not in METHODS:
+        from hamsym.integrators.table import ALIASES, INTEGRATORS  # slow to import
 
-    if isinstance(given, str) and given in {*INTEGRATORS, *ALIASES}:
-        raise InputError(
-            f"'{given}' is a method of integrate; call hamsym.integrate, or choose one of "
-            f"{', '.join(METHODS)}"
-        )
+        if given in {*INTEGRATORS, *ALIASES}:
+            raise InputError(
+                f"'{given}' is a method of integrate; call hamsym.integrate, or choose one of "
+                f"{', '.join(METHODS)}"
+            )
     require_known(given, METHODS, "a method")
     return METHODS[given]()
 
@@ -68,7 +69,7 @@ def option_message(
     """
     every = {option for kind in METHODS.values() for option in option_names(kind)}
     option = name if name in every else similar(name, [*arguments, *every])
-    kinds = [kind for kind in METHODS.values() if option in option_names(kind)]
+    kinds = _methods_with(option)
     if not kinds:
         return None
     asked = METHODS.get(method) if isinstance(method, str) else type(method)
@@ -85,6 +86,10 @@ def option_names(kind: type[Method]) -> list[str]:
     return [entry.name for entry in fields(kind)]
 
 
+def _methods_with(option: str | None) -> list[type[Method]]:
+    return [kind for kind in METHODS.values() if option in option_names(kind)]
+
+
 def made_method(name: str, options: dict[str, Any]) -> Method:
     """Make a method from its name and options as data.
 
@@ -95,7 +100,7 @@ def made_method(name: str, options: dict[str, Any]) -> Method:
     known = option_names(kind)
     for option in options:
         if option not in known:
-            others = [f"'{other}'" for other, k in METHODS.items() if option in option_names(k)]
+            others = [f"'{other.name}'" for other in _methods_with(option)]
             hint = f", but of {', '.join(others)}" if others else did_you_mean(option, known)
             raise InputError(
                 f"'{option}' is not an option of method '{name}'{hint}; it has {', '.join(known)}"

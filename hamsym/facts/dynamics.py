@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from hamsym.dynamics.lyapunov_map import LyapunovMap
     from hamsym.dynamics.sections import Section
 
-__all__: list[str] = []
-
 _WIDE = 4  # exponents and components in a short table
 _REGIONS = 3  # undecided ones that are listed
 

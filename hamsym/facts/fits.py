@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from hamsym.fitting.fitted import Fit
     from hamsym.flow_maps.flow_map import FlowMap
 
-__all__: list[str] = []
-
 
 @of_type("Fit")
 def _fit(fit: Fit) -> Facts:

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from hamsym.symbolic.equations import Equations
     from hamsym.symbolic.invariant import Invariant, Invariants
 
-__all__: list[str] = []
-
 _DERIVED = 2_000  # operations of an H whose equations of motion are derived for a description
 
 

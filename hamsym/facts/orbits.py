@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from hamsym.orbits.family import OrbitFamily
     from hamsym.orbits.orbit import PeriodicOrbit
 
-__all__: list[str] = []
-
 
 @of_type("PeriodicOrbit")
 def _periodic_orbit(orbit: PeriodicOrbit) -> Facts:

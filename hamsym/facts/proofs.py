@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from hamsym.proof.certificate import Certificate
     from hamsym.proof.enclose import Enclosure
 
-__all__: list[str] = []
-
 _BOUNDS = "bound lower energy_bound energy_lower ell_max_bound ell_max_lower"
 _THREE_DIGITS = Context(prec=3, rounding=ROUND_CEILING)
 

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from hamsym.proof.certificate import Certificate
     from hamsym.solution.solution import Solution
 
-__all__: list[str] = []
-
 _LONG = 2e9  # operations of an analysis that takes longer than a reader waits
 
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from hamsym.study.grid import StoredSweep
     from hamsym.study.sweep import Sweep
 
-__all__: list[str] = []
-
 _ERROR = ".2e"
 
 

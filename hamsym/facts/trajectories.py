@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from hamsym.integrators.trajectory import Trajectory
 
-__all__: list[str] = []
-
 
 @of_type("Trajectory")
 def _trajectory(trajectory: Trajectory) -> Facts:
