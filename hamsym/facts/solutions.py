@@ -42,17 +42,17 @@ def solution_facts(solution: Solution, certificate: Certificate | None = None) -
     - certificate: Of this solution, in place of its own.
     """
     certificate = certificate or solution.certificate
-    H, limits = solution.H, solution.allowed_error
+    H = solution.H
     return Facts(
         "Solution",
-        against(H, solution.largest_error, limits, of="the {} asked"),
+        against(H, solution.largest_error, solution.allowed_error),
         solution.message,
         bool(solution.success),
         "converged" if solution.success else "failed",
         formulas_of(H),
         (*problem_facts(H), *_settings(solution)),
         (
-            _components(solution, limits, certificate),
+            _components(solution, certificate),
             lambda: _conserved(solution),
             *([] if certificate is None else [_proof(certificate)]),
             lambda: _bound(solution),
@@ -93,7 +93,7 @@ def _tolerance(solution: Solution) -> Fact:
     return Fact("tol", "tolerance", given.tol, text)
 
 
-def _components(solution: Solution, limits: np.ndarray, certificate: Certificate | None) -> Table:
+def _components(solution: Solution, certificate: Certificate | None) -> Table:
     H, asked, errors = solution.H, solution.allowed_error, solution.largest_error
     ends = solution(solution.span[1])
     columns = [
@@ -102,14 +102,13 @@ def _components(solution: Solution, limits: np.ndarray, certificate: Certificate
         Column("at the end", ends, ".12g", "end", brief=False),
         Column("largest value", solution.scale, ".4g", "largest_value"),
         Column("estimated error", errors, error_text, "error"),
+        Column("asked", asked, ".1e", "asked"),
+        Column("of it", [share(*pair) for pair in zip(errors, asked, strict=True)]),
     ]
-    if asked is not None:
-        shares = [share(*pair) for pair in zip(errors, asked, strict=True)]
-        columns += [Column("asked", asked, ".1e", "asked"), Column("of it", shares)]
     if certificate is not None:
         bounds = certificate.component_bounds
         columns.append(Column("proven at most", bounds, decimal, "proven_error", brief=False))
-    order = np.argsort(-ratios(errors, limits), kind="stable").tolist()
+    order = np.argsort(-ratios(errors, asked), kind="stable").tolist()
     return Table(
         "components with smaller errors", H.names, tuple(columns), choose=lambda n: order[:n]
     )

@@ -82,12 +82,10 @@ def against(
     limits: Any,
     *,
     what: str = "largest estimated error",
-    of: str = "the {} asked",
 ) -> str:
-    """Say how large the largest error is against what was asked, or against other limits.
+    """Say how large the largest error is against what was asked.
 
-    - errors, limits: Of each component.
-    - of: What the limits are.
+    - errors, limits: Of each component, the limits as they were asked.
 
     Examples
     --------
@@ -101,8 +99,8 @@ def against(
     name, error, limit = H.names[worst], float(errors[worst]), float(limits[worst])
     if not math.isfinite(error):
         return f"the error is not known, in {name}"
-    whole = of.format(H.quantity(name, limit))
-    return f"{what} {H.quantity(name, error)} in {name}, {share(error, limit)} of {whole}"
+    asked = f"{share(error, limit)} of the {H.quantity(name, limit)} asked"
+    return f"{what} {H.quantity(name, error)} in {name}, {asked}"
 
 
 # -- what was asked --------------------------------------------------------------------------------
