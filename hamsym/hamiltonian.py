@@ -185,7 +185,8 @@ class Hamiltonian(SymbolicHamiltonian):
         return {"q": self.q, "p": self.p, "parameters": dict(self.parameters), **mappings}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return partial(Hamiltonian, self.expr, **self._arguments()), ()
+        written = {"written": self.written}
+        return partial(Hamiltonian, self.expr, **self._arguments()), (), written
 
     # -- states and parameters ---------------------------------------------------------------
 
@@ -200,7 +201,9 @@ class Hamiltonian(SymbolicHamiltonian):
         """
         given = self._arguments()
         given["parameters"] |= values
-        return Hamiltonian(self.expr, **given)
+        found = Hamiltonian(self.expr, **given)
+        found.__dict__["written"] = self.written
+        return found
 
     @classmethod
     def of(cls, H: HamiltonianLike, *, bound: bool = True) -> Hamiltonian:

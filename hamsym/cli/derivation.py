@@ -17,7 +17,6 @@ from hamsym.support.atomic import write_atomically
 from hamsym.support.text_tables import columns, wrapped
 
 if TYPE_CHECKING:
-    from hamsym.formula.printer import FormulaPrinter
     from hamsym.hamiltonian import Hamiltonian
     from hamsym.symbolic.lagrangian import Lagrangian
 
@@ -70,12 +69,10 @@ def derive(
 
 def _lines(H: Hamiltonian, read: Lagrangian | None) -> list[str]:
     """Return H, its equations and its properties as lines of text."""
-    from hamsym.formula.printer import FormulaPrinter
-
-    write = FormulaPrinter()
-    lines = [] if read is None else [wrapped(write(read.expr), "L = ")]
-    lines.append(wrapped(H.formula, "H = "))
-    lines += [wrapped(text, f"force of {name} = ") for name, text in H.force_texts.items()]
+    write = H.notation.text
+    lines = [] if read is None else [wrapped(read.notation.text(read.expr), "L = ")]
+    lines.append(wrapped(write(H.expr), "H = "))
+    lines += [wrapped(write(force), f"force of {name} = ") for name, force in H.forces.items()]
     lines.append(wrapped(f"({', '.join(H.names)})", "z = "))
     if H.parameter_names:
         values = (
@@ -87,13 +84,14 @@ def _lines(H: Hamiltonian, read: Lagrangian | None) -> list[str]:
         lines.append("\nMomenta")
         width = max(len(symbol.name) for symbol in read.p)
         for symbol, momentum in zip(read.p, read.momenta, strict=True):
-            lines.append(wrapped(write(momentum), f"  {symbol.name:<{width}} = "))
+            text = read.notation.text(momentum)
+            lines.append(wrapped(text, f"  {symbol.name:<{width}} = "))
     lines.append("\nHamilton's equations")
     left = [f"d{name}/dt" for name in H.names]
     width = max(map(len, left))
     for name, rate in zip(left, H.vector_field, strict=True):
         lines.append(wrapped(write(rate), f"  {name:<{width}} = "))
-    lines += ["\nHessian", *_hessian(H, write), ""]
+    lines += ["\nHessian", *_hessian(H), ""]
     if H.kinetic is not None:
         depends = "" if H.is_separable else ", but a force depends on momenta"
         lines.append(f"separable: yes{depends}")
@@ -112,9 +110,7 @@ def _lines(H: Hamiltonian, read: Lagrangian | None) -> list[str]:
 
 def _values_of(H: Hamiltonian, read: Lagrangian | None) -> dict[str, Any]:
     """Return what is derived as values of JSON, formulas as texts."""
-    from hamsym.formula.printer import FormulaPrinter
-
-    write = FormulaPrinter()
+    write = H.notation.text
     values: dict[str, Any] = {
         "H": H.formula,
         "q": H.names[: H.dof],
@@ -129,14 +125,15 @@ def _values_of(H: Hamiltonian, read: Lagrangian | None) -> dict[str, Any]:
     }
     if read is not None:
         momenta = zip(read.p, read.momenta, strict=True)
+        write = read.notation.text
         values["L"] = write(read.expr)
         values["momenta"] = {symbol.name: write(momentum) for symbol, momentum in momenta}
     return values
 
 
-def _hessian(H: Hamiltonian, write: FormulaPrinter) -> list[str]:
+def _hessian(H: Hamiltonian) -> list[str]:
     matrix = H.hessian
-    cells = [[write(matrix[i, j]) for j in range(H.dim)] for i in range(H.dim)]
+    cells = [[H.notation.text(matrix[i, j]) for j in range(H.dim)] for i in range(H.dim)]
     widths = [max(len(row[j]) for row in cells) for j in range(H.dim)]
     if sum(widths) + 2 * H.dim + 4 <= columns():
         return [

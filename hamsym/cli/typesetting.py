@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import sympy
 
+from hamsym.formula.notation import Notation
 from hamsym.formula.parser import canonical_name
 from hamsym.symbolic.equations import free_symbols
 
@@ -27,6 +28,7 @@ def aligned(H: Hamiltonian, lagrangian: Lagrangian | None = None) -> str:
     on further lines.
     """
     rows: list[list[str]] = []
+    own = Notation() if lagrangian is None else lagrangian.notation
     # Greek letters as commands, which every engine of LaTeX reads.
     names = {
         symbol: sympy.latex(sympy.Symbol(canonical_name(symbol.name)))
@@ -40,18 +42,19 @@ def aligned(H: Hamiltonian, lagrangian: Lagrangian | None = None) -> str:
         pairs = zip(lagrangian.q, lagrangian.velocities, strict=True)
         names |= {rate: _dotted(q, names) for q, rate in pairs}
         left = _of("L", [*lagrangian.q, *lagrangian.velocities], H.time, names)
-        rows.append(_equation(left, lagrangian.expr, names))
+        rows.append(_equation(left, lagrangian.expr, names, own))
         for p, momentum in zip(lagrangian.p, lagrangian.momenta, strict=True):
-            rows.append(_equation(names[p], momentum, names))
-    rows.append(_equation(_of("H", H.z, H.time, names), H.expr, names))
+            rows.append(_equation(names[p], momentum, names, own))
+    rows.append(_equation(_of("H", H.z, H.time, names), H.expr, names, H.notation))
     for symbol in H.p:
         if symbol.name in H.forces:
-            rows.append(_equation(f"F_{{{names[symbol]}}}", H.forces[symbol.name], names))
+            force = H.forces[symbol.name]
+            rows.append(_equation(f"F_{{{names[symbol]}}}", force, names, H.notation))
     for component, rate in zip(H.z, H.vector_field, strict=True):
-        rows.append(_equation(_dotted(component, names), rate, names))
+        rows.append(_equation(_dotted(component, names), rate, names, H.notation))
     if H.dim <= _FEW:
         lines = (
-            " & ".join(sympy.latex(entry, symbol_names=names) for entry in row)
+            " & ".join(H.notation.latex(entry, symbol_names=names) for entry in row)
             for row in H.hessian.tolist()
         )
         matrix = r"\begin{pmatrix} " + r" \\ ".join(lines) + r" \end{pmatrix}"
@@ -74,12 +77,12 @@ def _dotted(symbol: sympy.Symbol, names: Names) -> str:
     return rf"\dot{{{letter}}}{index}{rest}"
 
 
-def _equation(left: str, right: sympy.Expr, names: Names) -> list[str]:
+def _equation(left: str, right: sympy.Expr, names: Names, notation: Notation) -> list[str]:
     """Lines of an equation; a long sum is broken between its terms."""
     lines, line = [], f"{left} &= "
     start = True
-    for term in _terms(right):
-        text = sympy.latex(term, symbol_names=names)
+    for term in notation.terms(right):
+        text = notation.latex(term, symbol_names=names)
         if not start and len(line) + len(text) > _LINE:
             lines.append(line.rstrip())
             line = r"&\quad " if text.startswith("-") else r"&\quad {}+ "
@@ -91,14 +94,12 @@ def _equation(left: str, right: sympy.Expr, names: Names) -> list[str]:
     return [*lines, line]
 
 
-def _terms(expr: sympy.Expr) -> list[sympy.Expr]:
-    return list(expr.as_ordered_terms()) if expr.is_Add else [expr]
-
-
 def _entries(H: Hamiltonian, names: Names) -> Iterator[list[str]]:
     """The nonzero second derivatives, one equation each."""
     for (i, j), entry in sorted(H.hessian.todok().items()):
         if i <= j:
             one, other = names[H.z[i]], names[H.z[j]]
             last = rf"{{{one}}}^{{2}}" if i == j else rf"{one}\, \partial {other}"
-            yield _equation(rf"\frac{{\partial^{{2}} H}}{{\partial {last}}}", entry, names)
+            yield _equation(
+                rf"\frac{{\partial^{{2}} H}}{{\partial {last}}}", entry, names, H.notation
+            )

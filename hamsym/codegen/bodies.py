@@ -10,6 +10,7 @@ from functools import cached_property
 
 import sympy
 
+from hamsym.codegen import common_parts
 from hamsym.codegen.names import Names
 from hamsym.codegen.printers import PRINTERS
 from hamsym.formula.printer import Printer
@@ -25,7 +26,7 @@ _MIN_LOOPED_TERMS = 24
 _IDENTIFIER = re.compile(r"[^\W\d]\w*")
 
 Index = tuple[int, int]
-_Half = tuple[Sequence[sympy.Symbol], list[derivatives.Alike], sympy.Expr]
+_Half = tuple[Sequence[sympy.Symbol], list[common_parts.Alike], sympy.Expr]
 
 
 @dataclass(frozen=True)
@@ -223,18 +224,18 @@ class Bodies:
             # Polynomials are faster written out than in a loop.
             cheap = [term for term in terms if term.is_polynomial(*half)]
             costly = [term for term in terms if term not in cheap]
-            groups, rest = derivatives.alike_terms(sympy.Add(*costly), half)
+            groups, rest = common_parts.alike_terms(sympy.Add(*costly), half)
             found.append((half, groups, sympy.Add(rest, *cheap)))
         return found
 
     def _looped(
-        self, half: Sequence[sympy.Symbol], groups: Sequence[derivatives.Alike], rest: sympy.Expr
+        self, half: Sequence[sympy.Symbol], groups: Sequence[common_parts.Alike], rest: sympy.Expr
     ) -> Looped:
         position = {symbol: i for i, symbol in enumerate(half)}
         loops = [self._loop(group, position) for group in groups]
         return Looped(loops, self._body(derivatives.gradient(rest, half)))
 
-    def _loop(self, group: derivatives.Alike, position: Mapping[sympy.Symbol, int]) -> Loop:
+    def _loop(self, group: common_parts.Alike, position: Mapping[sympy.Symbol, int]) -> Loop:
         places = list(itertools.islice(self._names.temporaries("a"), len(group.places)))
         names = {symbol: symbol.name for symbol in places}
         template = group.template.xreplace(dict(zip(group.places, places, strict=True)))
@@ -314,7 +315,7 @@ def _common_subexpressions(
 ) -> tuple[list[tuple[sympy.Symbol, sympy.Expr]], list[sympy.Expr]]:
     if not _has_operations(exprs, _CSE_OPERATIONS + 1):
         return [], exprs
-    replacements, shorter = derivatives.common_subexpressions(exprs, symbols)
+    replacements, shorter = common_parts.common_subexpressions(exprs, symbols)
     after = sum(int(sympy.count_ops(expr)) for _, expr in replacements)
     after += sum(int(sympy.count_ops(expr)) for expr in shorter)
     saved = _has_operations(exprs, after / _CSE_SAVING)

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 
 import sympy
 
+from hamsym.codegen import common_parts
 from hamsym.codegen.straight_line import Graph
 from hamsym.errors import CodeGenerationError
 from hamsym.formula.printer import Printer
 from hamsym.kernel.loops import Equations as Programs
 from hamsym.kernel.loops import Program
-from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
 from hamsym.symbolic.exact import without_floats
 
@@ -80,7 +80,7 @@ def program_of(
     lower = Printer({}).lower
     shared = (sympy.Dummy(real=True) for _ in itertools.count())
     exact = [lower(without_floats(expression)) for expression in expressions]
-    temporaries, reduced = derivatives.common_subexpressions(exact, shared)
+    temporaries, reduced = common_parts.common_subexpressions(exact, shared)
     graph = _Steps([*state, time or sympy.Dummy(), *parameters])
     for symbol, expression in temporaries:
         graph.assign(symbol, expression)

@@ -27,10 +27,10 @@ from typing import Any
 
 import sympy
 
+from hamsym.codegen import common_parts
 from hamsym.codegen.names import Names
 from hamsym.errors import CodeGenerationError
 from hamsym.formula.printer import _ADD, _ATOM, _MUL, Printer, ordered_terms
-from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
 from hamsym.symbolic.exact import rational, without_floats
 
@@ -219,7 +219,7 @@ def straight_line(
     """
     lower = Printer({}).lower
     exact = [lower(without_floats(expression)) for expression in expressions]
-    shared, reduced = derivatives.common_subexpressions(exact, _shared_symbols())
+    shared, reduced = common_parts.common_subexpressions(exact, _shared_symbols())
     graph = Graph(names, values or {}, arithmetic)
     for symbol, expression in shared:
         graph.assign(symbol, expression)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     import sympy
 
+    from hamsym.formula.notation import Notation
 
 _WIDTH = 96  # characters of a line in the head of a file
 
@@ -168,6 +169,7 @@ class Formula:
     left: str
     expr: sympy.Basic
     text: str
+    notation: Notation | None = None
 
 
 @dataclass(frozen=True, eq=False)

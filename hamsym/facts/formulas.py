@@ -39,7 +39,11 @@ def _hamiltonian(H: Hamiltonian) -> Facts:
 
 
 def _equations_of(equations: Formulas) -> tuple[Formula, ...]:
-    return tuple(Formula("", each, f"{each.lhs} = {each.rhs}") for each in equations)
+    notation = equations.notation
+    return tuple(
+        Formula("", each, f"d{each.lhs.expr}/dt = {notation.text(each.rhs)}", notation)
+        for each in equations
+    )
 
 
 @of_type("Formulas")

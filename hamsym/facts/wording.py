@@ -108,10 +108,11 @@ def against(
 
 def formulas_of(H: Hamiltonian) -> tuple[Formula, ...]:
     """H and the forces."""
-    forces = (
-        Formula(f"force of {name}", force, H.force_texts[name]) for name, force in H.forces.items()
+    forces = ((f"force of {name}", force) for name, force in H.forces.items())
+    return tuple(
+        Formula(left, expr, H.notation.text(expr), H.notation)
+        for left, expr in (("H", H.expr), *forces)
     )
-    return Formula("H", H.expr, H.formula), *forces
 
 
 def problem_facts(H: Hamiltonian, varied: Sequence[str] = ()) -> tuple[Fact, ...]:

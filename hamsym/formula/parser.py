@@ -44,6 +44,10 @@ MAX_SECONDS = 2.0  # of processor time, for the few calls that take long themsel
 MAX_BITS = 5_000  # of an exact number
 
 
+#: Terms of sums in the order in which they were written, by the sum.
+Written = dict[sympy.Expr, tuple[sympy.Expr, ...]]
+
+
 @dataclass(frozen=True)
 class _Function:
     build: Callable[..., sympy.Expr]
@@ -148,9 +152,21 @@ def parse_expression(text: str) -> sympy.Expr:
     ...
     hamsym.errors.ParseError: '^' at column 2 is not a power; write ** for powers
     """
+    return parse_written(text)[0]
+
+
+def parse_written(text: str) -> tuple[sympy.Expr, Written]:
+    """Parse a formula; return the terms of its sums in the order of the text too.
+
+    Examples
+    --------
+    >>> parse_written("sqrt(1 + x) - 2")[1]
+    {x + 1: (1, x), sqrt(x + 1) - 2: (sqrt(x + 1), -2)}
+    """
     if not isinstance(text, str):
         raise InputError(f"a formula is a str, not {type(text).__name__}; give a str")
-    return _Visitor(text).result()
+    visitor = _Visitor(text)
+    return visitor.result(), visitor.written
 
 
 def parse_number(text: str) -> float:
@@ -185,6 +201,7 @@ class _Visitor:
                 "build a sympy expression for something this large",
             )
         self._text = readable(text)
+        self.written: Written = {}
         self._symbols: dict[str, str] = {}  # canonical name -> name as typed
         self._depth = self._calls = 0
         self._indices: dict[str, int] = {}  # of the sums around the present node
@@ -336,7 +353,14 @@ class _Visitor:
             self._indices[name] = value
             terms.append(self.visit(term))
         self._indices.pop(name, None)
-        return sympy.Add(*terms)
+        return self._total(terms)
+
+    def _total(self, parts: list[sympy.Expr]) -> sympy.Expr:
+        total = sympy.Add(*parts)
+        terms = [t for part in parts for t in self.written.get(part, sympy.Add.make_args(part))]
+        if total.is_Add and len(terms) == len(total.args) and set(terms) == set(total.args):
+            self.written[total] = tuple(terms)
+        return total
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> sympy.Expr:
         if isinstance(node.op, ast.USub):
@@ -349,7 +373,7 @@ class _Visitor:
         if isinstance(node.op, ast.Pow):
             return self._power(node)
         if isinstance(node.op, (ast.Add, ast.Sub)):
-            return sympy.Add(*self._chain(node, (ast.Add, ast.Sub)))
+            return self._total(self._chain(node, (ast.Add, ast.Sub)))
         if isinstance(node.op, (ast.Mult, ast.Div)):
             return sympy.Mul(*self._chain(node, (ast.Mult, ast.Div)))
         self.visit(node.left)  # an error further to the left comes first
@@ -502,9 +526,10 @@ def _bits(number: sympy.Rational) -> int:
 
 
 def _is_zero(expr: sympy.Expr) -> bool:
-    """Return whether a divisor is zero, symbolically or numerically."""
-    if expr.free_symbols:
-        return bool(expr.is_zero)
+    """Return whether a divisor, or its constant factor, is zero."""
+    if symbols := expr.free_symbols:
+        # sympy's own is_zero takes longer than all the rest of a formula.
+        expr, _ = expr.as_independent(*symbols, as_Add=False)
     if expr.is_Rational:
         return bool(expr == 0)
     try:

@@ -149,11 +149,21 @@ class Printer:
         return text if own >= precedence else f"({text})"
 
     def _sum(self, expr: sympy.Expr) -> str:
-        terms = [self._render(term)[0] for term in ordered_terms(expr)]
+        terms = [self._render(term)[0] for term in self.terms(expr)]
         text = terms[0]
         for term in terms[1:]:
             text += f" - {term[1:]}" if term.startswith("-") else f" + {term}"
         return text
+
+    def terms(self, expr: sympy.Expr) -> list[sympy.Expr]:
+        """Terms of a sum in the order in which they are printed."""
+        return ordered_terms(expr)
+
+    @staticmethod
+    def _splits(factor: sympy.Expr) -> bool:
+        """Whether a number is printed in front of a fraction with this factor below its line."""
+        # 2/3/(x + y): sympy would multiply a number in front of the sum into it when parsing.
+        return bool(factor.as_base_exp()[0].is_Add)
 
     def _product(self, expr: sympy.Expr) -> tuple[str, int]:
         constants: list[sympy.Expr] = []
@@ -169,8 +179,7 @@ class Printer:
         numerator, denominator = self._fraction(constant)
         tops = ([numerator] if numerator else []) + [self._wrapped(f, _MUL) for f in above]
         bottoms = ([denominator] if denominator else []) + [self._wrapped(f, _POW) for f in below]
-        if denominator and any(factor.is_Add for factor in [f.as_base_exp()[0] for f in below]):
-            # 2/3/(x + y): sympy would multiply a number in front of the sum into it when parsing.
+        if denominator and any(map(self._splits, below)):
             tops = [f"{numerator or self.integer(1)}/{denominator}", *tops[bool(numerator) :]]
             bottoms = bottoms[1:]
         text = sign + ("*".join(tops) or self.integer(1))

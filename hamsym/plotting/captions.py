@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Mapping, Sequence
 
 import sympy
 from matplotlib.font_manager import FontProperties
 from matplotlib.mathtext import MathTextParser
 
+from hamsym.formula.notation import Notation
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.figure import CAPTION_SIZE
 from hamsym.plotting.names import latex_of, math_name, math_unit, number, words_of
@@ -20,14 +20,14 @@ _MAX_TERMS, _MAX_PARAMETERS = 12, 10
 
 def formula_words(H: Hamiltonian) -> list[str]:
     """Return H = ... for a caption, broken between terms; of a long sum the first terms."""
-    found = _terms_of(H.expr, H)
+    found = _terms_of(H.expr, H.notation)
     words = ["$H\\,=\\," + found[0][1:], *found[1:]] if found else []
-    words = words or words_of(_limited(f"H = {H.formula}"))
+    words = words or words_of(_limited(f"H = {H.notation.text(H.expr)}"))
     for name, force in H.forces.items():
-        own = _terms_of(force, H)
+        own = _terms_of(force, H.notation)
         head = ["force", "of", math_name(name), "="]
         words[-1] += ";"
-        words += [*head, *own] if own else [*head, *words_of(_limited(H.force_texts[name]))]
+        words += [*head, *own] if own else [*head, *words_of(_limited(H.notation.text(force)))]
     return words
 
 
@@ -35,24 +35,18 @@ def _limited(text: str) -> str:
     return text if len(text) <= 300 else f"{text[:280]} ... ({len(text):,} characters)"
 
 
-def _terms_of(expr: sympy.Expr, H: Hamiltonian) -> list[str]:
+def _terms_of(expr: sympy.Expr, notation: Notation) -> list[str]:
     """Return the terms of a sum as mathematics, [] if matplotlib cannot draw them."""
     if expr.count_ops() > 2_000:
         return []
-    padded = {  # q2 precedes q10
-        symbol: sympy.Symbol(re.sub("[0-9]+", lambda found: found[0].zfill(6), symbol.name))
-        for symbol in expr.free_symbols
-    }
-    renamed = {other: symbol for symbol, other in padded.items()}
-    ordered = expr.xreplace(padded).as_ordered_terms()
-    terms = [term.xreplace(renamed) for term in ordered]
+    terms = notation.terms(expr)
     symbols = sympy.Add(*terms[:_MAX_TERMS]).free_symbols
     names = {symbol: math_name(symbol.name).strip("$") for symbol in symbols}
     if any(latex_of(symbol.name) is None for symbol in symbols):
         return []
     found = []
     for place, term in enumerate(terms[:_MAX_TERMS]):
-        text = sympy.latex(term, symbol_names=names, fold_short_frac=True)
+        text = notation.latex(term, symbol_names=names, fold_short_frac=True)
         if place:
             negative = text.startswith("-")
             text = (r"-\," if negative else r"+\,") + text.removeprefix("-").strip()

@@ -8,6 +8,7 @@ from typing import Any
 
 import sympy
 
+from hamsym.formula.notation import Notation
 from hamsym.support.shown import Shown
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.checks import real_symbols
@@ -78,7 +79,7 @@ class Equations(Shown):
     def _repr_latex_(self) -> str:
         rates = zip(self.z, self.vector_field, strict=True)
         lines = [(rf"\dot{{{sympy.latex(symbol)}}}", rate) for symbol, rate in rates]
-        return aligned([("H", self.expr), *lines])
+        return aligned([("H", self.expr), *lines], Notation())
 
     def with_values(self, values: Mapping[str, float | None]) -> Equations:
         """Return the same equations with other values of the parameters."""
@@ -276,6 +277,8 @@ def free_symbols(formulas: Iterable[sympy.Expr]) -> set[sympy.Symbol]:
 class Formulas(Shown, list[sympy.Eq]):
     """A list of equations, one below the other in notebooks.
 
+    - notation: Order of the terms of sums.
+
     Examples
     --------
     >>> x, p = sympy.symbols("x p")
@@ -283,11 +286,17 @@ class Formulas(Shown, list[sympy.Eq]):
     $\\displaystyle \\begin{aligned}x &= p\\end{aligned}$
     """
 
+    def __init__(
+        self, equations: Iterable[sympy.Eq] = (), notation: Notation | None = None
+    ) -> None:
+        super().__init__(equations)
+        self.notation = notation or Notation()
+
     def _repr_latex_(self) -> str:
-        return aligned((sympy.latex(each.lhs), each.rhs) for each in self)
+        return aligned(((sympy.latex(each.lhs), each.rhs) for each in self), self.notation)
 
 
-def aligned(equations: Iterable[tuple[str, sympy.Expr]]) -> str:
+def aligned(equations: Iterable[tuple[str, sympy.Expr]], notation: Notation) -> str:
     """Return pairs of a left side in LaTeX and an expression as lines in MathJax."""
-    lines = r" \\ ".join(f"{left} &= {sympy.latex(right)}" for left, right in equations)
+    lines = r" \\ ".join(f"{left} &= {notation.latex(right)}" for left, right in equations)
     return rf"$\displaystyle \begin{{aligned}}{lines}\end{{aligned}}$"

@@ -14,7 +14,8 @@ import sympy
 from sympy.core.function import AppliedUndef
 
 from hamsym.errors import VariableError
-from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.formula.notation import Notation
+from hamsym.formula.parser import canonical_name, parse_written
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.checks import (
     as_list,
@@ -48,6 +49,8 @@ class Lagrangian(NamedTuple):
     hamiltonian: sympy.Expr
     #: Values of the parameters that H contains.
     parameters: dict[str, float]
+    #: Order of the terms of sums.
+    notation: Notation
 
 
 # -- names -----------------------------------------------------------------------------------------
@@ -175,7 +178,7 @@ def read_lagrangian(
     """
     text = isinstance(expression, str)
     own, functions = _plain_symbols(expression)
-    expr = parse_expression(own) if text else checked_expression(own, "a Lagrangian")
+    expr, written = parse_written(own) if text else (checked_expression(own, "a Lagrangian"), {})
     symbols = by_name(expr.free_symbols)
     values = checked_values(parameters or {}, symbols, "L")
     if (q is None) != (velocities is None) and not functions:
@@ -221,6 +224,7 @@ def read_lagrangian(
         tuple(slope.xreplace(back) for slope in first),
         found.xreplace(back),
         {name: value for name, value in values.items() if name in kept},
+        Notation(written),
     )
 
 

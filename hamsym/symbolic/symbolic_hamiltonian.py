@@ -15,7 +15,9 @@ from typing import Any
 import sympy
 
 from hamsym.errors import InputError
-from hamsym.formula.printer import FormulaPrinter
+from hamsym.formula.notation import Notation
+from hamsym.formula.parser import Written
+from hamsym.formula.printer import FormulaPrinter, ordered_terms
 from hamsym.support.shown import Shown
 from hamsym.support.validation import require_positive, require_whole
 from hamsym.symbolic import brackets, derivatives
@@ -39,6 +41,8 @@ class SymbolicHamiltonian(Shown):
     time: sympy.Symbol | None
     #: Forces beyond those of H that do not vanish, by the names of the momenta.
     forces: Mapping[str, sympy.Expr]
+    #: Terms of sums in H in the order in which they were written, by the sum.
+    written: Written
     #: Units by name, with that of the time, ``t``; empty if none were given.
     units: Mapping[str, str]
 
@@ -97,18 +101,44 @@ class SymbolicHamiltonian(Shown):
         return f"Hamiltonian({self.formula!r}, pairs {pairs}{forces}{values})"
 
     def _repr_latex_(self) -> str:
+        write = self.notation.latex
         arguments = ", ".join(sympy.latex(symbol) for symbol in self.z)
         forces = "".join(
-            rf", \quad F_{{{sympy.latex(symbol)}}} = {sympy.latex(self.forces[symbol.name])}"
+            rf", \quad F_{{{sympy.latex(symbol)}}} = {write(self.forces[symbol.name])}"
             for symbol in self.p
             if symbol.name in self.forces
         )
-        return rf"$\displaystyle H({arguments}) = {sympy.latex(self.expr)}{forces}$"
+        return rf"$\displaystyle H({arguments}) = {write(self.expr)}{forces}$"
 
     @cached_property
     def formula(self) -> str:
         """H as text, with the terms in conventional order; parsing it gives H again."""
         return FormulaPrinter()(self.expr)
+
+    @cached_property
+    def notation(self) -> Notation:
+        """Order of terms in all that is displayed of H: as they were written.
+
+        The terms of the equations of motion are in the order of the terms of H that they come from.
+
+        Examples
+        --------
+        >>> from hamsym import Hamiltonian
+        >>> H = Hamiltonian("p_r**2/(2*m) + k*(r - l)**2/2 + r*a", q=["r"], p=["p_r"])
+        >>> H.notation.text(H.vector_field[1])
+        '-k*(r - l) - a'
+        """
+        notation, real = Notation(self.written), self.real_equations
+        terms = notation.terms(real.expr)
+        orders = derivatives.term_places(terms, real.z)
+        sources = (*orders[self.dof :], *orders[: self.dof])
+        for rate, places in zip(self.vector_field, sources, strict=True):
+            if rate.is_Add and rate not in notation.written:
+                known = {self._own(term): place for term, place in places.items()}
+                # Forces come last.
+                place = {t: known.get(t.as_coeff_Mul()[1], len(terms)) for t in rate.args}
+                notation.written[rate] = sorted(ordered_terms(rate), key=place.__getitem__)
+        return notation
 
     @property
     def formulas(self) -> str:
@@ -210,10 +240,11 @@ class SymbolicHamiltonian(Shown):
         """
         used = set(self.names) | set(self.parameter_names)
         time = self.time or sympy.Symbol(TIME if TIME not in used else "time", real=True)
-        return Formulas(
+        equations = (
             sympy.Eq(sympy.Derivative(component, time, evaluate=False), rate, evaluate=False)
             for component, rate in zip(self.z, self.vector_field, strict=True)
         )
+        return Formulas(equations, self.notation)
 
     @cached_property
     def lagrangian(self) -> sympy.Expr:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import sympy
 
 from hamsym.errors import InputError, VariableError
-from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.formula.parser import Written, canonical_name, parse_expression, parse_written
 from hamsym.symbolic.checks import (
     as_list,
     by_name,
@@ -46,6 +46,8 @@ class Variables(NamedTuple):
     time: sympy.Symbol | None
     #: Forces that do not vanish, by the names of their momenta.
     forces: Mapping[str, sympy.Expr]
+    #: Terms of sums in H in the order of its text, by the sum.
+    written: Written
 
 
 def assign_variables(
@@ -63,7 +65,7 @@ def assign_variables(
     """
     text = isinstance(expression, str)
     expression = with_plain_symbols(expression)
-    expr = parse_expression(expression) if text else checked_expression(expression)
+    expr, written = parse_written(expression) if text else (checked_expression(expression), {})
     expr = with_steps(expr)
     symbols = by_name(expr.free_symbols)
     named = _named_forces(forces, symbols)
@@ -92,6 +94,7 @@ def assign_variables(
         parameters=MappingProxyType(values),
         time=symbols[TIME] if depends_on_time else None,
         forces=MappingProxyType(acting),
+        written=written,
     )
 
 

@@ -9,17 +9,22 @@ from typing import Any
 import sympy
 from sympy.printing.mathml import MathMLPresentationPrinter
 
-from hamsym.formula.printer import exact_decimal, ordered_terms
+from hamsym.formula.notation import Notation
+from hamsym.formula.printer import exact_decimal
 
 _LONGEST = 10**7  # fractions up to here stay fractions if no decimal equals them
 _MARKUP = {"lt", "gt", "amp", "quot"}
 
 
 class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]
-    """Presentation MathML with sums in conventional order and decimals as decimals."""
+    """Presentation MathML with sums in the order of a notation and decimals as decimals."""
+
+    def __init__(self, notation: Notation) -> None:
+        super().__init__({"mat_delim": ""})
+        self._notation = notation
 
     def _as_ordered_terms(self, expr: sympy.Expr, order: Any = None) -> list[sympy.Expr]:
-        return ordered_terms(expr)
+        return self._notation.terms(expr)
 
     def _print_Symbol(self, symbol: sympy.Symbol, style: str = "plain") -> Any:
         # sympy writes names as they are.
@@ -76,7 +81,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]
         return element
 
 
-def mathml(expr: sympy.Expr | sympy.MatrixBase) -> str:
+def mathml(expr: sympy.Basic, notation: Notation | None = None) -> str:
     """Return an expression as presentation MathML, without the element ``math`` around it.
 
     Brackets of matrices are left to the style sheet, since they need a font for mathematics.
@@ -86,12 +91,12 @@ def mathml(expr: sympy.Expr | sympy.MatrixBase) -> str:
     >>> mathml(sympy.Symbol("p_theta") / 2)
     '<mrow><mfrac><msub><mi>p</mi><mi>&#952;</mi></msub><mn>2</mn></mfrac></mrow>'
     """
-    text = _Printer({"mat_delim": ""}).doprint(_with_decimals(expr))
+    text = _Printer(notation or Notation()).doprint(_with_decimals(expr))
     # Entities of HTML are not those of XML, and a hyphen is no minus.
     return re.sub(r"&([A-Za-z]+);", _character, text).replace("<mo>-</mo>", "<mo>−</mo>")
 
 
-def equation(left: str, right: sympy.Expr) -> list[str]:
+def equation(left: str, right: sympy.Expr, notation: Notation) -> list[str]:
     """Return an equation as pieces of MathML, between which a line may end.
 
     - left: MathML of the left-hand side.
@@ -100,19 +105,18 @@ def equation(left: str, right: sympy.Expr) -> list[str]:
     Examples
     --------
     >>> x, p = sympy.symbols("x p")
-    >>> len(equation("<mi>H</mi>", p**2 / 2 + x**2 / 2 - x))
+    >>> len(equation("<mi>H</mi>", p**2 / 2 + x**2 / 2 - x, Notation()))
     3
     """
-    terms = ordered_terms(right) if right.is_Add else [right]
     pieces = []
-    for position, term in enumerate(terms):
+    for position, term in enumerate(notation.terms(right)):
         minus = bool(position) and term.could_extract_minus_sign()
         start = (
             f"{left}<mo>=</mo>"
             if not position
             else f'<mo form="infix">{"−" if minus else "+"}</mo>'
         )
-        pieces.append(f"<mrow>{start}{mathml(-term if minus else term)}</mrow>")
+        pieces.append(f"<mrow>{start}{mathml(-term if minus else term, notation)}</mrow>")
     return pieces
 
 

@@ -75,7 +75,7 @@ def test_derive_of_a_lagrangian_shows_momenta(capsys: Captured) -> None:
     status, out, err = run(capsys, "derive", "--lagrangian", text, "-P", "m=2")
     assert (status, err) == (0, "")
     for line in (
-        "L = k/r + m*(rdot**2 + dphi**2*r**2)/2",
+        "L = m*(rdot**2 + dphi**2*r**2)/2 + k/r",
         "H = -k/r + p_phi**2/(2*m*r**2) + p_r**2/(2*m)",
         "  p_phi = dphi*m*r**2",
         "  p_r   = m*rdot",
@@ -138,7 +138,7 @@ def test_latex_equals_the_equations(capsys: Captured) -> None:
     _, out, _ = run(capsys, "derive", "--latex", "p_x1**2/(2*m) - cos(x1)")
     assert out.splitlines() == [
         r"\begin{align}",
-        r"H(x_{1}, p_{x1}) &= - \cos{\left(x_{1} \right)} + \frac{p_{x1}^{2}}{2 m}, \\",
+        r"H(x_{1}, p_{x1}) &= \frac{p_{x1}^{2}}{2 m} - \cos{\left(x_{1} \right)}, \\",
         r"\dot{x}_{1} &= \frac{p_{x1}}{m}, \\",
         r"\dot{p}_{x1} &= - \sin{\left(x_{1} \right)}, \\",
         r"\nabla^{2} H &= \begin{pmatrix} \cos{\left(x_{1} \right)} & 0 \\"

@@ -261,7 +261,7 @@ def test_modules_need_numpy_alone(tmp_path: Path) -> None:
 def test_docstrings_say_what_they_are(solution: Solution, exported: ModuleType) -> None:
     text = " ".join((exported.__doc__ or "").split())
     H = solution.H
-    assert f"H = {' '.join(H.formula.split())}" in text
+    assert f"H = {' '.join(H.notation.text(H.expr).split())}" in text
     for name, value in [*zip(H.names, solution.z0.tolist(), strict=True), *H.parameters.items()]:
         assert f"{name} = {value!r}" in text
     for name, force in H.force_texts.items():

@@ -17,9 +17,9 @@ def equations(H: Hamiltonian) -> str:
     """Return H and its equations of motion, one below the other."""
     arguments = "<mo>,</mo>".join(mathml(symbol) for symbol in H.z)
     first = f"<mi>H</mi><mo>(</mo>{arguments}<mo>)</mo>" if H.dof <= 3 else "<mi>H</mi>"
-    rows = [(first, mathml(H.expr))]
+    rows = [(first, mathml(H.expr, H.notation))]
     for symbol, rate in zip(H.z, H.vector_field, strict=True):
-        rows.append((derivative(symbol), mathml(rate)))
+        rows.append((derivative(symbol), mathml(rate, H.notation)))
     return "".join(_math(f"<mrow>{left}<mo>=</mo>{right}</mrow>") for left, right in rows)
 
 
@@ -30,7 +30,7 @@ def hessian(H: Hamiltonian) -> str:
         # Brackets of fonts without mathematics do not stretch; the style sheet draws them.
         rows = "".join(
             "<mtr>"
-            + "".join(f"<mtd>{mathml(H.hessian[i, j])}</mtd>" for j in range(H.dim))
+            + "".join(f"<mtd>{mathml(H.hessian[i, j], H.notation)}</mtd>" for j in range(H.dim))
             + "</mtr>"
             for i in range(H.dim)
         )
@@ -42,7 +42,9 @@ def hessian(H: Hamiltonian) -> str:
         if H.hessian[i, j] != 0
     ]
     shown = "".join(
-        _math(f"<mrow>{second_derivative(first, second)}<mo>=</mo>{mathml(value)}</mrow>")
+        _math(
+            f"<mrow>{second_derivative(first, second)}<mo>=</mo>{mathml(value, H.notation)}</mrow>"
+        )
         for first, second, value in entries[:_MOST]
     )
     rest = len(entries) - _MOST

@@ -86,7 +86,7 @@ def typeset(formula: Formula) -> Markup:
         return Markup("<code>{}</code>").format(cut(text))
     start = Markup("<mi>{}</mi><mo>=</mo>").format(formula.left) if formula.left else Markup("")
     return Markup('<math displaystyle="true">{}{}</math>').format(
-        start, Markup(mathml(formula.expr))
+        start, Markup(mathml(formula.expr, formula.notation))
     )
 
 

@@ -17,7 +17,7 @@ from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import HamsymError
 from hamsym.facts.solutions import proof_sentence
 from hamsym.facts.wording import error_text, largest_share, number
-from hamsym.formula.printer import FormulaPrinter
+from hamsym.formula.notation import Notation
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import ratios
 from hamsym.proof.certificate import Certificate
@@ -53,29 +53,29 @@ def equations(H: Hamiltonian) -> dict[str, Any]:
     """Return H, the forces, the equations of motion and the Hessian as MathML, or as text."""
     left = "<mi>H</mi>"
     return {
-        "H": _shown(left, H.expr, H.formula),
+        "H": _shown(left, H.expr, H.notation),
         "forces": [
-            _shown(f"<msub><mi>F</mi>{mathml(p)}</msub>", H.forces[p.name], H.force_texts[p.name])
+            _shown(f"<msub><mi>F</mi>{mathml(p)}</msub>", H.forces[p.name], H.notation)
             for p in H.p
             if p.name in H.forces
         ],
         "rates": [
-            _shown(derivative(symbol), rate)
+            _shown(derivative(symbol), rate, H.notation)
             for symbol, rate in zip(H.z, H.vector_field, strict=True)
         ],
         **_hessian(H),
     }
 
 
-def _shown(left: str, right: sympy.Expr, text: str = "") -> Markup:
+def _shown(left: str, right: sympy.Expr, notation: Notation) -> Markup:
     """An equation; its right-hand side as text if it is long."""
     if right.count_ops() > _LONG:
-        text = text or FormulaPrinter()(right)
+        text = notation.text(right)
         short = text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
         return Markup(
             f"{_math(f'<mrow>{left}<mo>=</mo></mrow>')} <code>{Markup.escape(short)}</code>"
         )
-    return _math(equation(left, right))
+    return _math(equation(left, right, notation))
 
 
 def _hessian(H: Hamiltonian) -> dict[str, Any]:
@@ -84,9 +84,15 @@ def _hessian(H: Hamiltonian) -> dict[str, Any]:
     ops = sum(int(entry.count_ops()) for entry in entries.values())
     if H.dim <= _MATRIX and ops <= _LONG / 8:
         left = "<mrow><msup><mo>∇</mo><mn>2</mn></msup><mi>H</mi><mo>=</mo></mrow>"
-        return {"matrix": _math(f"<mrow>{left}{mathml(matrix)}</mrow>"), "entries": [], "more": 0}
+        return {
+            "matrix": _math(f"<mrow>{left}{mathml(matrix, H.notation)}</mrow>"),
+            "entries": [],
+            "more": 0,
+        }
     chosen = sorted(entries.items())[:_MOST_ENTRIES]
-    rows = [_shown(second_derivative(H.z[i], H.z[j]), entry) for (i, j), entry in chosen]
+    rows = [
+        _shown(second_derivative(H.z[i], H.z[j]), entry, H.notation) for (i, j), entry in chosen
+    ]
     return {"matrix": "", "entries": rows, "more": len(entries) - len(rows)}
 
 
