@@ -6,6 +6,10 @@ BIN := $(VENV)/bin
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
+# Bytecode of hamsym and of the tests is kept, whatever the caller's environment says: otherwise every
+# process of the suite would compile both again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help demo test test-docs test-portable test-slow test-browser test-wheel coverage lint bench bench-quick tables pictures docs clean
 
 help: ## List what can be done
