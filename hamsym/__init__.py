@@ -21,7 +21,7 @@ from importlib.metadata import version
 
 import lazy_loader
 
-from hamsym.suggestions import attribute_message
+from hamsym.support.suggestions import attribute_message
 
 # The public names are in __init__.pyi; each is imported when it is first used, because sympy,
 # torch and matplotlib are slow to import and few tasks need all of them.

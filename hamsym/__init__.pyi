@@ -51,7 +51,7 @@ from .proof.prove import certify as certify
 from .proof.prove import verify as verify
 from .random_features.features import Features as Features
 from .solution.solution import Solution as Solution
-from .solving import solve as solve
+from .solving.solve import solve as solve
 from .study.compare import Comparison as Comparison
 from .study.compare import compare as compare
 from .study.grid import StoredSweep as StoredSweep

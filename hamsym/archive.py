@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import hamsym
-from hamsym.description import require_formula
 from hamsym.errors import FileError, InputError
 from hamsym.families.storage import is_store, open_store
 from hamsym.integrators.storage import require_trajectory
 from hamsym.integrators.trajectory import Trajectory
-from hamsym.methods import METHODS, option_names
+from hamsym.problems.description import require_formula
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
-from hamsym.suggestions import checked_keywords
+from hamsym.solving.methods import METHODS, option_names
 from hamsym.support.atomic import write_file
 from hamsym.support.record_fields import NotDataError, check_also
 from hamsym.support.records import MALFORMED, packed, unpacked
 from hamsym.support.sealed_text import SealedText, kind_of_text
+from hamsym.support.suggestions import checked_keywords
 from hamsym.support.tensor_files import kind_of, one_line, read_tensors, write_tensors
 
 #: Public classes of results by the kinds of their files.

@@ -22,7 +22,7 @@ from hamsym.codegen.functions import compile_observable
 from hamsym.codegen.generate import generate
 from hamsym.codegen.system import System, load
 from hamsym.errors import InputError, ParameterError
-from hamsym.suggestions import checked_keywords, require_known, suggest_attributes
+from hamsym.support.suggestions import checked_keywords, require_known, suggest_attributes
 from hamsym.support.validation import require
 from hamsym.symbolic.states import parameter_arrays, state_array, states_array
 from hamsym.symbolic.symbolic_hamiltonian import SymbolicHamiltonian

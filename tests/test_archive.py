@@ -27,9 +27,9 @@ import torch
 
 import hamsym
 from hamsym import FileError, Hamiltonian, InputError
-from hamsym.methods import made_method
 from hamsym.random_features.basis import rate_series
 from hamsym.solution.digest import digest
+from hamsym.solving.methods import made_method
 from hamsym.support.method_object import Method
 from hamsym.support.records import packed
 from hamsym.support.tensor_files import kind_of, read_tensors, write_tensors

@@ -381,7 +381,7 @@ def test_files_keep_the_forces(solution: hamsym.Solution, tmp_path: Path) -> Non
     ["-c*p", {"x": {"formula": "1", "floats": {}}}, {"p": "-c*p"}, {"p": {"formula": "p"}}],
 )
 def test_damaged_forces_are_refused(forces: Any) -> None:
-    from hamsym.description import described, hamiltonian_from
+    from hamsym.problems.description import described, hamiltonian_from
 
     values = json.loads(json.dumps(described(DAMPED)))
     assert hamiltonian_from(values) == DAMPED
@@ -390,7 +390,7 @@ def test_damaged_forces_are_refused(forces: Any) -> None:
 
 
 def test_descriptions_without_forces_say_so() -> None:
-    from hamsym.description import described
+    from hamsym.problems.description import described
 
     assert described(hamsym.Hamiltonian("p**2/2 + x**2/2"))["forces"] == {}
 

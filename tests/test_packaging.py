@@ -56,7 +56,7 @@ def test_import_changes_no_global_state() -> None:
 import numpy as np, torch
 before = (torch.get_default_dtype(), torch.get_num_threads(), np.geterr(), np.get_printoptions(),
           torch.get_rng_state().sum().item(), np.random.get_state()[1].sum())
-import hamsym, hamsym.solving, hamsym.study.compare, hamsym.plotting.plot, hamsym.cli.commands
+import hamsym, hamsym.solving.solve, hamsym.study.compare, hamsym.plotting.plot, hamsym.cli.commands
 after = (torch.get_default_dtype(), torch.get_num_threads(), np.geterr(), np.get_printoptions(),
          torch.get_rng_state().sum().item(), np.random.get_state()[1].sum())
 assert before == after, (before, after)

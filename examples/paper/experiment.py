@@ -19,8 +19,8 @@ import numpy as np
 
 import hamsym
 from hamsym.integrators.adaptive import reference
-from hamsym.methods import made_method
 from hamsym.paper.tables import console_table, finite, markdown_table, spread, write
+from hamsym.solving.methods import made_method
 
 INTEGRATORS = ("symplectic_euler", "stormer_verlet", "yoshida4", "yoshida8")
 ARCHITECTURES = {

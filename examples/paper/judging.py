@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from hamsym.methods import METHODS
 from hamsym.paper.experiment import ARCHITECTURES
 from hamsym.paper.tables import lower, short
+from hamsym.solving.methods import METHODS
 
 
 def euler(comparison, factor):

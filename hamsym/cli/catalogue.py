@@ -10,7 +10,7 @@ import click
 
 from hamsym.cli.command import Command, Report, completing
 from hamsym.errors import InputError
-from hamsym.suggestions import did_you_mean
+from hamsym.support.suggestions import did_you_mean
 from hamsym.support.text_tables import table, wrapped
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from hamsym.facts.facts import strict
-from hamsym.suggestions import did_you_mean, unknown
+from hamsym.support.suggestions import did_you_mean, unknown
 from hamsym.support.text_tables import ROWS
 
 _OF_SECTIONS = {

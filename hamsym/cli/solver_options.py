@@ -26,7 +26,7 @@ class SolverCommand(Command):
         return [*super().get_params(ctx), *_solver_parameters()]
 
     def invoke(self, ctx: click.Context) -> int:
-        from hamsym.methods import made_method
+        from hamsym.solving.methods import made_method
 
         options = {}
         for parameter in _solver_parameters():
@@ -111,7 +111,7 @@ _TYPES: dict[str, Any] = {
 @functools.cache
 def _solver_parameters() -> tuple[click.Parameter, ...]:
     """Return the options of all methods, each once."""
-    from hamsym.methods import METHODS
+    from hamsym.solving.methods import METHODS
 
     found: list[click.Parameter] = [
         click.Option(
@@ -187,7 +187,7 @@ def _of_methods(methods: tuple[str, ...], usual: tuple[str, ...]) -> str:
 
 
 def _listed(methods: tuple[str, ...]) -> str:
-    from hamsym.methods import METHODS
+    from hamsym.solving.methods import METHODS
 
     words = {
         tuple(name for name, kind in METHODS.items() if not kind.marches): "methods that train",

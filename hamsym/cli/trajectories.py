@@ -73,7 +73,7 @@ def solve(
 
     With --prove and -o FILE the proof is written to FILE.certificate.
     """
-    from hamsym.solving import solve as run
+    from hamsym.solving.solve import solve as run
 
     check_figure(figure)
     check_directory(output)
@@ -129,7 +129,7 @@ def compare(
     **options: Any,
 ) -> Report:
     """Solve, and compare with integrators at K, 10 K and 100 K steps."""
-    from hamsym.solving import solve as run
+    from hamsym.solving.solve import solve as run
     from hamsym.study.compare import chosen_methods
     from hamsym.study.compare import compare as run_comparison
 

@@ -37,7 +37,7 @@ from hamsym.codegen.straight_line import StraightLines
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.grammar import GREEK
 from hamsym.formula.printer import FormulaPrinter, rewritten_to
-from hamsym.suggestions import unknown
+from hamsym.support.suggestions import unknown
 from hamsym.symbolic.equations import Equations
 
 _WIDTH = 96

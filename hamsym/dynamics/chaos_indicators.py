@@ -37,9 +37,9 @@ from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.table import usual_method
-from hamsym.problem import checked_span
-from hamsym.suggestions import checked_keywords, suggest_attributes
+from hamsym.problems.problem import checked_span
 from hamsym.support.shown import Shown
+from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:

@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hamsym.dynamics.blocks import advance_in_blocks
-from hamsym.ensemble import Ensemble
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.coefficients import Doubled
@@ -28,7 +27,8 @@ from hamsym.integrators.stepper import Stepper
 from hamsym.numerics.intervals import Intervals, Ranges
 from hamsym.numerics.isolation import Cells, component_ranges, isolated_zeros, rate_bends
 from hamsym.numerics.roots import suspects, zeros
-from hamsym.surface import Surface
+from hamsym.problems.ensemble import Ensemble
+from hamsym.problems.surface import Surface
 
 # Components of the states of a block of steps that are held at once: 16 MB an array.
 _HELD = 2_000_000

@@ -27,7 +27,7 @@ from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.proof.limits import Deadline
-from hamsym.suggestions import checked_keywords, did_you_mean
+from hamsym.support.suggestions import checked_keywords, did_you_mean
 from hamsym.support.validation import require_positive, require_whole
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.stationary_points import periods, stationary_points

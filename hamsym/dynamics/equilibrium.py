@@ -17,8 +17,8 @@ import hamsym
 from hamsym.dynamics.linear_stability import LinearStability
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.ball import Ball
-from hamsym.suggestions import suggest_attributes
 from hamsym.support.shown import Shown
+from hamsym.support.suggestions import suggest_attributes
 
 if TYPE_CHECKING:
     import sympy

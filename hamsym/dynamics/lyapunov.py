@@ -25,14 +25,14 @@ from hamsym.dynamics.growth import APART, PARALLEL, first_vectors, growth_limit,
 from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
 from hamsym.dynamics.tangent_steps import KEPT, LOST, TangentSteps
-from hamsym.ensemble import ensemble_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import usual_method
-from hamsym.problem import checked_span, checked_steps
-from hamsym.suggestions import checked_keywords, suggest_attributes
+from hamsym.problems.ensemble import ensemble_of
+from hamsym.problems.problem import checked_span, checked_steps
 from hamsym.support.shown import Shown
+from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame, data_set
 from hamsym.support.validation import require_whole
 

@@ -32,16 +32,16 @@ from hamsym.dynamics.growth import (
     orthonormal,
     tangent_scales,
 )
-from hamsym.ensemble import Ensemble
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.linear_motion import fastest_rates
 from hamsym.integrators.stepper import Stepper
-from hamsym.problem import MAX_STEPS
-from hamsym.suggestions import suggest_attributes
+from hamsym.problems.ensemble import Ensemble
+from hamsym.problems.problem import MAX_STEPS
 from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Shown
+from hamsym.support.suggestions import suggest_attributes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

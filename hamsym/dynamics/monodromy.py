@@ -16,8 +16,8 @@ from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import INTEGRATORS, usable_method, usual_method
 from hamsym.numerics.symplectic import poisson_matrix
-from hamsym.problem import checked_span, checked_steps
-from hamsym.suggestions import checked_keywords, suggest_attributes
+from hamsym.problems.problem import checked_span, checked_steps
+from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_number
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def monodromy(
     >>> found.closure < 1e-9, bool(np.allclose(found.multipliers, 1, atol=1e-3))
     (True, True)
     """
-    from hamsym.solving import solve  # slow to import
+    from hamsym.solving.solve import solve  # slow to import
 
     require_number("period", period)
     require_number("start", start)

@@ -17,20 +17,20 @@ import numpy as np
 
 import hamsym
 from hamsym.dynamics.crossings import Crossings, Setting
-from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.automatic_steps import AIM, choose_steps
 from hamsym.integrators.energy_drift import COARSE
 from hamsym.integrators.hidden_features import passed_over
 from hamsym.integrators.table import usable_method, usual_method
-from hamsym.problem import checked_span, checked_steps
-from hamsym.suggestions import checked_keywords, suggest_attributes
+from hamsym.problems.ensemble import Ensemble, ensemble_of
+from hamsym.problems.problem import checked_span, checked_steps
+from hamsym.problems.surface import Surface, parse_surface
 from hamsym.support.record_fields import AnyFloat, Size, counts, floats
 from hamsym.support.shown import Saved
+from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame, data_set, time_name
 from hamsym.support.validation import require_number, require_whole
-from hamsym.surface import Surface, parse_surface
 
 if TYPE_CHECKING:
     import pandas

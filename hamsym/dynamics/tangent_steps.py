@@ -20,7 +20,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.linear_motion import fastest_rates
 from hamsym.integrators.stepper import Stepper
-from hamsym.problem import checked_steps
+from hamsym.problems.problem import checked_steps
 
 #: Points of a history.
 KEPT = 2_000

@@ -11,9 +11,9 @@ import hamsym
 from hamsym.errors import InputError
 from hamsym.facts.facts import Facts
 from hamsym.facts.solutions import solution_facts
-from hamsym.recipe import command_line, omissions, python_lines
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
+from hamsym.solving.recipe import command_line, omissions, python_lines
 from hamsym.support.records import as_json
 
 _WIDTH = 96  # characters of a line

@@ -13,8 +13,8 @@ from hamsym.errors import InputError
 from hamsym.exporting.about import About, checked_certificate
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.solution.solution import Solution
-from hamsym.suggestions import checked_keywords
 from hamsym.support.atomic import write_file
+from hamsym.support.suggestions import checked_keywords
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hamsym.conservation import KnownInvariants
 from hamsym.facts.facts import Column, Fact, Facts, Table
 from hamsym.facts.wording import (
     against,
@@ -23,6 +22,7 @@ from hamsym.facts.wording import (
     units_of,
 )
 from hamsym.numerics.scales import ratios
+from hamsym.problems.conservation import KnownInvariants
 from hamsym.proof.balls import decimal
 from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.support.text_tables import share

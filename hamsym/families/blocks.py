@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hamsym.conservation import KnownInvariants
-from hamsym.ensemble import Ensemble
 from hamsym.errors import InputError
 from hamsym.families.solutions import Family
 from hamsym.families.windows import ACCEPTED, MARCHED, REFUSED, Note, Packed, Table
 from hamsym.hamiltonian import HamiltonianLike
-from hamsym.problem import InitialValueProblem
+from hamsym.problems.conservation import KnownInvariants
+from hamsym.problems.ensemble import Ensemble
+from hamsym.problems.problem import InitialValueProblem
 from hamsym.random_features.features import Features
 from hamsym.random_features.members import Batch, MemberSolver
 from hamsym.random_features.method import basis_for, solve_by_march

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hamsym.cluster import members_on_cluster
-from hamsym.ensemble import Ensemble
 from hamsym.families.blocks import Block, BlockSolver
 from hamsym.families.parts import write_part
 from hamsym.families.solutions import Family
+from hamsym.parallel.cluster import members_on_cluster
+from hamsym.problems.ensemble import Ensemble
 
 if TYPE_CHECKING:  # an optional package
     from distributed import Client
@@ -45,7 +45,7 @@ def blocks_on_cluster(
     store: StorePlace | None,
     retries: int,
 ) -> Generator[Block, None, None]:
-    """Yield the blocks of the chosen members; see :func:`hamsym.cluster.members_on_cluster`."""
+    """Yield the blocks of the chosen members, as :func:`members_on_cluster` computes them."""
     found = members_on_cluster(client, _solved, (family, store), members, chosen, retries=retries)
     with closing(found):
         for _, block in found:

@@ -18,9 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hamsym.cluster import require_client
-from hamsym.conservation import InvariantLike, KnownInvariants
-from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError
 from hamsym.families.blocks import Block, BlockSolver
 from hamsym.families.distributed import blocks_on_cluster
@@ -28,14 +25,17 @@ from hamsym.families.solutions import Family, Solutions
 from hamsym.families.storage import WindowStore
 from hamsym.families.windows import OPEN, Packed, Table, pieces_of
 from hamsym.hamiltonian import HamiltonianLike
-from hamsym.problem import checked_span
+from hamsym.parallel.cluster import require_client
+from hamsym.problems.conservation import InvariantLike, KnownInvariants
+from hamsym.problems.ensemble import Ensemble, ensemble_of
+from hamsym.problems.problem import checked_span
 from hamsym.random_features.members import Batch
 from hamsym.random_features.method import basis_for, checked_accuracy
 from hamsym.solution.solution import Solution
-from hamsym.suggestions import checked_keywords
 from hamsym.support.cores import available_cores
 from hamsym.support.memory import memory_size
 from hamsym.support.progress import stepping_progress
+from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:  # an optional package
@@ -97,7 +97,7 @@ def solve_many(
         of one kind. With ``zarr``, workers write to the store themselves if they reach its path.
     retries : int
         Times that a chunk of members is repeated after an error on a worker; see
-        :func:`hamsym.cluster.cluster_results`.
+        :func:`hamsym.parallel.cluster.cluster_results`.
     prove : bool
         Prove for each member that its errors are within the tolerance, as
         :meth:`Solutions.certify` does, with the result in :attr:`Solutions.proofs`; some

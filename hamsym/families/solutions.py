@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
-from hamsym.description import attributes_of
 from hamsym.errors import InputError
 from hamsym.families.evaluation import states_in_groups
 from hamsym.families.proofs import Proofs, prove_members
 from hamsym.families.windows import ACCEPTED, MARCHED, OPEN, Table, Windows
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.problems.description import attributes_of
 from hamsym.random_features.basis import basis_of_series, size_of
 from hamsym.random_features.error_estimate import RESOLUTIONS, MarchError, estimate_error
 from hamsym.random_features.features import Features
@@ -37,9 +37,9 @@ from hamsym.solution.acceptance import met, with_error
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
-from hamsym.suggestions import suggest_attributes
 from hamsym.support.records import unpacked
 from hamsym.support.shown import Saved
+from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
 
 if TYPE_CHECKING:  # optional packages

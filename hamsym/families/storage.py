@@ -20,8 +20,6 @@ from typing import Annotated, Any
 import numpy as np
 
 import hamsym
-from hamsym.description import described, require_formula
-from hamsym.ensemble import Ensemble
 from hamsym.errors import FileError
 from hamsym.families.blocks import Block
 from hamsym.families.distributed import StorePlace
@@ -39,7 +37,9 @@ from hamsym.families.parts import (
 from hamsym.families.solutions import Family, Solutions
 from hamsym.families.windows import MARCHED, Packed, Pieces, Table, Windows, pieces_of
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.problem import checked_span
+from hamsym.problems.description import described, require_formula
+from hamsym.problems.ensemble import Ensemble
+from hamsym.problems.problem import checked_span
 from hamsym.random_features.basis import DEGREE
 from hamsym.support.atomic import create_atomically
 from hamsym.support.locking import exclusive

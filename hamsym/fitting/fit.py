@@ -28,8 +28,8 @@ from hamsym.fitting.unknowns import checked_unknowns
 from hamsym.fitting.verdicts import Verdicts, judged
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.problem import checked_span
-from hamsym.suggestions import checked_keywords
+from hamsym.problems.problem import checked_span
+from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require, require_number, require_whole
 from hamsym.symbolic.checks import name_of
 

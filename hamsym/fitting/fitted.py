@@ -11,15 +11,14 @@ import numpy as np
 import sympy
 
 import hamsym
-from hamsym.description import attributes_of
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.fitting.motions import FlowLike, MappedMotions
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.problems.description import attributes_of
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
-from hamsym.suggestions import suggest_attributes
 from hamsym.support.record_fields import (
     AnyFloat,
     As,
@@ -32,6 +31,7 @@ from hamsym.support.record_fields import (
     floats,
 )
 from hamsym.support.shown import Saved
+from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.tables import data_frame
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.random_features.members import MemberSolver
 from hamsym.solution.solution import Solution
-from hamsym.solving import solve
+from hamsym.solving.solve import solve
 from hamsym.symbolic import derivatives
 
 _ROWS = 256  # that are solved together, to bound the memory

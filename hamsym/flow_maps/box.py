@@ -18,8 +18,8 @@ from hamsym.codegen.functions import compile_expressions
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name, parse_expression
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.suggestions import did_you_mean, unknown
 from hamsym.support.record_fields import floats
+from hamsym.support.suggestions import did_you_mean, unknown
 from hamsym.symbolic.checks import name_of
 from hamsym.symbolic.equations import Equations
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hamsym.cluster import require_client
 from hamsym.errors import InputError
 from hamsym.families.many import solve_many
 from hamsym.families.solutions import Solutions
@@ -19,9 +18,10 @@ from hamsym.flow_maps.building import Builder, Built
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.judging import Judgement, judged
 from hamsym.hamiltonian import HamiltonianLike
-from hamsym.problem import checked_span
-from hamsym.suggestions import checked_keywords
+from hamsym.parallel.cluster import require_client
+from hamsym.problems.problem import checked_span
 from hamsym.support.progress import is_shown
+from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require, require_whole
 
 if TYPE_CHECKING:

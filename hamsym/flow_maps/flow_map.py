@@ -20,11 +20,11 @@ from hamsym.flow_maps.storage import MAPS
 from hamsym.flow_maps.time_order import require_inputs, require_order
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.times import is_tensor
-from hamsym.suggestions import suggest_attributes
 from hamsym.support.cores import available_cores
 from hamsym.support.record_fields import AnyFloat, Count, Size, floats
 from hamsym.support.records import packed
 from hamsym.support.shown import Saved
+from hamsym.support.suggestions import suggest_attributes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -32,7 +32,7 @@ from hamsym.formula.grammar import (
     readable,
     syntax_tree,
 )
-from hamsym.suggestions import did_you_mean
+from hamsym.support.suggestions import did_you_mean
 
 MAX_LENGTH = 50_000  # characters
 MAX_NODES = 10_000  # operands and operations

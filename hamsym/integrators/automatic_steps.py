@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.ensemble import Ensemble
 from hamsym.errors import InputError
 from hamsym.integrators.coefficients import RungeKutta, Scheme
 from hamsym.integrators.energy_drift import EnergyDrift, finite_or_zero, round_off
 from hamsym.integrators.linear_motion import fastest_rates
 from hamsym.integrators.stepper import Run, run_steps
 from hamsym.integrators.table import INTEGRATORS
+from hamsym.problems.ensemble import Ensemble
 
 #: Target drift; where H is not conserved, target change by halving the step. Errors of the states
 #: are often a hundred times larger, which a picture does not show.

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hamsym.ensemble import Ensemble
 from hamsym.integrators.coefficients import Scheme, Splitting
 from hamsym.integrators.hidden_features import Hidden, hidden_features
 from hamsym.integrators.narrow_features import narrow_features
@@ -21,6 +20,7 @@ from hamsym.integrators.richardson import Extrapolation, extrapolate, perturb
 from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.integrators.trajectory import Verdicts
+from hamsym.problems.ensemble import Ensemble
 
 #: Change of H in units of the change that the tolerance allows, at which a trajectory fails; errors
 #: of several components may add up.

@@ -16,8 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.conservation import KnownInvariants
-from hamsym.ensemble import Ensemble
 from hamsym.errors import StepSizeWarning
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.adaptive import Adaptive
@@ -29,6 +27,8 @@ from hamsym.integrators.narrow_features import narrow_features
 from hamsym.integrators.stepper import INTERRUPTED, Run, Stepper, require_memory, run_steps
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.integrators.trajectory import Trajectory
+from hamsym.problems.conservation import KnownInvariants
+from hamsym.problems.ensemble import Ensemble
 
 # Components of the states after every step that are held at once, 160 MB.
 _MAX_HELD = 20_000_000

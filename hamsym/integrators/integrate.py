@@ -16,8 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.conservation import InvariantLike, KnownInvariants
-from hamsym.ensemble import ensemble_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Splitting
@@ -25,8 +23,10 @@ from hamsym.integrators.fixed import integrate_fixed
 from hamsym.integrators.table import INTEGRATORS, usable_method, usual_method
 from hamsym.integrators.to_tolerance import integrate_to_tolerance
 from hamsym.integrators.trajectory import Trajectory
-from hamsym.problem import checked_span, checked_steps
-from hamsym.suggestions import checked_keywords
+from hamsym.problems.conservation import InvariantLike, KnownInvariants
+from hamsym.problems.ensemble import ensemble_of
+from hamsym.problems.problem import checked_span, checked_steps
+from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_number, require_positive, require_whole
 
 

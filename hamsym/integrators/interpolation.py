@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from hamsym.ensemble import Ensemble
 from hamsym.errors import InputError
 from hamsym.numerics.scales import SMALLEST
+from hamsym.problems.ensemble import Ensemble
 
 _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 _COARSEST = 0.01  # of the size of a component: errors above are refused

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.conservation import KnownInvariants
-from hamsym.ensemble import Ensemble
 from hamsym.integrators.compared_runs import Tolerated
+from hamsym.problems.conservation import KnownInvariants
+from hamsym.problems.ensemble import Ensemble
 
 
 def invariant_drifts(

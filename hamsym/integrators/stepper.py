@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from hamsym.ensemble import Ensemble
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.adaptive import Adaptive
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
 from hamsym.integrators.linear_motion import fastest_rates
 from hamsym.integrators.table import INTEGRATORS, usable_method
+from hamsym.problems.ensemble import Ensemble
 from hamsym.support.cores import available_cores
 from hamsym.support.memory import memory_size
 from hamsym.support.progress import stepping_progress

@@ -9,7 +9,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators import coefficients
 from hamsym.integrators.adaptive import Adaptive, run_dop853, run_odeint
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
-from hamsym.suggestions import did_you_mean
+from hamsym.support.suggestions import did_you_mean
 
 
 @dataclass(frozen=True)

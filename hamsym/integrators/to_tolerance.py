@@ -28,14 +28,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from hamsym.conservation import KnownInvariants
-from hamsym.ensemble import Ensemble
 from hamsym.integrators.coefficients import Splitting
 from hamsym.integrators.compared_runs import MAX_NARROW, SLACK, ComparedRuns, Round, Tolerated
 from hamsym.integrators.invariant_drift import invariant_drifts
 from hamsym.integrators.stepper import INTERRUPTED, require_memory
 from hamsym.integrators.trajectory import Trajectory
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
+from hamsym.problems.conservation import KnownInvariants
+from hamsym.problems.ensemble import Ensemble
 from hamsym.support.cores import available_cores
 from hamsym.support.progress import stepping_progress
 

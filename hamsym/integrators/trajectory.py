@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import numpy as np
 
 import hamsym
-from hamsym.description import attributes_of
-from hamsym.ensemble import Ensemble
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import work_of
 from hamsym.integrators.interpolation import Interpolant
-from hamsym.suggestions import suggest_attributes, unknown
+from hamsym.problems.description import attributes_of
+from hamsym.problems.ensemble import Ensemble
 from hamsym.support.record_fields import UNSAVED, AnyFloat, Count, Size, counts, flags, floats
 from hamsym.support.shown import Saved
+from hamsym.support.suggestions import suggest_attributes, unknown
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from hamsym.networks.equal_windows import train_windows
 from hamsym.networks.methods import NetworkChain
 from hamsym.networks.record import TrainingState
 from hamsym.networks.window_training import late
-from hamsym.problem import InitialValueProblem, checked_window
+from hamsym.problems.problem import InitialValueProblem, checked_window
 from hamsym.solution.acceptance import accepted
 from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.settings import Settings

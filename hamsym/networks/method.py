@@ -18,7 +18,6 @@ import torch
 from torch import Tensor
 
 from hamsym.codegen.system import System
-from hamsym.description import settings_text
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks import levenberg_marquardt, optimizers
@@ -35,7 +34,8 @@ from hamsym.networks.rules import Criterion, Stages, Stopping
 from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
 from hamsym.networks.training import Optimizer, train
 from hamsym.networks.trial import TrialSolution
-from hamsym.problem import InitialValueProblem
+from hamsym.problems.description import settings_text
+from hamsym.problems.problem import InitialValueProblem
 from hamsym.solution.acceptance import accepted, excess
 from hamsym.solution.digest import digest
 from hamsym.solution.discontinuities import first_jump, unresolved

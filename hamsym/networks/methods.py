@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import torch
 
     from hamsym.networks.objective import Regularizer
-    from hamsym.problem import InitialValueProblem
+    from hamsym.problems.problem import InitialValueProblem
     from hamsym.solution.solution import Solution
 
 _FREQUENCY = 3.0  # of the first layer at the start, for methods of second order

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from hamsym.suggestions import require_known
+from hamsym.support.suggestions import require_known
 from hamsym.support.validation import require_widths
 
 

@@ -14,9 +14,9 @@ from hamsym.orbits.claims import orbit_digest, statement_of
 from hamsym.orbits.proven_stability import WEAKER
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import decimal_above
-from hamsym.suggestions import suggest_attributes
 from hamsym.support.record_fields import Limit, Size
 from hamsym.support.sealed_text import SealedText
+from hamsym.support.suggestions import suggest_attributes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

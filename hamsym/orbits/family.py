@@ -13,9 +13,9 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.continuation import Aim, Bifurcation, Continuation
 from hamsym.orbits.orbit import PeriodicOrbit
-from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Saved
+from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.validation import require_number, require_positive, require_whole
 
 if TYPE_CHECKING:

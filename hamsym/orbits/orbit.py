@@ -25,9 +25,9 @@ from hamsym.orbits.symmetry import closing_of
 from hamsym.random_features.flow import flow_of
 from hamsym.solution.discontinuities import first_jump, has_switches
 from hamsym.solution.path import Path
-from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.record_fields import AnyFloat, Limit, Size, floats
 from hamsym.support.shown import Saved
+from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_number, require_positive
 
 if TYPE_CHECKING:

@@ -43,7 +43,7 @@ from hamsym.proof.float64_arithmetic import require_float64
 from hamsym.proof.functions import BALLS, SingularityError
 from hamsym.proof.generated import GeneratedFunctions
 from hamsym.proof.limits import Deadline
-from hamsym.suggestions import checked_keywords
+from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_positive
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.symplectic import poisson_matrix
-from hamsym.suggestions import did_you_mean
+from hamsym.support.suggestions import did_you_mean
 from hamsym.symbolic import derivatives
 
 

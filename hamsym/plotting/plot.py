@@ -40,7 +40,7 @@ from hamsym.solution.solution import Solution
 from hamsym.study.compare import Comparison
 from hamsym.study.grid import StoredSweep
 from hamsym.study.sweep import Sweep
-from hamsym.suggestions import checked_keywords
+from hamsym.support.suggestions import checked_keywords
 
 
 @singledispatch

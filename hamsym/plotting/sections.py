@@ -17,7 +17,7 @@ from hamsym.plotting.figure import figure_of, label, one_panel
 from hamsym.plotting.motions import parameters_of, varying
 from hamsym.plotting.names import known_name, math_name, number, quantity, with_unit
 from hamsym.plotting.style import COLORS, COLUMN, MAX_LINES, SEQUENTIAL, style_for
-from hamsym.surface import parse_surface
+from hamsym.problems.surface import parse_surface
 
 _VARIED = 2  # quantities of a start in the legend
 _ROUND_OFF = 1e-12  # of a range: a smaller value is zero

@@ -10,10 +10,10 @@ from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.flow_maps.storage import MAPS
 from hamsym.proof.balls import decimal_above
-from hamsym.suggestions import suggest_attributes
 from hamsym.support.record_fields import Count, Size
 from hamsym.support.records import digest_of
 from hamsym.support.sealed_text import SealedText
+from hamsym.support.suggestions import suggest_attributes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,9 +14,9 @@ import hamsym
 from hamsym.errors import InputError
 from hamsym.formula.parser import check_name
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
-from hamsym.suggestions import suggest_attributes
 from hamsym.support.record_fields import Limit, Written
 from hamsym.support.sealed_text import SealedText
+from hamsym.support.suggestions import suggest_attributes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

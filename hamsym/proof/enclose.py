@@ -16,7 +16,7 @@ import hamsym
 from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.kernel.enclosures import enclosures
-from hamsym.problem import InitialValueProblem
+from hamsym.problems.problem import InitialValueProblem
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import number_of
 from hamsym.proof.equation import equation_of
@@ -25,9 +25,9 @@ from hamsym.proof.limits import Deadline
 from hamsym.proof.proven_windows import ErrorSet, Window, WindowStepper
 from hamsym.proof.public_check import check_enclosure
 from hamsym.solution.times import times_in_span
-from hamsym.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.record_fields import UNSAVED, Size
 from hamsym.support.shown import Saved
+from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.validation import require_positive
 
 if TYPE_CHECKING:

@@ -37,9 +37,9 @@ from hamsym.proof.window_proof import WindowBounds, WindowProof
 from hamsym.solution.digest import digest
 from hamsym.solution.path import TRIALS
 from hamsym.solution.solution import Solution
-from hamsym.suggestions import checked_keywords
 from hamsym.support.progress import share_progress
 from hamsym.support.records import MALFORMED, as_json
+from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require, require_number, require_positive
 
 # Default time limit of verify() in seconds: its own, per second of certify, and at most.

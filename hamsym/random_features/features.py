@@ -9,7 +9,7 @@ from hamsym.support.method_object import Method, documented, option
 from hamsym.support.validation import require_positive
 
 if TYPE_CHECKING:
-    from hamsym.problem import InitialValueProblem
+    from hamsym.problems.problem import InitialValueProblem
     from hamsym.solution.solution import Solution
 
 #: Windows of a span, so that a short event in a long rest is sampled.

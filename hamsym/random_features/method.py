@@ -19,7 +19,7 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import ratios
-from hamsym.problem import InitialValueProblem, checked_atol, checked_tol, checked_window
+from hamsym.problems.problem import InitialValueProblem, checked_atol, checked_tol, checked_window
 from hamsym.random_features.basis import FeatureBasis, feature_basis
 from hamsym.random_features.error_estimate import (
     Estimate,

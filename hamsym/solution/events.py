@@ -23,9 +23,9 @@ from hamsym.numerics.isolation import (
     rate_bends,
 )
 from hamsym.numerics.roots import suspects, zeros
+from hamsym.problems.surface import Surface, parse_surface
 from hamsym.solution.path import Path
 from hamsym.support.validation import is_positive, require, require_number
-from hamsym.surface import Surface, parse_surface
 
 #: A surface, for example "x = 0, p_x > 0", or a function of (t, z) as solve_ivp takes it.
 Event = str | Callable[[float, np.ndarray], float]

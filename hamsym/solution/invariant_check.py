@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hamsym.conservation import KnownInvariants
+from hamsym.problems.conservation import KnownInvariants
 from hamsym.solution.solution import Solution
 
 

@@ -13,7 +13,7 @@ from hamsym.errors import InputError, ParameterError
 from hamsym.formula.parser import canonical_name
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.times import is_tensor
-from hamsym.suggestions import did_you_mean
+from hamsym.support.suggestions import did_you_mean
 from hamsym.symbolic.checks import as_list, name_of
 
 if TYPE_CHECKING:  # torch is imported only by callers that have tensors

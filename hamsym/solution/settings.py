@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 import hamsym
-from hamsym.problem import InitialValueProblem
+from hamsym.problems.problem import InitialValueProblem
 from hamsym.solution.window_error import allowed_errors
 from hamsym.support.method_object import Method
 from hamsym.support.record_fields import Count, Limit, Size

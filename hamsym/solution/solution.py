@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any, overload
 import numpy as np
 
 import hamsym
-from hamsym.description import attributes_of
 from hamsym.errors import InputError, ParameterError, VacuousBoundWarning
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios, resolved_sizes
+from hamsym.problems.description import attributes_of
 from hamsym.solution.analysis import Analysis
 from hamsym.solution.digest import Definition
 from hamsym.solution.discontinuities import parameter_jump
@@ -28,9 +28,9 @@ from hamsym.solution.sensitivity import Sensitivity
 from hamsym.solution.settings import Settings
 from hamsym.solution.times import evaluate_in_parts, is_tensor, tensor_of, times_in_span
 from hamsym.solution.work import Work
-from hamsym.suggestions import suggest_attributes
 from hamsym.support.record_fields import UNSAVED, Size, floats
 from hamsym.support.shown import Saved
+from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.tables import data_frame, data_set, time_name
 
 if TYPE_CHECKING:  # torch and matplotlib are imported only where they are used

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
-from hamsym.description import attributes_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.table import INTEGRATORS, usable_method, usual_method
 from hamsym.integrators.trajectory import Trajectory
+from hamsym.problems.description import attributes_of
 from hamsym.solution.solution import Solution
 from hamsym.study.matching import Match, find_match, run, trajectory
 from hamsym.study.references import SAMPLES, ReferenceSolution, largest, reference_for
-from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.shown import Shown
+from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame
 from hamsym.support.validation import require_whole
 

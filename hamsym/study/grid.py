@@ -18,18 +18,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
-from hamsym.cluster import Task, cluster_results, require_client
-from hamsym.description import described
-from hamsym.ensemble import Ensemble, ensemble_of
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.problem import checked_span
+from hamsym.parallel.cluster import Task, cluster_results, require_client
+from hamsym.problems.description import described
+from hamsym.problems.ensemble import Ensemble, ensemble_of
+from hamsym.problems.problem import checked_span
 from hamsym.study.grid_stores import Box, GridStore, box_shape, store_at
 from hamsym.study.grid_tasks import Columns, checked_options, computed
-from hamsym.suggestions import suggest_attributes
 from hamsym.support.locking import exclusive
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Shown
+from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.tables import data_frame
 from hamsym.support.validation import plain, require_whole
 

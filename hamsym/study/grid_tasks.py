@@ -14,12 +14,12 @@ import numpy as np
 
 from hamsym.dynamics.lyapunov import lyapunov
 from hamsym.dynamics.sections import section
-from hamsym.ensemble import Ensemble
 from hamsym.errors import HamsymError, InputError, StepSizeWarning
 from hamsym.families.many import solve_many
-from hamsym.problem import checked_span
+from hamsym.problems.ensemble import Ensemble
+from hamsym.problems.problem import checked_span
 from hamsym.solution.times import times_in_span
-from hamsym.suggestions import did_you_mean, unknown
+from hamsym.support.suggestions import did_you_mean, unknown
 
 #: Name -> names of the axes after that of the members, and values.
 Columns = dict[str, tuple[tuple[str, ...], np.ndarray]]

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import torch
 
-from hamsym.cluster import Task, cluster_results
 from hamsym.errors import HamsymError
+from hamsym.parallel.cluster import Task, cluster_results
 from hamsym.study.display import display
 from hamsym.study.runs import Run
 

@@ -14,17 +14,22 @@ import numpy as np
 import torch
 
 from hamsym.archive import load_solution
-from hamsym.description import settings_text
 from hamsym.errors import CertificationError, FileError, InputError, KeywordError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.methods import method_of, option_message
-from hamsym.problem import InitialValueProblem, checked_atol, checked_breakpoints, checked_tol
+from hamsym.problems.description import settings_text
+from hamsym.problems.problem import (
+    InitialValueProblem,
+    checked_atol,
+    checked_breakpoints,
+    checked_tol,
+)
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
-from hamsym.solving import solve
-from hamsym.suggestions import keyword_message
+from hamsym.solving.methods import method_of, option_message
+from hamsym.solving.solve import solve
 from hamsym.support.atomic import write_atomically
+from hamsym.support.suggestions import keyword_message
 from hamsym.support.validation import plain
 
 if TYPE_CHECKING:

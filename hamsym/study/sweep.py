@@ -19,18 +19,18 @@ import hamsym
 from hamsym.archive import load_solution
 from hamsym.errors import FileError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.problem import InitialValueProblem
+from hamsym.problems.problem import InitialValueProblem
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Row, measure
 from hamsym.study.grid import sweep_to_store
 from hamsym.study.processes import carry_out, carry_out_on
 from hamsym.study.runs import arguments_of, planned_run
-from hamsym.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.cores import available_cores
 from hamsym.support.locking import exclusive
 from hamsym.support.method_object import Method
 from hamsym.support.shown import Shown
+from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame
 from hamsym.support.validation import plain, require_positive, require_whole
 

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from hamsym.errors import InputError
-from hamsym.suggestions import checked_keywords, did_you_mean
+from hamsym.support.suggestions import checked_keywords, did_you_mean
 from hamsym.support.validation import require
 
 M = TypeVar("M", bound="type[Any]")
@@ -88,7 +88,7 @@ class Method:
         """Raise InputError if an option is invalid."""
 
     def solve(self, problem: Any) -> Any:
-        """Solve a :class:`~hamsym.problem.InitialValueProblem`; return a Solution."""
+        """Solve a :class:`~hamsym.problems.problem.InitialValueProblem`; return a Solution."""
         raise NotImplementedError
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 import hamsym
-from hamsym.suggestions import checked_keywords
+from hamsym.support.suggestions import checked_keywords
 from hamsym.support.text_tables import ROWS
 
 

@@ -8,7 +8,7 @@ import sympy
 
 from hamsym.errors import VariableError
 from hamsym.formula.parser import canonical_name, parse_expression
-from hamsym.suggestions import did_you_mean
+from hamsym.support.suggestions import did_you_mean
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.checks import checked_expression
 

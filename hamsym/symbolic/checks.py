@@ -16,7 +16,7 @@ from sympy.core.function import AppliedUndef
 
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name, check_name
-from hamsym.suggestions import did_you_mean
+from hamsym.support.suggestions import did_you_mean
 from hamsym.symbolic.pairing import natural_order
 from hamsym.symbolic.plain_symbols import plain_name
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import sympy
 
 from hamsym.formula.printer import FormulaPrinter
-from hamsym.suggestions import suggest_attributes
 from hamsym.support.shown import Shown
+from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.tables import data_frame
 
 if TYPE_CHECKING:

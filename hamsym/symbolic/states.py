@@ -9,7 +9,7 @@ import numpy as np
 
 from hamsym.errors import InputError, ParameterError, VariableError
 from hamsym.formula.parser import canonical_name
-from hamsym.suggestions import did_you_mean
+from hamsym.support.suggestions import did_you_mean
 from hamsym.symbolic.checks import name_of
 
 

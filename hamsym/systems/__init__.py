@@ -7,7 +7,7 @@ kind.
 
 from typing import NoReturn
 
-from hamsym.suggestions import attribute_message
+from hamsym.support.suggestions import attribute_message
 from hamsym.systems.catalogue import CATALOGUE, Problem, Reference
 from hamsym.systems.celestial import (
     anisotropic_kepler,

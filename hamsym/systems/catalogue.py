@@ -14,7 +14,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.suggestions import did_you_mean, suggest_attributes
+from hamsym.support.suggestions import did_you_mean, suggest_attributes
 from hamsym.support.validation import require_positive
 
 

@@ -14,7 +14,7 @@ import torch
 
 import hamsym
 from hamsym import systems
-from hamsym.methods import made_method
+from hamsym.solving.methods import made_method
 
 from . import markdown
 from .epoch import usual

@@ -18,7 +18,7 @@ from torch import Tensor
 
 import hamsym
 from hamsym import systems
-from hamsym.methods import made_method
+from hamsym.solving.methods import made_method
 
 from . import markdown
 from .measuring import cpu, median

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 import hamsym
-from hamsym.methods import made_method
+from hamsym.solving.methods import made_method
 
 from . import markdown
 from .measuring import median

@@ -19,7 +19,7 @@ from hamsym.cli.commands import main
 from hamsym.codegen.backends import BACKENDS
 from hamsym.integrators import stepper
 from hamsym.integrators.table import listing
-from hamsym.methods import METHODS, option_names
+from hamsym.solving.methods import METHODS, option_names
 
 OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
 HENON_HEILES = "(p_x**2+p_y**2)/2 + (x**2+y**2)/2 + x**2*y - y**3/3"

@@ -17,7 +17,7 @@ from hamsym.cli.commands import cli, main
 from hamsym.codegen.backends import BACKENDS
 from hamsym.dynamics import sections
 from hamsym.integrators.table import INTEGRATORS
-from hamsym.methods import METHODS
+from hamsym.solving.methods import METHODS
 from hamsym.support import text_tables
 from hamsym.systems import CATALOGUE
 

@@ -15,7 +15,7 @@ from hamsym.dynamics import crossings
 from hamsym.errors import EventWarning, StepSizeWarning
 from hamsym.integrators import stepper
 from hamsym.numerics.roots import refine, sign_changes
-from hamsym.surface import parse_surface
+from hamsym.problems.surface import parse_surface
 from hamsym.systems import driven_oscillator, harmonic_oscillator, henon_heiles, kepler
 
 CHAOTIC = {"x": 0, "y": -0.15, "p_y": 0}

@@ -14,11 +14,11 @@ import torch
 
 import hamsym
 from hamsym import Hamiltonian, InputError
-from hamsym.methods import made_method
 from hamsym.networks.chain import Chain, ChainTraining
 from hamsym.networks.chain_error import estimate_chain_error
 from hamsym.networks.network import Network
 from hamsym.networks.window_training import Equations, Settings, train_window
+from hamsym.solving.methods import made_method
 
 PENDULUM = Hamiltonian("p**2/2 - cos(x)")
 CIRCLE = Hamiltonian("p**2/2 + x**2/2")

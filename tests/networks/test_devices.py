@@ -14,11 +14,11 @@ import hamsym
 from hamsym import InputError
 from hamsym.cli.commands import main
 from hamsym.errors import FileError
-from hamsym.methods import made_method
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.trial import TrialSolution
+from hamsym.solving.methods import made_method
 
 H = hamsym.Hamiltonian("p**2/2 + x**2/2")
 BRIEF = {

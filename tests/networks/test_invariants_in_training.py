@@ -11,12 +11,12 @@ import pytest
 import torch
 
 import hamsym
-from hamsym.conservation import KnownInvariants
 from hamsym.errors import InputError
-from hamsym.methods import made_method
 from hamsym.networks.method import _objective, _penalties
 from hamsym.networks.objective import Objective
-from hamsym.problem import InitialValueProblem
+from hamsym.problems.conservation import KnownInvariants
+from hamsym.problems.problem import InitialValueProblem
+from hamsym.solving.methods import made_method
 
 KEPLER = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"
 MOMENTUM = "x*p_y - y*p_x"

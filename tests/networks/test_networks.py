@@ -18,12 +18,12 @@ import torch
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import FileError
-from hamsym.methods import made_method
 from hamsym.networks.method import _objective, _Penalty
 from hamsym.networks.methods import JointTraining
 from hamsym.networks.network import ACTIVATIONS
 from hamsym.networks.record import Stopped
 from hamsym.networks.trial import ENVELOPES
+from hamsym.solving.methods import made_method
 from hamsym.systems import CATALOGUE, Problem
 
 SMALL = {"hidden": (12, 12), "points": 40}

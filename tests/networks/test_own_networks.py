@@ -14,7 +14,6 @@ from torch import Tensor, nn
 
 import hamsym
 from hamsym import CertificationError, InputError
-from hamsym.methods import made_method
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.module_rates import ModuleRates
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
@@ -24,6 +23,7 @@ from hamsym.networks.optimizers import LBFGS, Adam
 from hamsym.networks.rules import Stopping
 from hamsym.networks.training import train
 from hamsym.networks.trial import TrialSolution
+from hamsym.solving.methods import made_method
 
 H = hamsym.Hamiltonian("p**2/2 + x**2/2")
 BRIEF = {

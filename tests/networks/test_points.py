@@ -12,8 +12,8 @@ from torch import Tensor
 import hamsym
 from hamsym import InputError
 from hamsym.errors import FileError
-from hamsym.methods import made_method
 from hamsym.networks.points import checked_points, points_within
+from hamsym.solving.methods import made_method
 
 H = hamsym.Hamiltonian("p**2/2 + x**2/2")
 BRIEF = {

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import hamsym
-from hamsym.conservation import KnownInvariants
 from hamsym.errors import InputError
+from hamsym.problems.conservation import KnownInvariants
 from hamsym.solution.invariant_check import judged_by_invariants
 
 KEPLER = "(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)"

@@ -24,7 +24,7 @@ import hamsym
 from hamsym import Hamiltonian
 from hamsym.facts.proofs import ball_text
 from hamsym.facts.wording import DESCRIBED
-from hamsym.methods import METHODS
+from hamsym.solving.methods import METHODS
 from hamsym.workbench.notebooks.representation import representation
 
 HENON = Hamiltonian(

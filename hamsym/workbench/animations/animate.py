@@ -25,8 +25,8 @@ from PIL import Image
 
 from hamsym.errors import FileError, InputError
 from hamsym.plotting.figure import Figure
-from hamsym.suggestions import checked_keywords
 from hamsym.support.atomic import write_file
+from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_number, require_positive, require_whole
 from hamsym.workbench.animations.film import Film
 from hamsym.workbench.animations.motion import Motion, motion_of

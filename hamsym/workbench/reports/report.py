@@ -29,10 +29,10 @@ from hamsym.facts.solutions import solution_facts
 from hamsym.proof.certificate import Certificate
 from hamsym.proof.prove import certify as prove
 from hamsym.proof.prove import verify
-from hamsym.recipe import command_line, omissions, python_lines
 from hamsym.solution.solution import Solution
-from hamsym.suggestions import checked_keywords
+from hamsym.solving.recipe import command_line, omissions, python_lines
 from hamsym.support.atomic import write_file
+from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_positive
 from hamsym.workbench.page_templates import page_environment, page_template
 from hamsym.workbench.reports import contents

@@ -13,8 +13,8 @@ from typing import Any
 from hamsym.errors import InputError
 from hamsym.networks.methods import LBFGS, Adam, LevenbergMarquardt, NetworkChain, SSBroyden
 from hamsym.random_features.features import Features
-from hamsym.suggestions import did_you_mean, require_known, similar
 from hamsym.support.method_object import Method
+from hamsym.support.suggestions import did_you_mean, require_known, similar
 
 _ALL: tuple[type[Method], ...] = (
     Features,

@@ -38,7 +38,7 @@ class InitialValueProblem:
     breakpoints: tuple[float, ...] = ()
     #: Whether errors are proven to be within the tolerance.
     prove: bool = False
-    #: Known invariants, a :class:`~hamsym.conservation.KnownInvariants`; empty without any.
+    #: A :class:`~hamsym.problems.conservation.KnownInvariants`; empty without any.
     invariants: Any = ()
 
     @classmethod

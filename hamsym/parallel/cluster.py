@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 import hamsym
-from hamsym.ensemble import Ensemble
 from hamsym.errors import HamsymError, InputError
+from hamsym.problems.ensemble import Ensemble
 from hamsym.support.cores import one_core
 from hamsym.support.tables import optional_package
 from hamsym.support.validation import require_whole

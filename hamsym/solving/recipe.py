@@ -13,8 +13,8 @@ from typing import Any
 
 from hamsym.errors import HamsymError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.methods import METHODS
 from hamsym.solution.solution import Solution
+from hamsym.solving.methods import METHODS
 
 _WIDTH = 88
 

@@ -26,11 +26,11 @@ from hamsym import (
 from hamsym.cli import solver_options
 from hamsym.cli.commands import main
 from hamsym.errors import KeywordError
-from hamsym.methods import METHODS, made_method, method_of, option_names
-from hamsym.problem import InitialValueProblem
+from hamsym.problems.problem import InitialValueProblem
 from hamsym.random_features.basis import DEGREE, basis_of_series
 from hamsym.random_features.method import solve_by_march
 from hamsym.solution.solution import Solution
+from hamsym.solving.methods import METHODS, made_method, method_of, option_names
 from hamsym.support.method_object import Method, documented
 
 OSCILLATOR = "p**2/2 + x**2/2"

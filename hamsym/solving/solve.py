@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
-from hamsym.conservation import InvariantLike, KnownInvariants
 from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.methods import method_of, option_message
-from hamsym.problem import InitialValueProblem
+from hamsym.problems.conservation import InvariantLike, KnownInvariants
+from hamsym.problems.problem import InitialValueProblem
 from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.solution.solution import Solution
-from hamsym.suggestions import checked_keywords
+from hamsym.solving.methods import method_of, option_message
 from hamsym.support.method_object import Method
+from hamsym.support.suggestions import checked_keywords
 
 if TYPE_CHECKING:
     from hamsym.networks.record import TrainingState

@@ -14,8 +14,8 @@ import torch
 import hamsym
 from hamsym import Hamiltonian
 from hamsym.cli.commands import main
-from hamsym.recipe import command_line, omissions, python_lines
 from hamsym.solution.digest import digest
+from hamsym.solving.recipe import command_line, omissions, python_lines
 
 CASES: dict[str, tuple[Any, Any, tuple[float, float], dict[str, Any]]] = {
     "defaults": ("p**2/2 + x**4/4", [1 / 3, -0.1], (0, 1), {}),

@@ -14,10 +14,10 @@ import pytest
 
 import hamsym
 from hamsym import FileError, Hamiltonian, HamsymError, InputError
-from hamsym.cluster import Task, _on_worker, cluster_results, members_on_cluster
-from hamsym.ensemble import ensemble_of
 from hamsym.families import many as many_module
 from hamsym.families.distributed import StorePlace
+from hamsym.parallel.cluster import Task, _on_worker, cluster_results, members_on_cluster
+from hamsym.problems.ensemble import ensemble_of
 from hamsym.systems import henon_heiles
 
 distributed = pytest.importorskip("distributed")
@@ -103,9 +103,9 @@ def test_members_equal_those_of_a_local_run(client: Any) -> None:
 def test_size_of_chunks_changes_no_bit(
     client: Any, chunk: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hamsym.cluster._FIRST", chunk)
-    monkeypatch.setattr("hamsym.cluster._MOST", chunk)
-    monkeypatch.setattr("hamsym.cluster._SHARES", 0.01)
+    monkeypatch.setattr("hamsym.parallel.cluster._FIRST", chunk)
+    monkeypatch.setattr("hamsym.parallel.cluster._MOST", chunk)
+    monkeypatch.setattr("hamsym.parallel.cluster._SHARES", 0.01)
     count = min(30 * chunk, 200)
     starts = random_starts(200)[:count]
     here = hamsym.solve_many(HENON, starts, SPAN)

@@ -13,7 +13,7 @@ import pytest
 import hamsym
 from hamsym import Hamiltonian, InputError
 from hamsym.errors import KeywordError, ParseError
-from hamsym.suggestions import similar
+from hamsym.support.suggestions import similar
 
 OSCILLATOR = "p**2/2 + x**2/2"
 START = (OSCILLATOR, [1.0, 0.0], (0, 1))

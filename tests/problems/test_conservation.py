@@ -7,8 +7,8 @@ import pytest
 import sympy
 
 from hamsym import Hamiltonian
-from hamsym.conservation import KnownInvariants
 from hamsym.errors import InputError
+from hamsym.problems.conservation import KnownInvariants
 
 KEPLER = "(p_x**2 + p_y**2)/2 - k/sqrt(x**2 + y**2)"
 MOMENTUM = "x*p_y - y*p_x"
