@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from hamsym.hamiltonian import Hamiltonian
 
@@ -128,7 +128,7 @@ def work_of(t: np.ndarray, power: np.ndarray) -> np.ndarray:
         count = int(np.logical_and.accumulate(np.isfinite(row)).sum())
         degree = 5 if count > 5 else 3 if count > 3 else 1
         if count > 1:
-            spline = make_interp_spline(elapsed[:count], row[:count], k=degree)
+            spline = scipy.interpolate.make_interp_spline(elapsed[:count], row[:count], k=degree)
             found[:count] = sign * spline.antiderivative()(elapsed[:count])
         elif count:
             found[0] = 0.0
