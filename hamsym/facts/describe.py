@@ -6,21 +6,17 @@ package.
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from typing import Any
 
+import hamsym.facts
 from hamsym.errors import InputError
-from hamsym.facts import (  # noqa: F401  they register their functions
-    dynamics,
-    fits,
-    formulas,
-    orbits,
-    proofs,
-    solutions,
-    studies,
-    trajectories,
-)
 from hamsym.facts.facts import Facts
 from hamsym.facts.wording import DESCRIBED
+
+for _module in pkgutil.iter_modules(hamsym.facts.__path__, "hamsym.facts."):
+    importlib.import_module(_module.name)  # they register their functions
 
 
 def describe(result: Any) -> Facts:
