@@ -1,25 +1,21 @@
 """plot(): the figure of a result, found by its type.
 
 The figure of a type is the function ``draw_...`` of a module of this room whose first argument is
-annotated with it. The type is known by its name: importing all would import most of the package.
+annotated with it.
 """
 
 from __future__ import annotations
 
 import functools
-import importlib
-import inspect
 import math
-import pkgutil
 from collections.abc import Callable
 from typing import Any
 
 from matplotlib.figure import Figure
 
-import hamsym.plotting
 from hamsym.errors import InputError
 from hamsym.plotting.tables import draw_table
-from hamsym.support.shown import Shown
+from hamsym.support.shown import Shown, by_type, function_of
 from hamsym.support.suggestions import checked_keywords
 
 
@@ -55,9 +51,9 @@ def plot(result: Any, *args: Any, **options: Any) -> Figure:
     >>> [axis.get_ylabel() for axis in figure.axes]
     ['$x$', '$p$', '$p$', '$|H - H_0|$']
     """
-    for kind in type(result).__mro__:
-        if kind.__module__.startswith("hamsym.") and kind.__name__ in _figures():
-            return _figures()[kind.__name__](result, *args, **options)
+    draw = function_of(result, _figures())
+    if draw is not None:
+        return checked_keywords(draw, "plot")(result, *args, **options)
     if isinstance(result, Shown) and math.isfinite(result.facts.drawn):
         return checked_keywords(draw_table, "plot")(result, *args, **options)
     raise InputError(
@@ -67,12 +63,6 @@ def plot(result: Any, *args: Any, **options: Any) -> Figure:
 
 
 @functools.cache
-def _figures() -> dict[str, Callable[..., Figure]]:
+def _figures() -> dict[str, Callable[..., Any]]:
     """Return the functions that draw results, by the names of their types."""
-    found = {}
-    for entry in pkgutil.iter_modules(hamsym.plotting.__path__, "hamsym.plotting."):
-        for name, function in vars(importlib.import_module(entry.name)).items():
-            if name.startswith("draw_") and function.__module__ == entry.name:
-                first = next(iter(inspect.signature(function).parameters.values()))
-                found[str(first.annotation)] = checked_keywords(function, "plot")
-    return found
+    return by_type("hamsym.plotting", lambda name, _: name.startswith("draw_"))
