@@ -21,8 +21,9 @@ def draw_table(result: Any, *, ax: Any = None) -> Any:
     table, shown = next((pair for pair in drawn if pair[1]), (None, []))
     if table is None:
         raise InputError(f"{type(result).__name__} has no table of numbers to draw")
-    outcome = " ".join(facts.opening)
-    words = caption_words(result.H, outcome) if hasattr(result, "H") else words_of(outcome)
+    words = words_of(". ".join(facts.opening))
+    if hasattr(result, "H"):
+        words = caption_words(result.H, *facts.opening)
     with one_panel(ax, words, facts.warning) as axes, style_for(ax):
         rows = [str(name) for name in table.names]
         try:
