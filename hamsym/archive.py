@@ -7,6 +7,7 @@ checked when it is loaded and when it is saved (:mod:`hamsym.support.records`).
 from __future__ import annotations
 
 import os
+import re
 import stat
 from pathlib import Path
 from typing import Any
@@ -24,22 +25,9 @@ from hamsym.support.atomic import write_file
 from hamsym.support.record_fields import NotDataError, check_also
 from hamsym.support.records import MALFORMED, packed, unpacked
 from hamsym.support.sealed_text import SealedText, kind_of_text
+from hamsym.support.shown import Saved
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.tensor_files import kind_of, one_line, read_tensors, write_tensors
-
-#: Public classes of results by the kinds of their files.
-KINDS = {
-    "solution": "Solution",
-    "solutions": "Solutions",
-    "flow map": "FlowMap",
-    "trajectory": "Trajectory",
-    "section": "Section",
-    "orbit": "PeriodicOrbit",
-    "orbit family": "OrbitFamily",
-    "fit": "Fit",
-    "enclosure": "Enclosure",
-}
-
 
 #: Those of certificates, whose files are text.
 CERTIFICATES = {
@@ -84,21 +72,22 @@ Enclosure or a certificate
         certificate_from(text)
         write_file(path, text.encode())
         return
-    found = [kind for kind, name in KINDS.items() if name == type(result).__name__]
-    if not found:
-        known = ", ".join(KINDS.values())
-        raise InputError(f"a {type(result).__name__} has no files; give one of {known}")
+    kind = kind_of_class(type(result))
+    if class_of_kind(kind) is not type(result):
+        raise InputError(
+            f"a {type(result).__name__} has no files; give a result that has a method save"
+        )
     try:
         arrays, values = packed(result)
     except (FileError, NotDataError):
         raise
     except MALFORMED as error:
-        verb = "are" if found[0].endswith("s") else "is"
+        verb = "are" if kind.endswith("s") else "is"
         raise FileError(
-            f"'{path}' was not written, because the {found[0]} {verb} not valid: {one_line(error)}"
+            f"'{path}' was not written, because the {kind} {verb} not valid: {one_line(error)}"
         ) from None
     require_formula(path, result.ensemble.H if hasattr(result, "ensemble") else result.H)
-    write_tensors(path, found[0], arrays, values)
+    write_tensors(path, kind, arrays, values)
 
 
 @checked_keywords
@@ -126,22 +115,44 @@ def load(path: str | os.PathLike[str]) -> Any:
     kind = kind_of(path)
     if kind is None and _is_text(path):
         return read_certificate(Path(path))
-    return load_as(kind if kind in KINDS else "solution", path)
+    return load_as(class_of_kind(kind or "") or Solution, path)
 
 
-def load_as(kind: str, path: str | os.PathLike[str]) -> Any:
-    """Read a file of one kind; see :func:`load`."""
+def load_as(result: type, path: str | os.PathLike[str]) -> Any:
+    """Read a file of a class of results; see :func:`load`."""
+    kind = kind_of_class(result)
     arrays, values = read_tensors(path, kind)
     try:
-        return unpacked(getattr(hamsym, KINDS[kind]), arrays, values)
+        return unpacked(result, arrays, values)
     except MALFORMED as error:
         noun = kind if kind.endswith("s") else f"a {kind}"
         raise FileError(f"'{path}' is not a valid file of {noun}: {one_line(error)}") from None
 
 
+def kind_of_class(found: type) -> str:
+    """Return the kind of the files of a class of results: its name in words.
+
+    Examples
+    --------
+    >>> import hamsym
+    >>> kind_of_class(hamsym.FlowMap)
+    'flow map'
+    """
+    return re.sub("(?<=[a-z])(?=[A-Z])", " ", found.__name__).lower()
+
+
+def class_of_kind(kind: str) -> Any:
+    """Return the public class of results whose files have a kind, None if there is none."""
+    name = kind.title().replace(" ", "")
+    found = getattr(hamsym, name) if name in dir(hamsym) else None
+    if not isinstance(found, type) or not issubclass(found, Saved) or kind_of_class(found) != kind:
+        return None
+    return None if issubclass(found, SealedText) else found
+
+
 def load_solution(path: str | os.PathLike[str]) -> Solution:
     """Read a file of one solution; see :func:`load`."""
-    found: Solution = load_as("solution", path)
+    found: Solution = load_as(Solution, path)
     return found
 
 

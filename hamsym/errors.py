@@ -36,6 +36,10 @@ class ParseError(InputError):
         self.token, self.column, self.remedy = token, column, remedy
         shown = token if len(token) <= 40 else token[:37] + "..."
         super().__init__(f"'{shown}' at column {column} {problem}; {remedy}")
+        self._given = token, column, problem, remedy
+
+    def __reduce__(self) -> tuple[type, tuple[str, int, str, str]]:
+        return type(self), self._given
 
 
 class VariableError(InputError):

@@ -12,7 +12,6 @@ import contextlib
 import hashlib
 import pickle
 import platform
-from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -37,29 +36,17 @@ _VERSIONS = (
 def load_compiled(source: str, name: str) -> ModuleType:
     """Execute a source as a module, whose functions marked with ``cache=True`` are cached here.
 
-    The arguments are those of :func:`hamsym.codegen.numba_cache.load_module`.
+    The arguments are those of :func:`hamsym.codegen.numba_cache.load_module`. The files lie in the
+    folder ``__pycache__`` beside that of the module.
     """
     module = load_module(source, name)
-    functions = vars(module).items()
-    marked = [key for key, value in functions if _cache_of(value) is FunctionCache]
-    cache_functions(module, marked, source)
-    return module
-
-
-def _cache_of(value: object) -> type:
-    return type(getattr(value, "_cache", None))
-
-
-def cache_functions(module: ModuleType, names: Iterable[str], source: str) -> None:
-    """Cache compiled functions of a module, which was made from a text alone.
-
-    The files lie in the folder ``__pycache__`` beside the file of the module.
-    """
     place = Path(str(module.__file__))
     stamp = repr((_DIGEST(source.encode()).hexdigest(), *_VERSIONS))
-    for name in names:
-        stem = place.parent / "__pycache__" / f"{place.stem}.{name}"
-        getattr(module, name)._cache = _CheckedCache(stem, f"{stamp} {name}")
+    for key, function in vars(module).items():
+        if type(getattr(function, "_cache", None)) is FunctionCache:
+            stem = place.parent / "__pycache__" / f"{place.stem}.{key}"
+            function._cache = _CheckedCache(stem, f"{stamp} {key}")
+    return module
 
 
 class _CheckedCache(NullCache):  # type: ignore[misc]

@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
-from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.dynamics.growth import (
     APART,
     PARALLEL,
@@ -38,6 +37,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.table import usual_method
 from hamsym.problems.problem import checked_span
+from hamsym.support.progress import advance_in_blocks
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_whole

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.coefficients import Doubled
@@ -29,6 +28,7 @@ from hamsym.numerics.isolation import Cells, component_ranges, isolated_zeros, r
 from hamsym.numerics.roots import suspects, zeros
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.surface import Surface
+from hamsym.support.progress import advance_in_blocks
 
 # Components of the states of a block of steps that are held at once: 16 MB an array.
 _HELD = 2_000_000

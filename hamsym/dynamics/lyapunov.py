@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import hamsym
-from hamsym.dynamics.blocks import advance_in_blocks
 from hamsym.dynamics.growth import APART, PARALLEL, first_vectors, growth_limit, orthonormal
 from hamsym.dynamics.lyapunov_map import LyapunovMap, lyapunov_map
 from hamsym.dynamics.monodromy import reject_doubled, tangent_stepper
@@ -31,6 +30,7 @@ from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import usual_method
 from hamsym.problems.ensemble import ensemble_of
 from hamsym.problems.problem import checked_span, checked_steps
+from hamsym.support.progress import advance_in_blocks
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame, data_set

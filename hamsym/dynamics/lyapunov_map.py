@@ -12,10 +12,8 @@ be too long is computed again with shorter ones.
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -36,9 +34,10 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
 from hamsym.integrators.linear_motion import fastest_rates
 from hamsym.integrators.stepper import Stepper
+from hamsym.parallel.threads import Threads
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.problem import MAX_STEPS
-from hamsym.support.cores import available_cores
+from hamsym.support.machine import available_cores
 from hamsym.support.progress import stepping_progress
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import suggest_attributes
@@ -232,7 +231,6 @@ class _Run:
         self._length = abs(span[1] - span[0])
         self._limit = growth_limit(count)
         self._vectors = first_vectors(members.H.dim, count, seed)
-        self._stop = threading.Event()
         size = len(members)
         self.exponents = np.full((size, count), np.nan)
         self.energy_error = np.full(size, np.nan)
@@ -255,21 +253,19 @@ class _Run:
     def repeat(self, progress: bool | None) -> bool:
         """Run the members that need it; return whether Ctrl-C interrupted."""
         chunks = list(self._chunks())
-        self._stop.clear()
         self._rates[:] = np.nan
-        interrupted, cores = False, available_cores()
         work = sum(len(index) * steps for index, _, steps, _ in chunks)
-        with stepping_progress(work, progress) as report, ThreadPoolExecutor(cores) as pool:
-            futures = [pool.submit(self._advance, *chunk, report) for chunk in chunks]
+        with stepping_progress(work, progress) as report, Threads(len(chunks)) as threads:
+
+            def advance(chunk: tuple[np.ndarray, float, int, int]) -> _Outcome:
+                return self._advance(*chunk, report, threads)
+
             try:
-                for (index, _, steps, _), future in zip(chunks, futures, strict=True):
-                    self._store(index, steps, future.result())
+                for (index, _, steps, _), found in threads.results(advance, chunks):
+                    self._store(index, steps, found)
             except KeyboardInterrupt:
-                interrupted = True
-            finally:
-                self._stop.set()
-                pool.shutdown(cancel_futures=True)
-        return interrupted
+                return True
+        return False
 
     def _store(self, index: np.ndarray, steps: int, found: _Outcome) -> None:
         self.exponents[index] = found.exponents
@@ -297,7 +293,13 @@ class _Run:
                 yield part, rate, steps, blocks
 
     def _advance(
-        self, index: np.ndarray, rate: float, steps: int, blocks: int, report: Callable[[int], None]
+        self,
+        index: np.ndarray,
+        rate: float,
+        steps: int,
+        blocks: int,
+        report: Callable[[int], None],
+        threads: Threads,
     ) -> _Outcome:
         """Step a chunk through the span."""
         (start, end), states = self._span, self._members.states[index]
@@ -318,7 +320,7 @@ class _Run:
         growth, apart = np.zeros((count, self._vectors.shape[1])), np.zeros(count, dtype=bool)
         there = np.ones(count, dtype=bool)
         for block, taken in enumerate(np.diff(edges).tolist(), 1):
-            if self._stop.is_set():
+            if threads.is_stopped:
                 raise KeyboardInterrupt
             path[:, block] = stepper.step(taken)
             with np.errstate(all="ignore"):  # of members that have escaped

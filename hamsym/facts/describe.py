@@ -1,26 +1,18 @@
 """describe(): the facts of a result, found by its type.
 
-The functions are found by the name of the type: importing all types would import most of the
-package.
+They are made by the function of a module of this room that returns Facts and whose first argument
+is annotated with the type.
 """
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 from hamsym.errors import InputError
-from hamsym.facts import (  # noqa: F401  they register their functions
-    dynamics,
-    fits,
-    formulas,
-    orbits,
-    proofs,
-    solutions,
-    studies,
-    trajectories,
-)
 from hamsym.facts.facts import Facts
-from hamsym.facts.wording import DESCRIBED
+from hamsym.support.shown import by_type, function_of
 
 
 def describe(result: Any) -> Facts:
@@ -46,7 +38,14 @@ def describe(result: Any) -> Facts:
     >>> describe(hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-6)).success
     True
     """
-    for kind in type(result).__mro__:
-        if kind.__module__.startswith("hamsym.") and kind.__name__ in DESCRIBED:
-            return DESCRIBED[kind.__name__](result)
+    make = function_of(result, described())
+    if make is not None:
+        found: Facts = make(result)
+        return found
     raise InputError(f"{type(result).__name__} has no facts; give a result of hamsym")
+
+
+@functools.cache
+def described() -> dict[str, Callable[..., Any]]:
+    """Return the functions that describe a result, by the names of the types."""
+    return by_type("hamsym.facts", lambda _, signature: signature.return_annotation == "Facts")

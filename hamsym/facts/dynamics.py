@@ -12,7 +12,6 @@ from hamsym.facts.wording import (
     by_name,
     facts_of,
     formulas_of,
-    of_type,
     problem_facts,
     silent,
     time_fact,
@@ -46,7 +45,6 @@ def _over_time(
     return table, Fact("t", value=found.t[-1]), time_fact(found.seconds)
 
 
-@of_type("LyapunovExponents")
 def _lyapunov(found: LyapunovExponents) -> Facts:
     last = found.exponents[-1]
     several = ", ".join(f"{value:.4g}" for value in last) if len(last) > 1 else ""
@@ -62,7 +60,6 @@ def _lyapunov(found: LyapunovExponents) -> Facts:
     )
 
 
-@of_type("ChaosIndicators")
 def _chaos_indicators(found: ChaosIndicators) -> Facts:
     curves = {"megno": found.megno, "mean megno": found.mean_megno, "sali": found.sali}
     return facts_of(
@@ -75,7 +72,6 @@ def _chaos_indicators(found: ChaosIndicators) -> Facts:
     )
 
 
-@of_type("LyapunovMap")
 def _lyapunov_map(found: LyapunovMap) -> Facts:
     places = list(np.ndindex(found.success.shape))
     columns = [
@@ -105,7 +101,6 @@ def _lyapunov_map(found: LyapunovMap) -> Facts:
     )
 
 
-@of_type("Section")
 def _section(section: Section) -> Facts:
     columns = [Column("t", section.t, ".6g")]
     columns += [Column(n, own, ".5g") for n, own in zip(section.names, section.z.T, strict=True)]
@@ -124,7 +119,6 @@ def _section(section: Section) -> Facts:
     )
 
 
-@of_type("Equilibria")
 def _equilibria(found: Equilibria) -> Facts:
     undecided = [Fact("", "undecided:", None, str(region)) for region in found.undecided[:_REGIONS]]
     if (more := len(found.undecided) - _REGIONS) > 0:
@@ -177,7 +171,6 @@ def _note(each: Equilibrium) -> str:
     return "; ".join(filter(None, notes))
 
 
-@of_type("Equilibrium")
 def _equilibrium(found: Equilibrium) -> Facts:
     head, *rest = found.lines
     exact = None if found.exact is None else [str(value) for value in found.exact]

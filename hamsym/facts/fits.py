@@ -13,7 +13,6 @@ from hamsym.facts.wording import (
     facts_of,
     interval,
     number,
-    of_type,
     silent,
     time_fact,
     units_of,
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from hamsym.flow_maps.flow_map import FlowMap
 
 
-@of_type("Fit")
 def _fit(fit: Fit) -> Facts:
     H, several = fit.H, bool(np.ndim(fit.success))
     data = f"{len(fit.t):,} times, t from {interval((fit.t.min(), fit.t.max()))}"
@@ -93,7 +91,6 @@ def _quality(fit: Fit, several: bool) -> tuple[Fact, ...]:
     )
 
 
-@of_type("FlowMap")
 def _flow_map(flow: FlowMap) -> Facts:
     H = flow.H
     box = [f"{name} from {low!r} to {high!r}" for name, (low, high) in flow.box.items()]

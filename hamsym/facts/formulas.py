@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hamsym.facts.facts import Column, Fact, Facts, Formula, Table
-from hamsym.facts.wording import counted, formulas_of, listed, of_type, problem_facts
+from hamsym.facts.wording import counted, formulas_of, listed, problem_facts
 from hamsym.symbolic.equations import Formulas
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 _DERIVED = 2_000  # operations of an H whose equations of motion are derived for a description
 
 
-@of_type("Hamiltonian")
 def _hamiltonian(H: Hamiltonian) -> Facts:
     import sympy
 
@@ -46,12 +45,10 @@ def _equations_of(equations: Formulas) -> tuple[Formula, ...]:
     )
 
 
-@of_type("Formulas")
 def _formulas(equations: Formulas) -> Facts:
     return Facts("Equations of motion", formulas=_equations_of(equations))
 
 
-@of_type("Equations")
 def _equations(equations: Equations) -> Facts:
     rates = zip(equations.z, equations.vector_field, strict=True)
     formulas = (Formula(f"d{symbol}/dt", rate, str(rate)) for symbol, rate in rates)
@@ -59,7 +56,6 @@ def _equations(equations: Equations) -> Facts:
     return Facts("Equations", formulas=(first, *formulas))
 
 
-@of_type("Invariant")
 def _invariant(found: Invariant) -> Facts:
     headline = f"conserved, of degree {found.degree}"
     if not found.independent:
@@ -81,7 +77,6 @@ def _values(found: Invariant) -> str:
     return ", ".join(f"{name} = {value!r}" for name, value in found.holds_for.items())
 
 
-@of_type("Invariants")
 def _invariants(found: Invariants) -> Facts:
     names = [f"I_{k}" for k in range(1, len(found) + 1)]
     columns = (
@@ -103,7 +98,6 @@ def _invariants(found: Invariants) -> Facts:
     )
 
 
-@of_type("System")
 def _system(system: System) -> Facts:
     lines = system.source.count("\n")
     return Facts(

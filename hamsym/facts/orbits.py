@@ -11,7 +11,6 @@ from hamsym.facts.wording import (
     formulas_of,
     interval,
     number,
-    of_type,
     problem_facts,
     silent,
     units_of,
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from hamsym.orbits.orbit import PeriodicOrbit
 
 
-@of_type("PeriodicOrbit")
 def _periodic_orbit(orbit: PeriodicOrbit) -> Facts:
     H, isolated = orbit.H, orbit.is_isolated
     multipliers = ", ".join(map(_complex, orbit.multipliers))
@@ -50,7 +48,6 @@ def _complex(value: complex) -> str:
     return f"{value.real:.8g}{value.imag:+.8g}i"
 
 
-@of_type("OrbitFamily")
 def _orbit_family(family: OrbitFamily) -> Facts:
     count, found = len(family), family.bifurcations
     energies, headline = family.energies, "no orbits"

@@ -14,7 +14,6 @@ from hamsym.facts.wording import (
     error_text,
     formulas_of,
     given_of,
-    of_type,
     seconds_text,
     silent,
     span_fact,
@@ -33,7 +32,6 @@ _BOUNDS = "bound lower energy_bound energy_lower ell_max_bound ell_max_lower"
 _THREE_DIGITS = Context(prec=3, rounding=ROUND_CEILING)
 
 
-@of_type("Certificate")
 def _certificate(certificate: Certificate) -> Facts:
     names, bounds, asked = certificate.components, certificate.component_bounds, certificate.asked
     worst = max(range(len(names)), key=bounds.__getitem__)
@@ -92,7 +90,6 @@ def _proof(certificate: Any) -> tuple[Fact, ...]:
     )
 
 
-@of_type("BoxCertificate")
 def _box_certificate(certificate: BoxCertificate) -> Facts:
     ends = [f"{name} from {low!r} to {high!r}" for name, (low, high) in certificate.box.items()]
     return Facts(
@@ -119,7 +116,6 @@ def _box_certificate(certificate: BoxCertificate) -> Facts:
     )
 
 
-@of_type("OrbitCertificate")
 def _orbit_certificate(certificate: OrbitCertificate) -> Facts:
     period, z0 = certificate.period, certificate.z0
     balls = list(zip(np.ravel(z0.mid), np.ravel(z0.radius), strict=True))
@@ -146,7 +142,6 @@ def _orbit_certificate(certificate: OrbitCertificate) -> Facts:
     )  # fmt: skip
 
 
-@of_type("Enclosure")
 def _enclosure(enclosure: Enclosure) -> Facts:
     H, last = enclosure.H, enclosure(enclosure.span[1])
     names, first = list(H.names), enclosure.z0
@@ -199,7 +194,6 @@ def ball_text(mid: Any, radius: Any) -> str:
     return f"{text} +- {float(_THREE_DIGITS.plus(whole)):.2e}"
 
 
-@of_type("Proofs")
 def _proofs(proofs: Proofs) -> Facts:
     count, size = int(proofs.proven.sum()), proofs.proven.size
     failed = np.argwhere(~proofs.proven)

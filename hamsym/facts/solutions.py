@@ -15,7 +15,6 @@ from hamsym.facts.wording import (
     error_text,
     facts_of,
     formulas_of,
-    of_type,
     problem_facts,
     span_fact,
     time_fact,
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 _LONG = 2e9  # operations of an analysis that takes longer than a reader waits
 
 
-@of_type("Solution")
 def solution_facts(solution: Solution, certificate: Certificate | None = None) -> Facts:
     """Describe a solution.
 
@@ -188,7 +186,6 @@ def proof_sentence(solution: Solution, certificate: Certificate) -> str:
     return f"Proven, but not that every error is within what was asked: {largest}"
 
 
-@of_type("Solutions")
 def _solutions(many: Solutions) -> Facts:
     good, size, success = int(many.success.sum()), many.size, many.success
     failed, headline = np.argwhere(~success), ""

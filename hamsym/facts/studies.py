@@ -13,7 +13,6 @@ from hamsym.facts.wording import (
     by_name,
     error_text,
     interval,
-    of_type,
 )
 
 if TYPE_CHECKING:
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 _ERROR = ".2e"
 
 
-@of_type("Comparison")
 def _comparison(comparison: Comparison) -> Facts:
     solution, network = comparison.solution, comparison.rows[0]
     H, own = solution.H, solution.facts
@@ -107,7 +105,6 @@ def _matches(comparison: Comparison) -> Table:
     )
 
 
-@of_type("Sweep")
 def _sweep(sweep: Sweep) -> Facts:
     every = [solution for found in sweep.solutions.values() for solution in found]
     converged = sum(bool(solution.success) for solution in every)
@@ -146,7 +143,6 @@ def _settings(sweep: Sweep) -> Table:
     )  # fmt: skip
 
 
-@of_type("StoredSweep")
 def _stored_sweep(sweep: StoredSweep) -> Facts:
     size, axes = math.prod(sweep.shape), sweep.store.axes
     headline = f"{sweep.done:,} of {size:,} points in {sweep.path.name}"

@@ -13,7 +13,6 @@ from hamsym.facts.wording import (
     conservation_facts,
     error_text,
     facts_of,
-    of_type,
     silent,
 )
 from hamsym.numerics.scales import ratios
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from hamsym.integrators.trajectory import Trajectory
 
 
-@of_type("Trajectory")
 def _trajectory(trajectory: Trajectory) -> Facts:
     members, found = trajectory.ensemble, trajectory.verdicts
     varied = members.columns if members.shape else {}

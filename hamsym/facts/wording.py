@@ -1,10 +1,10 @@
-"""Words and numbers that descriptions share, and the table of their functions."""
+"""Words and numbers that descriptions share."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,21 +14,6 @@ from hamsym.support.text_tables import ROWS, share
 
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
-
-_F = TypeVar("_F", bound=Callable[[Any], Facts])
-
-#: Functions that describe a result, by the name of its type.
-DESCRIBED: dict[str, Callable[[Any], Facts]] = {}
-
-
-def of_type(name: str) -> Callable[[_F], _F]:
-    """Register a function as that of the facts of a type of this package, by its name."""
-
-    def register(make: _F) -> _F:
-        DESCRIBED[name] = make
-        return make
-
-    return register
 
 
 def number(value: Any, digits: int = 6) -> str:

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext
+from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,14 +25,14 @@ from hamsym.families.storage import WindowStore
 from hamsym.families.windows import OPEN, Packed, Table, pieces_of
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.parallel.cluster import require_client
+from hamsym.parallel.threads import Threads
 from hamsym.problems.conservation import InvariantLike, KnownInvariants
 from hamsym.problems.ensemble import Ensemble, ensemble_of
 from hamsym.problems.problem import checked_span
 from hamsym.random_features.members import Batch
 from hamsym.random_features.method import basis_for, checked_accuracy
 from hamsym.solution.solution import Solution
-from hamsym.support.cores import available_cores
-from hamsym.support.memory import memory_size
+from hamsym.support.machine import memory_size
 from hamsym.support.progress import stepping_progress
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_whole
@@ -185,39 +184,35 @@ class _Run:
 
     def solve(self, report: Callable[[int], None]) -> None:
         """Solve all members, or as many as there are before Ctrl-C."""
-        waiting: deque[tuple[np.ndarray, Future[tuple[Batch | None, float]]]] = deque()
-        cores = available_cores()
-        pool = ThreadPoolExecutor(cores)
-        try:
-            valid = self._missing(report)
-            if len(valid):
-                _ = self._solver.solver  # made before the threads need it
-            position, size = 0, _FIRST
-            while waiting or position < len(valid):
+        with Threads() as threads:
+            try:
+                left = valid = self._missing(report)
+                if len(valid):
+                    _ = self._solver.solver  # made before the threads need it
+                size = _FIRST
+
+                def chunks() -> Iterator[np.ndarray]:
+                    nonlocal left
+                    while len(left):
+                        chunk, left = np.split(left, [size])
+                        yield chunk
+
                 # Nothing follows the first chunk before the memory is known to suffice.
-                known = bool(self._blocks) or self._store is not None
-                most = _WAITING * cores if known else 1
-                while position < len(valid) and len(waiting) < most:
-                    chunk = valid[position : position + size]
-                    waiting.append((chunk, pool.submit(self._solver.batch, chunk)))
-                    position += len(chunk)
-                batch, seconds = waiting[0][1].result()
-                # Smaller chunks at the end occupy all cores until then.
-                fair = max((len(valid) - position) // (_WAITING * cores), _FIRST)
-                wanted = _SECONDS * len(waiting[0][0]) / seconds
-                size = int(min(max(wanted, 1), fair, _MOST))
-                chunk, _ = waiting.popleft()
-                self._finish(chunk, batch, report)
-                self._limit_memory(len(valid))
-                if self._stopped:
-                    break
-        except KeyboardInterrupt:
-            self._stopped = "interrupted"
-            for chunk, future in waiting:
-                if not future.cancel():
-                    self._keep(self._solver.block(chunk, future.result()[0], {}))
-        finally:
-            pool.shutdown(cancel_futures=True)
+                parts = islice(chunks(), 1), chunks()
+                found = (threads.results(self._solver.batch, part, _WAITING) for part in parts)
+                for chunk, (batch, seconds) in chain.from_iterable(found):
+                    # Smaller chunks at the end occupy all cores until then.
+                    fair = max(len(left) // (_WAITING * threads.cores), _FIRST)
+                    wanted = _SECONDS * len(chunk) / seconds
+                    size = int(min(max(wanted, 1), fair, _MOST))
+                    self._finish(chunk, batch, report)
+                    self._limit_memory(len(valid))
+                    if self._stopped:
+                        break
+            except KeyboardInterrupt:
+                self._stopped = "interrupted"
+                for chunk, (batch, _) in threads.begun():
+                    self._keep(self._solver.block(chunk, batch, {}))
         self._flush()
 
     def solve_on(self, client: Client, retries: int, report: Callable[[int], None]) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,8 +17,8 @@ from hamsym.flow_maps.judging import Judgement
 from hamsym.flow_maps.storage import MAPS
 from hamsym.flow_maps.time_order import require_inputs, require_order
 from hamsym.hamiltonian import Hamiltonian
+from hamsym.parallel.threads import Threads, slices
 from hamsym.solution.times import is_tensor
-from hamsym.support.cores import available_cores
 from hamsym.support.record_fields import AnyFloat, Count, Size, floats
 from hamsym.support.records import packed
 from hamsym.support.shown import Saved
@@ -227,14 +225,10 @@ class FlowMap(Saved):
     ) -> np.ndarray:
         """Return a function of times and inputs at queries; many are divided among all cores."""
         times, inputs, shape = self._queries(t, given, extrapolate)
-        count = max(1, min(available_cores(), len(times) // _QUERIES))
-        ends = np.linspace(0, len(times), count + 1).astype(int).tolist()
-        parts = [(times[i:j], inputs[i:j]) for i, j in itertools.pairwise(ends)]
-        if count == 1:
-            found = function(*parts[0])
-        else:
-            with ThreadPoolExecutor(count) as pool:
-                found = np.concatenate(list(pool.map(lambda part: function(*part), parts)))
+        with Threads(len(times) // _QUERIES) as threads:
+            parts = slices(len(times), threads.cores)
+            results = threads.results(lambda part: function(times[part], inputs[part]), parts)
+            found = np.concatenate([result for _, result in results])
         return found.reshape(*shape, *found.shape[1:])
 
     def _queries(

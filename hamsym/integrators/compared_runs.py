@@ -200,9 +200,7 @@ class ComparedRuns:
     def _path(
         self, rows: np.ndarray, starts: np.ndarray, steps: int, saves: int
     ) -> tuple[np.ndarray, int]:
-        done = self._stepper(rows, starts, steps).advance(
-            saves, steps // saves, show=False, cores=1
-        )
+        done = self._stepper(rows, starts, steps).advance(saves, steps // saves, show=False)
         return done.path, done.evaluations
 
     def _perturbed(

@@ -23,8 +23,6 @@ from types import ModuleType
 
 import numpy as np
 
-from hamsym.codegen.numba_cache import load_module
-
 _PERTURBATION = 1e-11  # of a component, above its round-off and below all nonlinear effects
 
 
@@ -115,16 +113,7 @@ def _changes(number: int, dim: int) -> np.ndarray:
 @functools.cache
 def _loops() -> ModuleType:
     """The loops, each of which takes about a second to compile the first time on a machine."""
-    import numba
+    from hamsym.codegen.checked_cache import load_compiled  # imports numba
 
-    from hamsym.codegen.checked_cache import cache_functions  # imports numba
-
-    folder = importlib.resources.files("hamsym.integrators")
-    source = folder.joinpath("extrapolation_loop.py").read_text("utf-8")
-    module = load_module(source, "extrapolation_loop")
-    names = ("extrapolate_rows", "perturb_rows")
-    for name in names:
-        compiled = numba.njit(error_model="numpy", nogil=True)(getattr(module, name))
-        setattr(module, name, compiled)
-    cache_functions(module, names, source)
-    return module
+    file = importlib.resources.files("hamsym.templates").joinpath("extrapolation_loops.py")
+    return load_compiled(file.read_text("utf-8"), "extrapolation_loops")

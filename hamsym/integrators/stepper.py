@@ -12,8 +12,8 @@ results are bit-identical for every division.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,9 +25,9 @@ from hamsym.integrators.adaptive import Adaptive
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
 from hamsym.integrators.linear_motion import fastest_rates
 from hamsym.integrators.table import INTEGRATORS, usable_method
+from hamsym.parallel.threads import Threads, slices
 from hamsym.problems.ensemble import Ensemble
-from hamsym.support.cores import available_cores
-from hamsym.support.memory import memory_size
+from hamsym.support.machine import memory_size
 from hamsym.support.progress import stepping_progress
 from hamsym.support.validation import require_number
 
@@ -136,15 +136,13 @@ class Stepper:
     def step(self, count: int) -> np.ndarray:
         """Do ``count`` steps in one call of the loop and return the states, shape (n, dim)."""
         out = np.empty((len(self._states), 1, self._dim))
-        self._run(None, 1, out, 0, 1, count)
+        self._run(None, out, 0, 1, count)
         return np.array(self.states)
 
-    def advance(
-        self, saves: int, save_every: int = 1, *, show: bool | None = None, cores: int | None = None
-    ) -> Stepping:
+    def advance(self, saves: int, save_every: int = 1, *, show: bool | None = None) -> Stepping:
         """Do saves*save_every steps and return the states after every save_every steps.
 
-        Without ``cores``, ensembles with enough work are divided between all available ones.
+        Ensembles with enough work are divided between the available cores.
         """
         count = len(self._states)
         before = self._done.copy()
@@ -152,23 +150,17 @@ class Stepper:
         path[:, 0] = self.states
         interrupted, reached = False, 0
         work = count * self._dim * self.scheme.stages
-        if cores is None:
-            threaded = work * saves * save_every > _MIN_THREADED_WORK
-            cores = min(available_cores(), count) if threaded else 1
-        with stepping_progress(saves * save_every, show) as progress:
-            pool = ThreadPoolExecutor(cores) if cores > 1 else None
+        most = count if work * saves * save_every > _MIN_THREADED_WORK else 1
+        with stepping_progress(saves * save_every, show) as progress, Threads(most) as threads:
             try:
                 for save, part, every in _pieces(saves, save_every, max(1, _PIECE_WORK // work)):
-                    self._run(pool, cores, path, 1 + save, part, every)
+                    self._run(threads, path, 1 + save, part, every)
                     reached += part * every
                     progress(part * every)
                     if reached < saves * save_every and self._is_lost():
                         break
             except KeyboardInterrupt:
                 interrupted = True
-            finally:
-                if pool is not None:
-                    pool.shutdown()
         steps = self._done[:, 0] - before[:, 0]
         completed = 1 + np.minimum(steps, reached) // save_every
         for trajectory in np.flatnonzero(completed <= saves):
@@ -190,21 +182,13 @@ class Stepper:
         return not np.isfinite(self._states).all(axis=1).any()
 
     def _run(
-        self,
-        pool: ThreadPoolExecutor | None,
-        cores: int,
-        out: np.ndarray,
-        offset: int,
-        saves: int,
-        every: int,
+        self, threads: Threads | None, out: np.ndarray, offset: int, saves: int, every: int
     ) -> None:
         """Do saves*every steps; states are written to out[:, offset : offset + saves]."""
         before = self._done[:, 0].copy()
-        count = len(self._states)
-        edges = [count * core // cores for core in range(cores + 1)]
-        futures = []
-        for group in map(slice, edges[:-1], edges[1:]):
-            arguments = (
+
+        def advance(group: slice) -> None:
+            self._loop(
                 self._states[group],
                 self._low[group] if self._compensated else None,
                 self.tangents[group],
@@ -219,12 +203,11 @@ class Stepper:
                 *self._constants,
                 self._parameters[group],
             )
-            if pool is None:
-                self._loop(*arguments)
-            else:
-                futures.append(pool.submit(self._loop, *arguments))
-        for future in futures:
-            future.result()
+
+        if threads is None:
+            advance(slice(None))
+        else:
+            deque(threads.results(advance, slices(len(before), threads.cores)), maxlen=0)
         self._first += saves * every
         if self.is_implicit:  # a trajectory whose step was not solved ends there
             self._states[self._done[:, 0] - before < saves * every] = np.nan

@@ -20,11 +20,9 @@ changes no bit of the others.
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
@@ -34,9 +32,10 @@ from hamsym.integrators.invariant_drift import invariant_drifts
 from hamsym.integrators.stepper import INTERRUPTED, require_memory
 from hamsym.integrators.trajectory import Trajectory
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
+from hamsym.parallel.threads import Threads
 from hamsym.problems.conservation import KnownInvariants
 from hamsym.problems.ensemble import Ensemble
-from hamsym.support.cores import available_cores
+from hamsym.support.machine import available_cores
 from hamsym.support.progress import stepping_progress
 
 # Phase of the fastest linear motion in a coarse step at a tolerance of 1e-9, and its limits at
@@ -140,13 +139,17 @@ class ToleranceSearch:
         """Search the number of steps of each member."""
         pending = self._prepared()
         found = self._found
+
+        def compare(block: tuple[np.ndarray, int]) -> Round:
+            return self._runs.compare(*block)
+
         try:
             while len(pending):
                 blocks = list(self._blocks(pending))
                 left: list[np.ndarray] = []
                 work = int(sum(coarse * len(block) for block, coarse in blocks))
-                with stepping_progress(work, progress) as update:
-                    for result in self._rounds(blocks):
+                with stepping_progress(work, progress) as update, Threads(len(blocks)) as threads:
+                    for _, result in threads.results(compare, blocks):
                         found.evaluations += result.evaluations
                         left.append(self._judged(result))
                         update(result.coarse * len(result.members))
@@ -237,21 +240,6 @@ class ToleranceSearch:
             size = max(64, min(size, math.ceil(len(rows) / available_cores())))
             for first in range(0, len(rows), size):
                 yield rows[first : first + size], coarse
-
-    def _rounds(self, blocks: list[tuple[np.ndarray, int]]) -> Iterator[Round]:
-        cores = min(available_cores(), len(blocks))
-        if cores == 1:
-            yield from itertools.starmap(self._runs.compare, blocks)
-            return
-        pool = ThreadPoolExecutor(cores)
-        try:
-            waiting: list[Future[Round]] = [
-                pool.submit(self._runs.compare, *block) for block in blocks
-            ]
-            for future in waiting:
-                yield future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
 
     # -- verdicts ----------------------------------------------------------------------------
 

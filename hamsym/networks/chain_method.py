@@ -25,6 +25,7 @@ from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.window_error import allowed_errors
+from hamsym.support.machine import one_core
 from hamsym.support.progress import stepping_progress
 
 _LOCAL = 1e-2  # tolerance of the residual in a window, relative to that of the error
@@ -91,7 +92,7 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
     )
     wall, cpu = time.perf_counter(), time.process_time()
     best, passes, evaluations, rejected = None, 0, 0, 0
-    with _one_thread():
+    with one_core():  # the systems of a window are too small for more
         while passes < _PASSES:
             passes += 1
             with _progress(problem.progress) as advance:
@@ -189,14 +190,3 @@ def _progress(
         return
     with stepping_progress(_PERCENT, show, "training") as update:
         yield lambda share: update(round(_PERCENT * share))
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    # The systems of a window are too small for more.
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)

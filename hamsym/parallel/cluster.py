@@ -24,7 +24,7 @@ import numpy as np
 import hamsym
 from hamsym.errors import HamsymError, InputError
 from hamsym.problems.ensemble import Ensemble
-from hamsym.support.cores import one_core
+from hamsym.support.machine import one_core
 from hamsym.support.tables import optional_package
 from hamsym.support.validation import require_whole
 

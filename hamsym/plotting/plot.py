@@ -1,49 +1,24 @@
-"""plot(): the figure of a result, chosen by its type."""
+"""plot(): the figure of a result, found by its type.
+
+The figure of a type is the function ``draw_...`` of a module of this room whose first argument is
+annotated with it.
+"""
 
 from __future__ import annotations
 
-from functools import singledispatch
+import functools
+import math
+from collections.abc import Callable
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from hamsym.dynamics.chaos_indicators import ChaosIndicators
-from hamsym.dynamics.equilibrium import Equilibria, Equilibrium
-from hamsym.dynamics.lyapunov import LyapunovExponents
-from hamsym.dynamics.lyapunov_map import LyapunovMap
-from hamsym.dynamics.monodromy import TangentMap
-from hamsym.dynamics.sections import Section
 from hamsym.errors import InputError
-from hamsym.families.solutions import Solutions
-from hamsym.fitting.fitted import Fit
-from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.integrators.trajectory import Trajectory
-from hamsym.orbits.certificate import OrbitCertificate
-from hamsym.orbits.family import OrbitFamily
-from hamsym.orbits.orbit import PeriodicOrbit
-from hamsym.plotting.certificates import draw_box_certificate, draw_certificate, draw_enclosure
-from hamsym.plotting.chaos import draw_chaos_indicators, draw_lyapunov, draw_lyapunov_map
-from hamsym.plotting.comparisons import draw_comparison
-from hamsym.plotting.equilibria import draw_equilibria, draw_equilibrium
-from hamsym.plotting.fits import draw_fit
-from hamsym.plotting.flow_maps import draw_flow_map
-from hamsym.plotting.orbits import draw_family, draw_orbit, draw_orbit_certificate
-from hamsym.plotting.sections import draw_section
-from hamsym.plotting.solutions import draw_solution, draw_solutions
-from hamsym.plotting.spectra import draw_tangent_map
-from hamsym.plotting.sweeps import draw_stored_sweep, draw_sweep
-from hamsym.plotting.trajectories import draw_trajectory
-from hamsym.proof.box_certificate import BoxCertificate
-from hamsym.proof.certificate import Certificate
-from hamsym.proof.enclose import Enclosure
-from hamsym.solution.solution import Solution
-from hamsym.study.compare import Comparison
-from hamsym.study.grid import StoredSweep
-from hamsym.study.sweep import Sweep
+from hamsym.plotting.tables import draw_table
+from hamsym.support.shown import Shown, by_type, function_of
 from hamsym.support.suggestions import checked_keywords
 
 
-@singledispatch
 def plot(result: Any, *args: Any, **options: Any) -> Figure:
     """Draw a result: an overview, or the panel that names choose.
 
@@ -76,34 +51,18 @@ def plot(result: Any, *args: Any, **options: Any) -> Figure:
     >>> [axis.get_ylabel() for axis in figure.axes]
     ['$x$', '$p$', '$p$', '$|H - H_0|$']
     """
+    draw = function_of(result, _figures())
+    if draw is not None:
+        return checked_keywords(draw, "plot")(result, *args, **options)
+    if isinstance(result, Shown) and math.isfinite(result.facts.drawn):
+        return checked_keywords(draw_table, "plot")(result, *args, **options)
     raise InputError(
         f"{type(result).__name__} cannot be plotted; give a solution or many, a trajectory, a fit, "
         "a flow map, a section, a comparison, Lyapunov exponents or chaos indicators"
     )
 
 
-_FIGURES = (
-    (Solution, draw_solution),
-    (Solutions, draw_solutions),
-    (Trajectory, draw_trajectory),
-    (Fit, draw_fit),
-    (FlowMap, draw_flow_map),
-    (Section, draw_section),
-    (Comparison, draw_comparison),
-    (Sweep, draw_sweep),
-    (StoredSweep, draw_stored_sweep),
-    (LyapunovExponents, draw_lyapunov),
-    (LyapunovMap, draw_lyapunov_map),
-    (ChaosIndicators, draw_chaos_indicators),
-    (PeriodicOrbit, draw_orbit),
-    (OrbitFamily, draw_family),
-    (OrbitCertificate, draw_orbit_certificate),
-    (TangentMap, draw_tangent_map),
-    (Equilibria, draw_equilibria),
-    (Equilibrium, draw_equilibrium),
-    (Enclosure, draw_enclosure),
-    (Certificate, draw_certificate),
-    (BoxCertificate, draw_box_certificate),
-)
-for _type, _draw in _FIGURES:
-    plot.register(_type, checked_keywords(_draw, "plot"))
+@functools.cache
+def _figures() -> dict[str, Callable[..., Any]]:
+    """Return the functions that draw results, by the names of their types."""
+    return by_type("hamsym.plotting", lambda name, _: name.startswith("draw_"))

@@ -244,22 +244,22 @@ def verify(
             f"certificate must be a certificate or its text, not {type(certificate).__name__}"
         )
     if isinstance(certificate, Certificate):
-        solution = _of_kind(Solution, result, "solution")
+        solution = _of_kind(Solution, result)
         _verify_solution(certificate, solution, time_limit, progress)
         check_solution(solution)
     elif isinstance(certificate, BoxCertificate):
-        flow = _of_kind(FlowMap, result, "flow map")
+        flow = _of_kind(FlowMap, result)
         verify_box(certificate, flow, _deadline(time_limit, certificate.seconds))
     else:
         deadline = _deadline(time_limit, certificate.seconds)
-        orbit = _of_kind(hamsym.PeriodicOrbit, result, "orbit")
+        orbit = _of_kind(hamsym.PeriodicOrbit, result)
         certificate.verify(orbit, time_limit=deadline.left)
 
 
-def _of_kind(kind: type, result: Any, noun: str) -> Any:
+def _of_kind(kind: type, result: Any) -> Any:
     """What a certificate is about, read from its file if it is a path."""
     if isinstance(result, (str, os.PathLike)):
-        result = load_as(noun, result)
+        result = load_as(kind, result)
     if not isinstance(result, kind):
         raise InputError(
             f"this certificate needs a {kind.__name__} or its path, not {type(result).__name__}"

@@ -1,4 +1,7 @@
-"""Solution of many initial-value problems of one Hamiltonian, each by itself.
+"""Solution of any number of initial-value problems of one Hamiltonian, each by itself.
+
+:func:`hamsym.solve` has one member, :func:`hamsym.solve_many` and :func:`hamsym.fit` have many; all
+stand on it.
 
 Input:  a Hamiltonian, initial states and parameter values, a span, a tolerance.
 Output: :class:`Batch`, the windows of all members that pass every check.

@@ -26,8 +26,8 @@ from hamsym.study.compare import Row, measure
 from hamsym.study.grid import sweep_to_store
 from hamsym.study.processes import carry_out, carry_out_on
 from hamsym.study.runs import arguments_of, planned_run
-from hamsym.support.cores import available_cores
 from hamsym.support.locking import exclusive
+from hamsym.support.machine import available_cores
 from hamsym.support.method_object import Method
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
@@ -261,8 +261,8 @@ def sweep(
         Number of processes for settings, by default the number of cores; each uses one thread.
         With 1 all runs are carried out in this process.
     progress : bool, optional
-        By default a bar is drawn if standard error is a terminal. True prints a line for each run
-        that has ended if it is not a terminal.
+        By default a bar is drawn if standard error is a terminal. True prints a line every ten
+        seconds if it is not a terminal.
 
     Returns
     -------
@@ -274,10 +274,6 @@ def sweep(
         If a setting is invalid.
     FileError
         If the folder cannot be written, or is locked by another process.
-
-    Notes
-    -----
-    Each process imports the main script: guard its statements by ``if __name__ == "__main__":``.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Progress bar of work in many steps: drawn on terminals, and in the cell of a notebook."""
+"""Progress of work in many steps: a bar on terminals and in the cell of a notebook, else lines."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 _TICKS = 1_000
 _BEGIN = 1.0  # seconds without a bar
 _PAUSE = 0.2  # seconds between two drawings in a notebook
+_LINE_PAUSE = 10.0  # and between two lines
 
 
 @contextmanager
@@ -25,17 +26,19 @@ def stepping_progress(
     """Yield a function that takes further steps, and a note, and draws a bar after a second.
 
     In a notebook the bar is in the cell and becomes one line with the time that the work took; on
-    a terminal it disappears.
+    a terminal it disappears. Several threads may call the function.
 
     - steps: Number of all steps.
-    - show: By default the bar is drawn if standard error is a terminal, and in notebooks.
+    - show: By default the bar is drawn if standard error is a terminal, and in notebooks. True
+      prints lines where there is neither.
     - text: What is in progress, before the bar.
     """
     if not is_shown(show):
         yield lambda more, note="": None
         return
-    if (display := notebook_display()) is not None:
-        bar = CellBar(steps, text, display)
+    if (display := notebook_display()) is not None or not sys.stderr.isatty():
+        pause = _LINE_PAUSE if display is None else _PAUSE
+        bar = _Written(steps, text, display or _Lines, pause)
         with bar.running():
             yield bar.advance
         return
@@ -46,8 +49,7 @@ def stepping_progress(
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     )
-    console = Console(stderr=True, force_terminal=show)
-    progress = Progress(*columns, console=console, transient=True)
+    progress = Progress(*columns, console=Console(stderr=True), transient=True)
     task = progress.add_task("", total=steps, note="")
     began = time.monotonic()
 
@@ -65,18 +67,40 @@ def stepping_progress(
 @contextmanager
 def share_progress(
     show: bool | None = None, text: str = "stepping"
-) -> Iterator[Callable[[float], None]]:
-    """Yield a function that takes the completed share of the work, from 0 to 1, and draws a bar."""
+) -> Iterator[Callable[..., None]]:
+    """Yield a function that takes the completed share of the work, from 0 to 1, and a note."""
     with stepping_progress(_TICKS, show, text) as advance:
         done = 0
 
-        def report(share: float) -> None:
+        def report(share: float, note: str = "") -> None:
             nonlocal done
             now = int(share * _TICKS)
-            advance(now - done)
+            advance(now - done, note)
             done = now
 
         yield report
+
+
+def advance_in_blocks(
+    steps: int, block: int, show: bool | None, advance: Callable[[int, int], bool]
+) -> bool:
+    """Advance block by block to the last step, and return whether Ctrl-C interrupted.
+
+    - steps, block: Number of steps, in total and in a block.
+    - show: Show progress; by default on a terminal.
+    - advance: (steps done before, steps of this block) -> whether to continue.
+    """
+    with stepping_progress(steps, show) as report:
+        try:
+            for done in range(0, steps, block):
+                count = min(block, steps - done)
+                goes_on = advance(done, count)
+                report(count)
+                if not goes_on:
+                    break
+        except KeyboardInterrupt:
+            return True
+    return False
 
 
 def is_shown(show: bool | None) -> bool:
@@ -101,15 +125,28 @@ def notebook_display() -> Callable[..., Any] | None:
     return found
 
 
-class CellBar:
-    """A bar in the cell of a notebook, which becomes one line at the end.
+class _Lines:
+    """Lines on standard error, with the methods of a display of IPython."""
+
+    def __init__(self, data: dict[str, str], **_: object) -> None:
+        self.update(data)
+
+    def update(self, data: dict[str, str], **_: object) -> None:
+        """Write a line."""
+        print(data["text/plain"], file=sys.stderr, flush=True)
+
+
+class _Written:
+    """A bar in the cell of a notebook, which becomes one line at the end, or lines.
 
     - steps: Number of all steps.
     - text: What is in progress.
-    - display: IPython's ``display``.
+    - display: IPython's ``display``, or :class:`_Lines`.
+    - pause: Seconds between two drawings.
     """
 
-    def __init__(self, steps: int, text: str, display: Callable[..., Any]) -> None:
+    def __init__(self, steps: int, text: str, display: Callable[..., Any], pause: float) -> None:
+        self._pause = pause
         self._steps, self._text, self._display = max(steps, 1), text, display
         self._done, self._note = 0.0, ""
         self._began = time.monotonic()
@@ -132,7 +169,7 @@ class CellBar:
             self._done += more
             self._note = note
             now = time.monotonic()
-            if now - self._began < _BEGIN or now - self._drawn < _PAUSE:
+            if now - self._began < _BEGIN or now - self._drawn < self._pause:
                 return
             self._drawn = now
             if self._handle is None:

@@ -1,8 +1,17 @@
-"""Mixins of results: their facts, with what is made from them, and their files."""
+"""Mixins of results: their facts, with what is made from them, and their files.
+
+What other stages do with a result, as to draw it, are functions that are found by its type. The
+type is known by its name: to import all of them would import most of the package.
+"""
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import os
+import pkgutil
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import hamsym
 from hamsym.support.suggestions import checked_keywords
@@ -51,3 +60,31 @@ class Saved(Shown):
             If the file cannot be written, or the result is not valid.
         """
         hamsym.save(self, path)
+
+
+def by_type(
+    room: str, chosen: Callable[[str, inspect.Signature], bool]
+) -> dict[str, Callable[..., Any]]:
+    """Return functions of a room by the type with which their first argument is annotated.
+
+    - room: A package; all its modules are imported.
+    - chosen: (name, signature) -> whether a function is one of these.
+    """
+    found: dict[str, Callable[..., Any]] = {}
+    for entry in pkgutil.iter_modules(importlib.import_module(room).__path__, f"{room}."):
+        for name, function in vars(importlib.import_module(entry.name)).items():
+            if inspect.isfunction(function) and function.__module__ == entry.name:
+                signature = inspect.signature(function)
+                if signature.parameters and chosen(name, signature):
+                    first = next(iter(signature.parameters.values()))
+                    found[str(first.annotation)] = function
+    found.pop("Any", None)
+    return found
+
+
+def function_of(
+    result: Any, functions: Mapping[str, Callable[..., Any]]
+) -> Callable[..., Any] | None:
+    """Return the function for the type of a result, or for one that it inherits."""
+    own = (kind.__name__ for kind in type(result).__mro__ if kind.__module__.startswith("hamsym."))
+    return next((functions[name] for name in own if name in functions), None)

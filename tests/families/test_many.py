@@ -239,7 +239,7 @@ def test_threads_and_chunks_change_no_bit(
     for first, most, cores in ((1, 1, 1), (7, 50, 4), (300, 300, 1)):
         monkeypatch.setattr(many_module, "_FIRST", first)
         monkeypatch.setattr(many_module, "_MOST", most)
-        monkeypatch.setattr(many_module, "available_cores", lambda cores=cores: cores)
+        monkeypatch.setattr("hamsym.parallel.threads.available_cores", lambda cores=cores: cores)
         same_solutions(hamsym.solve_many(HENON, starts, SPAN), henon)
 
 

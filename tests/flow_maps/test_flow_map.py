@@ -96,7 +96,7 @@ def test_queries_on_several_cores_have_the_same_bits(
     alone = [function(t, {"x": x}, {"k": k}) for function in functions]
     assert [found.shape for found in alone] == [(10, 7, 2), (10, 7, 2, 2), (10, 7, 2)]
     monkeypatch.setattr(flow_map_module, "_QUERIES", 20)
-    monkeypatch.setattr(flow_map_module, "available_cores", lambda: 3)
+    monkeypatch.setattr("hamsym.parallel.threads.available_cores", lambda: 3)
     for function, expected in zip(functions, alone, strict=True):
         np.testing.assert_array_equal(function(t, {"x": x}, {"k": k}), expected)
 

@@ -1,7 +1,6 @@
 """Sweeps: equal to solve, reused, resumed, and refused with invalid settings."""
 
 import os
-import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,7 +11,6 @@ import pytest
 import hamsym
 from hamsym.study import processes, runs
 from hamsym.study.compare import measure
-from hamsym.study.display import Display
 from hamsym.support.locking import LOCK
 
 OSCILLATOR = hamsym.systems.nonlinear_oscillator()
@@ -80,7 +78,7 @@ def test_interrupted_run_resumes_to_the_same_bits(tmp_path, monkeypatch):
     settings = {"Adam": replace(ADAM, epochs=50, checkpoint_every=1e-9)}
     with monkeypatch.context() as patch:
         patch.setattr(processes, "_REPORT_EVERY", 0.0)
-        patch.setattr(Display, "put", interrupt)
+        patch.setattr(processes.Board, "put", interrupt)
         with pytest.raises(KeyboardInterrupt):
             _sweep(tmp_path, settings, seeds=1)
     assert [path.suffix for path in _files(tmp_path)] == [".checkpoint"]
@@ -88,18 +86,6 @@ def test_interrupted_run_resumes_to_the_same_bits(tmp_path, monkeypatch):
     alone = hamsym.solve(H, Z0, SPAN, seed=0, method=settings["Adam"])
     assert (found.solutions["Adam"][0](T) == alone(T)).all()
     assert [path.suffix for path in _files(tmp_path)] == [".hamsym"]
-
-
-@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks here")
-def test_workers_ignore_interrupts():
-    """Also while they start, when each would print a traceback."""
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [])
-    with processes._interrupts_blocked():
-        process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == mask
-    process.send_signal(signal.SIGINT)
-    process.communicate(b"\n", timeout=60)
-    assert process.returncode == 0
 
 
 @pytest.mark.slow

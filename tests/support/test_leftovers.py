@@ -7,9 +7,8 @@ import uuid
 
 import pytest
 
-from hamsym.support import leftovers
-from hamsym.support.atomic import create_atomically, write_atomically
-from hamsym.support.leftovers import temporary_name
+from hamsym.support import atomic
+from hamsym.support.atomic import create_atomically, temporary_name, write_atomically
 
 
 @pytest.fixture
@@ -22,11 +21,11 @@ def dead():
 
 @pytest.fixture(autouse=True)
 def _forgotten():
-    leftovers.remove_leftovers.cache_clear()
+    atomic.remove_leftovers.cache_clear()
 
 
 def named(process):
-    return f".hamsym-{leftovers._machine()}-{process}-{uuid.uuid4().hex}"
+    return f".hamsym-{atomic._machine()}-{process}-{uuid.uuid4().hex}"
 
 
 def test_leftovers_of_dead_writers_are_removed(tmp_path, dead):
@@ -53,7 +52,7 @@ def test_link_of_a_dead_writer_does_not_reach_its_target(tmp_path, dead):
     place = tmp_path / "place"
     place.mkdir()
     (place / named(dead)).symlink_to(kept)
-    leftovers.remove_leftovers(place)
+    atomic.remove_leftovers(place)
     assert os.listdir(place) == []
     assert os.listdir(kept) == ["file"]
 
@@ -73,4 +72,4 @@ def test_failed_writes_leave_nothing(tmp_path):
 
 def test_names_of_this_process_differ(tmp_path):
     assert temporary_name() != temporary_name()
-    assert leftovers._NAME.fullmatch(temporary_name())["process"] == str(os.getpid())
+    assert atomic._NAME.fullmatch(temporary_name())["process"] == str(os.getpid())

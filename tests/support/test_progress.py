@@ -11,7 +11,7 @@ import pytest
 
 from hamsym.networks.progress import training_progress
 from hamsym.networks.record import TrainingState
-from hamsym.study.display import display
+from hamsym.study.processes import Board
 from hamsym.support import progress
 from hamsym.support.progress import notebook_display, share_progress, stepping_progress
 
@@ -123,7 +123,8 @@ def test_a_training_leaves_its_loss(cell: Cell, clock: Clock) -> None:
 
 def test_a_sweep_counts_its_runs(cell: Cell, clock: Clock) -> None:
     label = "<b>adam</b> 0"
-    with display(2, None) as shown:
+    with share_progress(text="sweep") as draw:
+        shown = Board(2, draw)
         clock.now += 2.0
         shown.put((label, 0.5, 1e-3))
         clock.now += 2.0
@@ -147,3 +148,18 @@ def test_files_get_no_bar(capsys: pytest.CaptureFixture[str], clock: Clock) -> N
         clock.now += 5.0
         advance(1)
     assert capsys.readouterr() == ("", "")
+
+
+def test_files_get_lines_if_asked(capsys: pytest.CaptureFixture[str], clock: Clock) -> None:
+    with stepping_progress(40, show=True, text="sweep") as advance:
+        for run in range(40):
+            clock.now += 1.0
+            advance(1, f"run {run}")
+    assert capsys.readouterr() == (
+        "",
+        "sweep: 2%, 39 s left, run 0\n"
+        "sweep: 28%, 29 s left, run 10\n"
+        "sweep: 52%, 19 s left, run 20\n"
+        "sweep: 78%, 9.0 s left, run 30\n"
+        "sweep: 40 s, run 39\n",
+    )

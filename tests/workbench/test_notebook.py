@@ -22,8 +22,8 @@ import sympy
 
 import hamsym
 from hamsym import Hamiltonian
+from hamsym.facts.describe import described
 from hamsym.facts.proofs import ball_text
-from hamsym.facts.wording import DESCRIBED
 from hamsym.solving.methods import METHODS
 from hamsym.workbench.notebooks.representation import representation
 
@@ -244,7 +244,7 @@ def test_every_result_has_a_card() -> None:
 
 def test_every_description_belongs_to_a_result() -> None:
     made = {name.split(" ")[0] for name in MADE} | {"StoredSweep"}
-    assert made == DESCRIBED.keys()
+    assert made == described().keys()
 
 
 HOSTILE = "<script>alert('1')</script> & <img src=http://x onerror=y> \"'$x$"

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +17,6 @@ import hamsym
 from hamsym import CertificationError, FileError, InputError
 from hamsym.cli.commands import main
 from hamsym.workbench.mathml import mathml
-from hamsym.workbench.reports import comparing
 from hamsym.workbench.reports.comparing import compared_within
 from hamsym.workbench.reports.inline_svg import inline_svg
 
@@ -314,23 +311,11 @@ def test_comparison_ends_with_its_time(solution: hamsym.Solution) -> None:
     assert "stopped after 0.01 s" in compared_within(solution, 0.01).reason
 
 
-def test_comparison_ends_with_the_process_that_limits_it() -> None:
-    watching = "from hamsym.workbench.reports.comparing import _end_with; import os; "
-    watching += "parent = os.getppid(); print('ready', flush=True); _end_with(parent)"
-    begin = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {watching!r}])"
-    with subprocess.Popen([sys.executable, "-c", begin], stdout=subprocess.PIPE) as parent:
-        assert parent.stdout is not None
-        assert parent.stdout.readline() == b"ready\n"
-        parent.kill()
-        # The pipe is closed when its last process has ended.
-        assert parent.communicate(timeout=60)[0] == b""
-
-
 def test_comparison_names_its_failure(
     solution: hamsym.Solution, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(comparing, "_START", "raise SystemExit(3)")
-    assert compared_within(solution, 60).reason == "its process ended with an error"
+    monkeypatch.setattr("hamsym.parallel.processes._START", "raise SystemExit(3)")
+    assert "the process of the computation ended" in compared_within(solution, 60).reason
 
 
 # -- files and arguments ---------------------------------------------------------------------------

@@ -11,12 +11,12 @@ from typing import Any
 
 import hamsym
 from hamsym.errors import HamsymError, InputError
+from hamsym.parallel.processes import Worker
+from hamsym.workbench.explore import tasks
 from hamsym.workbench.explore.results import Derivation, JobResult, Picture, SectionPicture
 from hamsym.workbench.explore.setting import Setting
-from hamsym.workbench.explore.worker import TaskError, Worker
 
 FIRST = Setting("p**2/2 + x**2/2 + x**4/4", z0={"x": 1.3, "p": 1.0}, span=(0.0, 20.0))
-_TASKS = "hamsym.workbench.explore.tasks"
 _LIVE_LIMIT = 15.0  # seconds of what is drawn while a slider moves
 _FILE_LIMIT = 240.0  # the comparison of a report alone may take a minute
 _FIRST_LIMIT = 90.0  # with the start of a process and the import of hamsym on a busy machine
@@ -69,7 +69,7 @@ class Session:
         self.setting = setting
         self.derivation: Derivation | None = None
         self.surface = ""
-        self._live, self._background, self._button = (Worker(_TASKS) for _ in range(3))
+        self._live, self._background, self._button = (Worker() for _ in range(3))
         self._compiled: _Key | None = None
         self._proven: Setting | None = None
         self._busy = False
@@ -97,7 +97,7 @@ class Session:
         return self._compiled == self._key
 
     async def _call(self, worker: Worker, task: str, seconds: float, *arguments: Any) -> Any:
-        return await asyncio.to_thread(worker.run, task, seconds, *arguments)
+        return await asyncio.to_thread(worker.run, getattr(tasks, task), seconds, *arguments)
 
     async def _call_live(self, task: str, *arguments: Any) -> Any:
         seconds = _LIVE_LIMIT if self._started else _FIRST_LIMIT
@@ -117,7 +117,7 @@ class Session:
 
         Raises
         ------
-        TaskError
+        HamsymError
             If it cannot be used; the setting stays as it is.
         """
         derivation = await self._call_live("derive", formula, q, p, forces)
@@ -168,7 +168,7 @@ class Session:
 
         Raises
         ------
-        TaskError
+        HamsymError
             If it is none.
         """
         try:
@@ -176,7 +176,7 @@ class Session:
         except ValueError:
             return await self._call_live("number", text)
         if not math.isfinite(value):
-            raise TaskError(f"'{text}' is not a finite number; write for example 1.3 or 4*pi")
+            raise InputError(f"'{text}' is not a finite number; write for example 1.3 or 4*pi")
         return value
 
     # -- what is drawn -------------------------------------------------------------------------
@@ -204,11 +204,11 @@ class Session:
 
         Raises
         ------
-        TaskError
+        HamsymError
             If it fails, or another one is running.
         """
         if self._busy:
-            raise TaskError("another computation of this tab is running; cancel it first")
+            raise HamsymError("another computation of this tab is running; cancel it first")
         self._busy = True
         setting = self.setting
         try:
@@ -272,7 +272,8 @@ def excerpt(text: str, error: HamsymError) -> str:
 
     Examples
     --------
-    >>> excerpt("x^2 < y", TaskError("...", "^", 2))
+    >>> from hamsym.errors import ParseError
+    >>> excerpt("x^2 < y", ParseError("^", 2, "is not a power", "write ** for powers"))
     'x<mark>^</mark>2 &lt; y'
     """
     column, token = getattr(error, "column", 0), getattr(error, "token", "")

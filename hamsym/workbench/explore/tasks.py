@@ -268,24 +268,3 @@ def report(setting: Setting, proven: bool) -> bytes:
     solution = _solve(setting)
     make: Any = getattr(hamsym, "report")  # noqa: B009
     return _written(".html", lambda path: make(solution, path, certify=proven))
-
-
-#: Tasks by name.
-TASKS: dict[str, Callable[..., Any]] = {
-    function.__name__: function
-    for function in (
-        derive,
-        code,
-        number,
-        example,
-        picture,
-        section,
-        certify,
-        exponents,
-        comparison,
-        table,
-        solution_file,
-        exported,
-        report,
-    )
-}

@@ -1,4 +1,4 @@
-"""Loop of the Richardson extrapolation over trajectories, compiled by numba.
+"""Loops of the Richardson extrapolation over trajectories, which are the same for every H.
 
 See :mod:`hamsym.integrators.richardson`, which has the method.
 """
@@ -8,12 +8,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 
 _EPS = 2.0**-52
 _SHARE = 1 / 16  # of the difference of the last two columns
 _STALLED = 0.8  # ratio of successive differences from which they do not converge
 
 
+@njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def perturb_rows(states: np.ndarray, coarse: np.ndarray, changes: np.ndarray) -> None:
     """Add changes, shape (dim,), relative to the sizes of components on a path, to the states.
 
@@ -29,6 +31,7 @@ def perturb_rows(states: np.ndarray, coarse: np.ndarray, changes: np.ndarray) ->
             states[row, component] += changes[component] * size
 
 
+@njit(error_model="numpy", nogil=True, cache=True, no_cfunc_wrapper=True)
 def extrapolate_rows(
     coarse: np.ndarray,
     perturbed: np.ndarray,
