@@ -34,7 +34,7 @@ from hamsym.dynamics.growth import (
 )
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
-from hamsym.integrators.linear_motion import fastest_rates
+from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Stepper
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.problem import MAX_STEPS

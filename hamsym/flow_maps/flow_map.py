@@ -14,9 +14,9 @@ import numpy as np
 import hamsym
 from hamsym.errors import InputError
 from hamsym.flow_maps.box import Box
+from hamsym.flow_maps.compiled_piece import MAPS
 from hamsym.flow_maps.export import export_flow_map
 from hamsym.flow_maps.judging import Judgement
-from hamsym.flow_maps.storage import MAPS
 from hamsym.flow_maps.time_order import require_inputs, require_order
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.solution.times import is_tensor

@@ -17,8 +17,7 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.arc import Arc, Problem
-from hamsym.orbits.integrals import gradients_of_integrals
-from hamsym.orbits.multipliers import has_shear, reduced_map, stability_of
+from hamsym.orbits.multipliers import gradients_of_integrals, has_shear, reduced_map, stability_of
 from hamsym.orbits.period import period_of
 from hamsym.orbits.search import check, first_arc, first_return, refined, vector_field_at
 from hamsym.orbits.symmetry import closing_of

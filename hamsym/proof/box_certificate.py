@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import hamsym
 from hamsym.flow_maps.box import Box
+from hamsym.flow_maps.compiled_piece import MAPS
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.flow_maps.storage import MAPS
 from hamsym.proof.balls import decimal_above
 from hamsym.support.record_fields import Count, Size
 from hamsym.support.records import digest_of
