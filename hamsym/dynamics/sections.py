@@ -27,7 +27,7 @@ from hamsym.problems.ensemble import Ensemble, ensemble_of
 from hamsym.problems.problem import checked_span, checked_steps
 from hamsym.problems.surface import Surface, parse_surface
 from hamsym.support.record_fields import AnyFloat, Size, counts, floats
-from hamsym.support.shown import Saved
+from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame, data_set, time_name
 from hamsym.support.validation import require_number, require_whole
@@ -35,13 +35,17 @@ from hamsym.support.validation import require_number, require_whole
 if TYPE_CHECKING:
     import pandas
     import xarray
-    from matplotlib.figure import Figure
 
 
 @suggest_attributes
 @dataclass(frozen=True)
-class Section(Saved):
+class Section(Drawn, Saved):
     """Crossings of a surface, ordered by trajectory and then in the direction of time.
+
+    ``plot()`` draws them in a plane that the surface leaves free, with a colour for each start, and
+    ``plot("x", "p")`` in that of two components. Up to twelve starts have an entry in the legend
+    with what varies, more a colour bar. If the surface is crossed both ways, dots are crossings
+    where its left side rises, crosses where it falls.
 
     Attributes
     ----------
@@ -179,27 +183,6 @@ class Section(Saved):
     def _attributes(self) -> dict[str, Any]:
         known = {"H": self.H.formulas, "surface": self.surface, "method": self.method}
         return {**known, "dt": self.dt, "hamsym": hamsym.__version__}
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw the crossings in a plane, with a colour for each start.
-
-        Up to twelve starts have an entry in the legend with what varies, more a colour bar. If the
-        surface is crossed both ways, dots are crossings where its left side rises, crosses where it
-        falls.
-
-        Parameters
-        ----------
-        *names : str
-            Two components; by default a pair that the surface leaves free.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or there is only one.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
 
 @checked_keywords

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -21,8 +21,6 @@ from hamsym.support.sealed_text import SealedText
 from hamsym.support.suggestions import suggest_attributes
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from hamsym.orbits.orbit import PeriodicOrbit
 
 
@@ -30,6 +28,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False)
 class OrbitCertificate(SealedText):
     """Proof that a periodic orbit exists, from :meth:`PeriodicOrbit.certify`.
+
+    ``plot()`` draws the multipliers of the orbit about the unit circle.
 
     Attributes
     ----------
@@ -87,16 +87,6 @@ class OrbitCertificate(SealedText):
             )
         if self.stability not in WEAKER:
             raise ValueError("its stability is none that a proof gives")
-
-    def plot(self, *, ax: Any = None) -> Figure:
-        """Draw the multipliers of the orbit about the unit circle.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into, in your own style.
-        """
-        return hamsym.plot(self, ax=ax)
 
     def __repr__(self) -> str:
         return (

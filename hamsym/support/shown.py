@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING, Any
 
 import hamsym
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.text_tables import ROWS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Shown:
@@ -51,3 +55,25 @@ class Saved(Shown):
             If the file cannot be written, or the result is not valid.
         """
         hamsym.save(self, path)
+
+
+class Drawn:
+    """A result with a figure; the documentation of its class says what it shows."""
+
+    @checked_keywords
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the result, or what names choose; the text about its class says what these are.
+
+        Parameters
+        ----------
+        *names : str
+            Panels or components.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or there is nothing to draw, or ``ax`` is given for several panels.
+        """
+        return hamsym.plot(self, *names, ax=ax)
