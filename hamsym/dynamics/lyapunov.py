@@ -33,12 +33,11 @@ from hamsym.problems.ensemble import ensemble_of
 from hamsym.problems.problem import checked_span, checked_steps
 from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.tables import data_frame, data_set
+from hamsym.support.tables import data_frame
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
     import pandas
-    import xarray
 
 
 @suggest_attributes
@@ -163,30 +162,6 @@ class LyapunovExponents(Drawn, Shown):
         """
         columns = {f"exponent_{k + 1}": own for k, own in enumerate(self.exponents.T)}
         return data_frame(columns, {"t": self.t}, self._attributes)
-
-    def to_xarray(self) -> xarray.Dataset:
-        """Return the exponents as a dataset of xarray, on axes ``time`` and ``rank``.
-
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
-
-        Examples
-        --------
-        >>> found = lyapunov("p**2/2 - x**2/2", [1, 0], (0, 30), count=2)
-        >>> found.to_xarray()["exponent"].dims
-        ('time', 'rank')
-        """
-        return data_set(
-            {
-                "exponent": (["time", "rank"], self.exponents),
-                "success": ([], self.success),
-                "message": ([], self.message),
-            },
-            {"time": self.t, "rank": np.arange(1, 1 + self.exponents.shape[1])},
-            self._attributes,
-        )
 
     @property
     def _attributes(self) -> dict[str, Any]:
