@@ -15,8 +15,6 @@ from typing import Any
 import hamsym
 from hamsym.errors import FileError, InputError
 from hamsym.families.storage import is_store, open_store
-from hamsym.integrators.storage import require_trajectory
-from hamsym.integrators.trajectory import Trajectory
 from hamsym.problems.description import require_formula
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
@@ -203,4 +201,3 @@ def _check_method(solution: Solution) -> None:
 
 
 check_also(Solution, _check_method)
-check_also(Trajectory, require_trajectory)

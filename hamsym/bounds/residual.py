@@ -86,70 +86,52 @@ class Excess(NamedTuple):
     ratio: float
 
 
-def excesses(
-    programs: Programs,
-    rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-    trial: Callable[[Parts], Places],
-    edges: np.ndarray,
-    limits: np.ndarray,
-    parameters: np.ndarray,
-    *,
-    noise: float,
-    first_only: bool = False,
-) -> list[Excess]:
-    """Find the windows whose residual may exceed its limit.
+@dataclass
+class ExcessSearch:
+    """The search for windows whose residual may exceed its limit."""
 
-    - rates: (z, t, window) -> F at points, shapes (n, dim), (n,), (n,) -> (n, dim).
-    - trial: The trial solution, of polynomials of a degree up to that of models in each part.
-    - edges: Start and end of each window, shape (2, windows).
-    - limits: Allowed integrals of the residual over each window, shape (windows, dim).
-    - parameters: Of H, or for each window, shape (k,) or (windows, k).
-    - noise: Residual that is allowed as round-off, in changes of F by one unit in the last place.
-    - first_only: Whether to search for the first of them only.
-    - returns: In the order of the windows.
-    """
-    search = _Search(programs, rates, trial, edges, limits, parameters, noise, first_only)
-    parts = Parts.whole(len(limits))
-    most = max(_MOST_PARTS, len(parts))
-    with np.errstate(all="ignore"):  # what overflows or has no value exceeds its limit
-        for _ in range(_GENERATIONS):
-            if not len(parts):
-                return search.found
-            parts = search.undecided(parts)
-            if len(parts) > most:
-                break
-            parts = parts.halves()
-        return search.with_unknown(parts)
+    programs: Programs
+    #: (z, t, window) -> F at points, shapes (n, dim), (n,), (n,) -> (n, dim).
+    rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    #: The trial solution, of polynomials of a degree up to that of models in each part.
+    trial: Callable[[Parts], Places]
+    #: Start and end of each window, shape (2, windows).
+    edges: np.ndarray
+    #: Allowed integrals of the residual over each window, shape (windows, dim).
+    limits: np.ndarray
+    #: Of H, or for each window, shape (k,) or (windows, k).
+    parameters: np.ndarray
+    #: Residual that is allowed as round-off, in changes of F by one unit in the last place.
+    noise: float
+    #: Whether to search for the first of them only.
+    first_only: bool = False
 
+    def __post_init__(self) -> None:
+        self._lengths = np.abs(self.edges[1] - self.edges[0])
+        self._resolution = _ULPS * _EPS * np.abs(self.edges).max(axis=0)
+        self._spent = np.zeros(len(self.limits))  # by parts that passed, in limits
+        self._found: list[Excess] = []
 
-class _Search:
-    """Bounds of parts of windows, and what they use up of the limits of their windows."""
+    def run(self) -> list[Excess]:
+        """Return the windows in their order."""
+        parts = Parts.whole(len(self.limits))
+        most = max(_MOST_PARTS, len(parts))
+        with np.errstate(all="ignore"):  # what overflows or has no value exceeds its limit
+            for _ in range(_GENERATIONS):
+                if not len(parts):
+                    return self._found
+                parts = self._undecided(parts)
+                if len(parts) > most:
+                    break
+                parts = parts.halves()
+            return self._with_unknown(parts)
 
-    def __init__(
-        self,
-        programs: Programs,
-        rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-        trial: Callable[[Parts], Places],
-        edges: np.ndarray,
-        limits: np.ndarray,
-        parameters: np.ndarray,
-        noise: float,
-        first_only: bool,
-    ) -> None:
-        self._programs, self._rates, self._trial = programs, rates, trial
-        self._edges, self._limits, self._parameters = edges, limits, parameters
-        self._lengths = np.abs(edges[1] - edges[0])
-        self._resolution = _ULPS * _EPS * np.abs(edges).max(axis=0)
-        self._spent = np.zeros(len(limits))  # by parts that passed, in limits
-        self._noise, self._first_only = noise, first_only
-        self.found: list[Excess] = []
-
-    def undecided(self, parts: Parts) -> Parts:
+    def _undecided(self, parts: Parts) -> Parts:
         """Judge parts of one generation; return those that neither pass nor fail."""
         chunks = range(0, len(parts), _AT_ONCE)
         judged = [self._judged(parts[slice(first, first + _AT_ONCE)]) for first in chunks]
         upper, lower, times = (np.concatenate(found) for found in zip(*judged, strict=True))
-        window, count = parts.window, len(self._limits)
+        window, count = parts.window, len(self.limits)
         passed = upper <= np.maximum(parts.width, _SHARE)
         above = self._spent + np.bincount(window, upper, count)
         np.add.at(self._spent, window[passed], upper[passed])
@@ -167,22 +149,22 @@ class _Search:
         some = np.flatnonzero(failed)
         self._add([Excess(w, last[w], float(above[w])) for w in some.tolist()])
         kept &= ~failed[window]
-        if self._first_only and self.found:
-            kept &= window < self.found[0].window
+        if self.first_only and self._found:
+            kept &= window < self._found[0].window
         return parts[kept]
 
-    def with_unknown(self, parts: Parts) -> list[Excess]:
+    def _with_unknown(self, parts: Parts) -> list[Excess]:
         """Return what was found, with the windows of parts that stayed undecided."""
         some = np.unique(parts.window, return_index=True)[1]
-        middle = self._trial(parts[some]).t[:, PLACES // 2]
+        middle = self.trial(parts[some]).t[:, PLACES // 2]
         rows = zip(parts.window[some].tolist(), middle.tolist(), strict=True)
         self._add([Excess(window, time, math.inf) for window, time in rows])
-        return self.found
+        return self._found
 
     def _add(self, some: list[Excess]) -> None:
-        self.found = sorted((*self.found, *some))
-        if self._first_only:
-            del self.found[1:]
+        self._found = sorted((*self._found, *some))
+        if self.first_only:
+            del self._found[1:]
 
     def _judged(self, parts: Parts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bound the integral of the residual over each part, in limits of its window.
@@ -191,17 +173,17 @@ class _Search:
           round-off; shape (parts,).
         - returns times: At which the residual is largest, shape (parts,).
         """
-        places, limits = self._trial(parts), self._limits[parts.window]
+        places, limits = self.trial(parts), self.limits[parts.window]
         weight = self._lengths[parts.window] * parts.width
-        bounds, _ = bounds_on_parts(self._programs, places, self._edges, parts, self._parameters)
+        bounds, _ = bounds_on_parts(self.programs, places, self.edges, parts, self.parameters)
         upper = largest_ratios(bounds * weight[:, None], limits)
         lower, times = np.zeros(len(parts)), places.t[:, PLACES // 2].copy()
         large = np.flatnonzero(~(upper <= np.maximum(parts.width, _SHARE)))
         if len(large):
             some, at = parts[large], Places(*(array[large] for array in places))
-            rounded, own = self._noise * _round_off(self._rates, at, some), weight[large, None]
+            rounded, own = self.noise * _round_off(self.rates, at, some), weight[large, None]
             rounded = np.where(rounded < math.inf, rounded, 0.0)  # infinite or NaN excuses nothing
-            found = _residuals(self._rates, at, some)
+            found = _residuals(self.rates, at, some)
             upper[large] = largest_ratios(
                 np.maximum(bounds[large] - rounded, 0.0) * own, limits[large]
             )

@@ -315,7 +315,8 @@ def _common_subexpressions(
 ) -> tuple[list[tuple[sympy.Symbol, sympy.Expr]], list[sympy.Expr]]:
     if not _has_operations(exprs, _CSE_OPERATIONS + 1):
         return [], exprs
-    replacements, shorter = common_parts.common_subexpressions(exprs, symbols)
+    # The canonical order is slow to find for large expressions.
+    replacements, shorter = sympy.cse(exprs, symbols=symbols, order="none")
     after = sum(int(sympy.count_ops(expr)) for _, expr in replacements)
     after += sum(int(sympy.count_ops(expr)) for expr in shorter)
     saved = _has_operations(exprs, after / _CSE_SAVING)

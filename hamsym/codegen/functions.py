@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import sympy
 
-from hamsym.codegen import common_parts
 from hamsym.codegen.names import Names
 from hamsym.codegen.printers import NUMPY_DEFINITIONS, NumpyPrinter
 from hamsym.codegen.straight_line import straight_line
@@ -149,7 +148,7 @@ def _texts(expressions: Sequence[sympy.Expr], names: Names) -> tuple[list[str], 
         sympy.nan if expression.has(*_INFINITE) else printer.lower(expression)
         for expression in expressions
     ]
-    shared, reduced = common_parts.common_subexpressions(lowered, names.temporaries())
+    shared, reduced = sympy.cse(lowered, symbols=names.temporaries(), order="none")
     assignments = []
     for symbol, expression in shared:
         assignments.append(f"{symbol.name} = {printer(expression)}")

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import sympy
 
-from hamsym.codegen import common_parts
 from hamsym.codegen.straight_line import Graph
 from hamsym.errors import CodeGenerationError
 from hamsym.formula.printer import Printer
@@ -80,7 +79,7 @@ def program_of(
     lower = Printer({}).lower
     shared = (sympy.Dummy(real=True) for _ in itertools.count())
     exact = [lower(without_floats(expression)) for expression in expressions]
-    temporaries, reduced = common_parts.common_subexpressions(exact, shared)
+    temporaries, reduced = sympy.cse(exact, symbols=shared, order="none")
     graph = _Steps([*state, time or sympy.Dummy(), *parameters])
     for symbol, expression in temporaries:
         graph.assign(symbol, expression)

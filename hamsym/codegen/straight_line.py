@@ -27,7 +27,6 @@ from typing import Any
 
 import sympy
 
-from hamsym.codegen import common_parts
 from hamsym.codegen.names import Names
 from hamsym.errors import CodeGenerationError
 from hamsym.formula.printer import _ADD, _ATOM, _MUL, Printer, ordered_terms
@@ -219,7 +218,7 @@ def straight_line(
     """
     lower = Printer({}).lower
     exact = [lower(without_floats(expression)) for expression in expressions]
-    shared, reduced = common_parts.common_subexpressions(exact, _shared_symbols())
+    shared, reduced = sympy.cse(exact, symbols=_shared_symbols(), order="none")
     graph = Graph(names, values or {}, arithmetic)
     for symbol, expression in shared:
         graph.assign(symbol, expression)

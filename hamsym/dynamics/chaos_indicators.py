@@ -18,11 +18,10 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-import hamsym
 from hamsym.dynamics.growth import (
     APART,
     PARALLEL,
@@ -38,12 +37,9 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.table import usual_method
 from hamsym.problems.problem import checked_span
 from hamsym.support.progress import advance_in_blocks
-from hamsym.support.shown import Shown
+from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_whole
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _SAMPLE = 2 / STEPS_PER_RADIAN  # radians of the fastest linear motion between two samples
 # Bounds of the interpretation. MEGNO tends to 2 on a torus and grows without limit in chaos; 1e-8
@@ -53,8 +49,11 @@ _FROZEN, _NEAR_TWO, _ALIGNED = 0.5, (1.5, 2.5), 1e-8
 
 @suggest_attributes
 @dataclass(frozen=True)
-class ChaosIndicators(Shown):
+class ChaosIndicators(Drawn, Shown):
     """MEGNO and SALI over time, and the settings of their computation.
+
+    ``plot()`` draws MEGNO with its mean, and SALI, over time; ``plot("megno")`` and
+    ``plot("sali")`` draw one of these panels.
 
     Attributes
     ----------
@@ -162,23 +161,6 @@ class ChaosIndicators(Shown):
         if not self.success:
             verdict = f"{verdict} However, the run failed: {self.message}."
         return f"{begin}. {verdict}"
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw MEGNO with its mean, and SALI, over time.
-
-        Parameters
-        ----------
-        *names : {"megno", "sali"}
-            One of these panels alone.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or ``ax`` is given for two panels.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
 
 @checked_keywords

@@ -13,22 +13,23 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-import hamsym
 from hamsym.dynamics.linear_stability import LinearStability
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.ball import Ball
-from hamsym.support.shown import Shown
+from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import suggest_attributes
 
 if TYPE_CHECKING:
     import sympy
-    from matplotlib.figure import Figure
 
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class Equilibrium(Shown):
+class Equilibrium(Drawn, Shown):
     """An equilibrium of a Hamiltonian.
+
+    ``plot()`` draws the eigenvalues in the complex plane, with Krein signatures of the frequencies,
+    if every parameter has a value.
 
     Attributes
     ----------
@@ -128,21 +129,6 @@ class Equilibrium(Shown):
     def __str__(self) -> str:
         return self.summary(rows=None)
 
-    def plot(self, *, ax: Any = None) -> Figure:
-        """Draw the eigenvalues in the complex plane, with Krein signatures of the frequencies.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a parameter has no value.
-        """
-        return hamsym.plot(self, ax=ax)
-
     def coordinates(self, digits: int = 10) -> list[str]:
         """Return the components as text, in closed form where a parameter has no value."""
         values = self.z if self.exact is None or self.linear is not None else list(self.exact)
@@ -224,8 +210,13 @@ class Region:
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False, repr=False)
-class Equilibria(Shown, Sequence[Equilibrium]):
+class Equilibria(Drawn, Shown, Sequence[Equilibrium]):
     """Equilibria of a Hamiltonian, in the order of their energies; a sequence.
+
+    ``plot()`` draws them with their types and numbers in the plane of the first two coordinates, or
+    of coordinate and momentum, ``plot("x", "y")`` in that of two components. Behind them are level
+    sets: of H with one degree of freedom, and with two, if H is quadratic in the momenta, of its
+    value at zero velocity, in the plane of the coordinates.
 
     Attributes
     ----------
@@ -275,27 +266,6 @@ class Equilibria(Shown, Sequence[Equilibrium]):
     def energies(self) -> np.ndarray:
         """Their energies, shape (n,)."""
         return np.array([each.energy for each in self.found])
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw the equilibria in a plane, with their types.
-
-        The numbers are those of the table. Behind them are level sets: of H with one degree of
-        freedom, and with two, if H is quadratic in the momenta, of its value at zero velocity, in
-        the plane of the coordinates.
-
-        Parameters
-        ----------
-        *names : str
-            Two components; by default the first two coordinates, or the coordinate and momentum.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or there is nothing to draw.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
     def __str__(self) -> str:
         return self.summary(rows=None)

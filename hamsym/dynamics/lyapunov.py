@@ -31,21 +31,23 @@ from hamsym.integrators.table import usual_method
 from hamsym.problems.ensemble import ensemble_of
 from hamsym.problems.problem import checked_span, checked_steps
 from hamsym.support.progress import advance_in_blocks
-from hamsym.support.shown import Shown
+from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.tables import data_frame, data_set
+from hamsym.support.tables import data_frame
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
     import pandas
-    import xarray
-    from matplotlib.figure import Figure
 
 
 @suggest_attributes
 @dataclass(frozen=True)
-class LyapunovExponents(Shown):
+class LyapunovExponents(Drawn, Shown):
     """Finite-time Lyapunov exponents and the settings of their computation.
+
+    ``plot()`` draws them over time, on logarithmic axes with log(t)/t for comparison, and where
+    some are negative all of them in a second panel, on an axis that is linear around 0;
+    ``plot("convergence")`` and ``plot("exponents")`` draw one of these panels.
 
     Attributes
     ----------
@@ -161,53 +163,10 @@ class LyapunovExponents(Shown):
         columns = {f"exponent_{k + 1}": own for k, own in enumerate(self.exponents.T)}
         return data_frame(columns, {"t": self.t}, self._attributes)
 
-    def to_xarray(self) -> xarray.Dataset:
-        """Return the exponents as a dataset of xarray, on axes ``time`` and ``rank``.
-
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
-
-        Examples
-        --------
-        >>> found = lyapunov("p**2/2 - x**2/2", [1, 0], (0, 30), count=2)
-        >>> found.to_xarray()["exponent"].dims
-        ('time', 'rank')
-        """
-        return data_set(
-            {
-                "exponent": (["time", "rank"], self.exponents),
-                "success": ([], self.success),
-                "message": ([], self.message),
-            },
-            {"time": self.t, "rank": np.arange(1, 1 + self.exponents.shape[1])},
-            self._attributes,
-        )
-
     @property
     def _attributes(self) -> dict[str, Any]:
         known = {"H": self.H.formulas, "start": self.span[0], "method": self.method, "dt": self.dt}
         return {**known, "hamsym": hamsym.__version__}
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw the exponents over time, on logarithmic axes with log(t)/t for comparison.
-
-        Where some are negative a second panel has all of them, on an axis that is linear around 0.
-
-        Parameters
-        ----------
-        *names : {"convergence", "exponents"}
-            One of these panels alone.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or ``ax`` is given for two panels.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
 
 @checked_keywords

@@ -15,11 +15,9 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import hamsym
 from hamsym.dynamics.growth import (
     APART,
     PARALLEL,
@@ -32,18 +30,15 @@ from hamsym.dynamics.growth import (
 )
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
-from hamsym.integrators.linear_motion import fastest_rates
+from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Stepper
 from hamsym.parallel.threads import Threads
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.problem import MAX_STEPS
 from hamsym.support.machine import available_cores
 from hamsym.support.progress import stepping_progress
-from hamsym.support.shown import Shown
+from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import suggest_attributes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _BLOCKS = 200  # fewest renormalisations, after which the energy is checked as well
 _FEWEST_STEPS = 1_000
@@ -58,10 +53,14 @@ _TESTED_SHARE = 0.9  # tested part of a trajectory that ends early; no step reso
 
 @suggest_attributes
 @dataclass(frozen=True)
-class LyapunovMap(Shown):
+class LyapunovMap(Drawn, Shown):
     """Finite-time Lyapunov exponents of many trajectories; ``...`` is the shape of the starts.
 
     There is no history: the memory is that of the results.
+
+    ``plot()`` draws the largest exponent over the plane, or the row, of what varies along the axes
+    of the array, of which there must be one or two; ``plot("x")`` over a component or a parameter,
+    ``plot("x", "p")`` as a point of each start in the plane of two.
 
     Attributes
     ----------
@@ -139,25 +138,6 @@ class LyapunovMap(Shown):
             index = ", ".join(map(str, first))
             text += f"; the first that failed is [{index}]: {self.message[first]}"
         return text + "."
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw the largest exponent over a plane of starts, or along a row of them.
-
-        Parameters
-        ----------
-        *names : str
-            Components or parameters of the axes: one, to draw exponents over it, or two, for a
-            point of each start in their plane. By default those that vary along the axes of the
-            array.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or the array has more than two axes and names are not given.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
 
 def lyapunov_map(

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-import hamsym
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.coefficients import Doubled
@@ -17,17 +16,17 @@ from hamsym.integrators.stepper import Stepper
 from hamsym.integrators.table import INTEGRATORS, usable_method, usual_method
 from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.problems.problem import checked_span, checked_steps
+from hamsym.support.shown import Drawn
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_number
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @suggest_attributes
 @dataclass(frozen=True)
-class TangentMap:
+class TangentMap(Drawn):
     """The derivative of the flow along a trajectory.
+
+    ``plot()`` draws the multipliers about the unit circle.
 
     Attributes
     ----------
@@ -59,16 +58,6 @@ class TangentMap:
         """Largest entry of |M^T J M - J|; with forces it is not an error."""
         J = poisson_matrix(len(self.z) // 2)
         return float(np.abs(self.matrix.T @ J @ self.matrix - J).max())
-
-    def plot(self, *, ax: Any = None) -> Figure:
-        """Draw the multipliers about the unit circle.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into, in your own style.
-        """
-        return hamsym.plot(self, ax=ax)
 
 
 def tangent_map(

@@ -27,21 +27,24 @@ from hamsym.problems.ensemble import Ensemble, ensemble_of
 from hamsym.problems.problem import checked_span, checked_steps
 from hamsym.problems.surface import Surface, parse_surface
 from hamsym.support.record_fields import AnyFloat, Size, counts, floats
-from hamsym.support.shown import Saved
+from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
-from hamsym.support.tables import data_frame, data_set, time_name
+from hamsym.support.tables import data_frame, time_name
 from hamsym.support.validation import require_number, require_whole
 
 if TYPE_CHECKING:
     import pandas
-    import xarray
-    from matplotlib.figure import Figure
 
 
 @suggest_attributes
 @dataclass(frozen=True)
-class Section(Saved):
+class Section(Drawn, Saved):
     """Crossings of a surface, ordered by trajectory and then in the direction of time.
+
+    ``plot()`` draws them in a plane that the surface leaves free, with a colour for each start, and
+    ``plot("x", "p")`` in that of two components. Up to twelve starts have an entry in the legend
+    with what varies, more a colour bar. If the surface is crossed both ways, dots are crossings
+    where its left side rises, crosses where it falls.
 
     Attributes
     ----------
@@ -140,66 +143,18 @@ class Section(Saved):
         >>> found.to_dataframe().columns.tolist()
         ['trajectory', 't', 'x', 'p', 'z0_x', 'z0_p']
         """
-        columns = {f"z0_{n}": v for n, v in zip(self.names, self._starts.T, strict=True)}
+        columns = {
+            f"z0_{n}": v for n, v in zip(self.names, self.z0[self.trajectory].T, strict=True)
+        }
         columns |= {name: values[self.trajectory] for name, values in self.parameters.items()}
         first = {"trajectory": self.trajectory, time_name(self.names): self.t}
         columns = first | dict(zip(self.names, self.z.T, strict=True)) | columns
         return data_frame(columns, None, self._attributes)
 
-    def to_xarray(self) -> xarray.Dataset:
-        """Return the crossings as a dataset of xarray, on axes ``crossing`` and ``component``.
-
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
-
-        Examples
-        --------
-        >>> found = section("p**2/2 + x**2/2", [0, 1], (0, 20), "x = 0, p > 0")
-        >>> dict(found.to_xarray().sizes)
-        {'crossing': 3, 'component': 2}
-        """
-        axes = ["crossing", "component"]
-        along = {"time": self.t, "trajectory": self.trajectory}
-        along |= {name: values[self.trajectory] for name, values in self.parameters.items()}
-        coordinates = {name: (["crossing"], values) for name, values in along.items()}
-        return data_set(
-            {"state": (axes, self.z), "z0": (axes, self._starts)},
-            {"component": list(self.names), **coordinates},
-            self._attributes,
-        )
-
-    @property
-    def _starts(self) -> np.ndarray:
-        """The start of the trajectory of each crossing, shape (n, dim)."""
-        return self.z0[self.trajectory]
-
     @property
     def _attributes(self) -> dict[str, Any]:
         known = {"H": self.H.formulas, "surface": self.surface, "method": self.method}
         return {**known, "dt": self.dt, "hamsym": hamsym.__version__}
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw the crossings in a plane, with a colour for each start.
-
-        Up to twelve starts have an entry in the legend with what varies, more a colour bar. If the
-        surface is crossed both ways, dots are crossings where its left side rises, crosses where it
-        falls.
-
-        Parameters
-        ----------
-        *names : str
-            Two components; by default a pair that the surface leaves free.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or there is only one.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
 
 @checked_keywords

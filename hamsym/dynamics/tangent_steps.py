@@ -18,7 +18,7 @@ from hamsym.dynamics.growth import STEPS_PER_RADIAN, UNRESOLVED, tangent_scales
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import COARSE, EnergyDrift
-from hamsym.integrators.linear_motion import fastest_rates
+from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Stepper
 from hamsym.problems.problem import checked_steps
 

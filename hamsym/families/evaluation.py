@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hamsym.families.windows import Table, Windows
-from hamsym.numerics.chebyshev import chebyshev_values
+from hamsym.numerics.collocation import chebyshev_values
 
 _TIMES = 4_096  # as for one solution
 _STATES = 8_192  # of a group

@@ -5,27 +5,24 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
 import hamsym
 from hamsym.errors import InputError
 from hamsym.flow_maps.box import Box
+from hamsym.flow_maps.compiled_piece import MAPS
 from hamsym.flow_maps.export import export_flow_map
 from hamsym.flow_maps.judging import Judgement
-from hamsym.flow_maps.storage import MAPS
 from hamsym.flow_maps.time_order import require_inputs, require_order
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.parallel.threads import Threads, slices
 from hamsym.solution.times import is_tensor
 from hamsym.support.record_fields import AnyFloat, Count, Size, floats
 from hamsym.support.records import packed
-from hamsym.support.shown import Saved
+from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import suggest_attributes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _QUERIES = 10_000  # for each core, from which on several are used
 _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
@@ -33,10 +30,14 @@ _ROUND_OFF = 4e-16  # relative, of times at the ends of the span
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class FlowMap(Saved):
+class FlowMap(Drawn, Saved):
     """All trajectories from a box of initial states and parameters, as one function.
 
     Call it with times, initial states and parameters to get states; see :meth:`__call__`.
+
+    ``plot()`` draws the box in phase planes at six times if all components vary, otherwise the
+    range of each component over time with eight trajectories; ``plot("x")`` the range of one
+    component, ``plot("x", "p")`` the box in the plane of two.
 
     Attributes
     ----------
@@ -291,26 +292,6 @@ class FlowMap(Saved):
                 f"{self.region.low[column]:.6g} to {self.region.high[column]:.6g}; give a value "
                 "inside it, or extrapolate=True"
             )
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw what the box becomes.
-
-        Without names, if all components vary: the box in phase planes at six times; otherwise the
-        range of each component over time, with eight trajectories.
-
-        Parameters
-        ----------
-        *names : str
-            One component, to draw its range over time, or two, to draw the box in their plane.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or ``ax`` is given for several panels.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
     # -- proofs ------------------------------------------------------------------------------
 

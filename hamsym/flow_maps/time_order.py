@@ -8,8 +8,7 @@ import numpy as np
 
 from hamsym.flow_maps.compiled_piece import CompiledPiece
 from hamsym.flow_maps.expansion import Chain, Leg, Split
-from hamsym.numerics.chebyshev import chebyshev_values
-from hamsym.numerics.collocation import collocation
+from hamsym.numerics.collocation import chebyshev_values, collocation
 
 _ROUND_OFF = 4e-16  # relative, of an end that is the sum of a start and a length
 

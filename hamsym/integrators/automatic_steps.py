@@ -15,7 +15,7 @@ import numpy as np
 from hamsym.errors import InputError
 from hamsym.integrators.coefficients import RungeKutta, Scheme
 from hamsym.integrators.energy_drift import EnergyDrift, finite_or_zero, round_off
-from hamsym.integrators.linear_motion import fastest_rates
+from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import Run, run_steps
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.problems.ensemble import Ensemble

@@ -214,8 +214,9 @@ class ComparedRuns:
         count = pieces * self.sampled
         path = np.empty_like(coarse_path)
         path[:, 0] = coarse_path[:, 0]
+        sizes = np.fmax.reduce(np.abs(coarse_path), axis=1)
         for number in range(1, 1 + count):
-            perturb(stepper.states, coarse_path, number)
+            perturb(stepper.states, sizes, number)
             states = stepper.step(steps // count)
             if number % pieces == 0:
                 path[:, number // pieces] = states

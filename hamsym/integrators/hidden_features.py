@@ -25,7 +25,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.bounds.models import DEGREE, NODES, PLACES
-from hamsym.bounds.residual import Parts, Places, bounds_on_parts, excesses, is_short_polynomial
+from hamsym.bounds.residual import ExcessSearch, Parts, Places, bounds_on_parts, is_short_polynomial
 from hamsym.codegen.programs import programs_of
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.step_scales import StepScales
@@ -281,12 +281,10 @@ class _Search:
         def rates(z: np.ndarray, t: np.ndarray, _window: np.ndarray) -> np.ndarray:
             return self._features.rates(z, t, self._own)
 
-        found = excesses(
-            *(self._features.programs, rates, windows.at, windows.edges, limits),
-            self._given,
-            noise=_NOISE,
-            first_only=True,
-        )
+        found = ExcessSearch(
+            *(self._features.programs, rates, windows.at, windows.edges, limits, self._given),
+            *(_NOISE, True),
+        ).run()
         if found:
             return found[0].time
         missed = self._disagreeing(windows, starts)

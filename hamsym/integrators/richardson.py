@@ -16,14 +16,15 @@ part of the span.
 from __future__ import annotations
 
 import functools
-import importlib.resources
 import math
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
 
 _PERTURBATION = 1e-11  # of a component, above its round-off and below all nonlinear effects
+_SHARE = 1 / 16  # of the difference of the last two columns
+_STALLED = 0.8  # ratio of successive differences from which they do not converge
+_EPS = 2.0**-52
 
 
 @dataclass(frozen=True)
@@ -70,36 +71,46 @@ def extrapolate(
     - rounding: Rounding errors of a step, in units of the last place of the components.
     - least: Smallest sizes of the components to which errors are relative, shape (n, dim).
     """
-    number, times, dim = fine.shape
-    sizes, errors, round_off = np.empty((number, dim)), np.empty((number, times)), np.empty(number)
+    weight, next_weight = 1 / (2.0**order - 1), 1 / (2.0**next_order - 1)
     # A perturbation stands for the independent rounding errors of several steps.
     unit = _PERTURBATION / (rounding * math.sqrt(steps / count))
-    _loops().extrapolate_rows(
-        coarse,
-        perturbed,
-        unit,
-        middle,
-        (middle.shape[1] - 1) // (times - 1),
-        fine,
-        np.zeros((number, dim)) if least is None else least,
-        order,
-        next_order,
-        steps,
-        sizes,
-        errors,
-        round_off,
-    )
-    return Extrapolation(fine, sizes, errors, round_off)
+    sizes = np.fmax.reduce(np.abs(middle), axis=1, initial=0.0)
+    if least is not None:
+        sizes = np.maximum(sizes, least)
+    middle = middle[:, :: (middle.shape[1] - 1) // (fine.shape[1] - 1)]
+
+    def largest(change: np.ndarray) -> np.ndarray:
+        """Largest change of a component relative to its size, shape (n, times)."""
+        relative = np.where(change == 0, 0.0, np.abs(change) / sizes[:, None])
+        return np.asarray(np.fmax.reduce(relative, axis=2, initial=0.0))
+
+    with np.errstate(all="ignore"):
+        first, second, parted = middle - coarse, fine - middle, perturbed - coarse
+        column = (1 + weight) * second - weight * first
+        finite = np.isfinite(first + second + parted).all(axis=2)
+        there = np.logical_and.accumulate(finite, axis=1)
+        fine += np.where(there[..., None], weight * second + next_weight * column, 0.0)
+        before, after = largest(first), largest(second)
+        highest, lowest = after.max(axis=1, keepdims=True), before.max(axis=1, keepdims=True)
+        ratio = np.where(highest == 0, 0.0, highest / lowest)
+        found = 10 * np.maximum(before, after)  # where the ratio is not a number, too
+        slow = np.maximum(1.0, 2 * ratio / (1 - ratio)) * after
+        found = np.where(ratio < _STALLED, slow, found)
+        fast = np.maximum(_SHARE * largest(column), weight / 4 * after)
+        found = np.where(ratio <= 2.0 ** (-0.6 * order), fast, found)
+        grown = np.maximum.accumulate(largest(parted), axis=1) / unit
+        round_off = _EPS * (np.maximum(1.0, grown) + steps)
+        errors = np.where(there, np.fmax.accumulate(found, axis=1) + round_off, np.inf)
+    errors[np.isnan(errors)] = np.inf
+    return Extrapolation(fine, sizes, errors, round_off[:, -1].copy())
 
 
-def perturb(states: np.ndarray, coarse: np.ndarray, number: int) -> None:
-    """Perturb states, shape (n, dim), relative to the sizes of components on a coarse path.
+def perturb(states: np.ndarray, sizes: np.ndarray, number: int) -> None:
+    """Perturb states in place, relative to the sizes of their components, shape (n, dim) both.
 
-    - states: Shape (n, dim), changed in place.
-    - coarse: Shape (n, times, dim).
     - number: Number of the perturbation, which determines its direction.
     """
-    _loops().perturb_rows(states, coarse, _changes(number, states.shape[1]))
+    states += sizes * _changes(number, states.shape[1])
 
 
 @functools.lru_cache(maxsize=256)
@@ -108,12 +119,3 @@ def _changes(number: int, dim: int) -> np.ndarray:
     generator = np.random.default_rng(number)
     signs = generator.choice((-1.0, 1.0), dim)
     return np.asarray(_PERTURBATION * signs * generator.uniform(0.5, 1.0, dim))
-
-
-@functools.cache
-def _loops() -> ModuleType:
-    """The loops, each of which takes about a second to compile the first time on a machine."""
-    from hamsym.codegen.checked_cache import load_compiled  # imports numba
-
-    file = importlib.resources.files("hamsym.templates").joinpath("extrapolation_loops.py")
-    return load_compiled(file.read_text("utf-8"), "extrapolation_loops")

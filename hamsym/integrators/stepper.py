@@ -23,7 +23,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.adaptive import Adaptive
 from hamsym.integrators.coefficients import Doubled, RungeKutta, Scheme, Splitting
-from hamsym.integrators.linear_motion import fastest_rates
+from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.table import INTEGRATORS, usable_method
 from hamsym.parallel.threads import Threads, slices
 from hamsym.problems.ensemble import Ensemble

@@ -29,6 +29,7 @@ import numpy as np
 from hamsym.integrators.coefficients import Splitting
 from hamsym.integrators.compared_runs import MAX_NARROW, SLACK, ComparedRuns, Round, Tolerated
 from hamsym.integrators.invariant_drift import invariant_drifts
+from hamsym.integrators.step_scales import fastest_rates
 from hamsym.integrators.stepper import INTERRUPTED, require_memory
 from hamsym.integrators.trajectory import Trajectory
 from hamsym.numerics.scales import SMALLEST, coupled_sizes
@@ -54,8 +55,6 @@ _MAX_STALLED, _MAX_LIMITED, _MAX_LOST = 3, 4, 5
 _MAX_UPDATES = 1e9
 # Components of the states of a run that are processed together, within a processor's cache.
 _BLOCK = 2**16
-# Members whose Hessians are evaluated at once.
-_AT_ONCE = 1024
 
 
 def integrate_to_tolerance(
@@ -168,9 +167,8 @@ class ToleranceSearch:
         length, states = abs(self._span[1] - self._span[0]), self._members.states
         power = 1 / self._runs.next_order
         angle = float(np.clip(_ANGLE * (self._tol / 1e-9) ** power, *_ANGLES))
-        edges = np.arange(_AT_ONCE, len(states), _AT_ONCE)
-        rates = np.concatenate(
-            [self._rates(rows) for rows in np.split(np.arange(len(states)), edges)]
+        rates = fastest_rates(
+            self._members.H, states, self._span[0], self._members.own_parameters()
         )
         finite = np.isfinite(states).all(axis=1)
         usable = finite.copy()
@@ -193,20 +191,6 @@ class ToleranceSearch:
         pending = np.flatnonzero(usable & slow)
         self._coarse[pending] = self._rounded(wanted[pending], 4)
         return pending
-
-    def _rates(self, rows: np.ndarray) -> np.ndarray:
-        """Fastest linear motion at the starts, from a trace that is the same in all units.
-
-        The trace of (J Hess)^4 is the sum of the fourth powers of its eigenvalues.
-        """
-        states = self._members.states[rows]
-        with np.errstate(all="ignore"):
-            arguments = self._runs.system.arguments(states, self._span[0])
-            given = self._runs.system.keywords(self._members.own_parameters(rows))
-            matrices = np.asarray(self._runs.system.jacobian(*arguments, **given))
-            squares = matrices @ matrices
-            traces = np.einsum("nij,nji->n", squares, squares)
-        return np.asarray(np.abs(traces / 2) ** 0.25)
 
     def _has_rates(self, rows: np.ndarray) -> np.ndarray:
         """Whether H and its gradient are finite at the starts of members, shape (n,)."""

@@ -15,6 +15,7 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import work_of
 from hamsym.integrators.interpolation import Interpolant
+from hamsym.integrators.table import INTEGRATORS
 from hamsym.problems.description import attributes_of
 from hamsym.problems.ensemble import Ensemble
 from hamsym.support.record_fields import UNSAVED, AnyFloat, Count, Size, counts, flags, floats
@@ -138,6 +139,50 @@ class Trajectory(Saved):
     errors: Annotated[np.ndarray, _STATES] | None = field(default=None, repr=False)
     verdicts: Verdicts | None = field(default=None, repr=False)
     invariant_drift: Mapping[str, Any] = field(default_factory=dict, repr=False, metadata=UNSAVED)
+
+    def check(self) -> None:
+        """Raise ValueError unless it is one that :func:`hamsym.integrate` returns."""
+        members, t, found = self.ensemble, self.t, self.verdicts
+        if self.method not in INTEGRATORS:
+            raise ValueError(f"'{self.method[:40]}' is not a method")
+        if self.names != members.H.names:
+            raise ValueError("its names are not those of H")
+        if len(members) and members.hamiltonian(0) != members.H:
+            raise ValueError("H does not have the parameters of the first trajectory")
+        direction = math.copysign(1.0, self.dt)
+        if not len(t) or not (np.diff(t) * direction > 0).all():
+            raise ValueError("its times are not in order")
+        if self.drift < 0:
+            raise ValueError("its drift is negative")
+        if self.z.shape[:-2] != members.shape:
+            raise ValueError("its states do not have the shape of its members")
+        z = self.z.reshape(len(members), len(t), -1)
+        there = np.isfinite(z).all(axis=-1)
+        if not (there[:, 1:] <= there[:, :-1]).all():
+            raise ValueError("a state is finite after one that is not")
+        if not np.array_equal(z[:, 0], members.states, equal_nan=True):
+            raise ValueError("it does not begin at its starts")
+        # Without tol success is one verdict of all trajectories.
+        if isinstance(self.success, bool) != (found is None or not members.shape):
+            raise ValueError("its success is not that of its trajectories")
+        success = np.broadcast_to(self.success, members.shape).reshape(-1)
+        if not there[success].all():
+            raise ValueError("its success is true, but a state is not finite")
+        if (found is None) != (self.errors is None):
+            raise ValueError("its error estimate does not belong to its verdicts")
+        if found is None or self.errors is None:
+            return
+        errors = self.errors.reshape(z.shape)
+        if not (errors >= 0).all() or not np.isfinite(errors[success]).all():
+            raise ValueError("its error estimate is negative, not a number, or not finite")
+        if len(found.largest) != len(members) or not found.problems.keys() <= set(
+            range(len(members))
+        ):
+            raise ValueError("a verdict belongs to no trajectory")
+        if success.tolist() != [index not in found.problems for index in range(len(members))]:
+            raise ValueError("its success contradicts its messages")
+        if not found.tol > 0 or not (found.largest[success] <= found.tol).all():
+            raise ValueError("its success is true, but an error is above its tolerance")
 
     def __repr__(self) -> str:
         success, found = np.asarray(self.success), self.verdicts

@@ -61,7 +61,6 @@ _SIGNATURES = {
     "clenshaw": "v ppiipps",
     "exact_products": "v ppiiippp",
     "add_products": "v pppnnnii",
-    "basic_operations": "v pppip",
 }
 
 
@@ -133,12 +132,6 @@ class Enclosures:
         second = x if y is None else _reals(y)
         _require(len(x) == len(second))
         self._call("balls", BALL_FUNCTIONS.index(function), len(x), x, second, out)
-        return out
-
-    def basic_operations(self, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """Compute a + b, a b, a / b, sqrt(|a|) and a b + c with one rounding, shape (5, n)."""
-        out = np.empty((5, len(a)))
-        self._call("basic_operations", _reals(a), _reals(b), _reals(c), len(a), out)
         return out
 
     # -- series ----------------------------------------------------------------------------------

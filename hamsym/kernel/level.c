@@ -59,7 +59,10 @@ int hamsym_arithmetic(void) {
     /* Just above a tie, which extended precision makes a tie; a product whose error a contraction
        into a fused operation would leave. */
     volatile double above = DBL_EPSILON * (0.5 + 0x1p-22), square = 1.0 + 2.0 * DBL_EPSILON;
-    if (one + above != next || next * next - square != 0.0)
+    /* 1/3 is rounded down, 1/10 and the root of 2 are rounded up. */
+    volatile double three = 3.0, ten = 10.0;
+    if (one + above != next || next * next - square != 0.0 || one / three != 0x1.5555555555555p-2 ||
+        one / ten != 0x1.999999999999ap-4 || sqrt(two) != 0x1.6a09e667f3bcdp+0)
         return 3;
     if (fma(next, next, -square) != DBL_EPSILON * DBL_EPSILON)
         return 4;

@@ -308,14 +308,3 @@ EXPORTED void hamsym_add_products(double *restrict found, const double *restrict
     for (long cell = 0; cell < cells; cell++) out[cell] += a[cell] * b[cell];
   }
 }
-
-/* a + b, a b, a / b, sqrt(|a|) and a b + c with one rounding, 5 x n. */
-EXPORTED void hamsym_basic_operations(const double *a, const double *b, const double *c, int64_t n, double *out) {
-  for (long k = 0; k < n; k++) {
-    out[k] = a[k] + b[k];
-    out[n + k] = a[k] * b[k];
-    out[2 * n + k] = a[k] / b[k];
-    out[3 * n + k] = sqrt(fabs(a[k]));
-    out[4 * n + k] = fma(a[k], b[k], c[k]);
-  }
-}

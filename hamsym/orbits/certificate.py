@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 import hamsym
 from hamsym.errors import CertificationError, FileError, InputError
-from hamsym.orbits.claims import orbit_digest, statement_of
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.orbits.arc import Arc, Problem
 from hamsym.orbits.proven_stability import WEAKER
 from hamsym.proof.ball import Ball
 from hamsym.proof.balls import decimal_above
 from hamsym.support.record_fields import Limit, Size
+from hamsym.support.records import digest_of
 from hamsym.support.sealed_text import SealedText
 from hamsym.support.suggestions import suggest_attributes
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from hamsym.orbits.orbit import PeriodicOrbit
 
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False)
 class OrbitCertificate(SealedText):
     """Proof that a periodic orbit exists, from :meth:`PeriodicOrbit.certify`.
+
+    ``plot()`` draws the multipliers of the orbit about the unit circle.
 
     Attributes
     ----------
@@ -85,16 +87,6 @@ class OrbitCertificate(SealedText):
             )
         if self.stability not in WEAKER:
             raise ValueError("its stability is none that a proof gives")
-
-    def plot(self, *, ax: Any = None) -> Figure:
-        """Draw the multipliers of the orbit about the unit circle.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into, in your own style.
-        """
-        return hamsym.plot(self, ax=ax)
 
     def __repr__(self) -> str:
         return (
@@ -158,3 +150,50 @@ def _is_within(inner: Ball, outer: Ball) -> bool:
         for a, r, b, s in zip(*numbers, strict=True)
         if np.isfinite(s)
     )
+
+
+# -- what is claimed, in words ---------------------------------------------------------------------
+
+
+def statement_of(
+    problem: Problem, period: Ball, bound: float, unique: float, stability: str, pieces: int
+) -> str:
+    """Return what is proven, in words."""
+    energy = "" if problem.energy is None else f"of energy {float(problem.energy)!r} "
+    places = "At its start" + (
+        f" and at the ends of {pieces} equal parts of its arc" if pieces > 1 else ""
+    )
+    free = problem.autonomous and problem.period is None
+    alike = "a period as near" if free else "the same period"
+    if problem.energy is not None:
+        alike += " and the same energy"
+    if problem.closing.parts > 1:
+        alike += " and symmetry"
+    statement = (
+        f"{_equation(problem.H)} has a periodic orbit {energy}with a period in "
+        f"{period.mid!r} +- {_rounded_up(period.radius)}. {places} it is within "
+        f"{_rounded_up(bound)} of the computed states, relative to the size of each component, "
+        f"and no other one with {alike} is within {_rounded_down(unique)}."
+    )
+    return statement if stability == "undecided" else f"{statement} It is {stability}."
+
+
+def orbit_digest(orbit: PeriodicOrbit) -> str:
+    """SHA-256 of an orbit: H, the conditions that it meets, and the states of its arc."""
+    return digest_of((orbit.problem, orbit.arc), tuple[Problem, Arc])
+
+
+def _equation(H: Hamiltonian) -> str:
+    """H with its forces and the values of its parameters."""
+    forces = [f"the force {text} on {name}" for name, text in H.force_texts.items()]
+    values = [f"{name} = {value!r}" for name, value in H.parameters.items()]
+    parts = [*forces, *values]
+    return f"H = {H.formula}" + (f", with {', '.join(parts)}," if parts else "")
+
+
+def _rounded_up(value: float) -> str:
+    return f"{value * 1.06:.1e}" if value else "0"
+
+
+def _rounded_down(value: float) -> str:
+    return f"{value * 0.94:.1e}"

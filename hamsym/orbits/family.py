@@ -4,28 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 
-import hamsym
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.orbits.continuation import Aim, Bifurcation, Continuation
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.support.progress import stepping_progress
-from hamsym.support.shown import Saved
+from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.validation import require_number, require_positive, require_whole
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class OrbitFamily(Saved, Sequence[PeriodicOrbit]):
+class OrbitFamily(Drawn, Saved, Sequence[PeriodicOrbit]):
     """Orbits along a family, in the order of their computation; a sequence of PeriodicOrbit.
+
+    ``plot()`` draws period, orbits and largest multiplier over the energy or the parameter;
+    ``plot("period")`` and ``plot("multipliers")`` one of them, with stability and bifurcations; two
+    or three components draw orbits of the family in their plane or space.
 
     Attributes
     ----------
@@ -109,24 +109,6 @@ class OrbitFamily(Saved, Sequence[PeriodicOrbit]):
     def stabilities(self) -> list[str]:
         """Stability of each orbit, as :attr:`hamsym.PeriodicOrbit.stability`."""
         return [orbit.stability for orbit in self.orbits]
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw period, orbits and largest multiplier over the energy or the parameter.
-
-        Parameters
-        ----------
-        *names : str
-            ``"period"`` or ``"multipliers"`` alone, with stability and bifurcations; or two or
-            three components, for orbits of the family in their plane or space.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or ``ax`` is given for several panels.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
 
 @checked_keywords

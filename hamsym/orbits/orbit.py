@@ -17,8 +17,7 @@ from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.numerics.scales import floored_sizes
 from hamsym.numerics.symplectic import symplectic_inverse
 from hamsym.orbits.arc import Arc, Problem
-from hamsym.orbits.integrals import gradients_of_integrals
-from hamsym.orbits.multipliers import has_shear, reduced_map, stability_of
+from hamsym.orbits.multipliers import gradients_of_integrals, has_shear, reduced_map, stability_of
 from hamsym.orbits.period import period_of
 from hamsym.orbits.search import check, first_arc, first_return, refined, vector_field_at
 from hamsym.orbits.symmetry import closing_of
@@ -26,13 +25,11 @@ from hamsym.random_features.flow import flow_of
 from hamsym.solution.discontinuities import first_jump, has_switches
 from hamsym.solution.path import Path
 from hamsym.support.record_fields import AnyFloat, Limit, Size, floats
-from hamsym.support.shown import Saved
+from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_number, require_positive
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from hamsym.solution.solution import Solution
 
 _REPETITIONS = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31)
@@ -43,8 +40,12 @@ _LARGE = 1e3  # multiplier whose inverse is more accurate than the computed one
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False)
-class PeriodicOrbit(Saved):
+class PeriodicOrbit(Drawn, Saved):
     """A periodic orbit, from :func:`hamsym.periodic_orbit`.
+
+    ``plot()`` draws the orbit in the plane of its first two components, and its multipliers; one
+    component draws it over a period, two in their plane, three in their space, and
+    ``plot("multipliers")`` these alone.
 
     Attributes
     ----------
@@ -245,24 +246,6 @@ class PeriodicOrbit(Saved):
         See :func:`hamsym.prove_orbit`.
         """
         return hamsym.prove_orbit(self, time_limit=time_limit)
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw the orbit in the plane of its first two components, and its multipliers.
-
-        Parameters
-        ----------
-        *names : str
-            One component, to draw it over a period; two, for their plane; three, for their space;
-            or ``"multipliers"``.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or ``ax`` is given for several panels.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
     def animate(self, *names: str, **options: Any) -> hamsym.Animation:
         """Animate one period, in a picture that names or options choose; :func:`hamsym.animate`."""

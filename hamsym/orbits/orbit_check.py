@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hamsym.errors import CertificationError
-from hamsym.numerics.chebyshev import chebyshev_values
-from hamsym.numerics.collocation import collocation
+from hamsym.numerics.collocation import chebyshev_values, collocation
 from hamsym.orbits.arc import Arc
 from hamsym.orbits.search import vector_field_at
 from hamsym.proof.public_check import require_same

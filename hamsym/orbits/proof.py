@@ -29,8 +29,7 @@ from flint import arb, arb_mat
 from hamsym.errors import CertificationError
 from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.orbits.arc import Problem
-from hamsym.orbits.certificate import OrbitCertificate
-from hamsym.orbits.claims import orbit_digest, statement_of
+from hamsym.orbits.certificate import OrbitCertificate, orbit_digest, statement_of
 from hamsym.orbits.orbit_check import check_orbit
 from hamsym.orbits.proven_stability import proven_attraction, proven_stability
 from hamsym.orbits.rescaled import exact_period, in_units_of_the_arc

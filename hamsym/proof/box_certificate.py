@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
-import hamsym
 from hamsym.flow_maps.box import Box
+from hamsym.flow_maps.compiled_piece import MAPS
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.flow_maps.storage import MAPS
 from hamsym.proof.balls import decimal_above
 from hamsym.support.record_fields import Count, Size
 from hamsym.support.records import digest_of
 from hamsym.support.sealed_text import SealedText
 from hamsym.support.suggestions import suggest_attributes
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 @suggest_attributes
 @dataclass(frozen=True)
 class BoxCertificate(SealedText):
     """A proven bound on the error of a flow map, for all starts and parameters in a box.
+
+    ``plot()`` draws the proven bound of each component.
 
     Attributes
     ----------
@@ -70,16 +68,6 @@ class BoxCertificate(SealedText):
             raise ValueError("its bounds are not one for each component")
         if not all(low < high for low, high in self.box.values()):
             raise ValueError("its intervals are not in order")
-
-    def plot(self, *, ax: Any = None) -> Figure:
-        """Draw the proven bound of each component.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into, in your own style.
-        """
-        return hamsym.plot(self, ax=ax)
 
     def __repr__(self) -> str:
         box = ", ".join(f"{name} in [{a!r}, {b!r}]" for name, (a, b) in self.box.items())

@@ -6,20 +6,16 @@ import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
-import hamsym
 from hamsym.errors import InputError
 from hamsym.formula.parser import check_name
 from hamsym.proof.balls import decimal, decimal_above, decimal_below
 from hamsym.support.record_fields import Limit, Written
 from hamsym.support.sealed_text import SealedText
 from hamsym.support.suggestions import suggest_attributes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Difference of upper and lower bounds that is always small enough, in units of the components.
 FLOOR = 2.0**-60
@@ -35,6 +31,9 @@ _Exact = Annotated[float, Written(repr)]
 @dataclass(frozen=True)
 class Certificate(SealedText):
     """Proven two-sided bounds on the error of one solution, the largest over its span.
+
+    ``plot()`` draws the proven bound over time, and the bounds of each component;
+    ``plot("bound")`` and ``plot("components")`` draw one of these panels.
 
     Attributes
     ----------
@@ -152,23 +151,6 @@ class Certificate(SealedText):
             )
         places = range(max(first, 0), min(last, len(self.piece_bounds) - 1) + 1)
         return max(self.piece_bounds[place] for place in places)
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw the proven bound over time, and the bounds of each component.
-
-        Parameters
-        ----------
-        *names : {"bound", "components"}
-            One of these panels alone.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or ``ax`` is given for two panels.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
     @property
     def statement(self) -> str:

@@ -8,11 +8,10 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-import hamsym
 from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.kernel.enclosures import enclosures
@@ -26,12 +25,9 @@ from hamsym.proof.proven_windows import ErrorSet, Window, WindowStepper
 from hamsym.proof.public_check import check_enclosure
 from hamsym.solution.times import times_in_span
 from hamsym.support.record_fields import UNSAVED, Size
-from hamsym.support.shown import Saved
+from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
 from hamsym.support.validation import require_positive
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Accuracies of the polynomials, relative to the components, and their terms; the cheaper first.
 _ACCURACIES = ((2.0**-70, 32), (2.0**-86, 48))
@@ -193,8 +189,11 @@ def _initial_balls(H: Hamiltonian, z0: Any) -> list[Ball]:
 
 @suggest_attributes
 @dataclass(frozen=True, eq=False, repr=False)
-class Enclosure(Saved):
+class Enclosure(Drawn, Saved):
     """Balls around the true state at every time of a span, from :func:`hamsym.enclose`.
+
+    ``plot()`` draws the enclosures of up to six components as bands over time, and the widths of
+    all; ``plot("x")`` the band of one component, ``plot("width")`` the widths.
 
     Attributes
     ----------
@@ -291,24 +290,6 @@ class Enclosure(Saved):
         return self._at(
             t, lambda *place: [part[:, dim:] for part in self._slopes(*place)], (dim, count)
         )
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw the enclosures of components as bands over time, and their widths.
-
-        Parameters
-        ----------
-        *names : str
-            One component, for its band, or ``"width"``; by default the components, up to six, and
-            the widths of all.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or ``ax`` is given for several panels.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
     def _at(self, t: Any, value: Any, shape: tuple[int, ...]) -> Ball:
         require_float64()

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from flint import arb
+from numpy.polynomial import chebyshev
 
 from hamsym.kernel.enclosures import (
     ADD,
@@ -321,18 +322,7 @@ class Tables:
         self.series = (self.values * (2 / terms)).T.copy()
         self.series[:, 0] /= 2
         #: integral[j, i]: weight of the value at x_j in the integral from -1 to x_i
-        orders = np.arange(1, terms + 1)
-        matrix = np.zeros((terms, terms + 1))  # row: T_k, columns: its integral
-        for k in range(terms):
-            if k == 0:
-                matrix[k, 1] = 1
-            elif k == 1:
-                matrix[k, 2] = 0.25
-            else:
-                matrix[k, k + 1] += 1 / (2 * (k + 1))
-                matrix[k, k - 1] -= 1 / (2 * (k - 1))
-            signs = np.where(orders % 2 == 1, 1.0, -1.0)
-            matrix[k, 0] = (signs * matrix[k, 1:]).sum()
+        matrix = chebyshev.chebint(np.eye(terms), lbnd=-1).T  # row: T_k, columns: its integral
         longer = np.cos(np.arange(terms + 1)[:, None] * angles)
         self.integral = np.ascontiguousarray(self.series @ matrix @ longer)
 

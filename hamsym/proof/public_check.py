@@ -20,7 +20,7 @@ import numpy as np
 from hamsym.errors import CertificationError
 from hamsym.flow_maps.expansion import Leg
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.numerics.chebyshev import chebyshev_values
+from hamsym.numerics.collocation import chebyshev_values
 from hamsym.proof.map_models import LegModels, Step, affine_models
 from hamsym.proof.taylor_models import Model, Space, space_of
 from hamsym.proof.trial_models import trial_pieces

@@ -27,8 +27,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.kernel.loops import LANES, Tables
-from hamsym.numerics.chebyshev import chebyshev_values
-from hamsym.numerics.collocation import chebyshev_points, collocation
+from hamsym.numerics.collocation import chebyshev_points, chebyshev_values, collocation
 
 _NEURONS = 60
 _TRUNCATION = 1e-14  # of singular values, relative

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from hamsym.numerics.chebyshev import chebyshev_values
+from hamsym.numerics.collocation import chebyshev_values
 from hamsym.numerics.windows import locate
 from hamsym.random_features.basis import DEGREE, FeatureBasis, rate_series
 from hamsym.random_features.windows import March

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hamsym.bounds.models import NODES, resolved
-from hamsym.bounds.residual import Excess, Parts, Places, excesses, largest_ratios
+from hamsym.bounds.residual import Excess, ExcessSearch, Parts, Places, largest_ratios
 from hamsym.kernel import loops
 from hamsym.numerics.collocation import collocation
 from hamsym.random_features.basis import FeatureBasis
@@ -111,19 +111,11 @@ class WindowChecks:
         def trial(parts: Parts) -> Places:
             return self._at(pieces, parts, NODES)
 
-        found = excesses(
-            *(
-                self.flow.programs,
-                rates,
-                trial,
-                np.stack((pieces.start, pieces.end)),
-                limits,
-                given,
-            ),
-            noise=SLACK * _NOISE,
-            first_only=first_only,
+        search = ExcessSearch(
+            *(self.flow.programs, rates, trial, np.stack((pieces.start, pieces.end))),
+            *(limits, given, SLACK * _NOISE, first_only),
         )
-        return [excess._replace(window=int(left[excess.window])) for excess in found]
+        return [excess._replace(window=int(left[excess.window])) for excess in search.run()]
 
     def _left(self, pieces: Pieces, sizes: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Return the windows that the bound on the whole of each does not accept."""

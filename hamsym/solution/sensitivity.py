@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hamsym.numerics.chebyshev import chebyshev_values
+from hamsym.numerics.collocation import chebyshev_values
 from hamsym.numerics.tangent_maps import TangentMaps
 from hamsym.numerics.windows import locate
 from hamsym.solution.path import Path

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from hamsym.numerics.chebyshev import chebyshev_values
+from hamsym.numerics.collocation import chebyshev_values
 from hamsym.numerics.scales import ratios
 from hamsym.numerics.windows import locate
 from hamsym.support.record_fields import floats

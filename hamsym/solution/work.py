@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hamsym.numerics.chebyshev import chebyshev_values
-from hamsym.numerics.collocation import collocation
+from hamsym.numerics.collocation import chebyshev_values, collocation
 from hamsym.numerics.windows import locate
 from hamsym.solution.path import Path
 

@@ -20,7 +20,7 @@ import numpy as np
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.adaptive import reference
-from hamsym.numerics.chebyshev import chebyshev_values
+from hamsym.numerics.collocation import chebyshev_values
 from hamsym.proof.enclose import Enclosure, enclose
 
 SAMPLES = 4_000  # largest number of intervals at whose ends errors are measured

@@ -13,12 +13,12 @@ from typing import Any, ClassVar, Self
 
 from hamsym.errors import FileError
 from hamsym.support.records import MALFORMED, as_json, from_json
-from hamsym.support.shown import Saved
+from hamsym.support.shown import Drawn, Saved
 
 _CHECKSUM = "sha256"
 
 
-class SealedText(Saved):
+class SealedText(Drawn, Saved):
     """A certificate, whose files are text.
 
     A class defines the kind and the version of its text, how long it may be, what it certifies, and

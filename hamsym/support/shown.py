@@ -11,11 +11,14 @@ import inspect
 import os
 import pkgutil
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import hamsym
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.text_tables import ROWS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Shown:
@@ -88,3 +91,25 @@ def function_of(
     """Return the function for the type of a result, or for one that it inherits."""
     own = (kind.__name__ for kind in type(result).__mro__ if kind.__module__.startswith("hamsym."))
     return next((functions[name] for name in own if name in functions), None)
+
+
+class Drawn:
+    """A result with a figure; the documentation of its class says what it shows."""
+
+    @checked_keywords
+    def plot(self, *names: Any, ax: Any = None) -> Figure:
+        """Draw the result, or what names choose; the text about its class says what these are.
+
+        Parameters
+        ----------
+        *names : str
+            Panels or components.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw one panel into, in your own style.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or there is nothing to draw, or ``ax`` is given for several panels.
+        """
+        return hamsym.plot(self, *names, ax=ax)

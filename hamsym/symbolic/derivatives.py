@@ -3,7 +3,7 @@
 A Hamiltonian of many bodies is a sum of terms in two or three variables each. Each term is
 differentiated with respect to its own variables only, so that n coupled oscillators cost
 O(n), not O(n**2) for the gradient and O(n**3) for the Hessian. The same holds for each factor of a
-product; :mod:`hamsym.codegen.common_parts` extracts the common parts of its derivatives.
+product.
 """
 
 from __future__ import annotations

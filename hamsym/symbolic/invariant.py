@@ -9,17 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import sympy
 
 from hamsym.formula.printer import FormulaPrinter
 from hamsym.support.shown import Shown
 from hamsym.support.suggestions import suggest_attributes
-from hamsym.support.tables import data_frame
-
-if TYPE_CHECKING:
-    import pandas
 
 
 @dataclass(frozen=True)
@@ -128,22 +124,3 @@ class Invariants(Shown, list[Invariant]):
 
     def __str__(self) -> str:
         return self.summary()
-
-    def to_dataframe(self) -> pandas.DataFrame:
-        """Return a table of pandas: formula, degree, independent, and holds_for as text.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        columns: dict[str, Any] = {
-            "formula": [one.formula for one in self],
-            "degree": [one.degree for one in self],
-            "independent": [one.independent for one in self],
-            "holds_for": [
-                ", ".join(f"{name} = {value!r}" for name, value in one.holds_for.items())
-                for one in self
-            ],
-        }
-        return data_frame(columns)

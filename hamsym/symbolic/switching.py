@@ -6,7 +6,6 @@ A switch is a function whose argument depends on the time and on parameters alon
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -117,48 +116,26 @@ def _zeros(argument: sympy.Expr, time: sympy.Symbol, low: float, high: float) ->
         if slope != 0:
             yield float(-argument.xreplace({time: sympy.S.Zero}) / slope)
         return
+    from hamsym.numerics.roots import suspects, zeros  # import scipy.optimize, which is slow
+
     function = sympy.lambdify(time, argument, ["scipy", "numpy"])
+    rate = sympy.lambdify(time, slope, ["scipy", "numpy"])
     correction = sympy.lambdify(time, argument / slope, "mpmath")
-    times = np.linspace(low, high, _SAMPLES + 1)
+    times, spacing = np.linspace(low, high, _SAMPLES + 1), (high - low) / _SAMPLES
     with np.errstate(all="ignore"):
         values = np.broadcast_to(np.asarray(function(times), dtype=float), times.shape)
         yield from times[values == 0].tolist()
-        times, signs = _with_turns(times, np.sign(values), slope, time, function)
-        for k in np.flatnonzero(signs[:-1] * signs[1:] < 0).tolist():
-            at = _crossing(function, times[k], times[k + 1])
-            if math.isfinite(at):
-                yield _nearest(correction, at, (high - low) / _SAMPLES)
-
-
-def _with_turns(
-    times: np.ndarray,
-    signs: np.ndarray,
-    slope: sympy.Expr,
-    time: sympy.Symbol,
-    function: Callable[[Any], Any],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Add the extrema at which an argument has another sign than at the samples around them.
-
-    Between them and the samples is one zero each, as those of a pulse shorter than a sample.
-    """
-    rate = sympy.lambdify(time, slope, ["scipy", "numpy"])
-    try:
-        rates = np.broadcast_to(np.asarray(rate(times), dtype=float), times.shape)
-    except (NameError, TypeError, ValueError):  # the slope of a step is no function
-        return times, signs
-    nearing, leaving = signs[:-1] * rates[:-1] < 0, signs[1:] * rates[1:] > 0
-    places = np.flatnonzero((signs[:-1] == signs[1:]) & nearing & leaving)
-    turns = np.array([_crossing(rate, times[k], times[k + 1]) for k in places])
-    found = np.array([float(np.sign(function(at))) for at in turns])
-    crossed = found * signs[places] < 0
-    places = places[crossed] + 1
-    return np.insert(times, places, turns[crossed]), np.insert(signs, places, found[crossed])
-
-
-def _crossing(function: Callable[[Any], Any], low: float, high: float) -> float:
-    from scipy.optimize import brentq
-
-    return float(brentq(function, low, high, xtol=1e-14 * max(abs(low), abs(high))))
+        try:
+            rates = np.broadcast_to(np.asarray(rate(times), dtype=float), times.shape)
+        except (NameError, TypeError, ValueError):  # the slope of a step is no function
+            rates = np.zeros(times.shape)
+        (first,), dips = suspects(values, rates)
+        share, index = zeros(
+            lambda x, k: np.asarray(function(times[first[k]] + x * spacing)) + 0.0 * x,
+            *(values[first], values[first + 1], dips),
+        )
+        for at in (times[first[index]] + share * spacing).tolist():
+            yield _nearest(correction, at, spacing)
 
 
 def _nearest(correction: Callable[[Any], Any], at: float, spacing: float) -> float:

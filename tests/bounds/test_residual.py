@@ -9,7 +9,7 @@ import pytest
 
 from hamsym import Hamiltonian
 from hamsym.bounds.models import NODES
-from hamsym.bounds.residual import Excess, Parts, Places, excesses
+from hamsym.bounds.residual import Excess, ExcessSearch, Parts, Places
 from hamsym.codegen.programs import programs_of
 
 EDGES = np.arange(11.0)
@@ -26,7 +26,7 @@ def found(force: str, limit: float, first_only: bool = False) -> list[Excess]:
         return Places(np.zeros((*t.shape, 2)), np.zeros((*t.shape, 2)), t)
 
     with np.errstate(all="ignore"):
-        return excesses(
+        return ExcessSearch(
             programs_of(H.real_equations),
             lambda z, t, window: system.vector_field(*system.arguments(z, t)),
             trial,
@@ -35,7 +35,7 @@ def found(force: str, limit: float, first_only: bool = False) -> list[Excess]:
             np.empty(0),
             noise=0.0,
             first_only=first_only,
-        )
+        ).run()
 
 
 @pytest.mark.parametrize("place", [0.3141, 4.5, 7.99999])

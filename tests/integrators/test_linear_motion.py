@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hamsym import Hamiltonian
-from hamsym.integrators.linear_motion import fastest_rates
+from hamsym.integrators.step_scales import fastest_rates
 
 
 def test_rates_are_spectral_radii() -> None:

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from hamsym.numerics.chebyshev import chebyshev_values
+from hamsym.numerics.collocation import chebyshev_values
 
 
 def test_values_against_exact_polynomials() -> None:

@@ -10,7 +10,7 @@ import pytest
 import hamsym
 from hamsym.archive import certificate_from
 from hamsym.errors import CertificationError, FileError, InputError
-from hamsym.orbits.claims import statement_of
+from hamsym.orbits.certificate import statement_of
 from hamsym.orbits.proven_stability import WEAKER
 from hamsym.support.sealed_text import opened, sealed
 

@@ -535,7 +535,3 @@ def test_results_are_a_list_with_a_table() -> None:
     assert max(map(len, lines)) <= 80
     assert "... and 1 invariants" in found.summary(rows=0)
     assert "is no proof of chaos" in H.with_parameters(c=2.1).invariants(2).summary()
-    pytest.importorskip("pandas")
-    table = found.to_dataframe()
-    assert table["holds_for"].tolist() == ["c = 2.0"]
-    assert table["formula"][0] == found[0].formula
