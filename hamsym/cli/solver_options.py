@@ -85,7 +85,6 @@ _TOPICS = {
         "Search for the weights": "stages iterations restarts",
         "Training": "epochs learning_rate betas schedule noise",
         "End of the training": "target_loss target_ell_max accuracy patience time_limit",
-        "Checkpoints": "checkpoint checkpoint_every",
     }.items()
     for name in names.split()
 }
@@ -102,7 +101,6 @@ _TYPES: dict[str, Any] = {
     "Sequence[int]": _Parsed("numbers", whole_numbers),
     "Sequence[float]": _Parsed("numbers", numbers),
     "float | Sequence[float]": _Parsed("numbers", numbers),
-    "str | os.PathLike[str]": click.Path(),
     "str | torch.device": click.STRING,
     "Solution": _Parsed("file", saved_solution),
 }
@@ -192,7 +190,7 @@ def _listed(methods: tuple[str, ...]) -> str:
     words = {
         tuple(name for name, kind in METHODS.items() if not kind.marches): "methods that train",
         tuple(
-            name for name, kind in METHODS.items() if kind.resumes
+            name for name, kind in METHODS.items() if kind.joint
         ): "methods that train one network",
     }
     return words.get(methods, ", ".join(methods))

@@ -15,7 +15,6 @@ one more solve with the same factor and saves most of the iterations.
 from __future__ import annotations
 
 from itertools import accumulate
-from typing import Any
 
 import numpy as np
 import torch
@@ -29,7 +28,6 @@ from hamsym.networks.objective import Objective
 from hamsym.networks.points import Collocation, points_between
 from hamsym.networks.sensitivities import Layer, backward, forward
 from hamsym.networks.trial import TrialSolution
-from hamsym.support.validation import is_positive
 
 # Damping relative to the mean diagonal of J J^T; the least in units of the type's precision,
 # 1e-14 in float64.
@@ -158,15 +156,6 @@ class LevenbergMarquardt:
     def _move(self, start: list[Tensor], step: list[Tensor], length: float) -> None:
         for weights, first, part in zip(self._weights, start, step, strict=True):
             weights.copy_(first + length * part)
-
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        return {}, {"mu": self._mu, "failures": self._failures}
-
-    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        mu, failures = values["mu"], values["failures"]
-        if tensors or not (is_positive(mu) and isinstance(failures, int)):
-            raise ValueError("its damping does not belong to this method")
-        self._mu, self._failures = mu, failures
 
 
 def _solved(factor: Tensor, right: Tensor) -> Tensor:

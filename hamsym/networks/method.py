@@ -21,7 +21,6 @@ from hamsym.codegen.system import System
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks import levenberg_marquardt, optimizers
-from hamsym.networks.checkpoint import Checkpoint
 from hamsym.networks.devices import available_device
 from hamsym.networks.methods import LBFGS, Adam, JointTraining, LevenbergMarquardt, SSBroyden
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
@@ -34,10 +33,8 @@ from hamsym.networks.rules import Criterion, Stages, Stopping
 from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
 from hamsym.networks.training import Optimizer, train
 from hamsym.networks.trial import TrialSolution
-from hamsym.problems.description import settings_text
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.solution.acceptance import accepted, excess
-from hamsym.solution.digest import digest
 from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
@@ -113,7 +110,6 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
             generator=generator,
             stages=_stages(method, trial),
             callbacks=callbacks,
-            checkpoint=_checkpoint(problem, method),
         )
     trial.requires_grad_(False).to("cpu")
     if isinstance(trial, TrialSolution):
@@ -128,15 +124,12 @@ def _stopping(
     criteria = []
     if problem.tol_given:
         criteria.append(
-            Criterion(
-                Stopped.TOLERANCE, problem.tol, lambda _, record: excess(solution(record)) <= 1
-            )
+            Criterion(Stopped.TOLERANCE, lambda _, record: excess(solution(record)) <= 1)
         )
     if (accuracy := method.accuracy) is not None:
         criteria.append(
             Criterion(
                 Stopped.ACCURACY,
-                accuracy,
                 lambda _, record: _is_accurate(solution(record), accuracy),
             )
         )
@@ -153,22 +146,6 @@ def _stopping(
 def _is_accurate(solution: Solution, accuracy: float) -> bool:
     """Return whether ell_max <= sigma_min * accuracy, the paper's rule for stopping."""
     return solution.ell_max_regularized <= solution.sigma_min * accuracy
-
-
-def _checkpoint(problem: InitialValueProblem, method: JointTraining) -> Checkpoint | None:
-    """Return the checkpoint with all settings that determine the weights, if it has a path."""
-    if method.checkpoint is None:
-        return None
-    rules = {"target_loss", "target_ell_max", "accuracy", "patience", "time_limit"}
-    without = {*rules, "regularizers", "checkpoint", "checkpoint_every", "iterations", "initial"}
-    settings = settings_text(
-        problem.H, problem.z0, problem.span, problem.seed, method, without=without
-    )
-    settings["initial"] = "None" if method.initial is None else digest(method.initial)
-    settings |= {"method": method.name, "torch": torch.__version__}
-    if method.invariant_weight:
-        settings["invariants"] = repr(problem.invariants)
-    return Checkpoint(method.checkpoint, settings, method.checkpoint_every)
 
 
 @dataclass(frozen=True)

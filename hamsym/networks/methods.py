@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -115,7 +114,7 @@ class JointTraining(Method):
     """A deep network over the whole span, all weights of which are trained together."""
 
     usual_tol = 1e-2
-    resumes = True
+    joint = True
 
     hidden: Sequence[int] = option((50, 50), "Neurons of each hidden layer.", unit="WIDTHS")
     activation: str = option("sin", "Activation function.", choices=_ACTIVATIONS)
@@ -155,13 +154,6 @@ class JointTraining(Method):
     )
     patience: int | None = option(None, *_PATIENCE)
     time_limit: float | None = option(None, "Stop after this time.", unit="SECONDS")
-    checkpoint: str | os.PathLike[str] | None = option(
-        None,
-        "File from which the training is resumed.",
-        "It is written every ``checkpoint_every`` seconds and at the end; if it exists, the "
-        "training goes on to the same bits as without an interruption.",
-    )
-    checkpoint_every: float = option(10.0, "Time between two checkpoints.", unit="SECONDS")
     dtype: str | torch.dtype = option(
         "float64",
         "Precision of the weights.",
@@ -214,12 +206,9 @@ class JointTraining(Method):
         for name in ("tau", "target_loss", "target_ell_max", "accuracy"):
             if getattr(self, name) is not None:
                 require_positive(name, getattr(self, name))
-        require_positive("checkpoint_every", self.checkpoint_every)
         require_whole("stages", self.stages, 1)
         if self.patience is not None:
             require_whole("patience", self.patience, 1)
-        if self.checkpoint is not None and self.regularizers:
-            raise InputError("regularizers cannot be serialised; train without checkpoint")
         if self.trial is not None:
             self._check_own_network()
 
@@ -232,11 +221,6 @@ class JointTraining(Method):
                     f"{name} describes a network of hamsym, and trial is one of your own; "
                     "leave out one of them"
                 )
-        if self.checkpoint is not None:
-            raise InputError(
-                "a checkpoint holds networks of hamsym only, and trial is one of your own; train "
-                "without checkpoint, and save solution.trial.network.state_dict() with torch.save"
-            )
 
     def check_problem(self, problem: InitialValueProblem) -> None:
         """Raise InputError if an option has no meaning for this problem."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import torch
@@ -109,25 +108,6 @@ class Adam(GradientOptimizer):
         # Reflection at both ends, as often as needed.
         return end - moved.remainder_(2 * length).sub_(length).abs_()
 
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        states = self._adam.state_dict()["state"]
-        return {f"{i}.{name}": v for i, state in states.items() for name, v in state.items()}, {}
-
-    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        states: dict[int, dict[str, Tensor]] = {}
-        for key, tensor in tensors.items():
-            index, name = key.split(".", 1)
-            states.setdefault(int(index), {})[name] = tensor
-        if values or (states and {*states} != {*range(len(self._parameters))}):
-            raise ValueError("its moments do not match the weights")
-        for position, of_weights in states.items():
-            like = self._parameters[position]
-            shapes = {"step": (), "exp_avg": like.shape, "exp_avg_sq": like.shape}
-            if {name: tensor.shape for name, tensor in of_weights.items()} != shapes:
-                raise ValueError("its moments do not match the weights")
-        groups = self._adam.state_dict()["param_groups"]
-        self._adam.load_state_dict({"state": states, "param_groups": groups})
-
 
 class QuasiNewton(GradientOptimizer):
     """Common part of quasi-Newton methods, whose points are constant for some iterations."""
@@ -209,53 +189,3 @@ class LBFGS(QuasiNewton):
             self._failures += 1
             self._t = None
         return loss, motion
-
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        tensors: dict[str, Tensor] = {}
-        values: dict[str, Any] = {
-            "age": self._age,
-            "failures": self._failures,
-            "share": self._share,
-            "lists": {},
-            "numbers": {},
-        }
-        if self._t is not None:
-            tensors["points"] = self._t
-        for name, value in self._lbfgs.state_dict()["state"].get(0, {}).items():
-            if name == "al":  # scratch space
-                continue
-            if isinstance(value, Tensor):
-                tensors[f"state.{name}"] = value
-            elif isinstance(value, list):
-                values["lists"][name] = len(value)
-                tensors |= {f"state.{name}.{i}": entry for i, entry in enumerate(value)}
-            else:
-                values["numbers"][name] = value
-        return tensors, values
-
-    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        self._age, self._failures, self._share = (
-            values[name] for name in ("age", "failures", "share")
-        )
-        points = tensors.get("points")
-        self._t = None if points is None else points.to(self._device)
-        state: dict[str, Any] = dict(values["numbers"])
-        for name, length in values["lists"].items():
-            state[name] = [tensors[f"state.{name}.{i}"] for i in range(length)]
-        for key, tensor in tensors.items():
-            name = key.removeprefix("state.")
-            if key.startswith("state.") and "." not in name:
-                state[name] = tensor
-        total = sum(parameter.numel() for parameter in self._parameters)
-        for key, tensor in tensors.items():
-            shapes = [(), (total,)]
-            if key == "points":
-                most = self.points
-                # Of given times only those inside the span of a stage are used.
-                fewest = most if self._collocation.times is None else 2
-                shapes = [(k,) for k in range(fewest, most + 1)]
-            if tensor.shape not in shapes or tensor.dtype != self._dtype:
-                raise ValueError(f"its {key} has another shape or type")
-        groups = self._lbfgs.state_dict()["param_groups"]
-        states = {0: state} if state else {}
-        self._lbfgs.load_state_dict({"state": states, "param_groups": groups})

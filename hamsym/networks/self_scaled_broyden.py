@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -210,30 +210,3 @@ class SelfScaledBroyden(QuasiNewton):
             end = start + parameter.numel()
             parameter.copy_(torch.from_numpy(weights[start:end]).view_as(parameter))
             start = end
-
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        tensors: dict[str, Tensor] = {}
-        if self._t is not None:
-            tensors["points"] = self._t
-        if self._inverse is not None:
-            tensors["inverse"] = self._inverse.matrix
-        return tensors, {"age": self._age, "failures": self._failures, "share": self._share}
-
-    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        self.reset()
-        self._age, self._failures, self._share = (
-            values[name] for name in ("age", "failures", "share")
-        )
-        # Of given times only those inside the span of a stage are used.
-        fewest = self.points if self._collocation.times is None else 2
-        shapes: dict[str, list[tuple[int, ...]]] = {
-            "points": [(k,) for k in range(fewest, self.points + 1)],
-            "inverse": [(self._size, self._size)],
-        }
-        for name, tensor in tensors.items():
-            if tensor.shape not in shapes[name] or tensor.dtype != torch.float64:
-                raise ValueError(f"its {name} has another shape or type")
-        self._t = tensors.get("points")
-        if "inverse" in tensors:
-            self._inverse = InverseHessian(0)
-            self._inverse.matrix = tensors["inverse"]

@@ -77,7 +77,6 @@ def carry_out(runs: Sequence[Run], workers: int, progress: bool | None) -> None:
                 "the script that calls sweep by if __name__ == '__main__'; finished runs are kept"
             ) from None
         except BaseException:
-            # Interrupted runs are resumed from their checkpoints.
             for process in list((pool._processes or {}).values()):
                 process.terminate()
             raise

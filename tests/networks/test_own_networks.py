@@ -345,7 +345,6 @@ def test_unusable_modules_are_refused_in_one_sentence(case: str) -> None:
         ({"activation": "tanh"}, "activation describes a network of hamsym"),
         ({"frequency": 2.0}, "frequency describes a network of hamsym"),
         ({"shared_weights": False}, "shared_weights describes a network of hamsym"),
-        ({"checkpoint": "run"}, "a checkpoint holds networks of hamsym only"),
     ],
 )
 def test_options_of_other_networks_are_refused(options: dict, message: str) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -11,7 +9,6 @@ from torch import Tensor
 
 import hamsym
 from hamsym import InputError
-from hamsym.errors import FileError
 from hamsym.networks.points import checked_points, points_within
 from hamsym.solving.methods import made_method
 
@@ -128,30 +125,3 @@ def test_unusable_points_are_refused(method: str, points: object, message: str) 
     with pytest.raises(InputError) as caught:
         hamsym.solve(H, [1, 0], (0, 1), method=made_method(method, {"points": points}))
     assert message in str(caught.value)
-
-
-@pytest.mark.slow
-def test_given_times_resume_to_the_same_bits(tmp_path: Path) -> None:
-    options = {"hidden": (5,), "points": OWN}
-    whole = hamsym.solve(
-        H, [1, 0], (0, 3), method=hamsym.LevenbergMarquardt(iterations=20, **options)
-    )
-    for iterations in (7, 20):
-        parts = hamsym.solve(
-            H,
-            [1, 0],
-            (0, 3),
-            method=hamsym.LevenbergMarquardt(
-                iterations=iterations, checkpoint=tmp_path / "run", **options
-            ),
-        )
-    assert torch.equal(whole.trial.network.theta, parts.trial.network.theta)
-    with pytest.raises(FileError, match="belongs to a training with points="):
-        hamsym.solve(
-            H,
-            [1, 0],
-            (0, 3),
-            method=hamsym.LevenbergMarquardt(
-                checkpoint=tmp_path / "run", **options | {"points": OWN[1:]}
-            ),
-        )
