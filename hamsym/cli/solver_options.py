@@ -94,7 +94,6 @@ _OTHERS = "Other options"
 #: Types of options by the annotation of their field, without "| None".
 _TYPES: dict[str, Any] = {
     "int": click.INT,
-    "int | Sequence[float]": click.INT,
     "bool": click.BOOL,
     "float": _Parsed("number", number),
     "tuple[float, float]": (click.FLOAT, click.FLOAT),

@@ -26,7 +26,6 @@ from hamsym.networks.methods import LBFGS, Adam, JointTraining, LevenbergMarquar
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
 from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
-from hamsym.networks.points import checked_points
 from hamsym.networks.progress import training_progress
 from hamsym.networks.record import Stopped, Training
 from hamsym.networks.rules import Criterion, Stages, Stopping
@@ -56,7 +55,6 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
             "regularizers is not a list of Regularizer objects; give e.g. "
             "[Regularizer(weight, function)]"
         )
-    points = checked_points(method.points, problem.span)
     tau = abs(end - start) / _INPUT_RANGE if method.tau is None else method.tau
     precision = _DTYPES[str(method.dtype)]
     device = available_device(method.device, precision)
@@ -105,7 +103,7 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
                 tuple(method.regularizers),
             ),
             problem.span,
-            _optimizer(method, points),
+            _optimizer(method),
             stopping,
             generator=generator,
             stages=_stages(method, trial),
@@ -317,7 +315,8 @@ def _rates_agree(solution: Solution, trial: ModuleTrial) -> bool:
     return bool((rate_defect(trial, solution.span) <= allowed).all())
 
 
-def _optimizer(method: JointTraining, points: int | np.ndarray) -> Optimizer:
+def _optimizer(method: JointTraining) -> Optimizer:
+    points = int(method.points)
     match method:
         case Adam():
             return optimizers.Adam(

@@ -122,12 +122,7 @@ class JointTraining(Method):
     tau: float | None = option(None, *_TAU, default_text="span/(4 pi)", unit="TIME")
     frequency: float | None = option(_FREQUENCY, *_FREQUENCIES)
     shared_weights: bool = option(True, "One network for all components, or one for each.")
-    points: int | Sequence[float] = option(
-        200,
-        "Collocation points K.",
-        "Or an increasing list of times in the span, at exactly which the loss is trained (Adam: "
-        "without noise, unless ``noise`` is given). Weights are always judged at other points.",
-    )
+    points: int = option(200, "Collocation points K.", "Weights are judged at other points.")
     stages: int = option(12, *_STAGES)
     energy_weight: float = option(
         0.0,
@@ -206,6 +201,7 @@ class JointTraining(Method):
         for name in ("tau", "target_loss", "target_ell_max", "accuracy"):
             if getattr(self, name) is not None:
                 require_positive(name, getattr(self, name))
+        require_whole("points", self.points, 2)
         require_whole("stages", self.stages, 1)
         if self.patience is not None:
             require_whole("patience", self.patience, 1)

@@ -231,6 +231,8 @@ def test_restarts_are_counted_in_the_message() -> None:
     [
         ({"method": "lbfgs", "iterations": 0}, "iterations=0"),
         ({"method": "lbfgs", "stages": 0}, "stages=0"),
+        ({"method": "lbfgs", "points": 1}, "points=1 cannot be used; give a whole number from 2"),
+        ({"method": "adam", "points": 2.5}, "points=2.5 cannot be used"),
         ({"method": "ssbroyden", "iterations": 0}, "iterations=0"),
         ({"method": "ssbroyden", "dtype": "float32"}, "'ssbroyden'; it trains in float64"),
         ({"method": "ssbroyden", "hidden": (200, 200)}, "weights, more than the 20,000"),
