@@ -335,8 +335,7 @@ def _optimizer(method: JointTraining) -> Optimizer:
 
 
 def _stages(method: JointTraining, trial: TrialSolution | ModuleTrial) -> Stages:
-    # Without new weights a training cannot restart.
-    drawn = not isinstance(trial, ModuleTrial) or trial.can_be_drawn
-    if isinstance(method, LevenbergMarquardt) and drawn:
+    # A module of the caller's is trained from its own weights, once.
+    if isinstance(method, LevenbergMarquardt) and isinstance(trial, TrialSolution):
         return Stages(method.stages, restart_after=_STALLED_AFTER, restarts=method.restarts)
     return Stages(method.stages)

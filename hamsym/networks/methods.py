@@ -167,9 +167,8 @@ class JointTraining(Method):
         "A network N of your own in place of hidden, activation, frequency and shared_weights: it "
         "takes s = |t - t_start| / tau of shape (K, 1), from 0 to span / tau, and returns shape "
         "(K, dim); z^ = z0 + f(s) N(s) starts exactly at z0. A copy is trained, from the module's "
-        "own weights, with dN/ds in forward mode; the copy is ``solution.trial.network``. Restarts "
-        "call ``reset_parameters`` of its layers; without any there are no restarts. Such a "
-        "solution cannot be saved or certified.",
+        "own weights, with dN/ds in forward mode and without restarts; the copy is "
+        "``solution.trial.network``. Such a solution cannot be saved or certified.",
     )
     device: str | torch.device = option(
         "cpu",

@@ -20,7 +20,6 @@ import torch
 from torch import Tensor
 
 from hamsym.networks.best_weights import BestWeights
-from hamsym.networks.module_trial import ModuleTrial
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.record import History, Stopped, Training, TrainingState
@@ -228,7 +227,7 @@ class _Run:
         if not self.schedule.can_restart():
             return reason
         for module in self.trial.modules():
-            if isinstance(module, (Network, ModuleTrial)):
+            if isinstance(module, Network):
                 module.draw(self.generator)
         self.optimizer.reset()
         self.schedule.restart()
