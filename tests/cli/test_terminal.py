@@ -160,7 +160,6 @@ def offered(
         ("hamsym compare H --with", "yoshida4,ga", ["yoshida4,gauss4", "yoshida4,gauss6"]),
         ("hamsym source H --backend", "", list(BACKENDS)),
         ("hamsym source H --part", "lo", ["loss"]),
-        ("hamsym completion", "", ["bash", "zsh", "fish"]),
         ("hamsym certify", "orb", ["orb"]),  # the shell completes files itself
     ],
 )
@@ -174,10 +173,21 @@ def test_words_are_completed(
     assert offered(words, current, capsys, monkeypatch) == expected
 
 
+def completing(shell: str, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Return the script that completes in a shell."""
+    monkeypatch.setenv("_HAMSYM_COMPLETE", f"{shell}_source")
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == 0
+    monkeypatch.delenv("_HAMSYM_COMPLETE")
+    return capsys.readouterr().out
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_scripts_are_valid(shell: str, capsys: Captured, tmp_path: Path) -> None:
-    assert main(["completion", shell]) == 0
-    script = capsys.readouterr().out
+def test_scripts_are_valid(
+    shell: str, capsys: Captured, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    script = completing(shell, capsys, monkeypatch)
     assert f"_HAMSYM_COMPLETE={shell}_complete" in script
     program = shutil.which(shell)
     if program is None:
@@ -188,12 +198,13 @@ def test_scripts_are_valid(shell: str, capsys: Captured, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_bash_completes_with_the_script(capsys: Captured, tmp_path: Path) -> None:
+def test_bash_completes_with_the_script(
+    capsys: Captured, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     bash = shutil.which("bash")
     if bash is None:
         pytest.skip("bash is not installed")
-    main(["completion", "bash"])
-    (tmp_path / "script").write_text(capsys.readouterr().out)
+    (tmp_path / "script").write_text(completing("bash", capsys, monkeypatch))
     program = tmp_path / "hamsym"
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m hamsym "$@"\n')
     program.chmod(0o755)
