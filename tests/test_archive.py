@@ -126,7 +126,7 @@ def test_foreign_and_damaged_files_are_refused(tmp_path: Path) -> None:
     for values, message in (
         ({"version": 99}, "version 99; this hamsym reads version 3"),
         ({"version": 2}, "file version 2; this hamsym reads version 3"),
-        ({"kind": "checkpoint"}, "of kind checkpoint, not solution"),
+        ({"kind": "other"}, "of kind other, not solution"),
         ({"sha256": "0" * 63}, "damaged"),
         ({"sha256": 3}, "damaged"),
         ({"span": "long"}, "not a valid file of a solution"),

@@ -23,7 +23,6 @@ import click
 
 from hamsym.cli.catalogue import systems
 from hamsym.cli.command import HELP, ClosedPipeError, Group, InterruptError
-from hamsym.cli.completion import completion
 from hamsym.cli.derivation import derive, source
 from hamsym.cli.equilibria import equilibria
 from hamsym.cli.exploring import explore
@@ -108,7 +107,7 @@ def _warn(message: Warning | str) -> None:
         "Dynamics": "lyapunov section orbit",
         "Prove": "certify verify",
         "Show and share": "report export explore",
-        "Others": "reproduce completion",
+        "Others": "reproduce",
     },
     context_settings={**HELP, "max_content_width": WIDTH},
     invoke_without_command=True,
@@ -143,7 +142,6 @@ for command in (
     certify,
     verify,
     report,
-    completion,
     export,
     explore,
     reproduce,

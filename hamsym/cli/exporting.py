@@ -25,14 +25,14 @@ from hamsym.errors import InputError
     required=True,
     type=click.Path(),
     metavar="FILE",
-    help="Ends in .py, .json, .h or .pt2.",
+    help="Ends in .py, .json or .h.",
 )
 @click.option(
     "--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate, if there]"
 )
 @click.option("--allow-failed", is_flag=True, help="Export a solution that did not converge.")
 def export(file: str, output: str, certificate: str | None, allow_failed: bool) -> Report:
-    """Write a saved solution as Python, JSON, C or torch code that needs no hamsym.
+    """Write a saved solution as Python, JSON or C code that needs no hamsym.
 
     FILE is a solution saved by `hamsym solve -o FILE`. The file says what it is, its error and its
     certificate, which is compared with the solution and not proven again.

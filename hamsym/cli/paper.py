@@ -43,9 +43,9 @@ def reproduce(
     """Reproduce the paper's experiments, with further methods and integrators.
 
     Each experiment writes its table, figures and results; page.md summarises them. Existing runs
-    are reused, and interrupted ones are resumed. With --quick the output directory is its
-    subdirectory "quick". EXPERIMENTS are oscillator, oscillator-long, henon-heiles,
-    henon-heiles-long, accuracy (error against CPU time of every way to train) or all, the default.
+    are reused. With --quick the output directory is its subdirectory "quick". EXPERIMENTS are
+    oscillator, oscillator-long, henon-heiles, henon-heiles-long, accuracy (error against CPU time
+    of every way to train) or all, the default.
     """
     from hamsym.support.locking import exclusive
     from hamsym.support.validation import require_whole

@@ -85,7 +85,6 @@ _TOPICS = {
         "Search for the weights": "stages iterations restarts",
         "Training": "epochs learning_rate betas schedule noise",
         "End of the training": "target_loss target_ell_max accuracy patience time_limit",
-        "Checkpoints": "checkpoint checkpoint_every",
     }.items()
     for name in names.split()
 }
@@ -95,14 +94,12 @@ _OTHERS = "Other options"
 #: Types of options by the annotation of their field, without "| None".
 _TYPES: dict[str, Any] = {
     "int": click.INT,
-    "int | Sequence[float]": click.INT,
     "bool": click.BOOL,
     "float": _Parsed("number", number),
     "tuple[float, float]": (click.FLOAT, click.FLOAT),
     "Sequence[int]": _Parsed("numbers", whole_numbers),
     "Sequence[float]": _Parsed("numbers", numbers),
     "float | Sequence[float]": _Parsed("numbers", numbers),
-    "str | os.PathLike[str]": click.Path(),
     "str | torch.device": click.STRING,
     "Solution": _Parsed("file", saved_solution),
 }
@@ -192,7 +189,7 @@ def _listed(methods: tuple[str, ...]) -> str:
     words = {
         tuple(name for name, kind in METHODS.items() if not kind.marches): "methods that train",
         tuple(
-            name for name, kind in METHODS.items() if kind.resumes
+            name for name, kind in METHODS.items() if kind.joint
         ): "methods that train one network",
     }
     return words.get(methods, ", ".join(methods))

@@ -55,7 +55,7 @@ Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
     help="A conserved function, e.g. x*p_y-y*p_x; repeat it.",
 )
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="For hamsym.load.")
-@click.option("--export", type=click.Path(), metavar="FILE", help="Code: .py, .json, .h or .pt2.")
+@click.option("--export", type=click.Path(), metavar="FILE", help="Code: .py, .json or .h.")
 @figure_option
 @rows_option(ROWS)
 def solve(

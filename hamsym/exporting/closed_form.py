@@ -14,6 +14,8 @@ from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 
 if TYPE_CHECKING:  # torch is imported only by solutions that are networks
+    from torch import Tensor
+
     from hamsym.networks.trial import TrialSolution
 
 #: Matrix and bias of each layer, shapes (neurons, inputs) and (neurons,).
@@ -152,8 +154,8 @@ def closed_form(solution: Solution) -> ClosedForm:
     pieces = trial.pieces if isinstance(trial, Chain) else (trial,)
     if not all(isinstance(piece, TrialSolution) for piece in pieces):
         raise InputError(
-            "the network of this solution is a module of your own, which only a file of torch can "
-            "hold; give a name that ends in .pt2"
+            "the network of this solution is a module of your own, which has no closed form; save "
+            "solution.trial.network.state_dict() with torch.save"
         )
     form = NetworkForm(
         pieces[0].parts[0].activation,
@@ -175,17 +177,12 @@ def closed_form(solution: Solution) -> ClosedForm:
 
 
 def _networks(piece: TrialSolution) -> list[Layers]:
-    """Return the layers of the networks of a window; those of held components are zero."""
-    networks = [
-        [
-            tuple(part.detach().cpu().numpy().astype(float) for part in layer)
-            for layer in network.layers
-        ]
+    """Return the layers of the networks of a window."""
+
+    def numbers(part: Tensor) -> np.ndarray:
+        return part.detach().numpy().astype(float)
+
+    return [
+        [(numbers(matrix), numbers(bias)) for matrix, bias in network.layers]
         for network in piece.parts
     ]
-    for component in piece.held:
-        shared = len(networks) == 1
-        matrix, bias = networks[0 if shared else component][-1]
-        row = component if shared else 0
-        matrix[row], bias[row] = 0.0, 0.0
-    return networks  # type: ignore[return-value]

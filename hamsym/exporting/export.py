@@ -46,21 +46,11 @@ def _header(about: About, stem: str) -> bytes:
     return c_header(about, _form(about, ".h"), stem)
 
 
-def _torch(about: About, stem: str) -> bytes:
-    # They import torch.
-    from hamsym.exporting.torch_program import torch_program
-    from hamsym.networks.module_trial import ModuleTrial
-
-    own = isinstance(about.solution.trial, ModuleTrial)
-    return torch_program(about, None if own else _form(about, ".pt2"))
-
-
 #: Formats by the ending of the file's name.
 FORMATS: dict[str, Format] = {
     ".py": Format("a module that needs only numpy", _python, 100_000_000),
     ".json": Format("numbers for JavaScript", _json, 5_000_000),
     ".h": Format("a header in C99", _header, 5_000_000),
-    ".pt2": Format("a program of torch.export", _torch, 100_000_000),
 }
 
 
@@ -99,10 +89,6 @@ def export(
     ``.h``
         A header in C99 with ``NAME_state(t, z)``, ``NAME_derivative(t, dz)`` and
         ``NAME_energy(t)``, where NAME is the name of the file.
-    ``.pt2``
-        A program of ``torch.export.export`` that maps times of shape (n,) to states of shape
-        (n, dim), differentiable; nan outside the span. Only this one can hold a network of the
-        caller's own.
 
     All of them say what they are: H and its parameters, the start, the span, the method, the
     tolerance that was asked and reached, the largest estimated error of each component, the

@@ -1,1 +1,1 @@
-"""The methods that train a network: optimizers, objective, stopping rules, checkpoints."""
+"""The methods that train a network: optimizers, objective, stopping rules."""

@@ -39,14 +39,3 @@ class BestWeights:
             yield
         finally:
             self.put(current)
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return current and best weights by name."""
-        named = {f"weights.{k}": tensor for k, tensor in enumerate(self.current())}
-        return named | {f"best.{k}": tensor for k, tensor in enumerate(self.best)}
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Restore weights that :meth:`tensors` returned."""
-        count = range(len(self.parameters))
-        self.put([tensors[f"weights.{k}"] for k in count])
-        self.best = [tensors[f"best.{k}"].to(self.parameters[k].device) for k in count]

@@ -15,9 +15,7 @@ one more solve with the same factor and saves most of the iterations.
 from __future__ import annotations
 
 from itertools import accumulate
-from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -26,10 +24,10 @@ from hamsym.networks.module_rates import ModuleRates
 from hamsym.networks.module_trial import ModuleTrial
 from hamsym.networks.network import Network, layers_of
 from hamsym.networks.objective import Objective
-from hamsym.networks.points import Collocation, points_between
+from hamsym.networks.points import fresh_points, points_between
 from hamsym.networks.sensitivities import Layer, backward, forward
 from hamsym.networks.trial import TrialSolution
-from hamsym.support.validation import is_positive
+from hamsym.support.validation import require_whole
 
 # Damping relative to the mean diagonal of J J^T; the least in units of the type's precision,
 # 1e-14 in float64.
@@ -47,14 +45,13 @@ class LevenbergMarquardt:
     has regularizers, which have no least-squares form.
 
     - points: Collocation points K on the whole span; short spans of sequential training have fewer.
-      Or times, from the start of the span on, in place of random ones.
     """
 
     check_every = 5
 
-    def __init__(self, *, points: int | np.ndarray = 200) -> None:
-        self._collocation = Collocation(points)
-        self.points = self._collocation.count
+    def __init__(self, *, points: int = 200) -> None:
+        require_whole("points", points, 2)
+        self.points = points
 
     @property
     def stalled(self) -> bool:
@@ -71,7 +68,7 @@ class LevenbergMarquardt:
         if not isinstance(trial, (TrialSolution, ModuleTrial)):
             raise InputError("the trial solution is not a TrialSolution; use Adam or LBFGS")
         self._weights, self._dtype, self._device = trial.weights, trial.z0.dtype, trial.z0.device
-        self._collocation.bind(trial, generator)
+        self._generator = generator
         self._mu_least = _MU_LEAST * torch.finfo(self._dtype).eps
         self._trial, self._objective = trial, objective
         self.reset()
@@ -81,13 +78,12 @@ class LevenbergMarquardt:
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Return midpoints between twice as many points of the same density."""
-        return points_between(span, self._collocation.judging, self._dtype).to(self._device)
+        return points_between(span, self.points, self._dtype).to(self._device)
 
     @torch.no_grad()
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         count = max(min(_FEWEST_POINTS, self.points), round(share * self.points))
-        t = self._collocation.draw(span, count)
-        count = len(t)
+        t = fresh_points(span, count, self._dtype, self._generator).to(self._device)
         z, dz = self._trial(t)
         rows = self._rows(t, z, dz)
         rates = self._linearised(t, *self._slopes(t, z, dz))
@@ -158,15 +154,6 @@ class LevenbergMarquardt:
     def _move(self, start: list[Tensor], step: list[Tensor], length: float) -> None:
         for weights, first, part in zip(self._weights, start, step, strict=True):
             weights.copy_(first + length * part)
-
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        return {}, {"mu": self._mu, "failures": self._failures}
-
-    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        mu, failures = values["mu"], values["failures"]
-        if tensors or not (is_positive(mu) and isinstance(failures, int)):
-            raise ValueError("its damping does not belong to this method")
-        self._mu, self._failures = mu, failures
 
 
 def _solved(factor: Tensor, right: Tensor) -> Tensor:

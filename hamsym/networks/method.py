@@ -21,23 +21,19 @@ from hamsym.codegen.system import System
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.networks import levenberg_marquardt, optimizers
-from hamsym.networks.checkpoint import Checkpoint
 from hamsym.networks.devices import available_device
 from hamsym.networks.methods import LBFGS, Adam, JointTraining, LevenbergMarquardt, SSBroyden
 from hamsym.networks.module_trial import ModuleTrial, checked_copy, rate_defect
 from hamsym.networks.network import ComponentNetworks, Network
 from hamsym.networks.objective import Objective, Regularizer
-from hamsym.networks.points import checked_points
 from hamsym.networks.progress import training_progress
 from hamsym.networks.record import Stopped, Training
 from hamsym.networks.rules import Criterion, Stages, Stopping
 from hamsym.networks.self_scaled_broyden import SelfScaledBroyden
 from hamsym.networks.training import Optimizer, train
 from hamsym.networks.trial import TrialSolution
-from hamsym.problems.description import settings_text
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.solution.acceptance import accepted, excess
-from hamsym.solution.digest import digest
 from hamsym.solution.discontinuities import first_jump, unresolved
 from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
@@ -59,7 +55,6 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
             "regularizers is not a list of Regularizer objects; give e.g. "
             "[Regularizer(weight, function)]"
         )
-    points = checked_points(method.points, problem.span)
     tau = abs(end - start) / _INPUT_RANGE if method.tau is None else method.tau
     precision = _DTYPES[str(method.dtype)]
     device = available_device(method.device, precision)
@@ -108,12 +103,11 @@ def solve_by_training(problem: InitialValueProblem, method: JointTraining) -> So
                 tuple(method.regularizers),
             ),
             problem.span,
-            _optimizer(method, points),
+            _optimizer(method),
             stopping,
             generator=generator,
             stages=_stages(method, trial),
             callbacks=callbacks,
-            checkpoint=_checkpoint(problem, method),
         )
     trial.requires_grad_(False).to("cpu")
     if isinstance(trial, TrialSolution):
@@ -128,15 +122,12 @@ def _stopping(
     criteria = []
     if problem.tol_given:
         criteria.append(
-            Criterion(
-                Stopped.TOLERANCE, problem.tol, lambda _, record: excess(solution(record)) <= 1
-            )
+            Criterion(Stopped.TOLERANCE, lambda _, record: excess(solution(record)) <= 1)
         )
     if (accuracy := method.accuracy) is not None:
         criteria.append(
             Criterion(
                 Stopped.ACCURACY,
-                accuracy,
                 lambda _, record: _is_accurate(solution(record), accuracy),
             )
         )
@@ -153,22 +144,6 @@ def _stopping(
 def _is_accurate(solution: Solution, accuracy: float) -> bool:
     """Return whether ell_max <= sigma_min * accuracy, the paper's rule for stopping."""
     return solution.ell_max_regularized <= solution.sigma_min * accuracy
-
-
-def _checkpoint(problem: InitialValueProblem, method: JointTraining) -> Checkpoint | None:
-    """Return the checkpoint with all settings that determine the weights, if it has a path."""
-    if method.checkpoint is None:
-        return None
-    rules = {"target_loss", "target_ell_max", "accuracy", "patience", "time_limit"}
-    without = {*rules, "regularizers", "checkpoint", "checkpoint_every", "iterations", "initial"}
-    settings = settings_text(
-        problem.H, problem.z0, problem.span, problem.seed, method, without=without
-    )
-    settings["initial"] = "None" if method.initial is None else digest(method.initial)
-    settings |= {"method": method.name, "torch": torch.__version__}
-    if method.invariant_weight:
-        settings["invariants"] = repr(problem.invariants)
-    return Checkpoint(method.checkpoint, settings, method.checkpoint_every)
 
 
 @dataclass(frozen=True)
@@ -340,7 +315,8 @@ def _rates_agree(solution: Solution, trial: ModuleTrial) -> bool:
     return bool((rate_defect(trial, solution.span) <= allowed).all())
 
 
-def _optimizer(method: JointTraining, points: int | np.ndarray) -> Optimizer:
+def _optimizer(method: JointTraining) -> Optimizer:
+    points = int(method.points)
     match method:
         case Adam():
             return optimizers.Adam(
@@ -359,8 +335,7 @@ def _optimizer(method: JointTraining, points: int | np.ndarray) -> Optimizer:
 
 
 def _stages(method: JointTraining, trial: TrialSolution | ModuleTrial) -> Stages:
-    # Without new weights a training cannot restart.
-    drawn = not isinstance(trial, ModuleTrial) or trial.can_be_drawn
-    if isinstance(method, LevenbergMarquardt) and drawn:
+    # A module of the caller's is trained from its own weights, once.
+    if isinstance(method, LevenbergMarquardt) and isinstance(trial, TrialSolution):
         return Stages(method.stages, restart_after=_STALLED_AFTER, restarts=method.restarts)
     return Stages(method.stages)

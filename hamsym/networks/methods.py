@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -115,7 +114,7 @@ class JointTraining(Method):
     """A deep network over the whole span, all weights of which are trained together."""
 
     usual_tol = 1e-2
-    resumes = True
+    joint = True
 
     hidden: Sequence[int] = option((50, 50), "Neurons of each hidden layer.", unit="WIDTHS")
     activation: str = option("sin", "Activation function.", choices=_ACTIVATIONS)
@@ -123,12 +122,7 @@ class JointTraining(Method):
     tau: float | None = option(None, *_TAU, default_text="span/(4 pi)", unit="TIME")
     frequency: float | None = option(_FREQUENCY, *_FREQUENCIES)
     shared_weights: bool = option(True, "One network for all components, or one for each.")
-    points: int | Sequence[float] = option(
-        200,
-        "Collocation points K.",
-        "Or an increasing list of times in the span, at exactly which the loss is trained (Adam: "
-        "without noise, unless ``noise`` is given). Weights are always judged at other points.",
-    )
+    points: int = option(200, "Collocation points K.", "Weights are judged at other points.")
     stages: int = option(12, *_STAGES)
     energy_weight: float = option(
         0.0,
@@ -155,13 +149,6 @@ class JointTraining(Method):
     )
     patience: int | None = option(None, *_PATIENCE)
     time_limit: float | None = option(None, "Stop after this time.", unit="SECONDS")
-    checkpoint: str | os.PathLike[str] | None = option(
-        None,
-        "File from which the training is resumed.",
-        "It is written every ``checkpoint_every`` seconds and at the end; if it exists, the "
-        "training goes on to the same bits as without an interruption.",
-    )
-    checkpoint_every: float = option(10.0, "Time between two checkpoints.", unit="SECONDS")
     dtype: str | torch.dtype = option(
         "float64",
         "Precision of the weights.",
@@ -180,9 +167,8 @@ class JointTraining(Method):
         "A network N of your own in place of hidden, activation, frequency and shared_weights: it "
         "takes s = |t - t_start| / tau of shape (K, 1), from 0 to span / tau, and returns shape "
         "(K, dim); z^ = z0 + f(s) N(s) starts exactly at z0. A copy is trained, from the module's "
-        "own weights, with dN/ds in forward mode; the copy is ``solution.trial.network``. Restarts "
-        "call ``reset_parameters`` of its layers; without any there are no restarts. Such a "
-        "solution cannot be saved or certified.",
+        "own weights, with dN/ds in forward mode and without restarts; the copy is "
+        "``solution.trial.network``. Such a solution cannot be saved or certified.",
     )
     device: str | torch.device = option(
         "cpu",
@@ -214,12 +200,10 @@ class JointTraining(Method):
         for name in ("tau", "target_loss", "target_ell_max", "accuracy"):
             if getattr(self, name) is not None:
                 require_positive(name, getattr(self, name))
-        require_positive("checkpoint_every", self.checkpoint_every)
+        require_whole("points", self.points, 2)
         require_whole("stages", self.stages, 1)
         if self.patience is not None:
             require_whole("patience", self.patience, 1)
-        if self.checkpoint is not None and self.regularizers:
-            raise InputError("regularizers cannot be serialised; train without checkpoint")
         if self.trial is not None:
             self._check_own_network()
 
@@ -232,11 +216,6 @@ class JointTraining(Method):
                     f"{name} describes a network of hamsym, and trial is one of your own; "
                     "leave out one of them"
                 )
-        if self.checkpoint is not None:
-            raise InputError(
-                "a checkpoint holds networks of hamsym only, and trial is one of your own; train "
-                "without checkpoint, and save solution.trial.network.state_dict() with torch.save"
-            )
 
     def check_problem(self, problem: InitialValueProblem) -> None:
         """Raise InputError if an option has no meaning for this problem."""

@@ -35,10 +35,6 @@ class ModuleTrial(EnvelopedNetwork):
     - z0, t0, tau, envelope: As of :class:`~hamsym.networks.trial.EnvelopedNetwork`.
     """
 
-    def __init__(self, network: torch.nn.Module, z0: Tensor, **settings: Any) -> None:
-        super().__init__(network, z0, **settings)
-        self._start = copy.deepcopy(network.state_dict())
-
     def network_at(self, s: Tensor) -> tuple[Tensor, Tensor]:
         """Return N(s) and dN/ds at s of shape (K,); each of shape (K, dim)."""
         return _with_rate(self.network, s)
@@ -57,27 +53,6 @@ class ModuleTrial(EnvelopedNetwork):
                 "register its constant tensors as buffers"
             ) from error
 
-    @property
-    def can_be_drawn(self) -> bool:
-        """Whether a layer has ``reset_parameters``, by which new weights are drawn."""
-        return any(map(_reset_of, self.network.modules()))
-
-    @torch.no_grad()
-    def draw(self, generator: torch.Generator) -> None:
-        """Draw new weights with ``reset_parameters`` of the layers; others start again."""
-        fresh = copy.deepcopy(self.network).cpu()
-        fresh.load_state_dict(self._start)
-        # Layers draw from torch's own generator, and on the CPU, so that a seed means the same on
-        # every device.
-        seed = int(torch.randint(2**62, (), generator=generator, device="cpu"))
-        with torch.random.fork_rng(devices=[]):
-            torch.default_generator.manual_seed(seed)
-            # From the inside out: a module has the last word on its layers.
-            for layer in reversed(list(fresh.modules())):
-                if (reset := _reset_of(layer)) is not None:
-                    reset()
-        self.network.load_state_dict(fresh.state_dict())
-
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self.network, self.z0, self.t0, self.tau, self.envelope, self.held)
 
@@ -93,11 +68,6 @@ def _restored(
     trial = ModuleTrial(network, z0, t0=t0, tau=tau, envelope=envelope)
     trial.hold(held)
     return trial
-
-
-def _reset_of(layer: torch.nn.Module) -> Callable[[], None] | None:
-    reset = getattr(layer, "reset_parameters", None)
-    return reset if callable(reset) else None
 
 
 def _with_rate(network: Callable[[Tensor], Tensor], s: Tensor) -> tuple[Tensor, Tensor]:

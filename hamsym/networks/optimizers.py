@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from hamsym.networks.objective import Objective
-from hamsym.networks.points import Collocation, midpoints, points_between, points_within
+from hamsym.networks.points import fresh_points, midpoints, points_between
 from hamsym.support.validation import require_whole
 
 
 class GradientOptimizer:
     """Common part of the optimizers that need the loss and its gradient."""
 
-    _collocation: Collocation
+    points: int
 
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
     ) -> None:
         self._trial, self._objective, self._generator = trial, objective, generator
-        self._collocation.bind(trial, generator)
         self._parameters = list(trial.parameters())
         self._dtype, self._device = self._parameters[0].dtype, self._parameters[0].device
         self.reset()
@@ -41,10 +38,9 @@ class Adam(GradientOptimizer):
     - betas: Decay rates of the moment estimates.
     - schedule: {"constant", "cosine"}. Constant learning rate, as in the paper, or decay to zero
       along half a cosine.
-    - points: Collocation points K, equally spaced over the span; or times, from the start of the
-      span on.
+    - points: Collocation points K, equally spaced over the span.
     - noise: Standard deviation of the noise, in units of time; by default three times the spacing
-      of the points, as in the paper, and no noise of given times.
+      of the points, as in the paper.
     """
 
     check_every = 50
@@ -56,12 +52,12 @@ class Adam(GradientOptimizer):
         learning_rate: float = 8e-3,
         betas: tuple[float, float] = (0.9, 0.999),
         schedule: str = "cosine",
-        points: int | np.ndarray = 200,
+        points: int = 200,
         noise: float | None = None,
     ) -> None:
-        self._collocation = Collocation(points)
+        require_whole("points", points, 2)
         self.learning_rate, self.betas, self.schedule = learning_rate, betas, schedule
-        self.points, self.noise = self._collocation.count, noise
+        self.points, self.noise = points, noise
 
     def reset(self) -> None:
         self._adam = torch.optim.Adam(
@@ -73,14 +69,13 @@ class Adam(GradientOptimizer):
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Return the midpoints of a grid twice as fine."""
-        count = 2 * self._collocation.judging
-        return midpoints(span, count, self._dtype).to(self._device)
+        return midpoints(span, 2 * self.points, self._dtype).to(self._device)
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         if self.schedule == "cosine":
             rate = self.learning_rate * (1 + math.cos(math.pi * done)) / 2
             self._adam.param_groups[0]["lr"] = rate
-        t = self._noisy(self._base_points(span), min(span), max(span)).to(self._device)
+        t = self._noisy_points(min(span), max(span)).to(self._device)
         self._adam.zero_grad(set_to_none=True)
         z, dz = self._trial(t)
         loss = self._objective(t, z, dz)
@@ -89,17 +84,11 @@ class Adam(GradientOptimizer):
         motion = 0.0 if share == 1 else float(dz.detach().square().sum(-1).mean())
         return loss.item(), motion
 
-    def _base_points(self, span: tuple[float, float]) -> Tensor:
-        """Return the points of an epoch before noise is added, on the CPU."""
-        if self._collocation.times is not None:
-            return points_within(self._collocation.times, span, self._dtype)
-        return torch.linspace(min(span), max(span), self.points, dtype=self._dtype, device="cpu")
-
-    def _noisy(self, points: Tensor, start: float, end: float) -> Tensor:
+    def _noisy_points(self, start: float, end: float) -> Tensor:
+        """Return the points of an epoch, on the CPU."""
+        points = torch.linspace(start, end, self.points, dtype=self._dtype, device="cpu")
         length = end - start
-        noise = self.noise
-        if noise is None:
-            noise = 3 * length / (self.points - 1) if self._collocation.times is None else 0.0
+        noise = 3 * length / (self.points - 1) if self.noise is None else self.noise
         if not noise:
             return points
         moved = torch.randn(
@@ -108,25 +97,6 @@ class Adam(GradientOptimizer):
         moved.mul_(noise).add_(points).sub_(start)
         # Reflection at both ends, as often as needed.
         return end - moved.remainder_(2 * length).sub_(length).abs_()
-
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        states = self._adam.state_dict()["state"]
-        return {f"{i}.{name}": v for i, state in states.items() for name, v in state.items()}, {}
-
-    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        states: dict[int, dict[str, Tensor]] = {}
-        for key, tensor in tensors.items():
-            index, name = key.split(".", 1)
-            states.setdefault(int(index), {})[name] = tensor
-        if values or (states and {*states} != {*range(len(self._parameters))}):
-            raise ValueError("its moments do not match the weights")
-        for position, of_weights in states.items():
-            like = self._parameters[position]
-            shapes = {"step": (), "exp_avg": like.shape, "exp_avg_sq": like.shape}
-            if {name: tensor.shape for name, tensor in of_weights.items()} != shapes:
-                raise ValueError("its moments do not match the weights")
-        groups = self._adam.state_dict()["param_groups"]
-        self._adam.load_state_dict({"state": states, "param_groups": groups})
 
 
 class QuasiNewton(GradientOptimizer):
@@ -143,7 +113,11 @@ class QuasiNewton(GradientOptimizer):
 
     def fixed_points(self, span: tuple[float, float]) -> Tensor:
         """Return midpoints between twice as many points of the same density."""
-        return points_between(span, self._collocation.judging, self._dtype).to(self._device)
+        return points_between(span, self.points, self._dtype).to(self._device)
+
+    def _drawn(self, span: tuple[float, float]) -> Tensor:
+        """Return new random points."""
+        return fresh_points(span, self.points, self._dtype, self._generator).to(self._device)
 
 
 class LBFGS(QuasiNewton):
@@ -152,7 +126,7 @@ class LBFGS(QuasiNewton):
     The points are constant while the curvature pairs are in use. New points are drawn, and the
     pairs discarded, after ``refresh`` iterations and whenever the line search fails.
 
-    - points: Collocation points K; or times, from the start of the span on.
+    - points: Collocation points K.
     - memory: Number of pairs of steps and gradient changes.
     - refresh: Iterations after which new points are drawn.
     """
@@ -160,14 +134,14 @@ class LBFGS(QuasiNewton):
     def __init__(
         self,
         *,
-        points: int | np.ndarray = 200,
+        points: int = 200,
         memory: int = 50,
         refresh: int = 200,
     ) -> None:
-        self._collocation = Collocation(points)
+        require_whole("points", points, 2)
         require_whole("memory", memory, 1)
         require_whole("refresh", refresh, 1)
-        self.points, self.memory, self.refresh = self._collocation.count, memory, refresh
+        self.points, self.memory, self.refresh = points, memory, refresh
 
     def reset(self) -> None:
         self._lbfgs = torch.optim.LBFGS(
@@ -186,7 +160,7 @@ class LBFGS(QuasiNewton):
         if self._t is None or self._age >= self.refresh or share != self._share:
             failures = self._failures
             self.reset()
-            self._t = self._collocation.draw(span, self.points)
+            self._t = self._drawn(span)
             self._failures, self._share = failures, share
         t, motion = self._t, 0.0
 
@@ -209,53 +183,3 @@ class LBFGS(QuasiNewton):
             self._failures += 1
             self._t = None
         return loss, motion
-
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        tensors: dict[str, Tensor] = {}
-        values: dict[str, Any] = {
-            "age": self._age,
-            "failures": self._failures,
-            "share": self._share,
-            "lists": {},
-            "numbers": {},
-        }
-        if self._t is not None:
-            tensors["points"] = self._t
-        for name, value in self._lbfgs.state_dict()["state"].get(0, {}).items():
-            if name == "al":  # scratch space
-                continue
-            if isinstance(value, Tensor):
-                tensors[f"state.{name}"] = value
-            elif isinstance(value, list):
-                values["lists"][name] = len(value)
-                tensors |= {f"state.{name}.{i}": entry for i, entry in enumerate(value)}
-            else:
-                values["numbers"][name] = value
-        return tensors, values
-
-    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        self._age, self._failures, self._share = (
-            values[name] for name in ("age", "failures", "share")
-        )
-        points = tensors.get("points")
-        self._t = None if points is None else points.to(self._device)
-        state: dict[str, Any] = dict(values["numbers"])
-        for name, length in values["lists"].items():
-            state[name] = [tensors[f"state.{name}.{i}"] for i in range(length)]
-        for key, tensor in tensors.items():
-            name = key.removeprefix("state.")
-            if key.startswith("state.") and "." not in name:
-                state[name] = tensor
-        total = sum(parameter.numel() for parameter in self._parameters)
-        for key, tensor in tensors.items():
-            shapes = [(), (total,)]
-            if key == "points":
-                most = self.points
-                # Of given times only those inside the span of a stage are used.
-                fewest = most if self._collocation.times is None else 2
-                shapes = [(k,) for k in range(fewest, most + 1)]
-            if tensor.shape not in shapes or tensor.dtype != self._dtype:
-                raise ValueError(f"its {key} has another shape or type")
-        groups = self._lbfgs.state_dict()["param_groups"]
-        states = {0: state} if state else {}
-        self._lbfgs.load_state_dict({"state": states, "param_groups": groups})

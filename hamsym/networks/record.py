@@ -90,7 +90,7 @@ class Training:
         Reason for which the training ended: a value of :class:`Stopped`, or the name of a
         :class:`~hamsym.networks.rules.Criterion`.
     seconds, cpu_seconds : float
-        Time, including that before a resumption from a checkpoint.
+        Wall and processor time.
     """
 
     history: History

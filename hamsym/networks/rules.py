@@ -5,37 +5,33 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any
 
 import torch
 
 from hamsym.networks.record import Stopped, Training
-from hamsym.support.record_fields import Count, Limit, Size
 from hamsym.support.validation import require_positive, require_whole
-
-_Level = Annotated[float, Limit(0, finite=False)]
 
 
 @dataclass
 class Progress:
-    """Counters and levels of a training, all of which are saved in a checkpoint."""
+    """Counters and levels of a training."""
 
     #: iteration, stage, in_stage, restarts, improved: Iterations done, the current stage from 1,
     #: iterations in it, restarts, and the iteration of the best loss.
-    iteration: Count = 0
-    stage: Count = 1
-    in_stage: Count = 0
-    restarts: Count = 0
-    improved: Count = 0
+    iteration: int = 0
+    stage: int = 1
+    in_stage: int = 0
+    restarts: int = 0
+    improved: int = 0
     #: best_loss, best_ell_max: Of the best weights, at the fixed points.
-    best_loss: _Level = math.inf
-    best_ell_max: _Level = math.inf
+    best_loss: float = math.inf
+    best_ell_max: float = math.inf
     #: Lowest loss in this stage at the optimizer's points.
-    lowest: _Level = math.inf
+    lowest: float = math.inf
     #: Best loss when the criteria were last evaluated.
-    judged: _Level = math.inf
-    seconds: Size = 0.0
-    cpu_seconds: Size = 0.0
+    judged: float = math.inf
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -43,8 +39,6 @@ class Criterion:
     """A rule for stopping that evaluates the trial solution when the loss has quartered."""
 
     name: str
-    #: Its threshold; a resumed training evaluates the rule again if it has changed.
-    value: float
     #: (trial solution with the best weights, record of the training so far) -> bool.
     is_met: Callable[[torch.nn.Module, Training], bool]
 
@@ -80,11 +74,6 @@ class Stopping:
         if self.target_ell_max is not None and progress.best_ell_max <= self.target_ell_max:
             return Stopped.TARGET_ELL_MAX
         return None
-
-    def summary(self) -> list[Any]:
-        """Return the rules as JSON values, by which a change of them is detected."""
-        criteria = [[rule.name, rule.value] for rule in self.criteria]
-        return [self.target_loss, self.target_ell_max, self.patience, criteria]
 
     def limit_reached(self, progress: Progress, last_stage: bool) -> Stopped | None:
         """Return the limit of time or patience that is reached, if any."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -25,7 +25,6 @@ from torch.nn.utils import parameters_to_vector
 from hamsym.errors import InputError
 from hamsym.networks.objective import Objective
 from hamsym.networks.optimizers import QuasiNewton
-from hamsym.networks.points import Collocation
 from hamsym.support.validation import require_whole
 
 _LARGEST = 20_000  # weights: the matrix takes 3.2 GB
@@ -104,14 +103,14 @@ class SelfScaledBroyden(QuasiNewton):
 
     Raise InputError if the trial solution has more than 20,000 weights.
 
-    - points: Collocation points K; or times, from the start of the span on.
+    - points: Collocation points K.
     - refresh: Iterations after which new points are drawn.
     """
 
-    def __init__(self, *, points: int | np.ndarray = 200, refresh: int = 200) -> None:
-        self._collocation = Collocation(points)
+    def __init__(self, *, points: int = 200, refresh: int = 200) -> None:
+        require_whole("points", points, 2)
         require_whole("refresh", refresh, 1)
-        self.points, self.refresh = self._collocation.count, refresh
+        self.points, self.refresh = points, refresh
 
     def bind(
         self, trial: torch.nn.Module, objective: Objective, generator: torch.Generator
@@ -132,7 +131,7 @@ class SelfScaledBroyden(QuasiNewton):
 
     def iterate(self, span: tuple[float, float], share: float, done: float) -> tuple[float, float]:
         if self._t is None or self._age >= self.refresh or share != self._share:
-            self._t = self._collocation.draw(span, self.points)
+            self._t = self._drawn(span)
             self._age, self._share, self._last = 0, share, None
         start = self._evaluation(parameters_to_vector(self._parameters).detach().numpy())
         gradient = torch.from_numpy(start.gradient)
@@ -210,30 +209,3 @@ class SelfScaledBroyden(QuasiNewton):
             end = start + parameter.numel()
             parameter.copy_(torch.from_numpy(weights[start:end]).view_as(parameter))
             start = end
-
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        tensors: dict[str, Tensor] = {}
-        if self._t is not None:
-            tensors["points"] = self._t
-        if self._inverse is not None:
-            tensors["inverse"] = self._inverse.matrix
-        return tensors, {"age": self._age, "failures": self._failures, "share": self._share}
-
-    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        self.reset()
-        self._age, self._failures, self._share = (
-            values[name] for name in ("age", "failures", "share")
-        )
-        # Of given times only those inside the span of a stage are used.
-        fewest = self.points if self._collocation.times is None else 2
-        shapes: dict[str, list[tuple[int, ...]]] = {
-            "points": [(k,) for k in range(fewest, self.points + 1)],
-            "inverse": [(self._size, self._size)],
-        }
-        for name, tensor in tensors.items():
-            if tensor.shape not in shapes[name] or tensor.dtype != torch.float64:
-                raise ValueError(f"its {name} has another shape or type")
-        self._t = tensors.get("points")
-        if "inverse" in tensors:
-            self._inverse = InverseHessian(0)
-            self._inverse.matrix = tensors["inverse"]

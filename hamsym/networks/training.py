@@ -13,31 +13,23 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from hamsym.errors import FileError
 from hamsym.networks.best_weights import BestWeights
-from hamsym.networks.checkpoint import Checkpoint
-from hamsym.networks.module_trial import ModuleTrial
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
 from hamsym.networks.record import History, Stopped, Training, TrainingState
 from hamsym.networks.rules import Progress, Stages, StageSchedule, Stopping
-from hamsym.support.records import packed, unpacked
-from hamsym.support.tensor_files import one_line
 
 # Products of points and weights below this are no faster on two threads, which cost twice the CPU
 # time.
 _ONE_THREAD = 4_000_000
 # Mean square of the residual, relative to that of dz/dt, above which a stalled training restarts.
 _POOR = 1e-8
-# Endings after which a training goes on when it is resumed.
-_RESUMABLE = (None, Stopped.ITERATIONS, Stopped.TIME_LIMIT)
 
 
 class Optimizer(Protocol):
@@ -71,12 +63,6 @@ class Optimizer(Protocol):
     def reset(self) -> None:
         """Reset the optimizer state after new weights were drawn."""
 
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Return the state that the next iterations depend on, as tensors and JSON values."""
-
-    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        """Restore a state returned by :meth:`state`."""
-
 
 def train(
     trial: torch.nn.Module,
@@ -88,13 +74,10 @@ def train(
     generator: torch.Generator,
     stages: Stages | None = None,
     callbacks: Sequence[Callable[[TrainingState], None]] = (),
-    checkpoint: Checkpoint | None = None,
 ) -> Training:
     """Minimise an objective over a time span.
 
     The weights that are kept are the best at fixed points, which are never trained on.
-
-    Raise FileError if the checkpoint cannot be read or written, or belongs to another training.
 
     - trial: t of shape (K,) -> (z, dz/dt), each (K, dim).
     - span: Start and end time; the end may be the smaller.
@@ -105,37 +88,11 @@ def train(
     """
     optimizer.bind(trial, objective, generator)
     run = _Run(trial, objective, span, optimizer, stopping, stages or Stages(), generator)
-    if checkpoint is not None:
-        saved = checkpoint.read()
-        if saved is None:
-            run.write(checkpoint)  # a path that cannot be written is refused before the training
-        else:
-            try:
-                run.restore(*saved)
-            except (
-                *(ArithmeticError, AttributeError, LookupError, RuntimeError),
-                *(TypeError, ValueError),
-            ) as error:
-                raise FileError(
-                    f"'{checkpoint.path}' is not a valid checkpoint of this training: "
-                    f"{one_line(error)}; give another file"
-                ) from None
-    return run.through(callbacks, checkpoint)
-
-
-@dataclass(frozen=True)
-class _State:
-    """What a checkpoint contains of a training beside its tensors and settings."""
-
-    progress: Progress
-    #: Of the optimizer.
-    optimizer: dict[str, Any]
-    stopped: str | None
-    rules: Any
+    return run.through(callbacks)
 
 
 class _Run:
-    """A training in progress, whose complete state is saved in a checkpoint."""
+    """A training in progress."""
 
     def __init__(
         self,
@@ -153,21 +110,15 @@ class _Run:
         self.weights = BestWeights(trial)
         self.progress = Progress()
         self.schedule = StageSchedule(stages, span, stopping.iterations, self.progress)
-        self.stopped: str | None = None
         self.losses: list[float] = []
         self.checks: list[tuple[int, float, float, float]] = []
 
-    def through(
-        self, callbacks: Sequence[Callable[[TrainingState], None]], checkpoint: Checkpoint | None
-    ) -> Training:
+    def through(self, callbacks: Sequence[Callable[[TrainingState], None]]) -> Training:
         """Train until a rule ends it."""
         threads = torch.get_num_threads()
         size = len(self.fixed) * sum(weights.numel() for weights in self.weights.parameters)
-        self.began = time.perf_counter() - self.progress.seconds
-        self.cpu_began = time.process_time() - self.progress.cpu_seconds
-        written = time.perf_counter()
-        # A training that had ended takes no further step, unless its rules have changed.
-        stopped = None if self.stopped in _RESUMABLE else self.stopped
+        self.began, self.cpu_began = time.perf_counter(), time.process_time()
+        stopped: str | None = None
         try:
             if size < _ONE_THREAD:
                 torch.set_num_threads(1)
@@ -176,21 +127,13 @@ class _Run:
                     stopped = Stopped.ITERATIONS
                     break
                 stopped = self._iterate(callbacks)
-                if checkpoint is not None and time.perf_counter() - written >= checkpoint.every:
-                    self._clock()
-                    self.write(checkpoint)
-                    written = time.perf_counter()
         except KeyboardInterrupt:
-            # The iteration is incomplete: resumption begins from the last checkpoint written.
             stopped = Stopped.INTERRUPTED
         finally:
             torch.set_num_threads(threads)
         self._clock()
-        if checkpoint is not None and stopped != Stopped.INTERRUPTED:
-            self.stopped = stopped
-            self.write(checkpoint)
         self.weights.put(self.weights.best)
-        return self._record(stopped or Stopped.INTERRUPTED)
+        return self._record(stopped)
 
     def _record(self, stopped: str) -> Training:
         columns = np.array(self.checks, dtype=float).reshape(-1, 4).T
@@ -284,7 +227,7 @@ class _Run:
         if not self.schedule.can_restart():
             return reason
         for module in self.trial.modules():
-            if isinstance(module, (Network, ModuleTrial)):
+            if isinstance(module, Network):
                 module.draw(self.generator)
         self.optimizer.reset()
         self.schedule.restart()
@@ -293,58 +236,3 @@ class _Run:
     def _clock(self) -> None:
         self.progress.seconds = time.perf_counter() - self.began
         self.progress.cpu_seconds = time.process_time() - self.cpu_began
-
-    def write(self, checkpoint: Checkpoint) -> None:
-        """Write the complete state to a file."""
-        tensors = {
-            "losses": torch.tensor(self.losses, dtype=torch.float64, device="cpu"),
-            "checks": torch.tensor(self.checks, dtype=torch.float64, device="cpu").reshape(-1, 4),
-            "generator": self.generator.get_state(),
-            **self.weights.tensors(),
-        }
-        own, values = self.optimizer.state()
-        tensors |= {f"optimizer.{name}": tensor.clone() for name, tensor in own.items()}
-        state = _State(self.progress, values, self.stopped, self.stopping.summary())
-        checkpoint.write(tensors, packed(state)[1])
-
-    def restore(self, tensors: dict[str, Tensor], values: dict[str, Any]) -> None:
-        """Restore the state that :meth:`write` wrote.
-
-        Raise ValueError if it is not the state of this training.
-        """
-        state = unpacked(_State, {}, {k: v for k, v in values.items() if k != "settings"})
-        progress, self.stopped = state.progress, state.stopped
-        stages, losses = self.schedule.stages.count, tensors["losses"]
-        if not 1 <= progress.stage <= stages or progress.iteration != len(losses):
-            raise ValueError("its iterations, stages and losses are inconsistent")
-        own = {name: t for name, t in tensors.items() if not name.startswith("optimizer.")}
-        expected = {
-            "losses": torch.empty(len(losses), dtype=torch.float64, device="cpu"),
-            "checks": torch.empty(len(tensors["checks"]), 4, dtype=torch.float64, device="cpu"),
-            "generator": self.generator.get_state(),
-            **self.weights.tensors(),
-        }
-        _require_alike(own, expected)
-        self.weights.restore(own)
-        self.losses = losses.tolist()
-        self.checks = [(int(row[0]), *row[1:]) for row in own["checks"].tolist()]
-        self.generator.set_state(own["generator"])
-        self.progress = self.schedule.progress = progress
-        if state.rules != self.stopping.summary():
-            # The best weights so far may meet rules that have changed.
-            progress.judged = math.inf
-            self.stopped = self._rule_met()
-        start = "optimizer."
-        found = {n.removeprefix(start): t for n, t in tensors.items() if n.startswith(start)}
-        self.optimizer.restore(found, state.optimizer)
-
-
-def _require_alike(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
-    """Raise ValueError unless tensors have the expected names, shapes and types."""
-    if found.keys() != expected.keys():
-        raise ValueError("its weights are those of another network")
-    for name, like in expected.items():
-        if found[name].shape != like.shape or found[name].dtype != like.dtype:
-            raise ValueError(f"its {name} have another shape or type")
-        if name.startswith("best.") and not bool(torch.isfinite(found[name]).all()):
-            raise ValueError(f"its {name} are not finite")

@@ -696,7 +696,7 @@ class Solution(Saved):
         certificate: hamsym.Certificate | None = None,
         allow_failed: bool = False,
     ) -> None:
-        """Write a module of Python (.py), JSON (.json), C (.h) or torch (.pt2).
+        """Write a module of Python (.py), JSON (.json) or C (.h).
 
         Its functions need no hamsym; see :func:`hamsym.export`.
         """

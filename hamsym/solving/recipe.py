@@ -181,8 +181,6 @@ def _option(solution: Solution, name: str, value: Any) -> list[str] | None:
     if value is None:
         return None
     if isinstance(value, list):
-        if field.type == "int | Sequence[float]":
-            return None
         texts = [repr(part) for part in value]
         return [flag, *texts] if field.type == "tuple[float, float]" else [flag, ",".join(texts)]
     return [flag, value if isinstance(value, str) else repr(value)]

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # Increased by changes of the methods after which existing runs are not reused.
 _REVISION = 4
 # Options that do not affect the solution, or that are handled separately.
-_SEPARATE = frozenset({"checkpoint", "checkpoint_every", "regularizers", "initial"})
+_SEPARATE = frozenset({"regularizers", "initial"})
 # Arguments of solve in settings, beside the method.
 _ARGUMENTS = ("tol", "atol", "breakpoints", "prove", "invariants")
 
@@ -105,29 +105,14 @@ class Run:
 
     def _solve(self, progress: Callable[[TrainingState], None]) -> None:
         options: dict[str, Any] = dict(self.options)
-        checkpoint = self._beside(".checkpoint")
         if self.initial is not None:
             options["method"] = replace(options["method"], initial=load_solution(self.initial))
-        if options["method"].resumes:
-            options["method"] = replace(options["method"], checkpoint=checkpoint)
-        resumed = checkpoint.exists()
-
-        def solved() -> Solution:
-            return solve(self.H, self.z0, self.span, seed=self.seed, progress=progress, **options)
-
-        try:
-            solution = solved()
-        except FileError:
-            if not resumed:
-                raise
-            checkpoint.unlink()  # damaged, or of another version
-            solution = solved()
+        solution = solve(self.H, self.z0, self.span, seed=self.seed, progress=progress, **options)
         if getattr(solution.record, "stopped", "") == "interrupted":
             raise KeyboardInterrupt
         for proof in (self._proof, *self.base.parent.glob(f"{self.base.name}.refused-*")):
             proof.unlink(missing_ok=True)  # of an earlier solution, whose file was removed
         solution.save(self.file)
-        checkpoint.unlink(missing_ok=True)
 
     def _beside(self, ending: str) -> Path:
         return self.base.with_name(self.base.name + ending)
@@ -175,15 +160,12 @@ def planned_run(
     checked_atol(options.get("atol", 0.0), problem.H.dim)
     checked_breakpoints(options.get("breakpoints", ()), problem.span)
     method = options["method"]
-    if method.resumes:
-        if method.checkpoint is not None:
-            raise InputError(f"checkpoint in the settings {name!r} is set by sweep; remove it")
-        if method.trial is not None or method.regularizers:
-            which = "regularizers" if method.regularizers else "trial"
-            raise InputError(f"{which} cannot be serialised; call solve for each run")
+    if method.joint and (method.trial is not None or method.regularizers):
+        which = "regularizers" if method.regularizers else "trial"
+        raise InputError(f"{which} cannot be serialised; call solve for each run")
     values = settings_text(problem.H, problem.z0, problem.span, seed, method, without=_SEPARATE)
     path = None
-    if method.resumes and method.initial is not None:
+    if method.joint and method.initial is not None:
         initial = method.initial
         if not isinstance(initial, Solution):
             raise InputError(f"initial in the settings {name!r} is not a Solution; give one")

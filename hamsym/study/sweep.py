@@ -1,7 +1,7 @@
 """Sweeps: solutions of one problem with several settings and seeds, in parallel.
 
 Each run is one file in a folder, with a name that contains a digest of all its settings. Existing
-runs are reused, and interrupted ones are resumed from their checkpoints.
+runs are reused.
 """
 
 from __future__ import annotations
@@ -251,8 +251,8 @@ def sweep(
         ``hamsym.Adam(epochs=5_000)``; or a function from a seed to one of them.
     folder : path, optional
         Directory with the files of all runs; created if it does not exist. Existing runs with
-        the same settings are reused, and interrupted ones are resumed. It is locked against other
-        processes while runs are carried out.
+        the same settings are reused. It is locked against other processes while runs are carried
+        out.
     seeds : int or sequence of int
         Number of seeds, counted from 0, or the seeds.
     certify : float, optional

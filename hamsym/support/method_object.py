@@ -60,14 +60,14 @@ class Method:
         Tolerance of :func:`hamsym.solve` by default.
     marches : bool
         Whether its trial solution is a march of windows of features instead of networks.
-    resumes : bool
-        Whether all weights are trained together, so that a training can be resumed.
+    joint : bool
+        Whether all weights of a network are trained together.
     """
 
     name: ClassVar[str]
     usual_tol: ClassVar[float]
     marches: ClassVar[bool] = False
-    resumes: ClassVar[bool] = False
+    joint: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         for entry in fields(self):

@@ -12,7 +12,7 @@ from hamsym.cli.commands import cli, main
 pytestmark = pytest.mark.page
 
 #: Examples that train for long, or write elsewhere.
-_LONG = ("reproduce", "report", "explore", "completion")
+_LONG = ("reproduce", "report", "explore")
 EXAMPLES = [
     example
     for name, command in cli.commands.items()

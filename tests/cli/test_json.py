@@ -34,7 +34,6 @@ COMMANDS: dict[str, list[str]] = {
     "orbit": [OSCILLATOR, "--z0", "1,0"],
     "certify": ["orbit.hamsym", "-o", "second.certificate"],
     "verify": ["orbit.hamsym"],
-    "completion": ["bash"],
 }
 #: Commands that take minutes or write pages.
 WITHOUT = {"reproduce", "report", "export", "explore"}

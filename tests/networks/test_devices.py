@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from torch import Tensor, nn
 import hamsym
 from hamsym import InputError
 from hamsym.cli.commands import main
-from hamsym.errors import FileError
 from hamsym.networks.levenberg_marquardt import LevenbergMarquardt
 from hamsym.networks.network import Network
 from hamsym.networks.objective import Objective
@@ -42,7 +40,7 @@ def no_default_device() -> Iterator[None]:
     ("method", "own"), [*((method, False) for method in BRIEF), ("levenberg-marquardt", True)]
 )
 def test_every_tensor_is_made_on_the_device_of_the_training(
-    method: str, own: bool, request: pytest.FixtureRequest, tmp_path: Path
+    method: str, own: bool, request: pytest.FixtureRequest
 ) -> None:
     options = {"energy_weight": 0.1, **BRIEF[method]}
     if own:
@@ -52,16 +50,10 @@ def test_every_tensor_is_made_on_the_device_of_the_training(
         options |= SMALL
     one = hamsym.solve(H, [1, 0], (0, 3), method=made_method(method, options))
     request.getfixturevalue("no_default_device")
-    if not own:
-        options["checkpoint"] = tmp_path / "run"
-    for _ in range(1 if own else 2):  # the second time from the checkpoint
-        other = hamsym.solve(
-            H,
-            [1, 0],
-            (0, 3),
-            method=made_method(method, {"device": torch.device("cpu"), **options}),
-        )
-        np.testing.assert_array_equal(one([0.5, 3.0]), other([0.5, 3.0]))
+    other = hamsym.solve(
+        H, [1, 0], (0, 3), method=made_method(method, {"device": torch.device("cpu"), **options})
+    )
+    np.testing.assert_array_equal(one([0.5, 3.0]), other([0.5, 3.0]))
     assert other.message == one.message
 
 
@@ -145,33 +137,6 @@ def test_least_damping_is_that_of_the_precision() -> None:
         least[dtype] = optimizer._mu_least
     assert least[torch.float64] == 1e-14
     assert 1e-6 < least[torch.float32] < 1e-5
-
-
-@pytest.mark.slow
-def test_float32_resumes_to_the_same_bits(tmp_path: Path) -> None:
-    options = {"dtype": "float32", **SMALL}
-    whole = hamsym.solve(
-        H, [1, 0], (0, 3), method=hamsym.LevenbergMarquardt(iterations=20, **options)
-    )
-    for iterations in (9, 20):
-        parts = hamsym.solve(
-            H,
-            [1, 0],
-            (0, 3),
-            method=hamsym.LevenbergMarquardt(
-                iterations=iterations, checkpoint=tmp_path / "run", **options
-            ),
-        )
-    assert torch.equal(whole.trial.network.theta, parts.trial.network.theta)
-    with pytest.raises(FileError, match="a training with dtype='float32', not 'float64'"):
-        hamsym.solve(
-            H,
-            [1, 0],
-            (0, 3),
-            method=hamsym.LevenbergMarquardt(
-                checkpoint=tmp_path / "run", **options | {"dtype": "float64"}
-            ),
-        )
 
 
 def test_constants_of_a_module_must_be_buffers() -> None:

@@ -1,15 +1,10 @@
-"""Methods that train a deep network: accuracy, rules for stopping, resumption after a kill."""
+"""Methods that train a deep network: accuracy, rules for stopping."""
 
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
 import re
-import signal
-import time
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +12,6 @@ import torch
 
 import hamsym
 from hamsym import Hamiltonian, InputError
-from hamsym.errors import FileError
 from hamsym.networks.method import _objective, _Penalty
 from hamsym.networks.methods import JointTraining
 from hamsym.networks.network import ACTIVATIONS
@@ -237,6 +231,8 @@ def test_restarts_are_counted_in_the_message() -> None:
     [
         ({"method": "lbfgs", "iterations": 0}, "iterations=0"),
         ({"method": "lbfgs", "stages": 0}, "stages=0"),
+        ({"method": "lbfgs", "points": 1}, "points=1 cannot be used; give a whole number from 2"),
+        ({"method": "adam", "points": 2.5}, "points=2.5 cannot be used"),
         ({"method": "ssbroyden", "iterations": 0}, "iterations=0"),
         ({"method": "ssbroyden", "dtype": "float32"}, "'ssbroyden'; it trains in float64"),
         ({"method": "ssbroyden", "hidden": (200, 200)}, "weights, more than the 20,000"),
@@ -250,11 +246,6 @@ def test_restarts_are_counted_in_the_message() -> None:
             {"method": "levenberg-marquardt", "regularizers": [hamsym.Regularizer(1.0, abs)]},
             "no least-squares form",
         ),
-        (
-            {"method": "adam", "regularizers": [hamsym.Regularizer(1.0, abs)], "checkpoint": "x"},
-            "train without checkpoint",
-        ),
-        ({"method": "adam", "checkpoint": "x", "checkpoint_every": 0}, "checkpoint_every=0"),
     ],
 )
 def test_unusable_settings_are_rejected(settings: dict[str, object], message: str) -> None:
@@ -273,83 +264,6 @@ def test_choices_are_those_of_the_networks() -> None:
     choices = {field.name: field.metadata.get("choices") for field in fields(JointTraining)}
     assert set(choices["activation"]) == set(ACTIVATIONS)
     assert set(choices["envelope"]) == set(ENVELOPES)
-
-
-# -- checkpoints ----------------------------------------------------------------------------------
-
-
-def _train_and_save(folder: Path, name: str, method: str, options: dict[str, object]) -> None:
-    torch.set_num_threads(1)  # the threads of the process that was forked are not in this one
-    problem = hamsym.systems.nonlinear_oscillator()
-    settings = {"hidden": (8, 8), "points": 30, "checkpoint_every": 1e-9, **options}
-    checkpoint = folder / f"{name}.run"
-    solution = hamsym.solve(
-        problem.H,
-        problem.z0,
-        (0.0, 12.0),
-        method=made_method(method, {"checkpoint": checkpoint, **settings}),
-    )
-    solution.save(folder / f"{name}.saved")
-
-
-@pytest.mark.slow_cases(
-    "adam-options0-delays0", "lbfgs-options1-delays1", "ssbroyden-options2-delays2"
-)
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks here")
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-@pytest.mark.parametrize(
-    ("method", "options", "delays"),
-    [
-        ("adam", {"epochs": 400}, (0.0, 0.05, 0.15)),
-        ("lbfgs", {"iterations": 100}, (0.05,)),
-        ("ssbroyden", {"iterations": 100}, (0.05,)),
-        ("levenberg-marquardt", {"iterations": 60, "patience": None}, (0.05,)),
-    ],
-)
-def test_killed_training_resumes_to_the_same_bits(
-    method: str, options: dict[str, object], delays: tuple[float, ...], tmp_path: Path
-) -> None:
-    def start(name: str) -> multiprocessing.process.BaseProcess:
-        arguments = (tmp_path, name, method, options)
-        process = multiprocessing.get_context("fork").Process(
-            target=_train_and_save, args=arguments
-        )
-        process.start()
-        return process
-
-    def end(process: multiprocessing.process.BaseProcess) -> int | None:
-        process.join(60)
-        return process.exitcode
-
-    assert end(start("whole")) == 0
-    for delay in delays:
-        process = start("killed")
-        deadline = time.monotonic() + 60
-        while not (tmp_path / "killed.run").exists() and time.monotonic() < deadline:
-            time.sleep(0.001)
-        time.sleep(delay)
-        process.kill()
-        assert end(process) == -signal.SIGKILL  # it had not ended before
-    assert end(start("killed")) == 0
-    one, other = (hamsym.load(tmp_path / f"{name}.saved") for name in ("whole", "killed"))
-    for name, tensor in one.trial.state_dict().items():
-        assert torch.equal(tensor, other.trial.state_dict()[name])
-    np.testing.assert_array_equal(one.history.loss, other.history.loss)
-
-
-@pytest.mark.slow
-def test_checkpoint_of_another_problem_is_rejected(tmp_path: Path) -> None:
-    settings = {"epochs": 20, "points": 10, "checkpoint": tmp_path / "run"}
-    hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 1), method=hamsym.Adam(**settings))
-    with pytest.raises(
-        FileError, match=r"belongs to a training with z0=\[1.0, 0.0\], not \[1.0, 1.0\]"
-    ):
-        hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 1], (0, 1), method=hamsym.Adam(**settings))
-    longer = {**settings, "target_loss": 1e-9}  # rules of the end may change
-    assert (
-        hamsym.solve(Hamiltonian("p**2/2 + x**2/2"), [1, 0], (0, 1), method=hamsym.Adam(**longer))
-        is not None
-    )
 
 
 @pytest.mark.slow

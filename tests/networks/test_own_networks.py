@@ -122,47 +122,8 @@ def test_solution_has_derivatives_errors_and_energy() -> None:
     np.testing.assert_allclose(found, solution.derivative([0.5, 1.0])[:, 0], rtol=1e-12)
 
 
-@pytest.mark.slow
-def test_same_seed_gives_same_bits_and_leaves_torch_state() -> None:
-    state = torch.get_rng_state()
-    options = {"trial": layered(3), "points": 12}
-    runs = [
-        hamsym.solve(
-            H, [1, 0], (0, 30), method=hamsym.LevenbergMarquardt(iterations=70, stages=2, **options)
-        )
-        for _ in range(2)
-    ]
-    assert runs[0].record.restarts == runs[1].record.restarts == 1
-    assert torch.equal(runs[0].trial.network[0].weight, runs[1].trial.network[0].weight)
-    assert torch.equal(torch.get_rng_state(), state)
-
-
-def test_restarts_draw_layers_and_reset_other_weights() -> None:
-    class Scaled(nn.Module):
-        def __init__(self) -> None:
-            super().__init__()
-            self.inner = layered(4).double()
-            self.scale = nn.Parameter(torch.full((1,), 2.0, dtype=torch.float64))
-
-        def forward(self, x: Tensor) -> Tensor:
-            return self.scale * self.inner(x)
-
-    trial = ModuleTrial(Scaled(), torch.zeros(2, dtype=torch.float64))
-    first = trial.network.inner[0].weight.detach().clone()
-    with torch.no_grad():
-        trial.network.scale.fill_(9.0)
-    drawn = []
-    for seed in (1, 1, 2):
-        trial.draw(torch.Generator().manual_seed(seed))
-        drawn.append(trial.network.inner[0].weight.detach().clone())
-    assert torch.equal(drawn[0], drawn[1])
-    assert not torch.equal(drawn[1], drawn[2])
-    assert not torch.equal(drawn[0], first)
-    assert trial.network.scale.item() == 2.0
-
-
 class Plain(nn.Module):
-    """A module without reset_parameters anywhere."""
+    """A module without layers."""
 
     def __init__(self, width: int = 6) -> None:
         super().__init__()
@@ -174,15 +135,13 @@ class Plain(nn.Module):
 
 
 @pytest.mark.slow
-def test_module_without_resets_is_never_restarted() -> None:
-    solution = hamsym.solve(
-        H,
-        [1, 0],
-        (0, 40),
-        method=hamsym.LevenbergMarquardt(trial=Plain(2), points=12, iterations=70),
-    )
+def test_modules_are_never_restarted() -> None:
+    state = torch.get_rng_state()
+    options = {"trial": layered(3), "points": 12, "iterations": 70, "stages": 2}
+    solution = hamsym.solve(H, [1, 0], (0, 30), method=hamsym.LevenbergMarquardt(**options))
     assert solution.record.restarts == 0
     assert not solution.success
+    assert torch.equal(torch.get_rng_state(), state)
 
 
 def test_least_squares_products_are_those_of_the_jacobian() -> None:
@@ -345,7 +304,6 @@ def test_unusable_modules_are_refused_in_one_sentence(case: str) -> None:
         ({"activation": "tanh"}, "activation describes a network of hamsym"),
         ({"frequency": 2.0}, "frequency describes a network of hamsym"),
         ({"shared_weights": False}, "shared_weights describes a network of hamsym"),
-        ({"checkpoint": "run"}, "a checkpoint holds networks of hamsym only"),
     ],
 )
 def test_options_of_other_networks_are_refused(options: dict, message: str) -> None:
@@ -383,7 +341,10 @@ def test_wrong_rates_are_never_a_success() -> None:
             return self.inner(x) + self.gain * hidden
 
     solution = hamsym.solve(
-        H, [1, 0], (0, 1), method=hamsym.LevenbergMarquardt(trial=Later(), points=8, iterations=10)
+        H,
+        [1, 0],
+        (0, 1),
+        method=hamsym.LevenbergMarquardt(trial=Later(), points=8, iterations=10, stages=1),
     )
     defect = rate_defect(solution.trial, solution.span)
     assert defect.max() > 1e-6

@@ -191,8 +191,7 @@ def test_matrix_survives_new_points() -> None:
     seen = []
     for _ in range(7):
         optimizer.iterate((0.0, 1.0), 1.0, 0.0)
-        tensors, _ = optimizer.state()
-        seen.append((tensors["points"].clone(), tensors["inverse"].data_ptr()))
+        seen.append((optimizer._t.clone(), optimizer._inverse.matrix.data_ptr()))
     assert [torch.equal(seen[0][0], t) for t, _ in seen] == [True] * 3 + [False] * 4
     assert len({place for _, place in seen}) == 1
 

@@ -109,12 +109,12 @@ def test_complete_lines_omit_nothing() -> None:
 @pytest.mark.slow
 def test_omissions_are_named() -> None:
     network = torch.nn.Sequential(torch.nn.Linear(1, 4), torch.nn.Tanh(), torch.nn.Linear(4, 2))
-    method = hamsym.Adam(epochs=2, points=[0.0, 0.5, 1.0], trial=network.double())
+    method = hamsym.LevenbergMarquardt(iterations=2, points=3, patience=None, trial=network)
     x, p = sympy.symbols("x p")
     H = Hamiltonian(p**2 / 2 + sympy.Float("0.3", 30) * x**2)
     solution = hamsym.solve(H, [1, 0], (0, 1), method=method)
     text = " ".join(omissions(solution))
     assert "trial" in text
-    assert "no option for these values: points" in text
+    assert "no option for these values: patience" in text
     assert "binary fractions" in text
     assert "no units" in " ".join(omissions(solved("units")))
