@@ -26,7 +26,7 @@ NODES = -turns(PLACES)[1 : 2 * PLACES : 2].astype(float)
 class ModelTables(Record):
     """Tables over the places."""
 
-    _fields_ = arrays("coefficients low high values_of_high slopes_of_low integrals")
+    _fields_ = arrays("coefficients low high values_of_high slopes_of_low defects at_middle")
 
 
 class Models(NamedTuple):
@@ -52,17 +52,29 @@ def model_tables() -> ModelTables:
     weights = np.full(PLACES, 2.0 / PLACES)
     weights[0] = 1.0 / PLACES
     coefficients = values * weights
-    low = DEGREE + 1
-    integrals = chebyshev.chebint(np.eye(PLACES, dtype=values.dtype), lbnd=NODES[PLACES // 2]).T
+    low, half = DEGREE + 1, PLACES // 2
+    slopes = chebyshev.chebder(np.eye(low)).T @ values[:, : low - 1].T
+    integrals = coefficients @ chebyshev.chebint(np.eye(PLACES, dtype=values.dtype)).T
+    # Of slopes and of values: odd degrees from even slopes and odd values, and the others.
+    odd = np.concatenate((integrals[:half, 1::2], -coefficients[:half, 1::2]))
+    more = np.zeros((half, 1), dtype=values.dtype)  # values have no coefficient of degree PLACES
+    even = np.concatenate((integrals[:half, 2::2], np.hstack((-coefficients[:half, 2::2], more))))
     return ModelTables(
-        coefficients=coefficients,
-        low=coefficients[:, :low],
-        high=coefficients[:, low:],
-        values_of_high=values[:, low:].T,
-        slopes_of_low=chebyshev.chebder(np.eye(low)).T @ values[:, : low - 1].T,
-        # From values to coefficients of the integral from the place in the middle.
-        integrals=np.pad(coefficients @ integrals, ((0, 0), (0, PLACES + 8 - integrals.shape[1]))),
+        coefficients=_parts(coefficients[:half]),
+        low=_parts(coefficients[:half, :low]),
+        high=_parts(coefficients[:half, low:]),
+        values_of_high=_parts(values[:half, low:]).transpose(0, 2, 1),
+        slopes_of_low=_parts(slopes[:, :half].T).transpose(0, 2, 1),
+        defects=np.array((odd, even)),
+        at_middle=chebyshev.chebvander(NODES[half], PLACES)[
+            0, [*range(1, PLACES, 2), *range(2, PLACES + 1, 2)]
+        ],
     )
+
+
+def _parts(table: np.ndarray) -> np.ndarray:
+    """Return the columns of even and those of odd degrees, shape (2, n, columns / 2)."""
+    return np.array((table[:, 0::2], table[:, 1::2]))
 
 
 def models_of(

@@ -89,7 +89,7 @@ class Family:
     @property
     def degrees(self) -> int:
         """Terms of the series of an estimated error."""
-        return RESOLUTIONS[size_of(self.series.shape[1]).nodes][0][1]
+        return RESOLUTIONS[size_of(self.series.shape[1]).nodes][0][-1]
 
     @cached_property
     def solver(self) -> MemberSolver | None:

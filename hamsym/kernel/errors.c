@@ -7,11 +7,17 @@
 #define TESTED 1e-6     /* error, in units of the motion, from which the linear equation is tested */
 #define CURVED 1e-3     /* of the error in a window: change by what the linear equation lacks, at most */
 #define PASSING 10.0    /* typical errors: larger ones may pass, so their vectors are solved more accurately */
-#define MISSED 1.1      /* times a peak between two of the values that show it */
+/* Times a peak between two of the values that show it; and of the integral of the residual, which oscillates as fast
+   as these values show, a share more. */
+#define MISSED 1.1
+#define OSCILLATING 0.15
+#define FEW 400         /* windows in which the rounding of a table, alike in all of them, is less than round-off */
 #define ITERATIONS 60
+#define COARSE 10.0/* times the accuracy of the vectors: their last coefficients at the coarse nodes, at most */
+#define KEPT 8          /* windows after one that coarse nodes do not resolve, in which they are not tried */
 
 void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_tables *t, const actions *a) {
-  long dim = H->dim, places = t->places, nodes = t->nodes, rows = dim * EACH_VECTOR;
+  long dim = H->dim, places = t->places, nodes = t->fine->nodes, rows = dim * EACH_VECTOR;
   m->stride = places > nodes ? places : nodes;
   take_machine(arena, &m->velocity, H->velocity, m->stride);
   take_machine(arena, &m->force, H->force, m->stride);
@@ -20,24 +26,26 @@ void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_t
   m->changes = (v4 *)take(arena, 4 * rows);
   m->second = take(arena, H->hessian->results * nodes + 1);
   m->readout = take(arena, dim * t->columns);
-  double **of_places[] = {&m->z, &m->dz, &m->low, &m->rates, &m->disturbed};
-  for (int k = 0; k < 5; k++) *of_places[k] = take(arena, dim * places);
+  m->curvature = take(arena, H->hessian->results * places + 1);
+  double **of_places[] = {&m->z, &m->dz, &m->low, &m->rates, &m->disturbed, &m->pushed};
+  for (int k = 0; k < 6; k++) *of_places[k] = take(arena, dim * places);
   m->times = take(arena, places);
   m->late = take(arena, places);
-  double **of_nodes[] = {&m->at_nodes, &m->drift, &m->smooth, &m->flow, &m->displaced, &m->lacking};
-  for (int k = 0; k < 6; k++) *of_nodes[k] = take(arena, dim * nodes);
+  double **of_nodes[] = {&m->at_nodes, &m->drift, &m->smooth};
+  for (int k = 0; k < 3; k++) *of_nodes[k] = take(arena, dim * nodes);
   m->node_times = take(arena, nodes);
   double **of_inside[] = {&m->drift_inside, &m->found, &m->coefficients};
   for (int k = 0; k < 3; k++) *of_inside[k] = take(arena, dim * t->inside);
-  m->shown = take(arena, dim * t->shown);
+  m->shown = take(arena, dim * t->inside);
   m->base = take(arena, rows * nodes);
   m->drifted = take(arena, rows / 2 * nodes);
   m->vectors = take(arena, rows * nodes);
   m->moved = take(arena, rows * nodes);
+  m->last = take(arena, rows * 8);
   m->before = take(arena, rows);
   m->weight = take(arena, rows);
-  double **small[] = {&m->left, &m->speeds, &m->tops, &m->noise};
-  for (int k = 0; k < 4; k++) *small[k] = take(arena, dim);
+  m->speeds = take(arena, dim);
+  m->tops = take(arena, dim);
 }
 
 /* -- the tangent equation ---------------------------------------------------------------------- */
@@ -68,7 +76,8 @@ static void weigh(carrying *m, long dim, long n, double factor) {
       const double *values = m->vectors + row * n;
       size = larger(fabs(values[0]), larger(fabs(values[(n - 1) / 2]), larger(fabs(values[n - 1]), size)));
     }
-    for (long row = i * EACH_VECTOR; row < (i + 1) * EACH_VECTOR; row++) m->weight[row] = 1.0 / (factor * size);
+    double weight = 1.0 / (factor * size);
+    for (long row = i * EACH_VECTOR; row < (i + 1) * EACH_VECTOR; row++) m->weight[row] = weight;
   }
 }
 
@@ -79,57 +88,71 @@ static void apply_all(carrying *m, const actions *a, long dim, long n) {
   apply(m, m->terms, middle, m->vectors, 0, dim / 2, n, m->moved);
 }
 
+/* Largest last coefficients of vectors of so many components, relative to the weights. */
+static double unresolved(carrying *m, const rule *rule, long dim) {
+  products(rule->last, rule->nodes, 8, m->vectors, dim * EACH_VECTOR, m->last);
+  double found = 0.0;
+  for (long row = 0; row < dim * EACH_VECTOR; row++)
+    found = larger(m->weight[row] * larger(fabs(m->last[8 * row]), fabs(m->last[8 * row + 1])), found);
+  return found;
+}
+
+/* Whether an iteration with these changes, in units of the accuracy, is at its end: the next ones are smaller by
+   as much as this one is. */
+static int settled(double change, double last) { return change * (change < last ? change / last : 1.0) <= 1.0; }
+
 /* The tangent equation where the coordinates' rates are linear in the momenta alone: the coordinates follow from
    the forces directly, by one product in each iteration instead of two. */
-static int transport_linear(carrying *m, const error_tables *t, const actions *a, long dim, double h, double accuracy) {
-  long n = t->nodes, half = dim / 2, rows = half * EACH_VECTOR;
-  double *slopes = m->moved + rows * n;
+static int transport_linear(carrying *m, const rule *rule, const actions *a, long dim, double h, double accuracy) {
+  long n = rule->nodes, half = dim / 2, rows = half * EACH_VECTOR;
+  double *slopes = m->moved + rows * n, last = 0.0;
   const term *middle = m->terms + a->velocities, *end = m->terms + a->terms;
   apply(m, m->terms, middle, m->base, 0, half, n, m->moved);
-  advance(t->integration, n, m->moved, rows, m->base, h, m->drifted, m->changes);
+  advance(rule->integration, n, m->moved, rows, m->base, h, m->drifted, m->changes);
   memcpy(m->vectors, m->drifted, rows * n * sizeof(double));
   for (int iteration = 1; iteration <= ITERATIONS; iteration++) {
     apply(m, middle, end, m->vectors, half, half, n, slopes);
     apply(m, m->terms, middle, m->moved, 0, half, n, m->moved);
-    advance(t->twice, n, m->moved, rows, m->drifted, h * h, m->vectors, m->changes);
-    if (iteration < 3) continue;
+    advance(rule->twice, n, m->moved, rows, m->drifted, h * h, m->vectors, m->changes);
+    if (iteration < 2) continue;
     weigh(m, half, n, accuracy);
     double largest = weighted_change(m->changes, m->weight, rows);
     if (!(largest < 1e100)) return 0;
-    if (!(largest <= 1.0)) continue;
-    apply(m, middle, end, m->vectors, half, half, n, slopes);
-    advance(t->integration, n, slopes, rows, m->base + rows * n, h, m->vectors + rows * n, m->changes);
-    apply(m, m->terms, middle, m->vectors, 0, half, n, m->moved);
-    return 1;
+    if (iteration > 2 && settled(largest, last)) {
+      apply(m, middle, end, m->vectors, half, half, n, slopes);
+      advance(rule->integration, n, slopes, rows, m->base + rows * n, h, m->vectors + rows * n, m->changes);
+      apply(m, m->terms, middle, m->vectors, 0, half, n, m->moved);
+      return 1;
+    }
+    last = largest;
   }
   return 0;
 }
 
 /* Solve the tangent equation of a window for all vectors; m->moved has the products A V. */
-static int transport(carrying *m, const error_tables *t, const actions *a, long dim, double h, double accuracy) {
-  long n = t->nodes, half = dim / 2, rows = half * EACH_VECTOR;
-  double *slopes = m->moved + rows * n, *kicked = m->vectors + rows * n;
+static int transport(carrying *m, const rule *rule, const actions *a, long dim, double h, double accuracy) {
+  long n = rule->nodes, half = dim / 2, rows = half * EACH_VECTOR;
+  double *slopes = m->moved + rows * n, *kicked = m->vectors + rows * n, last = 0.0;
   const term *middle = m->terms + a->velocities, *end = m->terms + a->terms;
-  if (a->linear) return transport_linear(m, t, a, dim, h, accuracy);
   memcpy(m->vectors, m->base, 2 * rows * n * sizeof(double));
   for (int iteration = 1; iteration <= ITERATIONS; iteration++) {
     apply(m, middle, end, m->vectors, half, half, n, slopes);
-    advance(t->integration, n, slopes, rows, m->base + rows * n, h, kicked, m->changes + rows);
+    advance(rule->integration, n, slopes, rows, m->base + rows * n, h, kicked, m->changes + rows);
     apply(m, m->terms, middle, m->vectors, 0, half, n, m->moved);
-    advance(t->integration, n, m->moved, rows, m->base, h, m->vectors, m->changes);
-    if (iteration > 2) {
-      weigh(m, dim, n, accuracy);
-      double largest = weighted_change(m->changes, m->weight, 2 * rows);
-      if (largest <= 1.0) return 1;
-      if (!(largest < 1e100)) return 0;
-    }
+    advance(rule->integration, n, m->moved, rows, m->base, h, m->vectors, m->changes);
+    if (iteration < 2) continue;
+    weigh(m, dim, n, accuracy);
+    double largest = weighted_change(m->changes, m->weight, 2 * rows);
+    if (!(largest < 1e100)) return 0;
+    if (iteration > 2 && settled(largest, last)) return 1;
+    last = largest;
   }
   return 0;
 }
 
 /* Solve it by elimination with pivots; return whether there is a finite solution. */
-static int eliminate(carrying *m, const error_tables *t, const actions *a, long dim, double h) {
-  long n = t->nodes, size = dim * n, wide = size + EACH_VECTOR;
+static int eliminate(carrying *m, const rule *rule, const actions *a, long dim, double h) {
+  long n = rule->nodes, size = dim * n, wide = size + EACH_VECTOR;
   double *matrix = calloc(size * wide, sizeof(double));
   if (!matrix) return 0;
   for (long row = 0; row < size; row++) {
@@ -141,7 +164,7 @@ static int eliminate(carrying *m, const error_tables *t, const actions *a, long 
     for (long c = 0; c < n; c++)
       for (long d = 0; d < n; d++)
         matrix[(one->row * n + c) * wide + one->source * n + d] -=
-            h * one->factor * t->integration[d * n + c] * m->second[one->entry * n + d];
+            h * one->factor * rule->integration[d * n + c] * m->second[one->entry * n + d];
   int good = 1;
   for (long k = 0; k < size && good; k++) {
     long pivot = k;
@@ -174,24 +197,47 @@ static int eliminate(carrying *m, const error_tables *t, const actions *a, long 
   return good;
 }
 
+/* Solve it at the nodes of a rule from the vectors at the start of window k; `coarse`: only if they resolve it. */
+static int solve_at(carrying *m, const equations *H, const rule *rule, const error_tables *t, const actions *a,
+                    const error_settings *s, const windows *w, const double *joint, long k, double accuracy,
+                    int coarse) {
+  long dim = H->dim, n = rule->nodes;
+  double h = w->edge[k + 1] - w->edge[k];
+  products(rule->at_nodes, t->columns, n, m->readout, dim, m->at_nodes);
+  shift(m->at_nodes, w->state + k * dim, dim, n);
+  stretch(rule->node, h, w->edge[k], n, m->node_times);
+  run(&m->hessian, m->at_nodes, m->node_times, n, m->second);
+  products(rule->drift, t->places, n, m->pushed, dim, m->drift);
+  for (long row = 0; row < dim * EACH_VECTOR; row++) fill(m->base + row * n, joint[row], n);
+  for (long i = 0; i < dim; i++)
+    for (long c = 0; c < n; c++)
+      m->base[i * EACH_VECTOR * n + c] -= m->drift[i * n + c] * (h * h / s->scale[i]);
+  int solved = a->linear ? transport_linear(m, rule, a, dim, h, accuracy) : transport(m, rule, a, dim, h, accuracy);
+  if (coarse) return solved && unresolved(m, rule, a->linear ? dim / 2 : dim) <= COARSE;
+  return solved || eliminate(m, rule, a, dim, h);
+}
+
 /* -- one window -------------------------------------------------------------------------------- */
 
-/* Write the residual of window w to m->dz, with the rates, the states and the times; return marks. */
+/* Write the residual of window k to m->dz, with the rates, the states and the times; return marks. */
 static int residual(carrying *m, const equations *H, const error_tables *t, const error_settings *s,
-                    const windows *w, long k, double h) {
+                    const windows *w, long k, double h, int exact) {
   long dim = H->dim, places = t->places, which = k % t->sets, table = which * t->columns * places;
   for (long c = 0; c < w->readout; c++)
     for (long i = 0; i < dim; i++) m->readout[i * t->columns + c] = w->coefficient[(k * w->readout + c) * dim + i];
-  /* A rounded table would push every window the same way. */
   products(t->value + table, t->columns, places, m->readout, dim, m->z);
-  products(t->value_low + table, t->columns, places, m->readout, dim, m->low);
-  for (long c = 0; c < dim * places; c++) m->z[c] += m->low[c];
+  products(t->rate + table, t->columns, places, m->readout, dim, m->dz);
+  /* A rounded table pushes every window the same way. */
+  if (exact) {
+    products(t->value_low + table, t->columns, places, m->readout, dim, m->low);
+    for (long c = 0; c < dim * places; c++) m->z[c] += m->low[c];
+    products(t->rate_low + table, t->columns, places, m->readout, dim, m->low);
+    for (long c = 0; c < dim * places; c++) m->dz[c] += m->low[c];
+  }
   shift(m->z, w->state + k * dim, dim, places);
   stretch(t->place + which * places, h, w->edge[k], places, m->times);
-  products(t->rate + table, t->columns, places, m->readout, dim, m->dz);
-  products(t->rate_low + table, t->columns, places, m->readout, dim, m->low);
   evaluate(&m->velocity, &m->force, m->z, m->times, places, m->rates);
-  for (long c = 0; c < dim * places; c++) m->dz[c] = (m->dz[c] + m->low[c]) / h - m->rates[c];
+  for (long c = 0; c < dim * places; c++) m->dz[c] = m->dz[c] / h - m->rates[c];
   if (s->residual) memcpy(m->dz, s->residual + k * dim * places, dim * places * sizeof(double));
   int mark = 0;
   double length = fabs(h);
@@ -217,12 +263,9 @@ static void disturb_vectors(carrying *m, const equations *H, const error_tables 
   disturb(m->times, signs, places, EPS / 2, 1, places, m->late);
   evaluate(&m->velocity, &m->force, m->low, m->late, places, m->disturbed);
   for (long i = 0; i < dim; i++) {
-    double total = 0.0;
-    for (long c = 0; c < places; c++) {
-      double change = m->disturbed[i * places + c] - m->rates[i * places + c];
-      total += change * change;
-    }
-    double noise = __builtin_sqrt(total / places);
+    double *change = m->disturbed + i * places;
+    for (long c = 0; c < places; c++) change[c] -= m->rates[i * places + c];
+    double noise = __builtin_sqrt(dot(change, change, places) / places);
     /* The places average the round-off, but not independently. */
     double kick = COHERENT * length * (noise + EPS * m->speeds[i]) / __builtin_sqrt(places) / s->scale[i];
     for (long j = 0; j < PERTURBATIONS; j++) joint[i * EACH_VECTOR + 1 + j] += kick * kicks[i * PERTURBATIONS + j];
@@ -231,48 +274,73 @@ static void disturb_vectors(carrying *m, const equations *H, const error_tables 
   }
 }
 
+/* Products of A and rows at the places inside, whose rows have no more; random places keep 0. */
+static void apply_inside(carrying *m, const error_tables *t, const actions *a, long dim, const double *rows, double *out) {
+  long places = t->places, inside = t->inside;
+  for (long i = 0; i < dim; i++) fill(out + i * places, 0.0, places);
+  for (const term *one = a->term; one < a->term + a->terms; one++) {
+    const double *source = rows + one->source * inside, *second = m->curvature + one->entry * places;
+    double *target = out + one->row * places;
+    for (long c = 0; c < inside; c += 4)
+      store(target + c, load(target + c) + spread(one->factor) * load(second + c) * load(source + c));
+  }
+}
+
+/* Integrals D of the residual from the start of a window to the places inside, and A D there. */
+static void push(carrying *m, const equations *H, const error_tables *t, const actions *a) {
+  products(t->drift_inside, t->places, t->inside, m->dz, H->dim, m->drift_inside);
+  run(&m->hessian, m->z, m->times, t->places, m->curvature);
+  apply_inside(m, t, a, H->dim, m->drift_inside, m->pushed);
+}
+
 /* Whether what the linear equation lacks changes an error of this size by little. */
-static int is_linear(carrying *m, const equations *H, const error_tables *t, const error_settings *s, double length,
-                     double size) {
-  long dim = H->dim, n = t->nodes;
+static int is_linear(carrying *m, const equations *H, const error_tables *t, const actions *a, const error_settings *s,
+                     double length, double size) {
+  long dim = H->dim, places = t->places, inside = t->inside;
+  memcpy(m->low, m->z, dim * places * sizeof(double));
   for (long i = 0; i < dim; i++)
-    for (long c = 0; c < n; c++)
-      m->displaced[i * n + c] = m->vectors[i * EACH_VECTOR * n + c] * s->scale[i] + m->at_nodes[i * n + c];
-  evaluate(&m->velocity, &m->force, m->at_nodes, m->node_times, n, m->flow);
-  evaluate(&m->velocity, &m->force, m->displaced, m->node_times, n, m->lacking);
-  for (long i = 0; i < dim; i++)
-    for (long c = 0; c < n; c++)
-      m->lacking[i * n + c] -= m->flow[i * n + c] + m->moved[i * EACH_VECTOR * n + c] * s->scale[i];
-  products(t->integration, n, n, m->lacking, dim, m->flow);
+    for (long c = 0; c < inside; c++) m->low[i * places + c] += m->found[i * inside + c];
+  evaluate(&m->velocity, &m->force, m->low, m->times, places, m->disturbed);
+  apply_inside(m, t, a, dim, m->found, m->low);
+  for (long c = 0; c < dim * places; c++) m->disturbed[c] -= m->rates[c] + m->low[c];
+  products(t->drift_inside, places, inside, m->disturbed, dim, m->shown);
   int linear = 1;
   for (long i = 0; i < dim; i++)
-    linear = linear && length * row_size(m->flow + i * n, n) <= CURVED * size * s->scale[i];
+    linear = linear && length * row_size(m->shown + i * inside, inside) <= CURVED * size * s->scale[i];
   return linear;
 }
 
-/* Error inside window k: its smooth part, and the integral of the residual. Returns whether it is finite. */
-static int inside(carrying *m, const equations *H, const error_tables *t, const error_settings *s, error_results *r,
-                  long k, double h) {
-  long dim = H->dim, n = t->nodes, count = t->inside;
+/* Write the error inside a window to m->found; return its size in units of the scale. */
+static double find_error(carrying *m, const equations *H, const error_tables *t, const rule *rule,
+                         const error_settings *s, double h) {
+  long dim = H->dim, n = rule->nodes, count = t->inside;
   for (long i = 0; i < dim; i++)
-    for (long c = 0; c < n; c++)
-      m->smooth[i * n + c] = m->vectors[i * EACH_VECTOR * n + c] * s->scale[i] + m->drift[i * n + c] * h;
-  products(t->lift, n, count, m->smooth, dim, m->found);
-  products(t->drift_inside, t->places, count, m->dz, dim, m->drift_inside);
+    for (long c = 0; c < n; c++) m->smooth[i * n + c] = m->vectors[i * EACH_VECTOR * n + c] * s->scale[i];
+  products(rule->lift, n, count, m->smooth, dim, m->found);
   for (long c = 0; c < dim * count; c++) m->found[c] -= h * m->drift_inside[c];
-  products(t->dense, count, t->shown, m->found, dim, m->shown);
+  double size = 0.0;
+  for (long i = 0; i < dim; i++) size = larger(row_size(m->found + i * count, count) / s->scale[i], size);
+  return size;
+}
+
+/* Add the error inside window k and the round-off to the results. Returns whether it is finite. */
+static int inside(carrying *m, const equations *H, const error_tables *t, const rule *rule, const error_settings *s,
+                  error_results *r, long k, double length) {
+  long dim = H->dim, n = rule->nodes, count = t->inside;
+  products(t->dense, count, count, m->found, dim, m->shown);
   for (long i = 0; i < dim; i++) {
-    double largest = 0.0, last = 0.0;
-    for (long c = 0; c < n; c++) {
-      const double *vectors = m->vectors + i * EACH_VECTOR * n + c;
-      double total = 0.0;
-      for (long j = 1; j <= PERTURBATIONS; j++) total += vectors[j * n] * vectors[j * n];
-      largest = larger(total, largest);
-      last = larger(fabs(vectors[(EACH_VECTOR - 1) * n]), last);
+    const double *vectors = m->vectors + i * EACH_VECTOR * n;
+    v4 most = spread(0.0);
+    for (long c = 0; c < n; c += 4) {
+      v4 total = spread(0.0);
+      for (long j = 1; j <= PERTURBATIONS; j++) total += load(vectors + j * n + c) * load(vectors + j * n + c);
+      most = larger4(total, most);
     }
+    double largest = largest4(most), last = row_size(vectors + (EACH_VECTOR - 1) * n, n);
     /* Three standard deviations, at worst in the window, and the rounding of z^ itself. */
     double floor = s->scale[i] * (3.0 * __builtin_sqrt(largest / PERTURBATIONS) + last) + EPS / 2 * m->tops[i];
-    double peak = MISSED * row_size(m->shown + i * t->shown, t->shown) + floor;
+    double top = larger(row_size(m->shown + i * count, count), row_size(m->found + i * count, count));
+    double peak = MISSED * top + OSCILLATING * length * row_size(m->drift_inside + i * count, count) + floor;
     if (!(peak < INFINITY)) return 0;
     r->largest[i] = larger(peak, r->largest[i]);
     if (r->floor) r->floor[k * dim + i] = floor;
@@ -287,7 +355,7 @@ static int inside(carrying *m, const equations *H, const error_tables *t, const 
 /* Estimate the error of windows from *first to before `end`; *first becomes the first that is not estimated. */
 int carry_errors(carrying *m, const equations *H, const error_tables *t, const actions *a, const error_settings *s,
                  const windows *w, const double *jumps, error_results *r, long *first, long end) {
-  long dim = H->dim, n = t->nodes, rows = dim * EACH_VECTOR;
+  long dim = H->dim, rows = dim * EACH_VECTOR, coarse_from = *first;
   double *joint = r->joint;
   set_parameters(&m->velocity, s->parameters, m->stride);
   set_parameters(&m->force, s->parameters, m->stride);
@@ -300,37 +368,36 @@ int carry_errors(carrying *m, const equations *H, const error_tables *t, const a
   for (long k = *first; k < end; k++) {
     *first = k;
     double h = w->edge[k + 1] - w->edge[k], length = fabs(h);
-    r->mark[k] = residual(m, H, t, s, w, k, h);
+    r->mark[k] = residual(m, H, t, s, w, k, h, end > FEW);
     memcpy(m->before, joint, rows * sizeof(double));
     disturb_vectors(m, H, t, s, w, joint, k, length);
-    products(t->at_nodes, t->columns, n, m->readout, dim, m->at_nodes);
-    shift(m->at_nodes, w->state + k * dim, dim, n);
-    stretch(t->node, h, w->edge[k], n, m->node_times);
-    run(&m->hessian, m->at_nodes, m->node_times, n, m->second);
-    products(t->drift, t->places, n, m->dz, dim, m->drift);
-    for (long row = 0; row < rows; row++) fill(m->base + row * n, joint[row], n);
-    for (long i = 0; i < dim; i++)
-      for (long c = 0; c < n; c++) m->base[i * EACH_VECTOR * n + c] -= m->drift[i * n + c] * (h / s->scale[i]);
+    push(m, H, t, a);
     /* The mean root is the typical size of the error, also if it has short peaks beside a pole. */
     double mean = r->history[0] / greater(fabs(w->edge[k] - w->edge[0]), TINY), typical = PASSING * mean * mean;
     double accuracy = s->accuracy * (typical < r->history[1] ? typical / r->history[1] : 1.0);
-    if (!transport(m, t, a, dim, h, accuracy) && !eliminate(m, t, a, dim, h)) {
+    const rule *rule = k < coarse_from ? t->fine : t->coarse;
+    if (rule == t->coarse && !solve_at(m, H, rule, t, a, s, w, joint, k, accuracy, 1)) {
+      rule = t->fine;
+      coarse_from = k + 1 + KEPT;
+    }
+    if (rule == t->fine && !solve_at(m, H, rule, t, a, s, w, joint, k, accuracy, 0)) {
       memcpy(joint, m->before, rows * sizeof(double));
       return STUCK;
     }
-    double size = 0.0;
-    for (long i = 0; i < dim; i++) size = larger(row_size(m->vectors + i * EACH_VECTOR * n, n), size);
+    double size = find_error(m, H, t, rule, s, h);
     r->history[0] += length * __builtin_sqrt(size);
     r->history[1] = size;
-    if (!(size <= TESTED) && !is_linear(m, H, t, s, length, size)) r->mark[k] |= BENT;
-    for (long row = 0; row < rows; row++) joint[row] += h * weighted_sum(m->moved + row * n, t->end, 0, n);
+    if (!(size <= TESTED) && !is_linear(m, H, t, a, s, length, size)) r->mark[k] |= BENT;
+    for (long row = 0; row < rows; row++)
+      joint[row] += h * dot(m->moved + row * rule->nodes, rule->end, rule->nodes);
     for (long i = 0; i < dim; i++) {
-      double through = weighted_sum(m->dz + i * t->places, t->drift_end, 0, t->places);
+      double through = dot(m->dz + i * t->places, t->drift_end, t->places);
+      through += h * dot(m->pushed + i * t->places, t->drift_end, t->places);
       joint[i * EACH_VECTOR] += (jumps[k * dim + i] - h * through) / s->scale[i];
     }
     for (long row = 0; row < rows; row++)
       if (!(fabs(joint[row]) <= LARGEST)) return LOST;
-    if (!inside(m, H, t, s, r, k, h)) return LOST;
+    if (!inside(m, H, t, rule, s, r, k, length)) return LOST;
   }
   *first = end;
   return DONE;

@@ -1,9 +1,11 @@
 /* The error of a march, carried from window to window.
 
    The linear equation of the error (the paper's eq. ell) is solved for the vectors that are needed: the
-   error itself, driven by the residual, and perturbations of the size of round-off. With rows for component
-   and vector, a window is a fixed point V = V_a + D + h S A V, with A = J Hess at its nodes and D the integral
-   of the residual; it is iterated by halves, as the states were.
+   error itself, driven by the residual, and perturbations of the size of round-off. The residual oscillates
+   faster than the motion does: the error is V - D, with D the integral of the residual, and only A D is known
+   at the many places of the residual. What is left is smooth, and few nodes resolve it. With rows for component
+   and vector, a window is a fixed point V = V_a - h S A D + h S A V, with A = J Hess; it is iterated by halves,
+   as the states were. Where the vectors are not resolved by the coarse nodes, the fine ones take their place.
 
    An error e obeys e' = F(z^ + e) - F(z^) - r, of which that equation is the linear part. It is valid as long
    as what it lacks, F(z^ + e) - F(z^) - A e, changes e by little. */
@@ -23,11 +25,19 @@ enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4 };
 #define EACH_VECTOR (PERTURBATIONS + 2)
 #define SLACK 10.0      /* times the residual that the march allows at its own places */
 
+/* Nodes of the tangent equation: with `drift`, the integral of values at the places, without what it has beyond the
+   degree of the nodes; `lift`, the interpolation to the places; `last`, the last two coefficients of a series in two
+   of eight columns. */
+typedef struct {
+  int64_t nodes;
+  const double *node, *at_nodes, *drift, *integration, *twice, *lift, *end, *last;
+} rule;
+
 /* Tables of the estimate; see hamsym/random_features/error_estimate.py. */
 typedef struct {
-  int64_t nodes, columns, sets, places, inside, shown;
-  const double *node, *at_nodes, *place, *value, *value_low, *rate, *rate_low, *drift, *drift_inside, *drift_end;
-  const double *integration, *twice, *lift, *end, *to_series, *dense;
+  int64_t columns, sets, places, inside;
+  const double *place, *value, *value_low, *rate, *rate_low, *drift_inside, *drift_end, *to_series, *dense;
+  const rule *coarse, *fine;
 } error_tables;
 
 /* Terms of A V in the units of H: row += factor * second derivative * source row. Those of the coordinates'
@@ -63,9 +73,9 @@ typedef struct {
   machine velocity, force, hessian;
   term *terms;           /* in units of the scale */
   v4 *changes;
-  double *readout, *times, *late, *z, *dz, *low, *rates, *disturbed, *at_nodes, *node_times, *drift, *smooth;
-  double *drift_inside, *found, *coefficients, *shown, *second, *flow, *displaced, *lacking;
-  double *base, *drifted, *vectors, *moved, *before, *weight, *left, *speeds, *tops, *noise;
+  double *readout, *times, *late, *z, *dz, *low, *rates, *disturbed, *pushed, *at_nodes, *node_times, *drift;
+  double *smooth, *drift_inside, *found, *coefficients, *shown, *second, *curvature;
+  double *base, *drifted, *vectors, *moved, *last, *before, *weight, *speeds, *tops;
 } carrying;
 
 void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_tables *t, const actions *a);

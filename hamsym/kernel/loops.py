@@ -285,18 +285,31 @@ class Windows(Record):
         super().__init__(room=room, readout=readout, edge=edges, state=states, coefficient=readouts)
 
 
-class ErrorTables(Record):
-    """Tables of a basis for the estimate."""
+class Rule(Record):
+    """Nodes of the tangent equation."""
 
     _fields_ = [
-        *counts("nodes columns sets places inside shown"),
-        *arrays("node at_nodes place value value_low rate rate_low drift drift_inside drift_end"),
-        *arrays("integration twice lift end to_series dense"),
+        *counts("nodes"),
+        *arrays("node at_nodes drift integration twice lift end last"),
     ]
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
-        self._require_lanes("nodes places inside shown")
+        self._require_lanes("nodes")
+
+
+class ErrorTables(Record):
+    """Tables of a basis for the estimate."""
+
+    _fields_ = [
+        *counts("columns sets places inside"),
+        *arrays("place value value_low rate rate_low drift_inside drift_end to_series dense"),
+        *arrays("coarse fine"),
+    ]
+
+    def __init__(self, **values: Any) -> None:
+        super().__init__(**values)
+        self._require_lanes("places inside")
 
 
 #: Term of A V: row += factor * second derivative * source row.

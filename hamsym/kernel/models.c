@@ -30,47 +30,91 @@ static double sum_of(const double *coefficient, long n, double rounding) {
   return total;
 }
 
-static void centred(const double *value, double *out) {
-  for (int c = 0; c < PLACES; c++) out[c] = value[c] - value[MIDDLE];
+/* -- even and odd parts --
+
+   The places are symmetric: coefficients of even degrees come from sums of two values, those of odd degrees from
+   differences, by half of the products. Of both, the first HIGH numbers are the even ones. */
+
+INLINE v4 reversed(v4 x) { return (v4){x[3], x[2], x[1], x[0]}; }
+
+INLINE void fold(const double *value, double number, double *out) {
+  for (int c = 0; c < HIGH; c += 4) {
+    v4 one = load(value + c) - number, other = reversed(load(value + PLACES - 4 - c)) - number;
+    store(out + c, one + other);
+    store(out + HIGH + c, one - other);
+  }
+}
+
+INLINE void unfold(const double *even, const double *odd, double *value) {
+  for (int c = 0; c < HIGH; c += 4) {
+    store(value + c, load(even + c) + load(odd + c));
+    store(value + PLACES - 4 - c, reversed(load(even + c) - load(odd + c)));
+  }
+}
+
+/* Products of both parts and tables from n numbers each to k. */
+INLINE void apply_parts(const double *table, long n, long k, const double *parts, double *out) {
+  for (long column = 0; column < k; column += 16) {
+    v4 sums[8];
+    for (int j = 0; j < 8; j++) sums[j] = spread(0.0);
+    for (long m = 0; m < n; m++) {
+      v4 even = spread(parts[m]), odd = spread(parts[n + m]);
+      const double *row = table + m * k + column;
+      for (int j = 0; j < 4; j++) sums[j] += even * load(row + 4 * j);
+      for (int j = 0; j < 4; j++) sums[4 + j] += odd * load(row + n * k + 4 * j);
+    }
+    for (int j = 0; j < 4; j++) store(out + column + 4 * j, sums[j]);
+    for (int j = 0; j < 4; j++) store(out + k + column + 4 * j, sums[4 + j]);
+  }
 }
 
 /* Truncate a polynomial to DEGREE; return the bound on what is lost. */
 static double truncate_values(const model_tables *t, double *value, double rounding) {
-  double without[PLACES], high[HIGH], lost[PLACES];
+  double parts[PLACES], high[HIGH], lost[PLACES], rest[PLACES];
   double allowed = rounding + UNIT * size_of(value);
   /* Without the constant, which has no high coefficients but those of its roundings. */
-  centred(value, without);
-  products(t->high, PLACES, HIGH, without, 1, high);
-  products(t->values_of_high, HIGH, PLACES, high, 1, lost);
-  for (int c = 0; c < PLACES; c++) value[c] -= lost[c];
+  fold(value, value[MIDDLE], parts);
+  apply_parts(t->high, HIGH, HIGH / 2, parts, high);
+  apply_parts(t->values_of_high, HIGH / 2, HIGH, high, lost);
+  unfold(lost, lost + HIGH, rest);
+  for (int c = 0; c < PLACES; c++) value[c] -= rest[c];
   return sum_of(high, HIGH, allowed);
 }
 
 /* Values of the derivative, without coefficients that are roundings. */
 static void slopes_of(const model_tables *t, const model *g, double *out) {
-  double without[PLACES], low[HIGH];
+  double parts[PLACES], low[HIGH], slopes[PLACES];
   double allowed = g->rounding + UNIT * size_of(g->value);
-  centred(g->value, without);
-  products(t->low, PLACES, HIGH, without, 1, low);
+  fold(g->value, g->value[MIDDLE], parts);
+  apply_parts(t->low, HIGH, HIGH / 2, parts, low);
   for (int k = 0; k < HIGH; k++) low[k] = fabs(low[k]) > allowed ? low[k] : 0.0;
-  products(t->slopes_of_low, HIGH, PLACES, low, 1, out);
+  apply_parts(t->slopes_of_low, HIGH / 2, HIGH, low, slopes);
+  /* Even polynomials have odd slopes. */
+  unfold(slopes + HIGH, slopes, out);
 }
 
 /* Bound the difference of a polynomial and the integral of its supposed slopes, both without their values in
    the middle of the interval. */
 static double defect_of(const model_tables *t, const double *value, const double *slope, double rounding) {
-  double without[PLACES], integral[PLACES + 8], own[PLACES];
-  centred(value, without);
-  products(t->integrals, PLACES, PLACES + 8, slope, 1, integral);
-  products(t->coefficients, PLACES, PLACES, without, 1, own);
-  for (int c = 0; c < PLACES; c++) integral[c] -= own[c];
-  return sum_of(integral, PLACES + 8, rounding + UNIT * (size_of(value) + size_of(slope)));
+  double own[PLACES], slopes[PLACES], parts[2 * PLACES], rest[PLACES];
+  fold(value, value[MIDDLE], own);
+  fold(slope, 0.0, slopes);
+  /* Coefficients of odd degrees, from even slopes and odd values, then those of even degrees. */
+  memcpy(parts, slopes, HIGH * sizeof(double));
+  memcpy(parts + HIGH, own + HIGH, HIGH * sizeof(double));
+  memcpy(parts + PLACES, slopes + HIGH, HIGH * sizeof(double));
+  memcpy(parts + PLACES + HIGH, own, HIGH * sizeof(double));
+  apply_parts(t->defects, PLACES, HIGH, parts, rest);
+  double allowed = rounding + UNIT * (size_of(value) + size_of(slope));
+  /* The constant makes the difference 0 in the middle. */
+  return sum_of(rest, PLACES, allowed) + larger(fabs(dot(rest, t->at_middle, PLACES)) - allowed, 0.0);
 }
 
 /* Bound a polynomial by the sum of its coefficients. */
 static double total_of(const model_tables *t, const double *value, double rounding) {
-  double coefficient[PLACES];
-  products(t->coefficients, PLACES, PLACES, value, 1, coefficient);
+  double parts[PLACES], coefficient[PLACES];
+  fold(value, 0.0, parts);
+  apply_parts(t->coefficients, HIGH, HIGH, parts, coefficient);
   return sum_of(coefficient, PLACES, rounding);
 }
 

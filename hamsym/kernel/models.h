@@ -18,15 +18,16 @@
 
 #define DEGREE 31
 #define PLACES 64
-#define HIGH 32 /* coefficients beyond the degree */
+#define HIGH 32 /* coefficients beyond the degree, and half of the places */
 
-/* Tables over the places; see hamsym/bounds/models.py. */
+/* Tables over the places, for even and odd parts; see hamsym/bounds/models.py. */
 typedef struct {
-  const double *coefficients;      /* values -> coefficients, PLACES x PLACES */
-  const double *low, *high;        /* its first and last columns, PLACES x HIGH each */
-  const double *values_of_high;    /* high coefficients -> values, HIGH x PLACES */
-  const double *slopes_of_low;     /* low coefficients -> values of the derivative, HIGH x PLACES */
-  const double *integrals;         /* values -> coefficients of the integral, PLACES x (PLACES + 8) */
+  const double *coefficients;      /* values -> coefficients, 2 x HIGH x HIGH */
+  const double *low, *high;        /* its first and last columns, 2 x HIGH x (HIGH / 2) each */
+  const double *values_of_high;    /* high coefficients -> values, 2 x (HIGH / 2) x HIGH */
+  const double *slopes_of_low;     /* low coefficients -> values of the derivative, 2 x (HIGH / 2) x HIGH */
+  const double *defects;           /* slopes and values -> coefficients of the integral less the values', 2 x PLACES x HIGH */
+  const double *at_middle;         /* the polynomials of those coefficients in the middle, PLACES */
 } model_tables;
 
 typedef struct {

@@ -77,6 +77,7 @@ INLINE void tile(const double *table, long n, long k, const double *rows, long r
 INLINE void cover(const double *table, long n, long k, const double *rows, long count, double *out,
                   const motion *moved) {
   long row = 0;
+  for (; k == 8 && row + 4 <= count; row += 4) tile(table, n, k, rows, row, 0, 4, 2, out, moved);
   for (; row + 2 <= count; row += 2) {
     long column = 0;
     for (; column + 16 <= k; column += 16) tile(table, n, k, rows, row, column, 2, 4, out, moved);
@@ -130,6 +131,17 @@ static inline void chebyshev_rows(const double *x, long terms, long n, double *o
 }
 
 /* -- one row ----------------------------------------------------------------------------------- */
+
+/* Sum of the products of two rows. */
+static inline double dot(const double *a, const double *b, long n) {
+  v4 one = spread(0.0), other = spread(0.0);
+  for (long c = 0; c < n; c += 8) {
+    one += load(a + c) * load(b + c);
+    other += load(a + c + 4) * load(b + c + 4);
+  }
+  one += other;
+  return (one[0] + one[1]) + (one[2] + one[3]);
+}
 
 /* Largest magnitude; NaN if there is one. */
 static inline double row_size(const double *row, long n) {

@@ -2,12 +2,14 @@
 
 The error delta = z - z^ obeys delta' = J Hess(z^) delta - r(t) with r the residual (the paper's
 eq. ell), up to terms of second order. Inside a window r oscillates about as often as there are
-columns in the basis, so it is sampled at twice as many nodes as the solution used and at random
-places. The equation is solved window by window (:func:`hamsym.kernel.loops.carry_errors`). The
-residual r contains only another sample of the round-off: random perturbations of its size are moved
-with the error, one batch at every joint. Its size is measured as the change of F when the states
-change by half a unit in the last place. Numbers of H that float64 cannot represent, for example pi,
-push every window the same way; a perturbation in the direction of the motion represents them.
+columns in the basis, so it is sampled at half as many nodes again as the solution used and at
+random places. The equation is solved window by window (:func:`hamsym.kernel.loops.carry_errors`),
+for delta plus the integral of r, which is smooth: half of the nodes resolve it, or else those of
+the solution do. The residual r contains only another sample of the round-off: random perturbations
+of its size are moved with the error, one batch at every joint. Its size is measured as the change
+of F when the states change by half a unit in the last place. Numbers of H that float64 cannot
+represent, for example pi, push every window the same way; a perturbation in the direction of the
+motion represents them.
 
 The estimate is infinite from the time at which the errors are so large that their equation is not
 linear, or J Hess is not finite.
@@ -23,8 +25,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from hamsym.kernel import loops
-from hamsym.kernel.loops import VECTORS, Actions, ErrorSettings, ErrorTables
-from hamsym.numerics.collocation import collocation
+from hamsym.kernel.loops import LANES, VECTORS, Actions, ErrorSettings, ErrorTables, Rule
+from hamsym.numerics.collocation import collocation, turns
 from hamsym.numerics.scales import resolved_sizes
 from hamsym.random_features.basis import FeatureBasis, basis_of_series, squared
 from hamsym.random_features.flow import Flow, flow_of
@@ -32,10 +34,13 @@ from hamsym.random_features.windows import March
 from hamsym.solution.times import shown_time
 from hamsym.solution.window_error import WindowError
 
-#: Nodes for the tangent equation and for the residual, by the nodes of the basis: of the estimate,
-#: of that of a march to a loose tolerance, in whose long windows the residual is in resonance with
-#: J Hess, and of the check.
-RESOLUTIONS = {16: ((16, 32), (24, 32), (40, 72)), 24: ((24, 48), (24, 48), (40, 72))}
+#: Coarse and fine nodes for the tangent equation and nodes for the residual, by the nodes of the
+#: basis: of the estimate, of that of a march to a loose tolerance, whose windows are long, and of
+#: the check.
+RESOLUTIONS = {
+    16: ((8, 16, 24), (16, 24, 24), (40, 40, 72)),
+    24: ((8, 24, 32), (16, 24, 32), (40, 40, 72)),
+}
 _USUAL, _LOOSE, _FINE = range(3)
 _LOOSE_TOLERANCE = 1e-8  # local
 _RANDOM, _SETS = 8, 4  # further places of the residual, and how many choices of them
@@ -159,8 +164,8 @@ def resolution_for(tolerance: float) -> int:
 @functools.lru_cache(maxsize=16)
 def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
     """Make the tables of the estimate for a basis."""
-    nodes, inside = RESOLUTIONS[len(basis.nodes)][resolution]
-    rule, fine = collocation(nodes), collocation(inside)
+    coarse, usual, inside = RESOLUTIONS[len(basis.nodes)][resolution]
+    fine = collocation(inside)
     generator = np.random.default_rng(basis.seed)
     places = [np.append(fine.nodes, generator.random(_RANDOM)) for _ in range(_SETS)]
     columns = [basis.columns(s.astype(np.longdouble)) for s in places]
@@ -170,34 +175,43 @@ def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
     exact = np.longdouble  # multiplied in one order; BLAS has one for each processor
     integrals = chebyshev.chebint(np.eye(inside, dtype=exact), lbnd=-1, scl=exact(0.5))
 
-    def integral(s: np.ndarray) -> np.ndarray:
-        weights = chebyshev.chebval(2 * s.astype(exact) - 1, integrals).T
+    def integral(s: np.ndarray, terms: int = inside + 1) -> np.ndarray:
+        weights = chebyshev.chebval(2 * s.astype(exact) - 1, integrals[:terms]).T
         weights = (weights @ fine.to_series.astype(exact)).astype(float)
         return np.pad(weights.T, ((0, _RANDOM), (0, 0)))
 
+    def rule(nodes: int) -> Rule:
+        found = collocation(nodes)
+        return Rule(
+            nodes=nodes,
+            node=found.nodes,
+            at_nodes=basis.columns(found.nodes.astype(exact))[0].astype(float).T,
+            drift=integral(found.nodes, nodes),
+            integration=found.integration[:-1].T,
+            twice=squared(found.integration[:-1]).T,
+            lift=found.interpolation(fine.nodes).T,
+            end=found.integration[-1],
+            last=np.pad(found.to_series[-2:].T, ((0, 0), (0, LANES - 2))),
+        )
+
+    usual_rule = rule(usual)
     return ErrorTables(
-        nodes=nodes,
         columns=values.shape[1],
         sets=_SETS,
         places=inside + _RANDOM,
         inside=inside,
-        shown=2 * inside,
-        node=rule.nodes,
-        at_nodes=basis.columns(rule.nodes.astype(np.longdouble))[0].astype(float).T,
         place=np.array(places),
         value=values,
         value_low=values_low,
         rate=rates,
         rate_low=rates_low,
-        drift=integral(rule.nodes),
         drift_inside=integral(fine.nodes),
         drift_end=integral(np.ones(1))[:, 0],
-        integration=rule.integration[:-1].T,
-        twice=squared(rule.integration[:-1]).T,
-        lift=rule.interpolation(fine.nodes).T,
-        end=rule.integration[-1],
         to_series=fine.to_series.T,
-        dense=fine.interpolation(np.linspace(0, 1, 2 * inside)).T,
+        # Between the places, and at the end.
+        dense=fine.interpolation((1 - turns(inside)[2 : 2 * inside + 1 : 2]) / 2).T,
+        coarse=usual_rule if coarse == usual else rule(coarse),
+        fine=usual_rule,
     )
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import math
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -19,8 +21,10 @@ import pytest
 from setuptools.errors import CompileError
 
 import hamsym
+from hamsym.bounds import models
 from hamsym.errors import FileError, HamsymError, InputError
-from hamsym.kernel import build_backend, library
+from hamsym.kernel import build_backend, enclosures, library, loops
+from hamsym.random_features import window_checks
 
 ROOT = Path(hamsym.__file__).parents[1]
 # Numbers of fesetround: upward, downward, towards zero.
@@ -247,3 +251,32 @@ def test_wheel_of_the_source_archive_loads(compiler, tmp_path):
         env=environment | {"PYTHONPATH": str(installed)},
     )
     assert done.stdout.startswith(str(installed))
+
+
+def _constants() -> dict[str, dict[str, float]]:
+    """The numbers and products of numbers that each source defines."""
+    folder, found = Path(library.__file__).parent, {}
+    for path in (folder / "rows.h", *sorted(folder.glob("*.[ch]"))):
+        own = found[path.name] = dict(found["rows.h"] if found else {})
+        for line in path.read_text().splitlines():
+            if not (match := re.match(r"#define (\w+) ([^/]+)", line)):
+                continue
+            factors = [part.strip(" ()") for part in match[2].split("*")]
+            if all(re.fullmatch(r"0x1p-\d+|[\d.e-]+", part) or part in own for part in factors):
+                own[match[1]] = math.prod(
+                    own.get(part) or (float.fromhex if "p" in part else float)(part)
+                    for part in factors
+                )
+    return found
+
+
+def test_constants_stand_in_sources_and_package_alike() -> None:
+    of = _constants()
+    balls, march, errors, own = (of[f"{name}.h"] for name in "balls march errors models".split())
+    assert (balls["UNIT"], balls["MIDDLE"]) == (enclosures.UNIT, enclosures.MIDDLE)
+    assert (balls["SMALL"], balls["UNDERFLOW_ERROR"]) == (enclosures.TINY, enclosures.UNDERFLOW)
+    assert (errors["SLACK"], march["ROUND_OFF"]) == (window_checks.SLACK, window_checks._ROUND_OFF)
+    assert (own["DEGREE"], own["PLACES"]) == (models.DEGREE, models.PLACES)
+    assert errors["PERTURBATIONS"] == loops.PERTURBATIONS == loops.VECTORS - 2
+    for name in ("NOISE", "LEAST_INSIDE", "INSIDE", "SMALL_INSIDE"):
+        assert of["march.c"][name] == getattr(window_checks, f"_{name}")

@@ -172,7 +172,8 @@ def test_estimate_check_flags_unresolved_estimate(
     def coarse(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
         tables = error_tables.__wrapped__(basis, resolution)
         if resolution < 2:
-            tables["at_nodes"][:] = 0
+            for rule in ("coarse", "fine"):
+                tables[rule]["at_nodes"][:] = 0
         return tables
 
     monkeypatch.setattr("hamsym.random_features.error_estimate.error_tables", coarse)
