@@ -24,6 +24,7 @@ from hamsym.integrators.energy_drift import COARSE
 from hamsym.integrators.hidden_features import passed_over
 from hamsym.integrators.table import usable_method, usual_method
 from hamsym.problems.ensemble import Ensemble, ensemble_of
+from hamsym.problems.observed import observed, observed_variable
 from hamsym.problems.problem import checked_span, checked_steps
 from hamsym.problems.surface import Surface, parse_surface
 from hamsym.support.record_fields import AnyFloat, Size, counts, floats
@@ -121,16 +122,22 @@ class Section(Saved):
             f"success={self.success})"
         )
 
-    def to_dataframe(self) -> pandas.DataFrame:
+    def to_dataframe(self, *names: Any) -> pandas.DataFrame:
         """Return the crossings as a table of pandas: trajectory, time, components and starts.
 
         The starts are columns ``z0_x``, ..., varied parameters have their own names. Surface, H and
         the method are in ``attrs``.
 
+        Parameters
+        ----------
+        *names : str or sympy.Expr
+            Components or formulas in the names of H (:meth:`hamsym.Hamiltonian.observable`), the
+            columns in place of the components; nan where a formula is no finite real number.
+
         Raises
         ------
         InputError
-            If pandas is not installed.
+            If pandas is not installed, or a name is unknown.
 
         Examples
         --------
@@ -143,16 +150,22 @@ class Section(Saved):
         columns = {f"z0_{n}": v for n, v in zip(self.names, self._starts.T, strict=True)}
         columns |= {name: values[self.trajectory] for name, values in self.parameters.items()}
         first = {"trajectory": self.trajectory, time_name(self.names): self.t}
-        columns = first | dict(zip(self.names, self.z.T, strict=True)) | columns
+        columns = first | self._observed(names) | columns
         return data_frame(columns, None, self._attributes)
 
-    def to_xarray(self) -> xarray.Dataset:
+    def to_xarray(self, *names: Any) -> xarray.Dataset:
         """Return the crossings as a dataset of xarray, on axes ``crossing`` and ``component``.
+
+        Parameters
+        ----------
+        *names : str or sympy.Expr
+            Components or formulas, whose values are a further variable ``value`` with the axis
+            ``quantity``.
 
         Raises
         ------
         InputError
-            If xarray is not installed.
+            If xarray is not installed, or a name is unknown.
 
         Examples
         --------
@@ -164,11 +177,26 @@ class Section(Saved):
         along = {"time": self.t, "trajectory": self.trajectory}
         along |= {name: values[self.trajectory] for name, values in self.parameters.items()}
         coordinates = {name: (["crossing"], values) for name, values in along.items()}
+        value, quantity = observed_variable(names, ["crossing"], self._observed)
         return data_set(
-            {"state": (axes, self.z), "z0": (axes, self._starts)},
-            {"component": list(self.names), **coordinates},
+            {"state": (axes, self.z), "z0": (axes, self._starts), **value},
+            {"component": list(self.names), **coordinates, **quantity},
             self._attributes,
         )
+
+    @property
+    def own_parameters(self) -> np.ndarray | None:
+        """Parameters at each crossing, shape (n, k); None where all starts have those of H."""
+        if not self.parameters:
+            return None
+        known: dict[str, Any] = {**self.H.parameters, **self.parameters}
+        every = [np.broadcast_to(known[name], len(self.z0)) for name in self.H.parameter_names]
+        return np.stack(every, axis=-1)[self.trajectory]
+
+    def _observed(self, names: Sequence[Any]) -> dict[str, np.ndarray]:
+        own = self.own_parameters
+        found = observed(self.H, names, self.z[:, None], self.t[:, None], own)
+        return {name: values[:, 0] for name, values in found.items()}
 
     @property
     def _starts(self) -> np.ndarray:

@@ -264,7 +264,7 @@ class PeriodicOrbit(Saved):
         """
         return hamsym.plot(self, *names, ax=ax)
 
-    def animate(self, *names: str, **options: Any) -> hamsym.Animation:
+    def animate(self, *names: Any, **options: Any) -> hamsym.Animation:
         """Animate one period, in a picture that names or options choose; :func:`hamsym.animate`."""
         return hamsym.animate(self, *names, **options)
 
