@@ -38,17 +38,22 @@ class Observable:
         H: SymbolicHamiltonian,
         expr: sympy.Expr,
         function: sympy.Expr,
-        value: Callable[..., np.ndarray],
         *,
         place: int | None = None,
         given: str = "",
         written: Written | None = None,
     ) -> None:
         self.expr, self.function, self.place = expr, function, place
-        self._H, self._value, self._given, self._written = H, value, given, written or {}
+        self._H, self._given, self._written = H, given, written or {}
 
     def __repr__(self) -> str:
         return f"Observable({self.text!r})"
+
+    @cached_property
+    def _value(self) -> Callable[..., np.ndarray]:
+        if self.place is not None:
+            return _component(self.place, self._H.dim)
+        return compile_observable(self.function, self._H.real_equations)
 
     def __call__(self, z: Any, t: Any = 0.0, parameters: np.ndarray | None = None) -> np.ndarray:
         return self._value(z, t, parameters)
@@ -109,9 +114,8 @@ def observable_of(H: SymbolicHamiltonian, f: Any) -> Observable:
     spelled = {canonical_name(own): k for k, own in enumerate(H.names)}
     place = spelled.get(canonical_name(name))
     if place is not None:
-        value = _component(place, H.dim)
         real = H.real_equations.z[place]
-        return Observable(H, H.z[place], real, value, place=place, given=H.names[place])
+        return Observable(H, H.z[place], real, place=place, given=H.names[place])
     known = (*H.names, *H.parameter_names, TIME)
     extra = () if _ENERGY in known else (_ENERGY,)
     expr, written = brackets.written_function(f, known, extra)
@@ -122,7 +126,6 @@ def observable_of(H: SymbolicHamiltonian, f: Any) -> Observable:
         H,
         expr.xreplace(back),
         function,
-        compile_observable(function, H.real_equations),
         given=given,
         written={
             total.xreplace(back): tuple(term.xreplace(back) for term in terms)

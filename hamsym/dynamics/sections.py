@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import sympy
 
 import hamsym
 from hamsym.dynamics.crossings import Crossings, Setting
@@ -26,7 +27,7 @@ from hamsym.integrators.table import usable_method, usual_method
 from hamsym.problems.ensemble import Ensemble, ensemble_of
 from hamsym.problems.observed import observed, observed_variable
 from hamsym.problems.problem import checked_span, checked_steps
-from hamsym.problems.surface import Surface, parse_surface
+from hamsym.problems.surface import Surface, parse_surface, surface_text
 from hamsym.support.record_fields import AnyFloat, Size, counts, floats
 from hamsym.support.shown import Saved
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
@@ -217,8 +218,8 @@ class Section(Saved):
 
         Parameters
         ----------
-        *names : str
-            Two components; by default a pair that the surface leaves free.
+        *names : str or sympy.Expr
+            Two components or formulas; by default a pair that the surface leaves free.
         ax : matplotlib.axes.Axes, optional
             Axes to draw into, in your own style.
 
@@ -235,7 +236,7 @@ def section(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, Any] | np.ndarray,
     span: tuple[float, float],
-    surface: str,
+    surface: str | sympy.Expr | sympy.Eq,
     *,
     method: str | None = None,
     steps: int | None = None,
@@ -258,9 +259,10 @@ def section(
     z0 : sequence, mapping or array
         As in :func:`hamsym.integrate`, shape (..., dim).
     span : (float, float)
-    surface : str
+    surface : str, sympy.Expr or sympy.Eq
         An equation, and inequalities that the crossing must satisfy, for example
-        ``"x = 0, p_x > 0"``; both sides may be any formula.
+        ``"x = 0, p_x > 0"``; both sides may be any formula in the names of H. A sympy expression
+        is zero on the surface.
     method : str, optional
         A fixed-step method of :data:`hamsym.integrators.table.INTEGRATORS`; by default
         ``blanes_moan6`` for a separable H, otherwise ``gauss6``.
@@ -311,6 +313,7 @@ def section(
     if crossings is not None:
         require_whole("crossings", crossings)
     require_number("direction", direction)
+    surface = surface_text(H, surface)
     where = parse_surface(H, surface)
     method = usual_method(H) if method is None else usable_method(H, method)
     began = time.perf_counter()

@@ -219,7 +219,8 @@ def _fold_escape(axes: Axes, t: np.ndarray, column: np.ndarray) -> None:
     forward = slice(None, None, 1 if t[-1] > t[0] else -1)
     sizes = [np.interp(even, t[forward], np.abs(values[forward])) for values in column]
     usual, largest = float(np.nanmedian(sizes)), float(np.nanmax(np.abs(column)))
-    if usual > 0 and np.isfinite(largest) and largest > 1e4 * usual:
+    poles = not np.isfinite(column).all()
+    if usual > 0 and np.isfinite(largest) and largest > (1e2 if poles else 1e4) * usual:
         stretch = np.log10(largest / usual) / 4
         axes.set_yscale("symlog", linthresh=usual, linscale=stretch)
         powers = np.unique(np.linspace(np.log10(usual), np.log10(largest), 4).round())[1:]

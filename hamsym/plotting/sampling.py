@@ -128,11 +128,14 @@ def _bent(z: np.ndarray, curve: np.ndarray, formulas: int, judged: bool) -> np.n
     - formulas: Number of last columns that are formulas, whose poles have no shape.
     - judged: Whether formulas count.
     """
-    dim = z.shape[-1] - formulas
+    dim, edges = z.shape[-1] - formulas, np.zeros(z.shape[-2] - 1, dtype=bool)
     if formulas and judged:
+        known = np.isfinite(z[..., dim:])
+        change = known[..., :-1, :] != known[..., 1:, :]
+        edges = np.asarray(change.any(axis=(*range(change.ndim - 2), -1)))
         with _silence():
-            known = np.where(np.isfinite(z[..., dim:]), z[..., dim:], np.nan)
-            low, high = np.nanquantile(known, (0.02, 0.98), axis=-2, keepdims=True)
+            values = np.where(known, z[..., dim:], np.nan)
+            low, high = np.nanquantile(values, (0.02, 0.98), axis=-2, keepdims=True)
             room = np.where(high > low, _BEYOND * (high - low), np.inf)
             ends = low - room, high + room
             z, curve = (
@@ -148,4 +151,4 @@ def _bent(z: np.ndarray, curve: np.ndarray, formulas: int, judged: bool) -> np.n
         # States that are not finite, and components at rest, are compared with nothing.
         far = np.abs(curve - lines) > _BENT * extent[..., None, :]
     far &= extent[..., None, :] > 0
-    return np.asarray(far.any(axis=(*range(far.ndim - 2), -1)))
+    return edges | np.asarray(far.any(axis=(*range(far.ndim - 2), -1)))

@@ -586,12 +586,13 @@ class Solution(Saved):
 
         Parameters
         ----------
-        events : str, callable, or a sequence of them
-            A surface, for example ``"x = 0, p_x > 0"``, or a function in the form of scipy's
-            ``solve_ivp``: called with (t, z), z of shape (dim,), it is zero at the event; its
-            attribute ``direction`` selects rising (above zero) or falling zeros, and ``terminal``
-            (True or a number) ends the search for all events after this number of zeros. Unlike
-            there, a zero at the very start is not an event.
+        events : str, sympy.Expr, sympy.Eq, callable, or a sequence of them
+            A surface between any formulas in the names of H, for example ``"x = 0, p_x > 0"`` or
+            ``"p_x**2/2 = 1"``; a sympy expression, zero at the event; or a function in the form of
+            scipy's ``solve_ivp``: called with (t, z), z of shape (dim,), it is zero at the event;
+            its attribute ``direction`` selects rising (above zero) or falling zeros, and
+            ``terminal`` (True or a number) ends the search for all events after this number of
+            zeros. Unlike there, a zero at the very start is not an event.
 
         Every change of sign of a smooth formula is found, however narrow, because the formula is
         bounded between two neighbouring ``scan_times`` (thousands, and at least nine in every
