@@ -74,7 +74,8 @@ class Observable:
     @cached_property
     def notation(self) -> Notation:
         """The order of the terms: as they were given, others as those of H."""
-        return Notation({**self._H.notation.written, **self._written})
+        own = self._H.notation
+        return Notation({**own.written, **self._written}, own.derived)
 
     @property
     def latex(self) -> str:

@@ -146,10 +146,10 @@ class LyapunovMap(Shown):
 
         Parameters
         ----------
-        *names : str
-            Components or parameters of the axes: one, to draw exponents over it, or two, for a
-            point of each start in their plane. By default those that vary along the axes of the
-            array.
+        *names : str or sympy.Expr
+            Components, parameters or formulas of the starts: one, to draw exponents over it, or
+            two, for a point of each start in their plane; ``"H"`` is the energy. By default those
+            that vary along the axes of the array.
         ax : matplotlib.axes.Axes, optional
             Axes to draw into, in your own style.
 

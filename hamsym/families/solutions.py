@@ -393,9 +393,9 @@ class Solutions(Saved):
 
         Parameters
         ----------
-        *names : str
-            One component: over time. Two: the paths in their plane. Three: the paths in space. Or
-            ``"error"``, ``"energy"``.
+        *names : str or sympy.Expr
+            One component or formula: over time. Two: the paths in their plane. Three: the paths in
+            space. Or ``"error"``, ``"energy"``.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
 

@@ -306,8 +306,9 @@ class FlowMap(Saved):
 
         Parameters
         ----------
-        *names : str
-            One component, to draw its range over time, or two, to draw the box in their plane.
+        *names : str or sympy.Expr
+            One component or formula, to draw its range over time, or two, to draw the box in their
+            plane.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
 

@@ -410,9 +410,10 @@ class Trajectory(Saved):
 
         Parameters
         ----------
-        *names : str
-            One component: over time. Two: the paths in their plane, in one scale where both are
-            lengths or of one kind else. Three: the paths in space. Or ``"energy"``, ``"error"``.
+        *names : str or sympy.Expr
+            One component or formula (:meth:`hamsym.Hamiltonian.observable`): over time. Two: the
+            paths in their plane, in one scale where both are lengths or components of one kind
+            else. Three: the paths in space. Or ``"energy"``, ``"error"``.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
 

@@ -115,9 +115,9 @@ class OrbitFamily(Saved, Sequence[PeriodicOrbit]):
 
         Parameters
         ----------
-        *names : str
+        *names : str or sympy.Expr
             ``"period"`` or ``"multipliers"`` alone, with stability and bifurcations; or two or
-            three components, for orbits of the family in their plane or space.
+            three components or formulas, for orbits of the family in their plane or space.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
 

@@ -251,9 +251,9 @@ class PeriodicOrbit(Saved):
 
         Parameters
         ----------
-        *names : str
-            One component, to draw it over a period; two, for their plane; three, for their space;
-            or ``"multipliers"``.
+        *names : str or sympy.Expr
+            One component or formula, to draw it over a period; two, for their plane; three, for
+            their space; or ``"orbit"``, ``"multipliers"``.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
 

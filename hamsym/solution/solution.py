@@ -777,9 +777,11 @@ class Solution(Saved):
 
         Parameters
         ----------
-        *names : str
-            One component: over time. Two: the path in their plane, in one scale where both are
-            lengths or of one kind else. Three: the path in space. Or ``"error"``, the estimated
+        *names : str or sympy.Expr
+            One component or formula (:meth:`hamsym.Hamiltonian.observable`): over time, with gaps
+            where a formula is no finite real number. Two: the path in their plane, in one scale
+            where both are lengths or components of one kind else. Three: the path in space. Or
+            ``"error"``, the estimated
             errors relative to the sizes of the components, with the tolerance; ``"residual"``,
             ``"energy"``, or ``"search"``: lengths of the windows, or the loss.
         ax : matplotlib.axes.Axes, optional
@@ -804,6 +806,8 @@ class Solution(Saved):
         >>> solution = hamsym.solve(H, [1, 0, 0, 1.1], (0, 9))
         >>> solution.plot("x", "y").axes[0].get_xlabel()
         '$x$'
+        >>> solution.plot("x*p_y - y*p_x").axes[0].get_ylabel()
+        '$x p_{y} - y p_{x}$'
         """
         return hamsym.plot(self, *names, ax=ax, **options)
 
