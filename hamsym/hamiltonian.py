@@ -8,7 +8,7 @@ Output: Hamilton's equations, the Hessian and quantities derived from them, as s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
@@ -18,8 +18,8 @@ import sympy
 
 from hamsym.codegen.backends import BACKENDS, runnable
 from hamsym.codegen.energy_levels import states_at_energy
-from hamsym.codegen.functions import compile_observable
 from hamsym.codegen.generate import generate
+from hamsym.codegen.observable import Observable, observable_of
 from hamsym.codegen.system import System, load
 from hamsym.errors import InputError, ParameterError
 from hamsym.support.suggestions import checked_keywords, require_known, suggest_attributes
@@ -348,22 +348,32 @@ class Hamiltonian(SymbolicHamiltonian):
         self._require_values([name for name in self.unbound_parameters if name not in given])
         return states_at_energy(self.real_equations, energy, z0, t, given, missing == "raise")
 
-    def observable(self, f: str | sympy.Expr) -> Callable[..., np.ndarray]:
-        """Compile a function of the state with numpy.
+    def observable(self, f: str | sympy.Expr) -> Observable:
+        """Compile a component or a formula with numpy, with its texts for labels.
+
+        Figures, tables, animations, events and sweeps take the same names and formulas.
 
         Parameters
         ----------
         f : str or sympy.Expr
-            A function of the components of z, the parameters of H and the time.
+            A component, or a formula in the components of z, the parameters of H and the time t,
+            parsed with the limits of a formula of H. ``H`` in it is the energy, unless H has a
+            symbol of this name.
 
         Returns
         -------
         callable
             (z, t=0.0, parameters=None) of shapes (..., dim) and (...) -> (...). Parameters of
-            shape (..., k), in the order of ``parameter_names``, replace the values of H.
+            shape (..., k), in the order of ``parameter_names``, replace the values of H. Its method
+            ``values`` gives nan where there is no finite number; it has ``text``, ``latex`` and
+            ``unit``.
 
         Raises
         ------
+        InputError
+            If f is neither text nor a sympy expression.
+        ParseError
+            If the text is not a formula.
         VariableError
             If f has a symbol that occurs neither in H nor in a force.
         ParameterError
@@ -372,13 +382,16 @@ class Hamiltonian(SymbolicHamiltonian):
         Examples
         --------
         >>> H = Hamiltonian("(p_x**2 + p_y**2)/2 - 1/sqrt(x**2 + y**2)")
-        >>> H.observable("x*p_y - y*p_x")([0.4, 0.0, 0.0, 2.0])
+        >>> momentum = H.observable("x*p_y - y*p_x")
+        >>> momentum([0.4, 0.0, 0.0, 2.0])
         np.float64(0.8)
+        >>> momentum.latex
+        'x p_{y} - y p_{x}'
         """
-        expr = self.function(f)
-        used = {symbol.name for symbol in expr.free_symbols}
+        found = observable_of(self, f)
+        used = {symbol.name for symbol in found.function.free_symbols}
         self._require_values([name for name in self.unbound_parameters if name in used])
-        return compile_observable(expr, self.real_equations)
+        return found
 
     def equilibria(self, guess: Any = None, box: Any = None, **options: Any) -> Equilibria:
         """Find equilibria and their linear stability; see :func:`hamsym.equilibria`.

@@ -12,6 +12,7 @@ from hamsym.cli.command import Report, completing
 from hamsym.cli.output import check_figure, check_table, save_figure, write_table
 from hamsym.cli.texts import assignments, formulas, listed, number, state
 from hamsym.errors import InputError
+from hamsym.support.suggestions import similar
 
 if TYPE_CHECKING:
     from hamsym.hamiltonian import Hamiltonian
@@ -173,9 +174,41 @@ def rows_option(rows: int | None) -> Callable[[Command], Command]:
     return decorate
 
 
-figure_option = click.option(
-    "--plot", "figure", type=click.Path(), metavar="FILE", help="Draw a figure."
-)
+def figure_options(command: Command) -> Command:
+    """Add --plot and --draw; the command takes ``draw``, which writes a figure of its result.
+
+    The file and formulas in the names of H, the first argument, are checked before the command.
+    """
+
+    @click.option("--plot", "figure", type=click.Path(), metavar="FILE", help="Draw a figure.")
+    @click.option(
+        "--draw",
+        "drawn",
+        metavar="NAMES",
+        help='What --plot draws: components, formulas or a panel, e.g. "x, p_x**2/2".',
+    )
+    @functools.wraps(command)
+    def wrapped(*arguments: Any, figure: str | None, drawn: str | None, **options: Any) -> Any:
+        names = listed(drawn or "")
+        if names and figure is None:
+            raise InputError("--draw says what a figure shows; give its file too, --plot FILE")
+        check_figure(figure)
+        for name in names:
+            if not name.isidentifier() or similar(name, arguments[0].names):
+                arguments[0].observable(name)
+
+        def draw(result: Any, report: Report) -> None:
+            if figure is not None:
+                save_figure(result.plot(*names), figure)
+                report.files.append(figure)
+
+        return command(*arguments, draw=draw, **options)
+
+    return wrapped
+
+
+#: Writes the figure of a result, if one was asked for, and adds it to the files of a report.
+Draw = Callable[[Any, Report], None]
 
 
 def output_options(table_help: str) -> Callable[[Command], Command]:
@@ -187,20 +220,15 @@ def output_options(table_help: str) -> Callable[[Command], Command]:
 
     def decorate(command: Command) -> Command:
         @click.option("-o", "--output", type=click.Path(), metavar="FILE", help=table_help)
-        @figure_option
+        @figure_options
         @functools.wraps(command)
-        def wrapped(
-            *arguments: Any, output: str | None, figure: str | None, **options: Any
-        ) -> Report:
+        def wrapped(*arguments: Any, output: str | None, draw: Draw, **options: Any) -> Report:
             check_table(output)
-            check_figure(figure)
             result, report, columns, arrays = command(*arguments, **options)
             if output is not None:
                 write_table(output, columns, arrays)
                 report.files.append(output)
-            if figure is not None:
-                save_figure(result.plot(), figure)
-                report.files.append(figure)
+            draw(result, report)
             return report
 
         return wrapped

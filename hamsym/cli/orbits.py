@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hamsym.cli.command import Command, Report, report_of
-from hamsym.cli.options import figure_option, hamiltonian_options, rows_option
-from hamsym.cli.output import check_figure, save_figure
+from hamsym.cli.options import Draw, figure_options, hamiltonian_options, rows_option
 from hamsym.cli.texts import number, state, texts_by_name
 from hamsym.support.text_tables import ROWS
 
@@ -43,7 +42,7 @@ _FURTHER = ("family", "proven")
 @click.option("--tol", metavar="VALUE", default="1e-10", show_default=True)
 @click.option("--to-energy", metavar="VALUE", help="Follow its family to this energy.")
 @click.option("--prove", is_flag=True, help="Prove that it exists, and its stability.")
-@figure_option
+@figure_options
 @rows_option(ROWS)
 def orbit(
     H: Hamiltonian,
@@ -55,13 +54,12 @@ def orbit(
     tol: str,
     to_energy: str | None,
     prove: bool,
-    figure: str | None,
+    draw: Draw,
     rows: int | None,
 ) -> Report:
     """Find a periodic orbit near a state; exit 1 if that failed."""
     import hamsym
 
-    check_figure(figure)
     guess: Any = state(start)
     if near is not None:
         guess = (guess, number(near))
@@ -89,7 +87,5 @@ def orbit(
         },
         found.success and (family is None or family.success),
     )
-    if figure is not None:
-        save_figure((family or found).plot(), figure)
-        report.files.append(figure)
+    draw(family or found, report)
     return report

@@ -6,14 +6,15 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from hamsym.errors import InputError
+from hamsym.formula.separation import separated
 
 if TYPE_CHECKING:
     from hamsym.solution.solution import Solution
 
 
 def listed(text: str) -> list[str]:
-    """Return the parts of a text between its commas."""
-    return [part.strip() for part in text.split(",") if part.strip()]
+    """Return the parts of a text between its commas that are not inside parentheses."""
+    return [part for part in separated(text) if part]
 
 
 def number(text: str) -> float:

@@ -10,7 +10,8 @@ import click
 from hamsym.cli.command import Command, Report, completing, report_of
 from hamsym.cli.exporting import check_export
 from hamsym.cli.options import (
-    figure_option,
+    Draw,
+    figure_options,
     hamiltonian_options,
     integrator_options,
     integrators,
@@ -20,7 +21,7 @@ from hamsym.cli.options import (
     span_options,
     starts_options,
 )
-from hamsym.cli.output import check_directory, check_figure, save_figure, write_certificate
+from hamsym.cli.output import check_directory, write_certificate
 from hamsym.cli.solver_options import SolverCommand
 from hamsym.cli.texts import listed
 from hamsym.errors import InputError
@@ -41,6 +42,7 @@ Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
     examples=[
         'hamsym solve "p**2/2 + x**2/2 + x**4/4" --z0 x=1.3,p=1 --t-end "4*pi" --tol 1e-9',
         'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 -o orbit.hamsym --plot orbit.png',
+        'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 --plot it.png --draw "x, p**2/2"',
         'hamsym solve "p**2/2 + k*x**2/2" -P k=2 --z0 1,0 --t-end 3 --method adam --epochs 200',
     ],
 )
@@ -56,13 +58,13 @@ Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
 )
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="For hamsym.load.")
 @click.option("--export", type=click.Path(), metavar="FILE", help="Code: .py, .json or .h.")
-@figure_option
+@figure_options
 @rows_option(ROWS)
 def solve(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
-    figure: str | None,
+    draw: Draw,
     output: str | None,
     export: str | None,
     prove: bool,
@@ -75,7 +77,6 @@ def solve(
     """
     from hamsym.solving.solve import solve as run
 
-    check_figure(figure)
     check_directory(output)
     check_export(export)
     solution = run(H, z0, span, prove=prove, **options)
@@ -92,9 +93,7 @@ def solve(
         report = replace(
             report, text=f"{report.text}\n{export} is not written: the solution failed"
         )
-    if figure is not None:
-        save_figure(solution.plot(), figure)
-        report.files.append(figure)
+    draw(solution, report)
     return report
 
 
@@ -118,14 +117,14 @@ def solve(
     shell_complete=completing(integrators),
 )
 @click.option("--max-steps", default=100_000_000, show_default=True, help="Limit of the search.")
-@figure_option
+@figure_options
 def compare(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
     methods: str | None,
     max_steps: int,
-    figure: str | None,
+    draw: Draw,
     **options: Any,
 ) -> Report:
     """Solve, and compare with integrators at K, 10 K and 100 K steps."""
@@ -133,14 +132,11 @@ def compare(
     from hamsym.study.compare import chosen_methods
     from hamsym.study.compare import compare as run_comparison
 
-    check_figure(figure)
     names = chosen_methods(H, None if methods is None else listed(methods))
     solution = run(H, z0, span, **options)
     comparison = run_comparison(solution, names, max_steps=max_steps)
     report = report_of(comparison)
-    if figure is not None:
-        save_figure(comparison.plot(), figure)
-        report.files.append(figure)
+    draw(comparison, report)
     return report
 
 

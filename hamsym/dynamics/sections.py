@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import sympy
 
 import hamsym
 from hamsym.dynamics.crossings import Crossings, Setting
@@ -24,8 +25,9 @@ from hamsym.integrators.energy_drift import COARSE
 from hamsym.integrators.hidden_features import passed_over
 from hamsym.integrators.table import usable_method, usual_method
 from hamsym.problems.ensemble import Ensemble, ensemble_of
+from hamsym.problems.observed import observed
 from hamsym.problems.problem import checked_span, checked_steps
-from hamsym.problems.surface import Surface, parse_surface
+from hamsym.problems.surface import Surface, parse_surface, surface_text
 from hamsym.support.record_fields import AnyFloat, Size, counts, floats
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
@@ -124,16 +126,22 @@ class Section(Drawn, Saved):
             f"success={self.success})"
         )
 
-    def to_dataframe(self) -> pandas.DataFrame:
+    def to_dataframe(self, *names: Any) -> pandas.DataFrame:
         """Return the crossings as a table of pandas: trajectory, time, components and starts.
 
         The starts are columns ``z0_x``, ..., varied parameters have their own names. Surface, H and
         the method are in ``attrs``.
 
+        Parameters
+        ----------
+        *names : str or sympy.Expr
+            Components or formulas in the names of H (:meth:`hamsym.Hamiltonian.observable`), the
+            columns in place of the components; nan where a formula is no finite real number.
+
         Raises
         ------
         InputError
-            If pandas is not installed.
+            If pandas is not installed, or a name is unknown.
 
         Examples
         --------
@@ -148,8 +156,22 @@ class Section(Drawn, Saved):
         }
         columns |= {name: values[self.trajectory] for name, values in self.parameters.items()}
         first = {"trajectory": self.trajectory, time_name(self.names): self.t}
-        columns = first | dict(zip(self.names, self.z.T, strict=True)) | columns
+        columns = first | self._observed(names) | columns
         return data_frame(columns, None, self._attributes)
+
+    @property
+    def own_parameters(self) -> np.ndarray | None:
+        """Parameters at each crossing, shape (n, k); None where all starts have those of H."""
+        if not self.parameters:
+            return None
+        known: dict[str, Any] = {**self.H.parameters, **self.parameters}
+        every = [np.broadcast_to(known[name], len(self.z0)) for name in self.H.parameter_names]
+        return np.stack(every, axis=-1)[self.trajectory]
+
+    def _observed(self, names: Sequence[Any]) -> dict[str, np.ndarray]:
+        own = self.own_parameters
+        found = observed(self.H, names, self.z[:, None], self.t[:, None], own)
+        return {name: values[:, 0] for name, values in found.items()}
 
     @property
     def _attributes(self) -> dict[str, Any]:
@@ -162,7 +184,7 @@ def section(
     H: HamiltonianLike,
     z0: Sequence[float] | Mapping[Any, Any] | np.ndarray,
     span: tuple[float, float],
-    surface: str,
+    surface: str | sympy.Expr | sympy.Eq,
     *,
     method: str | None = None,
     steps: int | None = None,
@@ -185,9 +207,10 @@ def section(
     z0 : sequence, mapping or array
         As in :func:`hamsym.integrate`, shape (..., dim).
     span : (float, float)
-    surface : str
+    surface : str, sympy.Expr or sympy.Eq
         An equation, and inequalities that the crossing must satisfy, for example
-        ``"x = 0, p_x > 0"``; both sides may be any formula.
+        ``"x = 0, p_x > 0"``; both sides may be any formula in the names of H. A sympy expression
+        is zero on the surface.
     method : str, optional
         A fixed-step method of :data:`hamsym.integrators.table.INTEGRATORS`; by default
         ``blanes_moan6`` for a separable H, otherwise ``gauss6``.
@@ -238,6 +261,7 @@ def section(
     if crossings is not None:
         require_whole("crossings", crossings)
     require_number("direction", direction)
+    surface = surface_text(H, surface)
     where = parse_surface(H, surface)
     method = usual_method(H) if method is None else usable_method(H, method)
     began = time.perf_counter()

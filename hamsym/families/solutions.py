@@ -18,6 +18,7 @@ from hamsym.families.proofs import Proofs, prove_members
 from hamsym.families.windows import ACCEPTED, MARCHED, OPEN, Table, Windows
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import attributes_of
+from hamsym.problems.observed import observed, observed_variable
 from hamsym.random_features.basis import basis_of_series, size_of
 from hamsym.random_features.error_estimate import RESOLUTIONS, MarchError, estimate_error
 from hamsym.random_features.features import Features
@@ -205,6 +206,11 @@ class Solutions(Saved):
         return {name: column[self.members] for name, column in columns.items()}
 
     @property
+    def own_parameters(self) -> np.ndarray | None:
+        """Parameters in the order of H, shape (..., k); None where all members have those of H."""
+        return self.table.parameters[self.members] if self._varied else None
+
+    @property
     def _varied(self) -> tuple[str, ...]:
         return self.family.varied
 
@@ -387,9 +393,9 @@ class Solutions(Saved):
 
         Parameters
         ----------
-        *names : str
-            One component: over time. Two: the paths in their plane. Three: the paths in space. Or
-            ``"error"``, ``"energy"``.
+        *names : str or sympy.Expr
+            One component or formula: over time. Two: the paths in their plane. Three: the paths in
+            space. Or ``"error"``, ``"energy"``.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
 
@@ -427,13 +433,13 @@ class Solutions(Saved):
         """
         return prove_members(self, bound, progress)
 
-    def animate(self, *names: str, **options: Any) -> hamsym.Animation:
+    def animate(self, *names: Any, **options: Any) -> hamsym.Animation:
         """Animate the first 50 members in one picture; see :func:`hamsym.animate`."""
         return hamsym.animate(self, *names, **options)
 
     # -- files and tables --------------------------------------------------------------------
 
-    def to_xarray(self, t: Any) -> xarray.Dataset:
+    def to_xarray(self, t: Any, *names: Any) -> xarray.Dataset:
         """Return states at times t, with success and error estimates, as a dataset of xarray.
 
         Its variables are ``state``, ``success``, ``message``, ``largest_error`` and ``z0``. Axes
@@ -444,23 +450,34 @@ class Solutions(Saved):
         ----------
         t : sequence or array
             Times, shape (n,); a scalar counts as one time.
+        *names : str or sympy.Expr
+            Components or formulas, whose values are a further variable ``value`` with the axis
+            ``quantity``.
 
         Raises
         ------
         InputError
-            If xarray is not installed, or a time is outside the span.
+            If xarray is not installed, a time is outside the span, or a name is unknown.
         """
         axes = member_axes(self.shape)
         times = np.atleast_1d(times_in_span(t, self.span))
+        states = self(times)
+        value, quantity = observed_variable(
+            names,
+            [*axes, "time"],
+            lambda names: observed(self.H, names, states, times, self.own_parameters),
+        )
         return data_set(
             {
-                "state": ([*axes, "time", "component"], self(times)),
+                "state": ([*axes, "time", "component"], states),
                 "success": (axes, self.success),
                 "message": (axes, self.message),
                 "largest_error": ([*axes, "component"], self.largest_error),
                 "z0": ([*axes, "component"], self.z0),
+                **value,
             },
             {
+                **quantity,
                 "time": times,
                 "component": list(self.H.names),
                 **{name: (axes, values) for name, values in self.parameters.items()},
@@ -473,7 +490,7 @@ class Solutions(Saved):
         known = attributes_of(self.H, self._varied)
         return {**known, "span": list(self.span), "tol": self.tol}
 
-    def to_dataframe(self, t: Any) -> pandas.DataFrame:
+    def to_dataframe(self, t: Any, *names: Any) -> pandas.DataFrame:
         """Return states at times t as a table of pandas, with components as columns.
 
         The index has the levels ``member``, or ``axis_0``, ``axis_1``, ..., and ``t``. Parameters
@@ -483,11 +500,14 @@ class Solutions(Saved):
         ----------
         t : sequence or array
             Times, shape (n,); a scalar counts as one time.
+        *names : str or sympy.Expr
+            Components or formulas in the names of H (:meth:`hamsym.Hamiltonian.observable`), the
+            columns in place of the components; nan where a formula is no finite real number.
 
         Raises
         ------
         InputError
-            If pandas is not installed, or a time is outside the span.
+            If pandas is not installed, a time is outside the span, or a name is unknown.
 
         Examples
         --------
@@ -499,7 +519,8 @@ class Solutions(Saved):
         places = np.indices((*self.shape, len(times))).reshape(self.ndim + 1, -1)
         index = dict(zip(member_axes(self.shape), places[:-1], strict=True))
         index[time_name(self.H.names)] = times[places[-1]]
-        columns = dict(zip(self.H.names, self(times).reshape(-1, self.H.dim).T, strict=True))
+        found = observed(self.H, names, self(times), times, self.own_parameters)
+        columns = {name: values.ravel() for name, values in found.items()}
         columns |= {
             name: np.repeat(own.ravel(), len(times)) for name, own in self.parameters.items()
         }

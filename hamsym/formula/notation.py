@@ -10,6 +10,8 @@ from sympy.printing.latex import LatexPrinter
 
 from hamsym.formula.printer import FormulaPrinter, ordered_terms
 
+Orders = Mapping[sympy.Expr, Sequence[sympy.Expr]]
+
 
 class Notation:
     """Order of the terms of sums in all that is displayed of a formula and its derivatives.
@@ -18,6 +20,7 @@ class Notation:
     :class:`~hamsym.formula.printer.FormulaPrinter`.
 
     - written: Terms of sums in the order in which they were written, by the sum.
+    - derived: The same of sums in derivatives, whose sign may be that of the product around them.
 
     Examples
     --------
@@ -28,8 +31,8 @@ class Notation:
     'r^{2} - l'
     """
 
-    def __init__(self, written: Mapping[sympy.Expr, Sequence[sympy.Expr]] | None = None) -> None:
-        self.written = dict(written or {})
+    def __init__(self, written: Orders | None = None, derived: Orders | None = None) -> None:
+        self.written, self.derived = dict(written or {}), dict(derived or {})
 
     def terms(self, expr: sympy.Expr) -> list[sympy.Expr]:
         """Terms of a sum in order; another expression is one term."""
@@ -40,7 +43,44 @@ class Notation:
         negated = [-term for term in self.written.get(-expr, ())]
         if negated and not negated[0].could_extract_minus_sign():
             return negated
-        return ordered_terms(expr)
+        if expr in self.derived:
+            return list(self.derived[expr])
+        return [-term for term in self.derived.get(-expr, ())] or ordered_terms(expr)
+
+    def with_fewer_signs(self, product: sympy.Expr) -> sympy.Expr:
+        """Return a product with its minus signs in front of sums taken together, if fewer remain.
+
+        Sums that were written keep their sign.
+
+        Examples
+        --------
+        >>> a, b, c = sympy.symbols("a b c")
+        >>> Notation().text(c * (-a - b)), Notation().text(-c / (-a - b + c**2))
+        ('-c*(a + b)', 'c/(a + b - c**2)')
+        """
+        coefficient, rest = product.as_coeff_Mul()
+        factors, signs, turned, mostly = [], 0, False, False
+        for factor in sympy.Mul.make_args(rest):
+            base, exponent = factor.as_base_exp()
+            if base.is_Add and exponent.is_Integer and self._turns(base):
+                below = sum(term.could_extract_minus_sign() for term in base.args)
+                mostly, turned = mostly or 2 * below > len(base.args), True
+                signs += int(exponent) % 2
+                factor = (-base) ** exponent
+            factors.append(factor)
+        fewer = signs != 1 or coefficient < 0 or mostly
+        if not turned or not fewer or len(factors) < 2:
+            return product
+        coefficient *= (-1) ** signs
+        return sympy.Mul(*([] if coefficient == 1 else [coefficient]), *factors, evaluate=False)
+
+    def _turns(self, total: sympy.Expr) -> bool:
+        """Whether a sum begins with a minus sign that nobody wrote."""
+        if total in self.written or -total in self.written:
+            return False
+        return bool(self.terms(total)[0].could_extract_minus_sign()) and not (
+            self.terms(-total)[0].could_extract_minus_sign()
+        )
 
     def text(self, expr: sympy.Expr) -> str:
         """Return a formula as text."""
@@ -65,6 +105,9 @@ class _TextPrinter(FormulaPrinter):
     def terms(self, expr: sympy.Expr) -> list[sympy.Expr]:
         return self._notation.terms(expr)
 
+    def _product(self, expr: sympy.Expr) -> tuple[str, int]:
+        return super()._product(self._notation.with_fewer_signs(expr))
+
     @staticmethod
     def _splits(factor: sympy.Expr) -> bool:
         return False
@@ -74,6 +117,10 @@ class _TypesetPrinter(LatexPrinter):  # type: ignore[misc]
     def __init__(self, notation: Notation, settings: Mapping[str, Any]) -> None:
         super().__init__(dict(settings))
         self._notation = notation
+
+    def _print_Mul(self, expr: sympy.Expr) -> str:
+        text: str = super()._print_Mul(self._notation.with_fewer_signs(expr))
+        return text
 
     def _as_ordered_terms(self, expr: sympy.Expr, order: Any = None) -> list[sympy.Expr]:
         return self._notation.terms(expr)

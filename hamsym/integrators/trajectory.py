@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -11,20 +11,21 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import numpy as np
 
 import hamsym
-from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.energy_drift import work_of
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.problems.description import attributes_of
 from hamsym.problems.ensemble import Ensemble
+from hamsym.problems.observed import observed, observed_variable
 from hamsym.support.record_fields import UNSAVED, AnyFloat, Count, Size, counts, flags, floats
 from hamsym.support.shown import Saved
-from hamsym.support.suggestions import suggest_attributes, unknown
+from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
 
 if TYPE_CHECKING:
     import pandas
+    import sympy
     import xarray
     from matplotlib.figure import Figure
 
@@ -267,23 +268,32 @@ class Trajectory(Saved):
 
     # -- by name and by time ---------------------------------------------------------------------
 
-    def __getitem__(self, name: str) -> np.ndarray:
-        """Return a component over the saved times, shape (*shape, n), as a view of ``z``.
+    def __getitem__(self, name: str | sympy.Expr) -> np.ndarray:
+        """Return a component or a formula over the saved times, shape (*shape, n).
+
+        A component is a view of ``z``; a formula in the names of H
+        (:meth:`hamsym.Hamiltonian.observable`) is nan where it is no finite real number.
 
         Raises
         ------
         InputError
-            If no component has this name.
+            If it is neither a component nor a formula.
 
         Examples
         --------
         >>> trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, np.pi), tol=1e-9, saves=2)
         >>> trajectory["x"].round(8) + 0.0
         array([ 1.,  0., -1.])
+        >>> trajectory["p**2/2"].round(8)
+        array([0. , 0.5, 0. ])
         """
-        if isinstance(name, str) and name in self.names:
-            return self.z[..., self.names.index(name)]
-        raise InputError(unknown(name, self.names, "a component of this trajectory"))
+        (values,) = self._observed([name]).values()
+        return values
+
+    def _observed(self, names: Sequence[Any]) -> dict[str, np.ndarray]:
+        own = self.ensemble.own_parameters()
+        own = None if own is None else own.reshape(*self.ensemble.shape, -1)
+        return observed(self.ensemble.H, names, self.z, self.t, own)
 
     def __iter__(self) -> NoReturn:
         raise TypeError("a Trajectory is not a sequence; iterate over its t, its z or its names")
@@ -353,17 +363,23 @@ class Trajectory(Saved):
 
     # -- tables and files ------------------------------------------------------------------------
 
-    def to_dataframe(self) -> pandas.DataFrame:
+    def to_dataframe(self, *names: Any) -> pandas.DataFrame:
         """Return the states as a table of pandas: times as index, components as columns.
 
         An ensemble has further levels of the index, ``member`` or ``axis_0``, ``axis_1``, ..., and
         a column for each parameter that varies. H, parameters, units and the method are in
         ``attrs``.
 
+        Parameters
+        ----------
+        *names : str or sympy.Expr
+            Components or formulas in the names of H (:meth:`hamsym.Hamiltonian.observable`), the
+            columns in place of the components; nan where a formula is no finite real number.
+
         Raises
         ------
         InputError
-            If pandas is not installed.
+            If pandas is not installed, or a name is unknown.
 
         Examples
         --------
@@ -376,22 +392,28 @@ class Trajectory(Saved):
         places = np.indices((*shape, n)).reshape(len(shape) + 1, -1)
         index = dict(zip(member_axes(shape), places[:-1], strict=True))
         index[time_name(self.names)] = self.t[places[-1]]
-        columns = dict(zip(self.names, self.z.reshape(-1, len(self.names)).T, strict=True))
+        columns = {name: values.ravel() for name, values in self._observed(names).items()}
         members = np.repeat(np.arange(len(self.ensemble)), n)
         columns |= {name: values[members] for name, values in self.ensemble.columns.items()}
         return data_frame(columns, index, self._attributes)
 
-    def to_xarray(self) -> xarray.Dataset:
+    def to_xarray(self, *names: Any) -> xarray.Dataset:
         """Return states, energies, success and messages as a dataset of xarray.
 
         Its axes are ``time`` and ``component``, and of an ensemble ``member``, or ``axis_0``,
         ``axis_1``, ..., on which parameters that vary are coordinates. With ``tol`` it has
         ``errors`` too.
 
+        Parameters
+        ----------
+        *names : str or sympy.Expr
+            Components or formulas, whose values are a further variable ``value`` with the axis
+            ``quantity``.
+
         Raises
         ------
         InputError
-            If xarray is not installed.
+            If xarray is not installed, or a name is unknown.
 
         Examples
         --------
@@ -413,9 +435,9 @@ class Trajectory(Saved):
         if self.errors is not None:
             variables["errors"] = (states, self.errors)
         varied = {name: (axes, own.reshape(shape)) for name, own in self.ensemble.columns.items()}
-        return data_set(
-            variables, {"time": self.t, "component": list(self.names), **varied}, self._attributes
-        )
+        value, quantity = observed_variable(names, [*axes, "time"], self._observed)
+        along = {"time": self.t, "component": list(self.names)}
+        return data_set(variables | value, {**along, **varied, **quantity}, self._attributes)
 
     @property
     def _attributes(self) -> dict[str, Any]:
@@ -433,9 +455,10 @@ class Trajectory(Saved):
 
         Parameters
         ----------
-        *names : str
-            One component: over time. Two: the paths in their plane, in one scale where both are
-            lengths or of one kind else. Three: the paths in space. Or ``"energy"``, ``"error"``.
+        *names : str or sympy.Expr
+            One component or formula (:meth:`hamsym.Hamiltonian.observable`): over time. Two: the
+            paths in their plane, in one scale where both are lengths or components of one kind
+            else. Three: the paths in space. Or ``"energy"``, ``"error"``.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
 
@@ -457,6 +480,6 @@ class Trajectory(Saved):
         """
         return hamsym.plot(self, *names, ax=ax)
 
-    def animate(self, *names: str, **options: Any) -> hamsym.Animation:
+    def animate(self, *names: Any, **options: Any) -> hamsym.Animation:
         """Animate the motion, in a picture that names or options choose; :func:`hamsym.animate`."""
         return hamsym.animate(self, *names, **options)

@@ -247,7 +247,7 @@ class PeriodicOrbit(Drawn, Saved):
         """
         return hamsym.prove_orbit(self, time_limit=time_limit)
 
-    def animate(self, *names: str, **options: Any) -> hamsym.Animation:
+    def animate(self, *names: Any, **options: Any) -> hamsym.Animation:
         """Animate one period, in a picture that names or options choose; :func:`hamsym.animate`."""
         return hamsym.animate(self, *names, **options)
 

@@ -9,13 +9,24 @@ import sympy
 from matplotlib.font_manager import FontProperties
 from matplotlib.mathtext import MathTextParser
 
+from hamsym.codegen.observable import Observable
 from hamsym.formula.notation import Notation
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.figure import CAPTION_SIZE
-from hamsym.plotting.names import latex_of, math_name, math_unit, number, words_of
+from hamsym.plotting.names import (
+    escaped,
+    latex_of,
+    math_name,
+    math_unit,
+    number,
+    shortened,
+    words_of,
+)
 from hamsym.plotting.style import COLUMN
 
 _MAX_TERMS, _MAX_PARAMETERS = 12, 10
+# Of a formula beside an axis: its width in centimetres, and operations.
+_AXIS, _MOST_ON_AXIS = 4.0, 60
 
 
 def formula_words(H: Hamiltonian) -> list[str]:
@@ -60,16 +71,43 @@ def _terms_of(expr: sympy.Expr, notation: Notation) -> list[str]:
     return found
 
 
+def axis_words(found: Observable) -> tuple[str, str]:
+    """Return a component or a formula for an axis, and its unit; of a long formula the beginning.
+
+    Examples
+    --------
+    >>> H = Hamiltonian("p_x**2/2 + x**2/2")
+    >>> axis_words(H.observable("p_x**2/2 - x")), axis_words(H.observable("x"))
+    (('$p_{x}^{2} / 2 - x$', ''), ('$x$', ''))
+    """
+    unit = math_unit(found.unit)
+    if found.expr.is_Symbol:
+        return math_name(found.text), unit
+    names = {symbol: latex_of(symbol.name) for symbol in found.expr.free_symbols}
+    if None not in names.values() and found.expr.count_ops() < _MOST_ON_AXIS:
+        text = f"${found.notation.latex(found.expr, symbol_names=names, fold_short_frac=True)}$"
+        if _drawable(text, _AXIS):
+            return text, unit
+    return escaped(shortened(found.text)), unit
+
+
+def formula_of(found: Observable) -> list[str]:
+    """Return the words of a formula that an axis has no room for; [] if it has."""
+    short = escaped(shortened(found.text))
+    whole = found.expr.is_Symbol or axis_words(found)[0] != short or short == found.text
+    return [] if whole else words_of(f"Drawn is {found.text}")
+
+
 @functools.lru_cache(maxsize=4096)  # matplotlib parses mathematics for hundredths of a second
-def _drawable(text: str) -> bool:
-    """Whether matplotlib can draw this mathematics, and it fits into a column."""
+def _drawable(text: str, width_cm: float = 0.8 * COLUMN) -> bool:
+    """Whether matplotlib can draw this mathematics, and it fits into a width."""
     if len(text) > 800:
         return False
     try:
         width = MathTextParser("path").parse(text, 72, FontProperties(size=CAPTION_SIZE)).width
     except ValueError:
         return False
-    return bool(width / 72 < 0.8 * COLUMN / 2.54)
+    return bool(width / 72 < width_cm / 2.54)
 
 
 def parameter_words(values: Mapping[str, float], H: Hamiltonian | None = None) -> list[str]:

@@ -14,11 +14,10 @@ from hamsym.dynamics.lyapunov import LyapunovExponents
 from hamsym.dynamics.lyapunov_map import LyapunovMap
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.plotting.captions import caption_words
+from hamsym.plotting.captions import axis_words, caption_words
 from hamsym.plotting.figure import figure_of, label, legend, one_panel
 from hamsym.plotting.motions import parameters_of
 from hamsym.plotting.names import (
-    known_name,
     math_unit,
     number,
     quantity,
@@ -216,6 +215,10 @@ def _draw_sali(axes: Axes, found: ChaosIndicators) -> None:
 # -- maps ------------------------------------------------------------------------------------------
 
 
+#: Label and unit of an axis, and its values.
+_Axis = tuple[tuple[str, str], np.ndarray]
+
+
 def draw_lyapunov_map(found: LyapunovMap, *names: Any, ax: Any = None) -> Any:
     """Draw the largest exponents; see :meth:`hamsym.LyapunovMap.plot`.
 
@@ -224,7 +227,14 @@ def draw_lyapunov_map(found: LyapunovMap, *names: Any, ax: Any = None) -> Any:
     columns = dict(zip(found.names, np.moveaxis(found.z0, -1, 0), strict=True)) | found.parameters
     if len(names) > 2:
         raise InputError("exponents are drawn over one quantity, or in a plane of two; give those")
-    chosen = [known_name(name, list(columns), "a component or varied parameter") for name in names]
+    H = found.H
+    every: dict[str, Any] = {**H.parameters, **found.parameters}
+    shaped = [np.broadcast_to(every[name], found.maximal.shape) for name in H.parameter_names]
+    own = np.stack(shaped, axis=-1) if shaped else None
+    chosen = [
+        (axis_words(each), np.ravel(each.values(found.z0, found.span[0], own)))
+        for each in map(H.observable, names)
+    ]
     if not chosen and not 1 <= found.maximal.ndim <= 2:
         raise InputError(
             f"exponents of shape {found.maximal.shape} are neither a row nor a plane; name one or "
@@ -244,7 +254,7 @@ def draw_lyapunov_map(found: LyapunovMap, *names: Any, ax: Any = None) -> Any:
     with one_panel(ax, caption, warning, width=COLUMN + 2, height=8.0) as axes, style_for(ax):
         axes.set_title(f"Largest exponent of {found.maximal.size:,} starts")
         if len(chosen) == 2:
-            _scatter(axes, found, columns, chosen)
+            _scatter(axes, found, *chosen)
         elif chosen or found.maximal.ndim == 1:
             _draw_row(axes, found, columns, chosen)
         else:
@@ -257,15 +267,16 @@ def _named(found: LyapunovMap, name: str) -> tuple[str, str]:
 
 
 def _draw_row(
-    axes: Axes, found: LyapunovMap, columns: Mapping[str, np.ndarray], names: Sequence[str]
+    axes: Axes, found: LyapunovMap, columns: Mapping[str, np.ndarray], chosen: Sequence[_Axis]
 ) -> None:
-    if names:
-        name, x = names[0], np.ravel(columns[names[0]])
+    if chosen:
+        words, x = chosen[0]
     else:
         name, x = _grid_line(columns, 0, found.maximal.shape)
+        words = _named(found, name)
     values = np.ravel(found.maximal)
     axes.plot(x, values, "o", color=color_of(0), markersize=2.5)
-    label(axes.xaxis, *_named(found, name))
+    label(axes.xaxis, *words)
     label(axes.yaxis, r"largest exponent $\lambda$", _rate_unit(found.H))
     for place in x[~np.isfinite(values) & np.isfinite(x)]:
         axes.axvline(place, color="0.85", linewidth=2.5, zorder=0)
@@ -277,23 +288,23 @@ def _draw_plane(axes: Axes, found: LyapunovMap, columns: Mapping[str, np.ndarray
     image = axes.pcolormesh(x, y, found.maximal, shading="nearest", rasterized=True)
     axes.grid(visible=False)
     axes.set_facecolor("0.85")
-    _finish_plane(axes, found, image, x_name, y_name)
+    _finish_plane(axes, found, image, _named(found, x_name), _named(found, y_name))
 
 
-def _scatter(
-    axes: Axes, found: LyapunovMap, columns: Mapping[str, np.ndarray], names: Sequence[str]
-) -> None:
-    x, y = (np.ravel(columns[name]) for name in names)
+def _scatter(axes: Axes, found: LyapunovMap, across: _Axis, up: _Axis) -> None:
+    x, y = across[1], up[1]
     values = np.ravel(found.maximal)
     there = np.isfinite(values)
     axes.plot(x[~there], y[~there], ".", color="0.8", markersize=3)
     image = axes.scatter(x[there], y[there], c=values[there], s=8, rasterized=len(x) > 5_000)
-    _finish_plane(axes, found, image, *names)
+    _finish_plane(axes, found, image, across[0], up[0])
 
 
-def _finish_plane(axes: Axes, found: LyapunovMap, image: Any, x: str, y: str) -> None:
-    label(axes.xaxis, *_named(found, x))
-    label(axes.yaxis, *_named(found, y))
+def _finish_plane(
+    axes: Axes, found: LyapunovMap, image: Any, x: tuple[str, str], y: tuple[str, str]
+) -> None:
+    label(axes.xaxis, *x)
+    label(axes.yaxis, *y)
     bar = figure_of(axes).colorbar(image, ax=axes, pad=0.02)
     label(bar.ax.yaxis, r"largest exponent $\lambda$", _rate_unit(found.H))
 

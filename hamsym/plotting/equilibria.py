@@ -13,11 +13,11 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import Figure, figure_of, label, one_panel
-from hamsym.plotting.motions import same_scale
-from hamsym.plotting.names import energy_unit, known_name, math_name, number, quantity, words_of
+from hamsym.plotting.motions import drawn_of, same_scale
+from hamsym.plotting.names import energy_unit, math_name, number, quantity, words_of
 from hamsym.plotting.phase_portraits import draw_levels
 from hamsym.plotting.spectra import draw_exponents_plane
-from hamsym.plotting.style import COLUMN, MARKERS, color_of, style_for
+from hamsym.plotting.style import COLUMN, MARKERS, MAX_LINES, color_of, style_for
 
 _GRID, _LEVELS = 161, 16
 _QUADRATIC = 1e-6  # of the rates, which vanish at zero velocity
@@ -30,7 +30,14 @@ def draw_equilibria(found: Equilibria, *names: Any, ax: Any = None) -> Any:
     H = found.H
     if len(names) not in (0, 2):
         raise InputError(f"equilibria are drawn in a plane; give two components, not {len(names)}")
-    x, y = (known_name(name, H.names, "a component of z") for name in names or H.names[:2])
+    _, drawn = drawn_of(H, names or H.names[:2])
+    for each in drawn:
+        if each.place is None:
+            raise InputError(
+                f"'{each.text}' is a formula; equilibria and what surrounds them are drawn in the "
+                f"plane of two components of {', '.join(H.names[:MAX_LINES])}"
+            )
+    x, y = (each.text for each in drawn)
     if x == y:
         raise InputError(f"the plane of '{x}' and '{x}' is a line; give two different components")
     there = [k for k, each in enumerate(found) if np.isfinite(each.z).all()]

@@ -8,12 +8,15 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 
+from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.plotting.captions import caption_words
+from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import Figure, figure_of, label, one_panel, require_no_axes
-from hamsym.plotting.names import known_name, math_name, math_unit, number, quantity, time_name
+from hamsym.plotting.motions import drawn_of
+from hamsym.plotting.names import math_name, math_unit, number, time_name
 from hamsym.plotting.style import COLORS, COLUMN, PAGE, SEQUENTIAL, color_of, style_for, styled
+from hamsym.plotting.time_axes import label_time
 
 _MOST = 6  # panels of an overview
 _POINTS, _STARTS, _SHOWN, _TIMES = 200, 200, 8, 401
@@ -22,16 +25,17 @@ _POINTS, _STARTS, _SHOWN, _TIMES = 200, 200, 8, 401
 def draw_flow_map(flow: FlowMap, *names: Any, ax: Any = None) -> Any:
     """Draw what becomes of the box; see :meth:`hamsym.FlowMap.plot`."""
     H = flow.H
-    chosen = [known_name(name, H.names, "a component of z") for name in names]
+    _, chosen = drawn_of(H, names)
     warning = flow.facts.warning
     if len(chosen) > 2:
         raise InputError(
             "one component is drawn over time and two in their plane; give one or two names"
         )
-    if len(chosen) == 2 and chosen[0] == chosen[1]:
-        raise InputError(f"the plane of '{chosen[0]}' and itself is a line; give two components")
+    if len(chosen) == 2 and chosen[0].text == chosen[1].text:
+        raise InputError(f"the plane of '{chosen[0].text}' and itself is a line; give two others")
     if chosen:
-        caption = _caption(flow, over_time=len(chosen) == 1, planes=len(chosen) == 2)
+        left = [words for each in chosen if (words := formula_of(each))]
+        caption = _caption(flow, *left, over_time=len(chosen) == 1, planes=len(chosen) == 2)
         with one_panel(ax, caption, warning, height=7.5) as axes, style_for(ax):
             if len(chosen) == 1:
                 _draw_range(axes, flow, chosen[0])
@@ -44,13 +48,14 @@ def draw_flow_map(flow: FlowMap, *names: Any, ax: Any = None) -> Any:
     total = H.dof if whole else H.dim
     shown = min(total, _MOST)
     chosen_dofs = list(range(shown)) if whole else _spread(H.dof, H.dim, shown)
-    left = []
+    others: list[str] = []
+    components = [H.observable(name) for name in H.names]
     if shown < total:
         what = "phase planes" if whole else "components"
         other = f"'{H.names[H.dof - 1]}', '{H.names[-1]}'" if whole else f"'{H.names[-1]}'"
-        left = [f"{shown} of {total} {what} are drawn; plot({other}) draws others"]
+        others = [f"{shown} of {total} {what} are drawn; plot({other}) draws others"]
     with styled():
-        caption = _caption(flow, *left, over_time=not whole, planes=whole)
+        caption = _caption(flow, *others, over_time=not whole, planes=whole)
         columns = min(shown, 3) if whole else 2
         rows = -(-shown // columns)
         size = PAGE if columns > 1 else COLUMN
@@ -59,9 +64,9 @@ def draw_flow_map(flow: FlowMap, *names: Any, ax: Any = None) -> Any:
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, k in zip(grid, chosen_dofs, strict=False):
             if whole:
-                _draw_plane(axes, flow, H.names[k], H.names[H.dof + k])
+                _draw_plane(axes, flow, components[k], components[H.dof + k])
             else:
-                _draw_range(axes, flow, H.names[k])
+                _draw_range(axes, flow, components[k])
         for axes in grid[shown:]:
             axes.remove()
         _legend(grid[0], whole)
@@ -79,7 +84,7 @@ def _legend(axes: Axes, planes: bool) -> None:
     axes.legend(**style, ncols=2 if planes else 1)
 
 
-def _caption(flow: FlowMap, *sentences: str, over_time: bool, planes: bool) -> list[str]:
+def _caption(flow: FlowMap, *sentences: Any, over_time: bool, planes: bool) -> list[str]:
     H, varied = flow.H, flow.box
     words: list[str] = ["Box:"]
     for name, (low, high) in varied.items():
@@ -100,26 +105,40 @@ def _caption(flow: FlowMap, *sentences: str, over_time: bool, planes: bool) -> l
     return caption_words(H, *parts, *sentences, parameters=fixed)
 
 
-def _draw_plane(axes: Axes, flow: FlowMap, x: str, y: str) -> None:
-    """Draw the box in the plane of two components at six times."""
+def _values(flow: FlowMap, drawn: Observable, t: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    """Return a component or a formula at times, from places in the box."""
+    names = flow.H.parameter_names
+    every = [
+        inputs[:, flow.inputs.index(name)]
+        if name in flow.inputs
+        else np.full(len(inputs), flow.H.parameters[name])
+        for name in names
+    ]
+    parameters = np.stack(every, axis=-1) if names else None
+    return drawn.values(flow.map.evaluate(t, inputs), t, parameters)
+
+
+def _draw_plane(axes: Axes, flow: FlowMap, x: Observable, y: Observable) -> None:
+    """Draw the box in the plane of two components or formulas at six times."""
     H, box = flow.H, flow.region
-    i, j = H.names.index(x), H.names.index(y)
-    label(axes.xaxis, *quantity(H, x))
-    label(axes.yaxis, *quantity(H, y))
+    label(axes.xaxis, *axis_words(x))
+    label(axes.yaxis, *axis_words(y))
     times = np.linspace(*flow.span, len(COLORS))
     colors = matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, len(times)))
     unit = math_unit(H.units.get(time_name(H), "1"))
-    edge = _edge_of(flow, x, y)
+    edge = _edge_of(flow, x.text, y.text)
     for t, color in zip(times, colors, strict=True):
         text = f"$t$ = {number(float(t), 4)} {unit}".strip()
         if edge is not None:
-            states = flow.map.evaluate(np.full(len(edge), t), box.at(edge))
-            axes.fill(states[:, i], states[:, j], color=color, alpha=0.2, linewidth=0)
-            axes.plot(states[:, i], states[:, j], color=color, label=text)
+            own = np.full(len(edge), t), box.at(edge)
+            sides = _values(flow, x, *own), _values(flow, y, *own)
+            axes.fill(*sides, color=color, alpha=0.2, linewidth=0)
+            axes.plot(*sides, color=color, label=text)
         else:
             inputs = box.at(_random(flow))
-            states = flow.map.evaluate(np.full(len(inputs), t), inputs)
-            axes.plot(states[:, i], states[:, j], ".", color=color, markersize=2, label=text)
+            own = np.full(len(inputs), t), inputs
+            sides = _values(flow, x, *own), _values(flow, y, *own)
+            axes.plot(*sides, ".", color=color, markersize=2, label=text)
 
 
 def _edge_of(flow: FlowMap, x: str, y: str) -> np.ndarray | None:
@@ -141,20 +160,19 @@ def _random(flow: FlowMap) -> np.ndarray:
     return np.random.default_rng(0).uniform(-1, 1, (_STARTS, len(flow.region)))
 
 
-def _draw_range(axes: Axes, flow: FlowMap, name: str) -> None:
-    """Draw the range of a component over time, and some trajectories."""
-    H, k = flow.H, flow.H.names.index(name)
+def _draw_range(axes: Axes, flow: FlowMap, drawn: Observable) -> None:
+    """Draw the range of a component or a formula over time, and some trajectories."""
     times = np.linspace(*flow.span, _TIMES)
     inputs = flow.region.at(_random(flow))
     queries = np.tile(times, len(inputs)), inputs.repeat(len(times), axis=0)
-    states = flow.map.evaluate(*queries).reshape(len(inputs), len(times), -1)[..., k]
+    paths = _values(flow, drawn, *queries).reshape(len(inputs), len(times))
     color = color_of(0)
     style: dict[str, Any] = {"color": color, "linewidth": 0}
     axes.fill_between(
-        times, states.min(axis=0), states.max(axis=0), alpha=0.2, **style, label="range"
+        times, paths.min(axis=0), paths.max(axis=0), alpha=0.2, **style, label="range"
     )
-    for number_of, path in enumerate(states[:_SHOWN]):
+    for number_of, path in enumerate(paths[:_SHOWN]):
         axes.plot(times, path, color=color, linewidth=0.6, label=None if number_of else "starts")
     axes.set_xlim(min(flow.span), max(flow.span))
-    label(axes.yaxis, *quantity(H, name))
-    label(axes.xaxis, *quantity(H, time_name(H)))
+    label(axes.yaxis, *axis_words(drawn))
+    label_time(axes, flow.H)

@@ -15,11 +15,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.ticker import NullFormatter, NullLocator
 
+from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.plotting.captions import caption_words
+from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import Figure, figure_of, label, legend, legend_above, one_panel
-from hamsym.plotting.names import known_name, math_name, number, quantity, time_name, with_unit
+from hamsym.plotting.names import math_name, number, quantity, shortened, time_name, with_unit
 from hamsym.plotting.phase_portraits import draw_levels
 from hamsym.plotting.style import (
     COLUMN,
@@ -31,6 +32,7 @@ from hamsym.plotting.style import (
     style_for,
 )
 from hamsym.plotting.time_axes import envelope, fill_time, label_time
+from hamsym.support.suggestions import similar, unknown
 
 #: Most trajectories of an ensemble that are drawn: more cover each other.
 MAX_DRAWN = 200
@@ -72,6 +74,17 @@ class Motion:
     parameters: dict[str, float] | None = None
     #: Sentence about states that are too far apart for lines between them, and drawn as dots.
     apart: str = ""
+    #: Formulas whose values follow the components in ``z``.
+    formulas: Sequence[Observable] = ()
+
+    def column(self, drawn: Observable) -> np.ndarray:
+        """Return the values of a component or one of the formulas, shape (members, n)."""
+        place = drawn.place
+        return self.z[..., self.H.dim + self.formulas.index(drawn) if place is None else place]
+
+    def component(self, place: int) -> Observable:
+        """Return a component of H."""
+        return self.H.observable(self.H.names[place])
 
     @cached_property
     def styles(self) -> list[dict[str, Any]]:
@@ -181,18 +194,18 @@ def parameters_of(
 # -- panels ----------------------------------------------------------------------------------------
 
 
-def over_time(axes: Axes, motion: Motion, name: str, *, timed: bool = True) -> None:
-    """Draw a component over time."""
-    index = motion.H.names.index(name)
+def over_time(axes: Axes, motion: Motion, drawn: Observable, *, timed: bool = True) -> None:
+    """Draw a component or a formula over time."""
+    column = motion.column(drawn)
     dense = motion.z[..., 0].size > 5 * _DENSE
     for place, text in enumerate(motion.labels()):
-        t, values = envelope(motion.t, motion.z[place, :, index])
+        t, values = envelope(motion.t, column[place])
         # An envelope is a band, also where lines between the samples would be chords.
         style = (motion.path_styles if len(t) == len(motion.t) else motion.styles)[place]
         axes.plot(t, values, **style, label=text, rasterized=dense)
-    if motion.warning:
-        _fold_escape(axes, motion, index)
-    label(axes.yaxis, *quantity(motion.H, name))
+    if motion.warning or drawn.place is None:
+        _fold_escape(axes, motion.t, column)
+    label(axes.yaxis, *axis_words(drawn))
     fill_time(axes, motion.t)
     label_time(axes, motion.H)
     if not timed:
@@ -200,22 +213,23 @@ def over_time(axes: Axes, motion: Motion, name: str, *, timed: bool = True) -> N
         axes.xaxis.set_major_formatter(NullFormatter())
 
 
-def _fold_escape(axes: Axes, motion: Motion, index: int) -> None:
-    """Make the vertical axis logarithmic away from zero where a component escapes."""
-    even = np.linspace(motion.t[0], motion.t[-1], 200)
-    forward = slice(None, None, 1 if motion.t[-1] > motion.t[0] else -1)
-    sizes = [np.interp(even, motion.t[forward], np.abs(z[forward, index])) for z in motion.z]
-    usual, largest = float(np.nanmedian(sizes)), float(np.nanmax(np.abs(motion.z[..., index])))
-    if usual > 0 and np.isfinite(largest) and largest > 1e4 * usual:
+def _fold_escape(axes: Axes, t: np.ndarray, column: np.ndarray) -> None:
+    """Make the vertical axis logarithmic away from zero where values escape."""
+    even = np.linspace(t[0], t[-1], 200)
+    forward = slice(None, None, 1 if t[-1] > t[0] else -1)
+    sizes = [np.interp(even, t[forward], np.abs(values[forward])) for values in column]
+    usual, largest = float(np.nanmedian(sizes)), float(np.nanmax(np.abs(column)))
+    poles = not np.isfinite(column).all()
+    if usual > 0 and np.isfinite(largest) and largest > (1e2 if poles else 1e4) * usual:
         stretch = np.log10(largest / usual) / 4
         axes.set_yscale("symlog", linthresh=usual, linscale=stretch)
         powers = np.unique(np.linspace(np.log10(usual), np.log10(largest), 4).round())[1:]
-        both = np.nanmin(motion.z[..., index]) < -usual
+        both = np.nanmin(column) < -usual
         axes.set_yticks([0.0, *10.0**powers, *(-(10.0**powers) if both else ())])
         axes.yaxis.set_minor_locator(NullLocator())
 
 
-def plane_title(H: Hamiltonian, x: str, y: str, several: bool = False) -> str:
+def plane_title(H: Hamiltonian, x: str, y: str) -> str:
     """Return what the plane of two components is."""
     places, d = [H.names.index(name) for name in (x, y)], H.dof
     if abs(places[0] - places[1]) == d:
@@ -249,38 +263,49 @@ def same_scale(H: Hamiltonian, x: str, y: str) -> bool:
     return len(stems) == 1 and owners != [re.sub(r"_?[0-9]+\Z", "", name) for name in owners]
 
 
-def in_plane(axes: Axes, motion: Motion, x: str, y: str, *, levels: bool = True) -> list[str]:
-    """Draw paths in the plane of two components; return sentences for the caption."""
-    H, notes = motion.H, []
-    i, j = H.names.index(x), H.names.index(y)
-    _paths(axes, motion, i, j, motion.labels())
-    label(axes.xaxis, *quantity(H, x))
-    label(axes.yaxis, *quantity(H, y))
-    if same_scale(H, x, y):
-        notes += _equal_aspect(axes, motion.z[..., i], motion.z[..., j])
-    if H.dof == 1 and x != y and levels:
+def in_plane(
+    axes: Axes, motion: Motion, x: Observable, y: Observable, *, levels: bool = True
+) -> list[Any]:
+    """Draw paths in the plane of two components or formulas; return sentences for the caption."""
+    H = motion.H
+    notes: list[Any] = []
+    columns = motion.column(x), motion.column(y)
+    _paths(axes, motion, columns, motion.labels())
+    label(axes.xaxis, *axis_words(x))
+    label(axes.yaxis, *axis_words(y))
+    if x.place is None or y.place is None:
+        return notes
+    if same_scale(H, x.text, y.text):
+        notes += _equal_aspect(axes, *columns)
+    if H.dof == 1 and x.place != y.place and levels:
         axes.margins(0.15)
         if not H.time and motion.parameters is None:
             start = float(H.compile("numpy").energy(motion.z[0, 0])) if motion.total == 1 else None
-            notes += draw_levels(axes, H, x, y, start)
+            notes += draw_levels(axes, H, x.text, y.text, start)
         else:
             why = "H depends on time" if H.time else "H differs between the trajectories"
             notes.append(f"Level sets of H are not drawn: {why}")
     return notes
 
 
-def _paths(axes: Axes, motion: Motion, i: int, j: int, labels: Sequence[str], **own: Any) -> None:
+def _paths(
+    axes: Axes,
+    motion: Motion,
+    columns: tuple[np.ndarray, np.ndarray],
+    labels: Sequence[str],
+    **own: Any,
+) -> None:
     count = motion.z.shape[1] * len(motion.z)
     every = max(1, round(motion.z.shape[1] / _MAX_POINTS))
-    for z, style, text in zip(motion.z, motion.path_styles, labels, strict=True):
+    for x, y, style, text in zip(*columns, motion.path_styles, labels, strict=True):
         style = {**style, **own, **(_DOTS if motion.apart else {})}
         color = style["color"]
         if every > 1:  # lines between distant points would be chords
             style = {"color": color, "linestyle": "none", "marker": ".", "markersize": 0.8}
         dense = count > _DENSE
-        axes.plot(z[::every, i], z[::every, j], **style, label=text, rasterized=dense)
+        axes.plot(x[::every], y[::every], **style, label=text, rasterized=dense)
         if len(motion.z) <= MAX_LINES:
-            axes.plot(z[0, i], z[0, j], "o", color=color, markersize=3.5, zorder=3)
+            axes.plot(x[0], y[0], "o", color=color, markersize=3.5, zorder=3)
 
 
 def _equal_aspect(axes: Axes, x: np.ndarray, y: np.ndarray) -> list[str]:
@@ -293,12 +318,12 @@ def _equal_aspect(axes: Axes, x: np.ndarray, y: np.ndarray) -> list[str]:
     return []
 
 
-def in_space(axes: Any, motion: Motion, names: Sequence[str]) -> list[str]:
-    """Draw paths in the space of three components."""
+def in_space(axes: Any, motion: Motion, drawn: Sequence[Observable]) -> list[str]:
+    """Draw paths in the space of three components or formulas."""
     H, count = motion.H, motion.z.shape[1]
     columns, powers = [], []
-    for name in names:
-        column = motion.z[..., H.names.index(name)]
+    for each in drawn:
+        column = motion.column(each)
         size = np.nanmax(np.abs(column), initial=0.0)
         power = int(np.floor(np.log10(size))) if np.isfinite(size) and size > 0 else 0
         powers.append(power if not -3 <= power < 4 else 0)
@@ -306,15 +331,16 @@ def in_space(axes: Any, motion: Motion, names: Sequence[str]) -> list[str]:
     every = max(1, count // 20_000)
     for k, (style, text) in enumerate(zip(motion.path_styles, motion.labels(), strict=True)):
         axes.plot(*(column[k, ::every] for column in columns), **style, label=text)
-    for axis, name, power in zip("xyz", names, powers, strict=True):
-        text, unit = quantity(H, name)
+    for axis, each, power in zip("xyz", drawn, powers, strict=True):
+        text, unit = axis_words(each)
         unit = " ".join(filter(None, (f"$10^{{{power}}}$" if power else "", unit)))
         getattr(axes, f"set_{axis}label")(f"{text} [{unit}]" if unit else text)
         axes.tick_params(axis, pad=0)
         getattr(axes, f"{axis}axis").get_major_locator().set_params(nbins=4)
     axes.set_box_aspect(None, zoom=0.9)
     notes = [] if every == 1 else [f"Every {every}th time is drawn"]
-    if all(same_scale(H, names[0], name) for name in names):
+    names = [each.text for each in drawn if each.place is not None]
+    if len(names) == len(drawn) and all(same_scale(H, names[0], name) for name in names):
         spans = [np.nanmax(column) - np.nanmin(column) for column in columns]
         if len(set(powers)) == 1 and max(spans) <= 8 * min(spans):
             axes.set_aspect("equal")
@@ -325,32 +351,58 @@ def in_space(axes: Any, motion: Motion, names: Sequence[str]) -> list[str]:
 # -- figures ---------------------------------------------------------------------------------------
 
 
-def draw_motion(motion: Motion, names: Sequence[Any], ax: Any) -> Any:
-    """Draw one component over time, two in their plane or three in their space.
+def drawn_of(
+    H: Hamiltonian, names: Sequence[Any], words: Sequence[str] = ()
+) -> tuple[str, list[Observable]]:
+    """Return the word that is drawn alone, or else the components and formulas.
 
-    Raise InputError if a name is no component, or there are more than three.
+    - words: Names of panels, such as "error", unless H has a component of the name.
+
+    Raise InputError if a name is neither a component nor a formula, or there are more than three.
     """
-    H = motion.H
+    alone = [name for name in names if name in words and name not in H.names]
+    if alone:
+        if len(names) > 1:
+            raise InputError(f"'{alone[0]}' is drawn alone; give no other name with it")
+        return str(alone[0]), []
     if len(names) == 2 and str(names[0]) == time_name(H):
         names = names[1:]
-    components = [component_of(H, name) for name in names]
-    if len(components) > 3:
+    if len(names) > 3:
         raise InputError(
-            f"{len(components)} components cannot be drawn in one panel; give one, to draw it over "
+            f"{len(names)} components cannot be drawn in one panel; give one, to draw it over "
             "time, two, for their plane, or three, for their space"
         )
-    if len(components) == 3:
-        return _draw_space(motion, components, ax)
+    for name in names:
+        own = (*H.names, *H.parameter_names)
+        meant = similar(name, (*own, *words)) if isinstance(name, str) else None
+        if meant in words and meant not in own and not similar(name, own):
+            raise InputError(unknown(name, (*own, *words), "a component"))
+    return "", [H.observable(name) for name in names]
+
+
+def formulas_of(drawn: Sequence[Observable]) -> list[Observable]:
+    """Return those that are no components, which are sampled beside the states."""
+    return [each for each in drawn if each.place is None]
+
+
+def draw_motion(motion: Motion, drawn: Sequence[Observable], ax: Any) -> Any:
+    """Draw a component or formula over time, two in their plane or three in their space.
+
+    Raise InputError if a formula has no value at any time.
+    """
+    missing = _missing(motion)
+    if len(drawn) == 3:
+        return _draw_space(motion, drawn, missing, ax)
     wider = 1.0 if motion.mapped else 1.8 if any(motion.labels()) else 0.0
-    size = {"height": 6.0 if len(components) == 1 else 7.5, "width": COLUMN + wider}
+    size = {"height": 6.0 if len(drawn) == 1 else 7.5, "width": COLUMN + wider}
     with one_panel(ax, motion.caption(), motion.warning, **size) as axes, style_for(ax):
-        notes = []
-        if len(components) == 1:
-            over_time(axes, motion, components[0])
+        notes: list[Any] = missing
+        if len(drawn) == 1:
+            over_time(axes, motion, drawn[0])
         else:
-            notes = in_plane(axes, motion, *components)
-            if ax is None:
-                axes.set_title(plane_title(H, components[0], components[1], motion.total > 1))
+            notes = missing + in_plane(axes, motion, *drawn)
+            if ax is None and not motion.formulas:
+                axes.set_title(plane_title(motion.H, drawn[0].text, drawn[1].text))
         motion.legend(axes, **_BESIDE if ax is None else {})
         motion.color_bar(axes)
         figure = figure_of(axes)
@@ -359,7 +411,29 @@ def draw_motion(motion: Motion, names: Sequence[Any], ax: Any) -> Any:
         return figure
 
 
-def _draw_space(motion: Motion, names: Sequence[str], ax: Any) -> Any:
+def _missing(motion: Motion) -> list[Any]:
+    """Return sentences about formulas that are long, or have no value at some times."""
+    notes: list[Any] = [words for each in motion.formulas if (words := formula_of(each))]
+    for each in motion.formulas:
+        lost = ~np.isfinite(motion.column(each)) & np.isfinite(motion.z[..., : motion.H.dim]).all(
+            -1
+        )
+        if lost.all():
+            raise InputError(
+                f"'{shortened(each.text)}' is no finite real number at any time drawn; give a "
+                "formula that has values along the motion"
+            )
+        if lost.any():
+            notes.append(
+                f"{shortened(each.text)} is no finite real number at {lost.sum():,} of "
+                f"{lost.size:,} states drawn, where lines have gaps"
+            )
+    return notes
+
+
+def _draw_space(
+    motion: Motion, drawn: Sequence[Observable], missing: Sequence[Any], ax: Any
+) -> Any:
     if ax is not None and getattr(ax, "name", "") != "3d":
         raise InputError(
             "three components need axes of three dimensions; give ax = "
@@ -369,24 +443,13 @@ def _draw_space(motion: Motion, names: Sequence[str], ax: Any) -> Any:
         if ax is None:
             figure = Figure.of_size(COLUMN + 1, 7.5, motion.caption(), motion.warning)
             ax = figure.add_subplot(projection="3d")
-        notes = in_space(ax, motion, names)
+        notes = in_space(ax, motion, drawn)
         motion.legend(ax, loc="upper left")
         figure = figure_of(ax)
         if isinstance(figure, Figure):
             motion.color_bar(ax)
-            figure.set_caption(motion.caption(*notes), motion.warning)
+            figure.set_caption(motion.caption(*missing, *notes), motion.warning)
         return figure
-
-
-def component_of(H: Hamiltonian, name: Any, *others: str) -> str:
-    """Return the name of a component.
-
-    Raise InputError if there is none of this name. ``others`` are names of what is drawn alone.
-    """
-    found = known_name(name, [*H.names, *others, time_name(H)], "a component of z")
-    if found in others and found not in H.names:
-        raise InputError(f"'{found}' is drawn alone; give no other name with it")
-    return found
 
 
 class MotionPanels:
@@ -424,7 +487,8 @@ class MotionPanels:
         for k in range(shown):
             for column in (0, 1):
                 axes = figure.add_subplot(grid[first + k, column])
-                over_time(axes, motion, H.names[k + column * H.dof], timed=k == shown - 1)
+                component = motion.component(k + column * H.dof)
+                over_time(axes, motion, component, timed=k == shown - 1)
                 tops.append(axes)
         if named:
             handles, texts = tops[0].get_legend_handles_labels()
@@ -439,7 +503,7 @@ class MotionPanels:
         first += shown
         if H.dof == 1:
             axes = figure.add_subplot(grid[first : first + 2, 0])
-            self.notes += in_plane(axes, motion, *H.names)
+            self.notes += in_plane(axes, motion, motion.component(0), motion.component(1))
             axes.set_title(plane_title(H, H.names[0], H.names[1]))
             places = [grid[first, 1], grid[first + 1, 1]]
             if lower == 1:
@@ -460,10 +524,10 @@ class MotionPanels:
         if len(bodies) > 1 and len(motion.z) == 1:
             extents = []
             for k, (x, y) in enumerate(bodies[:MAX_LINES]):
-                i, j = H.names.index(x), H.names.index(y)
+                columns = motion.column(H.observable(x)), motion.column(H.observable(y))
                 text = f"({math_name(x)}, {math_name(y)})"
-                _paths(left, motion, i, j, [text], **line_style(k))
-                extents.append((motion.z[..., i], motion.z[..., j]))
+                _paths(left, motion, columns, [text], **line_style(k))
+                extents.append(columns)
             x, y = bodies[0]
             unit = quantity(H, x)[1]
             stems = [_CARTESIAN.match(name) for name in (x, y)]
@@ -481,11 +545,10 @@ class MotionPanels:
                 self.notes.append(f"Orbits of {MAX_LINES} of {len(bodies)} bodies are drawn")
         else:
             x, y = bodies[0] if bodies else H.names[:2]
-            self.notes += in_plane(left, motion, x, y)
-            left.set_title(plane_title(H, x, y, motion.total > 1))
-        x, p = H.names[0], H.names[H.dof]
-        in_plane(right, motion, x, p)
-        right.set_title(plane_title(H, x, p))
+            self.notes += in_plane(left, motion, H.observable(x), H.observable(y))
+            left.set_title(plane_title(H, x, y))
+        in_plane(right, motion, motion.component(0), motion.component(H.dof))
+        right.set_title(plane_title(H, H.names[0], H.names[H.dof]))
 
     def finished(self, *sentences: Any) -> Figure:
         """Return the figure with its caption."""

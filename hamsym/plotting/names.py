@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from difflib import get_close_matches
 from typing import Any
 
 import sympy
@@ -14,6 +13,7 @@ from hamsym.formula.parser import parse_expression
 from hamsym.formula.printer import FormulaPrinter
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.plotting.style import MAX_LINES
+from hamsym.support.suggestions import did_you_mean
 
 _LONGEST_TEXT = 1_000  # characters of a sentence in a caption
 _MAX_NAME = 24
@@ -161,7 +161,5 @@ def known_name(name: Any, names: Sequence[str], what: str) -> str:
         name = name.name
     if name in names:
         return str(name)
-    near = get_close_matches(str(name), names, 1)
     shown = ", ".join(names[:MAX_LINES]) + (", ..." if len(names) > MAX_LINES else "")
-    hint = f"did you mean '{near[0]}'?" if near else f"choose one of {shown}"
-    raise InputError(f"'{name}' is not {what}; {hint}")
+    raise InputError(f"'{name}' is not {what}{did_you_mean(name, names)}; choose one of {shown}")

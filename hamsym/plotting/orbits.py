@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.orbits.certificate import OrbitCertificate
 from hamsym.orbits.family import OrbitFamily
 from hamsym.orbits.orbit import PeriodicOrbit
 from hamsym.plotting.captions import caption_words
 from hamsym.plotting.figure import figure_of, label, one_panel
-from hamsym.plotting.motions import Motion, component_of, draw_motion, in_plane, plane_title
+from hamsym.plotting.motions import (
+    Motion,
+    draw_motion,
+    drawn_of,
+    formulas_of,
+    in_plane,
+    plane_title,
+)
 from hamsym.plotting.names import energy_unit, number, quantity, time_name
 from hamsym.plotting.panels import Panel, draw_panels
-from hamsym.plotting.sampling import resolved
+from hamsym.plotting.sampling import resolved, with_formulas
 from hamsym.plotting.spectra import draw_multipliers
 from hamsym.plotting.style import GREY, MARKERS, SAMPLES, color_of, style_for
 
@@ -25,31 +33,27 @@ _BIFURCATIONS = "*DsPXv^"
 _MOST_ORBITS = 40  # of a family, in a plane
 
 
-def _plane_of(H: Any) -> tuple[str, str]:
-    """Return the first two coordinates, or the coordinate and its momentum."""
-    return H.names[0], H.names[1]
-
-
 def draw_orbit(orbit: PeriodicOrbit, *names: Any, ax: Any = None) -> Any:
     """Draw an orbit and its multipliers; see :meth:`hamsym.PeriodicOrbit.plot`."""
     H = orbit.H
-    start = orbit.problem.start
-    t, z, apart = resolved(orbit, start + np.linspace(0, orbit.period, SAMPLES))
+    _, drawn = drawn_of(H, names, ("orbit", "multipliers"))
+    times = orbit.problem.start + np.linspace(0, orbit.period, SAMPLES)
+    formulas = formulas_of(drawn)
+    t, z, apart = resolved(orbit, times, formulas=formulas)
     time, energy = quantity(H, time_name(H))[1], energy_unit(H)
     words = ["Period", f"{number(orbit.period, 8)} {time}".strip() + ",", "energy"]
     words += [f"{number(orbit.energy, 8)} {energy}".strip() + ",", orbit.stability]
     sentences, warning = [words, orbit.facts.headline], orbit.facts.warning
-    motion = Motion(H, t, z[None], sentences=sentences, warning=warning, apart=apart)
-    if names and names != ("multipliers",):
-        for name in names:
-            component_of(H, name, "multipliers")
-        return draw_motion(motion, names, ax)
+    motion = Motion(
+        H, t, z[None], sentences=sentences, warning=warning, apart=apart, formulas=formulas
+    )
+    if drawn:
+        return draw_motion(motion, drawn, ax)
     notes: list[Any] = []
-    x, y = _plane_of(H)
 
     def path(axes: Axes) -> None:
-        notes.extend(in_plane(axes, motion, x, y))
-        axes.set_title("Orbit" if H.dof == 1 else plane_title(H, x, y))
+        notes.extend(in_plane(axes, motion, motion.component(0), motion.component(1)))
+        axes.set_title("Orbit" if H.dof == 1 else plane_title(H, *H.names[:2]))
 
     panels = {
         "orbit": Panel(path, 7.5),
@@ -58,7 +62,7 @@ def draw_orbit(orbit: PeriodicOrbit, *names: Any, ax: Any = None) -> Any:
         ),
     }
     figure = draw_panels(panels, list(panels), names, ax, motion.caption(), warning)
-    if notes:
+    if notes and ax is None:
         figure.set_caption(motion.caption(*notes), warning)
     return figure
 
@@ -82,20 +86,18 @@ def draw_family(family: OrbitFamily, *names: Any, ax: Any = None) -> Any:
         "period": Panel(lambda axes: _draw_periods(axes, family), 7.5),
         "multipliers": Panel(lambda axes: _draw_sizes(axes, family), 7.5),
     }
-    if names and names[0] not in panels:
-        for name in names:
-            component_of(H, name, *panels)
-        if len(names) == 1:
-            raise InputError(
-                "orbits of a family have periods of their own; name two components for their "
-                "plane, or draw one orbit over time: family[0].plot(...)"
-            )
-        motion = _motion_of(family, parameters, warning)
-        figure = draw_motion(motion, names, ax)
-        if ax is None and not motion.mapped and len(names) == 2 and len(motion.z) > 1:
+    _, drawn = drawn_of(H, names, tuple(panels))
+    if len(drawn) == 1:
+        raise InputError(
+            "orbits of a family have periods of their own; name two components for their "
+            "plane, or draw one orbit over time: family[0].plot(...)"
+        )
+    motion = _motion_of(family, parameters, warning, formulas_of(drawn))
+    if drawn:
+        figure = draw_motion(motion, drawn, ax)
+        if ax is None and not motion.mapped and len(drawn) == 2 and len(motion.z) > 1:
             _legend_beside(figure.axes[0])
         return figure
-    motion = _motion_of(family, parameters, warning)
     sentences += (
         [f"{len(motion.z)} of {len(family)} orbits are drawn in the plane, evenly chosen"]
         if len(motion.z) < len(family)
@@ -107,9 +109,10 @@ def draw_family(family: OrbitFamily, *names: Any, ax: Any = None) -> Any:
     notes: list[Any] = []
 
     def orbits(axes: Axes) -> None:
-        x, y = _plane_of(H)
-        notes.extend(in_plane(axes, motion, x, y, levels=False))
-        axes.set_title("Orbits" if plane_title(H, x, y) == "Orbit" else plane_title(H, x, y))
+        first, second = motion.component(0), motion.component(1)
+        notes.extend(in_plane(axes, motion, first, second, levels=False))
+        title = plane_title(H, *H.names[:2])
+        axes.set_title("Orbits" if title == "Orbit" else title)
         motion.color_bar(axes)
         if not motion.mapped and len(motion.z) > 1:
             _legend_beside(axes)
@@ -134,13 +137,22 @@ def _abscissa(family: OrbitFamily) -> tuple[Callable[[PeriodicOrbit], float], tu
     return (lambda orbit: orbit.energy), ("energy", energy_unit(H))
 
 
-def _motion_of(family: OrbitFamily, parameters: dict[str, float], warning: str) -> Motion:
+def _motion_of(
+    family: OrbitFamily,
+    parameters: dict[str, float],
+    warning: str,
+    formulas: Sequence[Observable],
+) -> Motion:
     """Return some orbits of a family, over one period each."""
     place, (text, unit) = _abscissa(family)
     chosen = np.unique(np.linspace(0, len(family) - 1, min(len(family), _MOST_ORBITS)).round())
     orbits = [family[int(k)] for k in chosen]
     phase = np.linspace(0, 1, 401)
-    z = np.array([orbit(orbit.problem.start + phase * orbit.period) for orbit in orbits])
+    times = [orbit.problem.start + phase * orbit.period for orbit in orbits]
+    paths = [(orbit(t), t, orbit.H) for orbit, t in zip(orbits, times, strict=True)]
+    z = np.array(
+        [with_formulas(path, t, [H.observable(f.expr) for f in formulas]) for path, t, H in paths]
+    )
     values = np.array([place(orbit) for orbit in orbits])
     return Motion(
         family[0].H,
@@ -152,6 +164,7 @@ def _motion_of(family: OrbitFamily, parameters: dict[str, float], warning: str) 
         what="orbits",
         varied=(text, unit, values),
         parameters=parameters,
+        formulas=formulas,
     )
 
 

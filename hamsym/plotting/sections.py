@@ -11,11 +11,10 @@ from matplotlib.colors import ListedColormap, Normalize
 
 from hamsym.dynamics.sections import Section
 from hamsym.errors import InputError
-from hamsym.hamiltonian import Hamiltonian
-from hamsym.plotting.captions import caption_words
+from hamsym.plotting.captions import axis_words, caption_words, formula_of
 from hamsym.plotting.figure import figure_of, label, one_panel
 from hamsym.plotting.motions import parameters_of, varying
-from hamsym.plotting.names import known_name, math_name, number, quantity, with_unit
+from hamsym.plotting.names import math_name, number, with_unit
 from hamsym.plotting.style import COLORS, COLUMN, MAX_LINES, SEQUENTIAL, style_for
 from hamsym.problems.surface import parse_surface
 
@@ -31,19 +30,20 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
             f"a section is drawn in the plane of two components, not of {len(names)}; give two of "
             f"{', '.join(section.names)}, or none"
         )
-    x, y = (known_name(name, section.names, "a component of z") for name in names or section.axes)
-    H = section.H
+    H, own = section.H, section.own_parameters
+    drawn = [H.observable(name) for name in names or section.axes]
+    x, y = (each.values(section.z, section.t, own) for each in drawn)
     numbers = np.unique(section.trajectory)
     rising, direction = _directions(section)
-    sentences = [direction, section.message]
+    sentences: list[Any] = [direction, section.message]
     if len(numbers) > MAX_LINES:
         sentences.insert(0, f"{len(numbers):,} trajectories")
     shared, ranges = parameters_of(H, section.parameters)
+    sentences += [words for each in drawn if (words := formula_of(each))]
     words = caption_words(H, *([ranges] if ranges else []), *sentences, parameters=shared)
     varied, unit, values = varying(H, section.z0, section.parameters)
     warning = section.facts.warning
     with one_panel(ax, words, warning, width=COLUMN + 3, height=9.0) as axes, style_for(ax):
-        i, j = section.names.index(x), section.names.index(y)
         norm = Normalize(float(values.min()), float(values.max()))
         colors = matplotlib.colormaps[SEQUENTIAL](np.linspace(0, 0.92, 256))
         shades = ListedColormap(colors)
@@ -51,8 +51,8 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
         if len(numbers) > MAX_LINES:
             for where, marker in ((rising, "."), (~rising, "+")):
                 axes.scatter(
-                    section.z[where, i],
-                    section.z[where, j],
+                    x[where],
+                    y[where],
                     s=size**2,
                     c=shades(norm(values[section.trajectory[where]])),
                     marker=marker,
@@ -68,12 +68,12 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
             else:
                 entries = [number(value, 4) for value in values.tolist()]
                 title = with_unit(varied, unit)
-            _draw_named(axes, section, i, j, [entries[k] for k in numbers], rising, size)
+            _draw_named(axes, section, (x, y), [entries[k] for k in numbers], rising, size)
             if len(numbers) > 1:
                 beside: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}
                 axes.legend(title=title, title_fontsize=7, markerscale=6 / size, **beside)
-        for axis, name in ((axes.xaxis, x), (axes.yaxis, y)):
-            label(axis, *quantity(H, name))
+        for axis, each in zip((axes.xaxis, axes.yaxis), drawn, strict=True):
+            label(axis, *axis_words(each))
         if not len(section.t):
             axes.set(xticks=[], yticks=[])
             axes.text(0.5, 0.5, "no crossings", transform=axes.transAxes, ha="center")
@@ -82,7 +82,12 @@ def draw_section(section: Section, *names: Any, ax: Any = None) -> Any:
 
 
 def _draw_named(
-    axes: Any, section: Section, i: int, j: int, entries: list[str], rising: np.ndarray, size: float
+    axes: Any,
+    section: Section,
+    columns: tuple[np.ndarray, np.ndarray],
+    entries: list[str],
+    rising: np.ndarray,
+    size: float,
 ) -> None:
     """Draw the crossings of few trajectories, each with its entry of a legend."""
     numbers = np.unique(section.trajectory)
@@ -93,8 +98,7 @@ def _draw_named(
         own = section.trajectory == place
         for where, marker in ((own & rising, "."), (own & ~rising, "+")):
             axes.plot(
-                section.z[where, i],
-                section.z[where, j],
+                *(column[where] for column in columns),
                 linestyle="none",
                 marker=marker,
                 markersize=size,
@@ -131,7 +135,7 @@ def _directions(section: Section) -> tuple[np.ndarray, str]:
     value = parse_surface(H, section.surface).value
     system = H.compile("numpy")
     with np.errstate(all="ignore"):
-        rows = _parameter_rows(section, H)
+        rows = section.own_parameters
         arguments = system.arguments(section.z, section.t)
         rates = np.asarray(system.vector_field(*arguments, **system.keywords(rows)))
         sizes = np.abs(section.z).max(axis=0) / np.abs(rates).max(axis=0)
@@ -143,16 +147,6 @@ def _directions(section: Section) -> tuple[np.ndarray, str]:
     if rising.all() or not rising.any():
         return np.ones_like(rising), f"{left} is crossed {'up' if rising.all() else 'down'}wards"
     return rising, f"Dots: {left} is crossed upwards; crosses: downwards"
-
-
-def _parameter_rows(section: Section, H: Hamiltonian) -> np.ndarray | None:
-    """Return the parameters at each crossing, shape (n, k), or None where all have those of H."""
-    if not section.parameters:
-        return None
-    every = np.ones(len(section.z0))
-    shared = {name: value * every for name, value in H.parameters.items()}
-    known = {**shared, **section.parameters}
-    return np.stack([known[name] for name in H.parameter_names], axis=-1)[section.trajectory]
 
 
 def _surface_text(section: Section) -> str:

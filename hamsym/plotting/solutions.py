@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import sympy
 from matplotlib.axes import Axes
 
+from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
 from hamsym.plotting.figure import figure_of, label, legend_above, one_panel, require_no_axes
@@ -15,8 +17,9 @@ from hamsym.plotting.motions import (
     Motion,
     MotionPanels,
     chosen_members,
-    component_of,
     draw_motion,
+    drawn_of,
+    formulas_of,
     parameters_of,
     varying,
 )
@@ -49,7 +52,8 @@ def draw_solution(
         raise InputError(
             f"certificate is a {type(certificate).__name__}; give what solution.certify() returns"
         )
-    motion = _motion(solution)
+    word, drawn = drawn_of(H, names, _WORDS)
+    motion = _motion(solution, formulas_of(drawn))
     if not names:
         require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
         with styled():
@@ -60,25 +64,24 @@ def draw_solution(
             draw_residual(residual, solution)
             draw_search(search, solution)
             return panels.finished(*notes, LARGEST)
-    if len(names) == 1 and names[0] in _WORDS and names[0] not in H.names:
+    if word:
         with one_panel(ax, (), motion.warning, height=6.0) as axes, style_for(ax):
             notes = []
-            if names[0] == "error":
+            if word == "error":
                 notes = draw_error(axes, solution, certificate)
             else:
                 draw = {"residual": draw_residual, "energy": draw_energy_error}
-                draw.get(names[0], draw_search)(axes, solution)
+                draw.get(word, draw_search)(axes, solution)
             if ax is None:
-                notes += [] if names[0] == "search" else [LARGEST]
+                notes += [] if word == "search" else [LARGEST]
                 figure_of(axes).set_caption(motion.caption(*notes), motion.warning)
             return figure_of(axes)
-    for name in names:
-        component_of(H, name, *_WORDS)
-    return draw_motion(motion, names, ax)
+    return draw_motion(motion, drawn, ax)
 
 
-def _motion(solution: Solution) -> Motion:
-    t, z, apart = resolved(solution, solution.record.times(solution.span, SAMPLES))
+def _motion(solution: Solution, formulas: Sequence[Observable]) -> Motion:
+    times = solution.record.times(solution.span, SAMPLES)
+    t, z, apart = resolved(solution, times, formulas=formulas)
     return Motion(
         solution.H,
         t,
@@ -88,6 +91,7 @@ def _motion(solution: Solution) -> Motion:
         ],
         warning=solution.facts.warning,
         apart=apart,
+        formulas=formulas,
     )
 
 
@@ -208,7 +212,8 @@ def draw_solutions(many: Solutions, *names: Any, ax: Any = None) -> Any:
     H, words = many.H, ("error", "energy")
     if not many.size:
         raise InputError("there are no trajectories to draw; solve at least one")
-    motion, shown = _ensemble(many)
+    word, drawn = drawn_of(H, names, words)
+    motion, shown = _ensemble(many, formulas_of(drawn))
     if not names:
         require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
         with styled():
@@ -216,26 +221,24 @@ def draw_solutions(many: Solutions, *names: Any, ax: Any = None) -> Any:
             _draw_member_errors(panels.free[0], many)
             _draw_energies(panels.free[1], shown, motion)
             return panels.finished(LARGEST)
-    if len(names) == 1 and names[0] in words and names[0] not in H.names:
+    if word:
         with one_panel(ax, motion.caption(), motion.warning, height=6.0) as axes, style_for(ax):
-            if names[0] == "error":
+            if word == "error":
                 _draw_member_errors(axes, many)
             else:
                 _draw_energies(axes, shown, motion)
                 motion.legend(axes)
                 motion.color_bar(axes)
             return figure_of(axes)
-    for name in names:
-        component_of(H, name, *words)
-    return draw_motion(motion, names, ax)
+    return draw_motion(motion, drawn, ax)
 
 
-def _ensemble(many: Solutions) -> tuple[Motion, Solutions]:
+def _ensemble(many: Solutions, formulas: Sequence[Observable]) -> tuple[Motion, Solutions]:
     """Return the trajectories that are drawn, as a motion and as solutions."""
     chosen = chosen_members(many.size)
     shown = Solutions(many.family, many.table, many.windows, many.members.ravel()[chosen])
     times = np.linspace(*many.span, SAMPLES)
-    t, z, apart = resolved(shown, times, len(chosen))
+    t, z, apart = resolved(shown, times, len(chosen), formulas, shown.own_parameters)
     same, ranges = parameters_of(many.H, many.parameters)
     motion = Motion(
         many.H,
@@ -247,6 +250,7 @@ def _ensemble(many: Solutions) -> tuple[Motion, Solutions]:
         varied=varying(many.H, shown.z0, shown.parameters),
         parameters=same,
         apart=apart,
+        formulas=formulas,
     )
     return motion, shown
 

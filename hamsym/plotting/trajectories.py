@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.integrators.interpolation import Interpolant
 from hamsym.integrators.trajectory import Trajectory
@@ -16,13 +18,14 @@ from hamsym.plotting.motions import (
     Motion,
     MotionPanels,
     chosen_members,
-    component_of,
     draw_motion,
+    drawn_of,
+    formulas_of,
     parameters_of,
     varying,
 )
 from hamsym.plotting.names import energy_unit
-from hamsym.plotting.sampling import resolved
+from hamsym.plotting.sampling import resolved, with_formulas
 from hamsym.plotting.style import SAMPLES, style_for, styled
 from hamsym.plotting.time_axes import label_time, log_lines
 
@@ -37,36 +40,35 @@ def draw_trajectory(trajectory: Trajectory, *names: Any, ax: Any = None) -> Any:
     if not len(trajectory.ensemble):
         raise InputError("there are no trajectories to draw; integrate at least one")
     chosen = chosen_members(len(trajectory.ensemble))
-    motion = _motion(trajectory, chosen)
+    word, drawn = drawn_of(H, names, ("energy", "error"))
+    motion = _motion(trajectory, chosen, formulas_of(drawn))
     draw = {"energy": _draw_energy, "error": _draw_error}
     if not names:
         require_no_axes(ax, f"'{H.names[0]}', '{H.names[H.dof]}'")
         with styled():
             panels = MotionPanels(motion, len(words))
-            for axes, word in zip(panels.free, words, strict=True):
-                draw[word](axes, trajectory, motion, chosen)
+            for axes, each in zip(panels.free, words, strict=True):
+                draw[each](axes, trajectory, motion, chosen)
             return panels.finished()
-    if len(names) == 1 and names[0] in (*words, "error") and names[0] not in H.names:
-        if names[0] not in words:
+    if word:
+        if word not in words:
             raise InputError(
                 "this trajectory has no error estimate; integrate with tol=, for example tol=1e-9"
             )
         with one_panel(ax, motion.caption(), motion.warning, height=6.0) as axes, style_for(ax):
-            draw[names[0]](axes, trajectory, motion, chosen)
+            draw[word](axes, trajectory, motion, chosen)
             motion.legend(axes)
             motion.color_bar(axes)
             return figure_of(axes)
-    for name in names:
-        component_of(H, name, *words)
-    return draw_motion(motion, names, ax)
+    return draw_motion(motion, drawn, ax)
 
 
-def _motion(trajectory: Trajectory, chosen: np.ndarray) -> Motion:
+def _motion(trajectory: Trajectory, chosen: np.ndarray, formulas: Sequence[Observable]) -> Motion:
     members = trajectory.ensemble
     H, total = members.H, len(members)
     same, ranges = parameters_of(H, members.columns)
     warning = trajectory.facts.warning
-    t, z, apart = _resolved(trajectory, chosen)
+    t, z, apart = _resolved(trajectory, chosen, formulas)
     return Motion(
         H,
         t,
@@ -81,15 +83,20 @@ def _motion(trajectory: Trajectory, chosen: np.ndarray) -> Motion:
         ),
         parameters=same,
         apart=apart,
+        formulas=formulas,
     )
 
 
-def _resolved(trajectory: Trajectory, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
+def _resolved(
+    trajectory: Trajectory, chosen: np.ndarray, formulas: Sequence[Observable]
+) -> tuple[np.ndarray, np.ndarray, str]:
     """Return times and states to draw, between few saved ones, and a sentence if they are few."""
     members, t = trajectory.ensemble, trajectory.t
     z = _flat(trajectory.z, trajectory, 2)[chosen]
+    values = members.own_parameters(chosen)
+    saved = with_formulas(z, t, formulas, values)
     if len(t) < 2:
-        return t, z, ""
+        return t, saved, ""
     own = replace(
         members,
         states=members.states[chosen],
@@ -99,10 +106,10 @@ def _resolved(trajectory: Trajectory, chosen: np.ndarray) -> tuple[np.ndarray, n
     try:
         between = Interpolant(t, z, own).states
         first = np.linspace(t[0], t[-1], SAMPLES)
-        dense, states, apart = resolved(between, first, len(chosen))
+        dense, states, apart = resolved(between, first, len(chosen), formulas, values)
     except InputError:
-        return t, z, _SAVE_MORE
-    return (dense, states, apart) if len(t) < len(dense) else (t, z, "")
+        return t, saved, _SAVE_MORE
+    return (dense, states, apart) if len(t) < len(dense) else (t, saved, "")
 
 
 def _flat(values: np.ndarray, trajectory: Trajectory, kept: int) -> np.ndarray:

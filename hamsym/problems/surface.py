@@ -18,7 +18,7 @@ import sympy
 from hamsym.codegen.functions import compile_straight_line
 from hamsym.codegen.straight_line import without_arithmetic
 from hamsym.errors import InputError
-from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.formula.separation import separated
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.intervals import RangeArithmetic, Ranges
 from hamsym.symbolic.exact import rational
@@ -54,8 +54,35 @@ class Surface:
         return found
 
 
-def parse_surface(H: Hamiltonian, text: str) -> Surface:
+def surface_text(H: Hamiltonian, surface: Any) -> str:
+    """Return a surface as text; a sympy expression is zero on it, an ``Eq`` is an equation.
+
+    Raise InputError if it is neither.
+
+    Examples
+    --------
+    >>> x, p = sympy.symbols("x p")
+    >>> H = Hamiltonian("p**2/2 - cos(x)")
+    >>> surface_text(H, sympy.Eq(p**2, 2 * x)), surface_text(H, x - 1)
+    ('p**2 = 2*x', 'x - 1 = 0')
+    """
+    if isinstance(surface, sympy.Eq):
+        sides = surface.lhs, surface.rhs
+    elif isinstance(surface, sympy.Expr):
+        sides = surface, sympy.Integer(0)
+    elif isinstance(surface, str):
+        return surface
+    else:
+        raise InputError(
+            f"a surface is a str, not {type(surface).__name__}; write for example 'x = 0, p_x > 0'"
+        )
+    return " = ".join(H.observable(side).text for side in sides)
+
+
+def parse_surface(H: Hamiltonian, surface: Any) -> Surface:
     """Parse an equation and any number of inequalities, separated by commas.
+
+    - surface: Text, or what :func:`surface_text` takes.
 
     Raise InputError if there is not exactly one equation, or a comparison other than ``=``, ``<``
     and ``>``. Raise ParseError, VariableError if a side is not a formula, or has a symbol that H
@@ -67,27 +94,24 @@ def parse_surface(H: Hamiltonian, text: str) -> Surface:
     >>> surface.value([[1.5, 0, 0, 0]], 0.0)
     array([0.5])
     """
-    if not isinstance(text, str):
-        raise InputError(
-            f"a surface is a str, not {type(text).__name__}; write for example 'x = 0, p_x > 0'"
-        )
+    text = surface_text(H, surface)
     equations, conditions = [], []
-    for part in _parts(text):
+    for part in separated(text):
         left, sign, right = _comparison(part)
         if sign == "=":
-            equations.append(parse_expression(left) - parse_expression(right))
+            equations.append(_difference(H, left, right))
         else:
             larger, smaller = (left, right) if sign == ">" else (right, left)
-            conditions.append(parse_expression(larger) - parse_expression(smaller))
+            conditions.append(_difference(H, larger, smaller))
     if len(equations) != 1:
         number = "no equation" if not equations else "two equations"
         raise InputError(
             f"'{text}' has {number}; give one equation, x = 0, and inequalities, p_x > 0"
         )
     expr = equations[0]
-    symbols = {canonical_name(symbol.name) for symbol in expr.free_symbols}
-    value = H.observable(expr)  # raises for symbols that H does not have
-    names = frozenset(name for name in H.names if canonical_name(name) in symbols)
+    value = H.observable(expr)
+    symbols = {symbol.name for symbol in expr.free_symbols}
+    names = frozenset(name for name in H.names if name in symbols)
     if not names and "t" not in symbols:
         raise InputError(
             f"'{text}' does not depend on the state; use a component of z in the equation"
@@ -95,6 +119,11 @@ def parse_surface(H: Hamiltonian, text: str) -> Surface:
     observed = tuple(H.observable(condition) for condition in conditions)
     components = [i for i, name in enumerate(H.names) if name in names]
     return Surface(text, names, value, observed, _enclosed(H, expr, components), components)
+
+
+def _difference(H: Hamiltonian, left: str, right: str) -> sympy.Expr:
+    """Return the difference of two formulas in real symbols."""
+    return H.observable(left).function - H.observable(right).function
 
 
 def _enclosed(
@@ -130,17 +159,6 @@ def _enclosed(
         return found
 
     return enclosed
-
-
-def _parts(text: str) -> list[str]:
-    """Split at the commas that are not inside parentheses."""
-    depth, start, parts = 0, 0, []
-    for i, character in enumerate(text):
-        depth += (character == "(") - (character == ")")
-        if character == "," and depth == 0:
-            parts.append(text[start:i])
-            start = i + 1
-    return [*parts, text[start:]]
 
 
 def _comparison(part: str) -> tuple[str, str, str]:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import sympy
 
 from hamsym.errors import EventWarning, InputError
 from hamsym.numerics.intervals import Intervals, Ranges
@@ -27,8 +28,9 @@ from hamsym.problems.surface import Surface, parse_surface
 from hamsym.solution.path import Path
 from hamsym.support.validation import is_positive, require, require_number
 
-#: A surface, for example "x = 0, p_x > 0", or a function of (t, z) as solve_ivp takes it.
-Event = str | Callable[[float, np.ndarray], float]
+#: A surface, for example "x = 0, p_x > 0", a sympy expression that is zero or an ``Eq``, or a
+#: function of (t, z) as solve_ivp takes it.
+Event: TypeAlias = str | sympy.Expr | sympy.Eq | Callable[[float, np.ndarray], float]
 
 _AFTER = 1e-4  # of an interval: distance over which the slope of an event is measured
 
@@ -50,7 +52,8 @@ class Events(NamedTuple):
 
 def find_events(solution: Path, events: Event | Sequence[Event], times: np.ndarray) -> Events:
     """Find the zeros of the events along a solution, between the given times."""
-    listed = [events] if isinstance(events, str) or callable(events) else list(events)
+    one = isinstance(events, (str, sympy.Basic)) or callable(events)
+    listed: list[Any] = [events] if one else list(events)  # type: ignore[arg-type]
     found = [_zeros(solution, event, times) for event in listed]
     backward = solution.span[1] < solution.span[0]
     end = np.inf
@@ -76,14 +79,14 @@ def _terminal(event: Event) -> int:
 def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
     direction = getattr(event, "direction", 0.0) or 0.0
     require_number("direction", direction)
-    if callable(event):
+    if callable(event) and not isinstance(event, sympy.Basic):
 
         def value(t: np.ndarray) -> np.ndarray:
             pairs = zip(t, solution(t), strict=True)
             return np.array([_number(event(time, z)) for time, z in pairs])
 
         return _sampled(event, value, times, direction)
-    if not isinstance(event, str):
+    if not isinstance(event, (str, sympy.Basic)):
         raise InputError(
             f"{event!r} is not an event; give a text, for example 'x = 0', or a function"
         )
@@ -92,7 +95,10 @@ def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
         t = _isolated(solution, surface, times)
     else:
         t = _sampled(
-            event, lambda t: np.asarray(surface.value(solution(t), t), float), times, direction
+            surface.text,
+            lambda t: np.asarray(surface.value(solution(t), t), float),
+            times,
+            direction,
         )
     return t[surface.holds(solution(t), t)] if len(t) else t
 

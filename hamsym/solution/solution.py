@@ -17,6 +17,7 @@ from hamsym.errors import InputError, ParameterError, VacuousBoundWarning
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import SMALLEST, coupled_sizes, ratios, resolved_sizes
 from hamsym.problems.description import attributes_of
+from hamsym.problems.observed import observed, observed_variable
 from hamsym.solution.analysis import Analysis
 from hamsym.solution.digest import Definition
 from hamsym.solution.discontinuities import parameter_jump
@@ -585,12 +586,13 @@ class Solution(Saved):
 
         Parameters
         ----------
-        events : str, callable, or a sequence of them
-            A surface, for example ``"x = 0, p_x > 0"``, or a function in the form of scipy's
-            ``solve_ivp``: called with (t, z), z of shape (dim,), it is zero at the event; its
-            attribute ``direction`` selects rising (above zero) or falling zeros, and ``terminal``
-            (True or a number) ends the search for all events after this number of zeros. Unlike
-            there, a zero at the very start is not an event.
+        events : str, sympy.Expr, sympy.Eq, callable, or a sequence of them
+            A surface between any formulas in the names of H, for example ``"x = 0, p_x > 0"`` or
+            ``"p_x**2/2 = 1"``; a sympy expression, zero at the event; or a function in the form of
+            scipy's ``solve_ivp``: called with (t, z), z of shape (dim,), it is zero at the event;
+            its attribute ``direction`` selects rising (above zero) or falling zeros, and
+            ``terminal`` (True or a number) ends the search for all events after this number of
+            zeros. Unlike there, a zero at the very start is not an event.
 
         Every change of sign of a smooth formula is found, however narrow, because the formula is
         bounded between two neighbouring ``scan_times`` (thousands, and at least nine in every
@@ -622,7 +624,7 @@ class Solution(Saved):
         """
         return find_events(self, events, self.scan_times)
 
-    def to_dataframe(self, t: Any) -> pandas.DataFrame:
+    def to_dataframe(self, t: Any, *names: Any) -> pandas.DataFrame:
         """Return states at times t as a table of pandas: times as index, components as columns.
 
         H, parameters, units and the method are in ``attrs``.
@@ -631,11 +633,14 @@ class Solution(Saved):
         ----------
         t : sequence or array
             Times, shape (n,); a scalar counts as one time.
+        *names : str or sympy.Expr
+            Components or formulas in the names of H (:meth:`hamsym.Hamiltonian.observable`), the
+            columns in place of the components; nan where a formula is no finite real number.
 
         Raises
         ------
         InputError
-            If pandas is not installed, or a time is outside the span.
+            If pandas is not installed, a time is outside the span, or a name is unknown.
 
         Examples
         --------
@@ -643,12 +648,14 @@ class Solution(Saved):
         >>> solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5))
         >>> solution.to_dataframe([0.0, np.pi])["x"].round(6).tolist()
         [1.0, -1.0]
+        >>> solution.to_dataframe([0.0], "x", "x**2/2").columns.tolist()
+        ['x', 'x**2/2']
         """
         times = np.atleast_1d(times_in_span(t, self.span))
-        columns = dict(zip(self.H.names, self(times).T, strict=True))
+        columns = observed(self.H, names, self(times), times)
         return data_frame(columns, {time_name(self.H.names): times}, self._attributes)
 
-    def to_xarray(self, t: Any) -> xarray.Dataset:
+    def to_xarray(self, t: Any, *names: Any) -> xarray.Dataset:
         """Return states, energies and estimated errors at times t as a dataset of xarray.
 
         Its axes are ``time`` and ``component``; its variables ``state``, ``energy``,
@@ -658,11 +665,14 @@ class Solution(Saved):
         ----------
         t : sequence or array
             Times, shape (n,); a scalar counts as one time.
+        *names : str or sympy.Expr
+            Components or formulas, whose values are a further variable ``value`` with the axis
+            ``quantity``.
 
         Raises
         ------
         InputError
-            If xarray is not installed, or a time is outside the span.
+            If xarray is not installed, a time is outside the span, or a name is unknown.
 
         Examples
         --------
@@ -672,16 +682,21 @@ class Solution(Saved):
         ('time', 'component')
         """
         times = np.atleast_1d(times_in_span(t, self.span))
+        states = self(times)
+        value, quantity = observed_variable(
+            names, ["time"], lambda names: observed(self.H, names, states, times)
+        )
         return data_set(
             {
-                "state": (["time", "component"], self(times)),
+                "state": (["time", "component"], states),
                 "energy": (["time"], self.energy(times)),
                 "error_estimate": (["time", "component"], np.abs(self.error_estimate(times))),
                 "success": ([], self.success),
                 "message": ([], self.message),
                 "z0": (["component"], self.z0),
+                **value,
             },
-            {"time": times, "component": list(self.H.names)},
+            {"time": times, "component": list(self.H.names), **quantity},
             self._attributes,
         )
 
@@ -762,9 +777,11 @@ class Solution(Saved):
 
         Parameters
         ----------
-        *names : str
-            One component: over time. Two: the path in their plane, in one scale where both are
-            lengths or of one kind else. Three: the path in space. Or ``"error"``, the estimated
+        *names : str or sympy.Expr
+            One component or formula (:meth:`hamsym.Hamiltonian.observable`): over time, with gaps
+            where a formula is no finite real number. Two: the path in their plane, in one scale
+            where both are lengths or components of one kind else. Three: the path in space. Or
+            ``"error"``, the estimated
             errors relative to the sizes of the components, with the tolerance; ``"residual"``,
             ``"energy"``, or ``"search"``: lengths of the windows, or the loss.
         ax : matplotlib.axes.Axes, optional
@@ -789,9 +806,11 @@ class Solution(Saved):
         >>> solution = hamsym.solve(H, [1, 0, 0, 1.1], (0, 9))
         >>> solution.plot("x", "y").axes[0].get_xlabel()
         '$x$'
+        >>> solution.plot("x*p_y - y*p_x").axes[0].get_ylabel()
+        '$x p_{y} - y p_{x}$'
         """
         return hamsym.plot(self, *names, ax=ax, **options)
 
-    def animate(self, *names: str, **options: Any) -> hamsym.Animation:
+    def animate(self, *names: Any, **options: Any) -> hamsym.Animation:
         """Animate the motion, in a picture that names or options choose; :func:`hamsym.animate`."""
         return hamsym.animate(self, *names, **options)

@@ -158,8 +158,12 @@ def sweep_to_store(
 ) -> StoredSweep:
     """Carry out a task at all points of a grid; see :func:`hamsym.sweep`."""
     times = checked_span(span)
-    given = checked_options(task, options, times)
     members, axes = _members(H, z0, times, over)
+    given = checked_options(task, options, times, members.H)
+    parts = {f"{head}_{name}" for head in ("z0", "largest_error") for name in members.H.names}
+    taken = {*_RESERVED, *axes, *members.varied, *parts} & {*(given.get("values") or ())}
+    if task == "solve" and taken:
+        raise InputError(f"'{min(taken)}' in values is a name of the store; choose another")
     most = _MOST.get(task, _MOST_ALONE) if isinstance(task, str) else _MOST_ALONE
     if chunk is not None:
         require_whole("chunk", chunk)

@@ -16,7 +16,9 @@ from hamsym.dynamics.lyapunov import lyapunov
 from hamsym.dynamics.sections import section
 from hamsym.errors import HamsymError, InputError, StepSizeWarning
 from hamsym.families.many import solve_many
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.ensemble import Ensemble
+from hamsym.problems.observed import observed
 from hamsym.problems.problem import checked_span
 from hamsym.solution.times import times_in_span
 from hamsym.support.suggestions import did_you_mean, unknown
@@ -26,18 +28,18 @@ Columns = dict[str, tuple[tuple[str, ...], np.ndarray]]
 
 #: Options of each task.
 OPTIONS = {
-    "solve": ("t", "tol", "atol", "max_window", "seed"),
+    "solve": ("t", "tol", "atol", "max_window", "seed", "values"),
     "lyapunov": ("method", "steps", "dt", "count", "seed"),
     "section": ("surface", "method", "steps", "dt", "direction", "crossings"),
 }
 
 
 def checked_options(
-    task: Any, options: Mapping[str, Any], span: tuple[float, float]
+    task: Any, options: Mapping[str, Any], span: tuple[float, float], H: Hamiltonian
 ) -> dict[str, Any]:
-    """Return the options of a task with their defaults.
+    """Return the options of a task with their defaults; formulas in the names of H as text.
 
-    Raise InputError if there is no such task or option.
+    Raise InputError if there is no such task or option, or a formula cannot be used.
     """
     found = dict(options)
     if callable(task):
@@ -58,9 +60,24 @@ def checked_options(
     if task == "solve":
         times = np.atleast_1d(found.get("t", checked_span(span)[1]))
         found["t"] = np.atleast_1d(times_in_span(times, checked_span(span)))
+        if "values" in found:
+            found["values"] = _formulas(H, found["values"])
     if task == "section" and "surface" not in found:
         raise InputError("the task 'section' needs a surface; give surface='x = 0, p_x > 0'")
     return found
+
+
+def _formulas(H: Hamiltonian, values: Any) -> dict[str, str]:
+    """Return named formulas as text."""
+    if not isinstance(values, Mapping):
+        raise InputError(
+            f"values={values!r} is not a mapping; give names with formulas, for example "
+            f'{{"kinetic": "{H.names[H.dof]}**2/2"}}'
+        )
+    for name in values:
+        if not (isinstance(name, str) and name.isidentifier()):
+            raise InputError(f"{name!r} in values is no name of letters and digits; give one")
+    return {name: H.observable(formula).text for name, formula in values.items()}
 
 
 def computed(
@@ -82,14 +99,20 @@ def computed(
 
 
 def _solve(members: Ensemble, span: tuple[float, float], options: dict[str, Any]) -> Columns:
-    times = options.pop("t")
+    times, formulas = options.pop("t"), options.pop("values", {})
     many = solve_many(
         members.H, members.states, span, parameters=members.columns, progress=False, **options
     )
     if many.table.stopped == "interrupted":
         raise KeyboardInterrupt
-    return {
-        "state": (("time", "component"), many(times)),
+    states, own = many(times), many.own_parameters
+    along = () if len(times) == 1 else ("time",)  # one time gives one number for each point
+    columns: Columns = {}
+    for name, formula in formulas.items():
+        (values,) = observed(members.H, [formula], states, times, own).values()
+        columns[name] = along, values if along else values[:, 0]
+    return columns | {
+        "state": (("time", "component"), states),
         "largest_error": (("component",), many.largest_error),
         "excess": ((), many.excess),
         "success": ((), many.success),

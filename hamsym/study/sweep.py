@@ -257,6 +257,10 @@ def sweep(
         Number of seeds, counted from 0, or the seeds.
     certify : float, optional
         Prove the error of each solution, with this time limit in seconds.
+    over, task, store, chunk, **options
+        A grid of values by name, what is computed at its points, and where it is stored, with the
+        options of the task: for "solve" also ``values``, names with formulas in the names of H
+        whose values at the times ``t`` are stored. See the page "Clusters".
     workers : int, optional
         Number of processes for settings, by default the number of cores; each uses one thread.
         With 1 all runs are carried out in this process.

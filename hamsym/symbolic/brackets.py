@@ -7,10 +7,12 @@ from collections.abc import Iterable, Sequence
 import sympy
 
 from hamsym.errors import VariableError
-from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.formula.parser import Written, canonical_name, parse_written
 from hamsym.support.suggestions import did_you_mean
 from hamsym.symbolic import derivatives
-from hamsym.symbolic.checks import checked_expression
+from hamsym.symbolic.checks import checked_expression, quoted
+
+_LISTED = 14  # names in a message
 
 
 def phase_function(f: str | sympy.Expr, names: Iterable[str]) -> sympy.Expr:
@@ -25,18 +27,38 @@ def phase_function(f: str | sympy.Expr, names: Iterable[str]) -> sympy.Expr:
     >>> phase_function("theta*p", ["θ", "p"])
     p*θ
     """
-    expr = parse_expression(f) if isinstance(f, str) else checked_expression(f)
-    known = {canonical_name(name): name for name in names}
+    return written_function(f, names)[0]
+
+
+def written_function(
+    f: str | sympy.Expr, names: Iterable[str], others: Iterable[str] = ()
+) -> tuple[sympy.Expr, Written]:
+    """Convert a function on phase space; return the terms of its sums in the order of a text too.
+
+    - others: Further names, which the message about an unknown one does not list.
+    """
+    expr, written = (
+        parse_written(f) if isinstance(f, str) else (checked_expression(f, "a formula"), {})
+    )
+    listed = list(names)
+    known = {canonical_name(name): name for name in (*listed, *others)}
+    spelled = [*listed, *map(canonical_name, listed)]
     replaced = {}
     for symbol in sorted(expr.free_symbols, key=str):
         name = known.get(canonical_name(symbol.name))
         if name is None:
             raise VariableError(
-                f"'{symbol.name}' does not occur in H{did_you_mean(symbol.name, known.values())}; "
-                f"use only {', '.join(known.values())}"
+                f"{quoted(symbol.name)} does not occur in H{did_you_mean(symbol.name, spelled)}; "
+                f"use only {', '.join(listed[:_LISTED])}{', ...' * (len(listed) > _LISTED)}"
             )
         replaced[symbol] = sympy.Symbol(name, real=True)
-    return expr.xreplace(replaced)
+    renamed = {own: new for own, new in replaced.items() if own != new}
+    if not renamed:
+        return expr, written
+    return expr.xreplace(renamed), {
+        total.xreplace(renamed): tuple(term.xreplace(renamed) for term in terms)
+        for total, terms in written.items()
+    }
 
 
 def poisson_bracket(f: sympy.Expr, g: sympy.Expr, z: Sequence[sympy.Symbol]) -> sympy.Expr:

@@ -27,6 +27,9 @@ from hamsym.symbolic.invariants import find_invariants, is_conserved, suggested_
 from hamsym.symbolic.pairing import natural_order
 from hamsym.symbolic.variables import TIME
 
+# Sums that were written, up to which those in derivatives are compared with each of them.
+_MOST_SUMS = 100
+
 
 class SymbolicHamiltonian(Shown):
     """The symbolic part of :class:`hamsym.Hamiltonian`, which sets the attributes."""
@@ -138,7 +141,23 @@ class SymbolicHamiltonian(Shown):
                 # Forces come last.
                 place = {t: known.get(t.as_coeff_Mul()[1], len(terms)) for t in rate.args}
                 notation.written[rate] = sorted(ordered_terms(rate), key=place.__getitem__)
+        self._order_inner_sums(notation)
         return notation
+
+    def _order_inner_sums(self, notation: Notation) -> None:
+        """Add the order of sums within the equations of motion: of the sum that they come from."""
+        found = {total for rate in self.vector_field for total in rate.atoms(sympy.Add)}
+        left = {s for s in found if s not in notation.written and -s not in notation.written}
+        if not left or len(self.written) > _MOST_SUMS:
+            return
+        for terms in self.written.values():
+            for places in derivatives.term_places(terms, self.z):
+                for total in left - notation.derived.keys():
+                    place = {t: places.get(t.as_coeff_Mul()[1], -1) for t in total.args}
+                    if min(place.values()) >= 0:
+                        notation.derived[total] = sorted(
+                            ordered_terms(total), key=place.__getitem__
+                        )
 
     @property
     def formulas(self) -> str:

@@ -187,6 +187,22 @@ def checked_units(
     return given | {time: given.get(time) or _short(follows)}
 
 
+def unit_of(expr: sympy.Expr, units: Mapping[str, str]) -> str:
+    """Return the unit of a formula, from those of its names; "1" if its terms have different ones.
+
+    Examples
+    --------
+    >>> x, p, m = sympy.symbols("x p m")
+    >>> units = {"x": "m", "p": "kg*m/s", "m": "kg"}
+    >>> unit_of(p**2/(2*m), units), unit_of(x + p, units)
+    ('kg*m**2/s**2', '1')
+    """
+    try:
+        return _short(_unit_of(expr, {name: _parsed(name, text) for name, text in units.items()}))
+    except InputError:
+        return "1"
+
+
 def _short(unit: _Unit) -> str:
     """A unit by its own name if it has one."""
     for name in ("s", "ms", "us", "ns", "ps", "minute", "hour", "day", "year", "m"):

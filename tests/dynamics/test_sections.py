@@ -230,7 +230,7 @@ def test_section_is_drawn_in_the_free_plane(start: np.ndarray) -> None:
     axis = found.plot().axes[0]
     assert (axis.get_xlabel(), axis.get_ylabel()) == ("$y$", "$p_{y}$")
     assert found.plot("p_x", "y").axes[0].get_xlabel() == "$p_{x}$"
-    with pytest.raises(InputError, match="'q' is not a component of z; choose one of x"):
+    with pytest.raises(InputError, match="'q' does not occur in H; use only x"):
         found.plot("q", "y")
     with pytest.raises(InputError, match="in the plane of two components, not of 1"):
         found.plot("y")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import re
 
+import numpy as np
 import pytest
 import sympy
 
@@ -43,6 +44,44 @@ def test_terms_of_equations_follow_those_of_the_formula() -> None:
     assert other.notation.text(other.vector_field[2]) == (
         "p_theta**2/r**3 - k*(r - l) + g*cos(theta)"
     )
+
+
+@pytest.mark.parametrize(
+    ("formula", "number", "expected"),
+    [
+        ("4*e*((s/r)**12 - (s/r)**6) + p_r**2/2", 1, "24*e*(2*s**12/r**13 - s**6/r**7)"),
+        ("p**2/2 + (a*cos(k*x) + b*cos(x))*c", 1, "c*(a*k*sin(k*x) + b*sin(x))"),
+        ("(p_y**2/2 - (a*cos(x) + b*cos(2*x))*c*y)", 2, "-c*y*(a*sin(x) + 2*b*sin(2*x))"),
+        ("p**2/2 + (1/x - x**2)**2/2", 1, "(1/x**2 + 2*x)*(1/x - x**2)"),
+        ("p**2/2 + (1 - x)**3/3 - a*(b - x)", 1, "(1 - x)**2 - a"),
+        ("p**2/2 + k*(l - x)**2/2", 1, "k*(l - x)"),
+    ],
+)
+def test_products_have_as_few_minus_signs_as_they_can(
+    formula: str, number: int, expected: str
+) -> None:
+    H = Hamiltonian(formula, **({"q": ["x", "y"], "p": ["p_x", "p_y"]} if "p_y" in formula else {}))
+    assert H.notation.text(H.vector_field[number]) == expected
+    assert H.notation.latex(H.vector_field[number]).count("-") == expected.count("-")
+    assert Hamiltonian(H.formula, q=H.q, p=H.p).formula == H.formula
+
+
+def test_denominators_have_the_sign_of_most_terms() -> None:
+    cart = Hamiltonian.from_lagrangian(
+        "(m1 + m2)*xdot**2/2 + m2*l*xdot*thetadot*cos(theta) + m2*l**2*thetadot**2/2"
+    )
+    text = cart.notation.text(cart.vector_field[0])
+    assert text.endswith("/(l**2*m2*(m1 + m2 - m2*cos(theta)**2))")
+    assert not text.startswith("-")
+
+
+@pytest.mark.parametrize("name", ["stormer", "bickley_jet", "double_pendulum", "discrete_nls"])
+def test_displayed_equations_mean_what_is_derived(name: str) -> None:
+    H = getattr(hamsym.systems, name)().H
+    z = np.linspace(0.3, 0.9, H.dim)
+    rates = [H.observable(H.notation.text(rate))(z, 0.4) for rate in H.vector_field]
+    system = H.compile("numpy")
+    np.testing.assert_allclose(rates, system.vector_field(*system.arguments(z, 0.4)), rtol=1e-12)
 
 
 def test_order_does_not_change_the_identity() -> None:

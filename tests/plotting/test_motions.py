@@ -376,12 +376,13 @@ def test_a_panel_is_drawn_into_axes_of_the_user(pendulum: hamsym.Solution) -> No
 @pytest.mark.parametrize(
     ("names", "options", "message"),
     [
-        (("thetta",), {}, "'thetta' is not a component of z; did you mean 'theta'"),
+        (("thetta",), {}, r"'thetta' does not occur in H \(did you mean 'theta'\?\)"),
         (("theta", "p", "theta", "p"), {}, "4 components cannot be drawn in one panel"),
         ((), {"ax": matplotlib.figure.Figure().subplots()}, "the overview has several panels"),
         (("theta",), {"ax": "left"}, "is not an Axes of matplotlib"),
         (("error",), {"certificate": 3}, "certificate is a int"),
         (("theta", "error"), {}, "'error' is drawn alone"),
+        (("errors",), {}, r"'errors' is not a component \(did you mean 'error'\?\)"),
     ],
 )
 def test_unusable_arguments_are_refused(

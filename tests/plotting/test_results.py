@@ -429,8 +429,8 @@ def test_flow_maps_are_laid_out(names: tuple[str, ...]) -> None:
     ("make", "wrong", "meant"),
     [
         (lambda: exponents(2, 2, chain(2)), ("exponent",), "exponents"),
-        (lambda: lyapunov_map((5, 6)), ("p_z", "x"), "p_"),
-        (lambda: hamsym.equilibria(WELL), ("xx", "p"), "x"),
+        (lambda: lyapunov_map((5, 6)), ("px", "x"), "p_x"),
+        (lambda: hamsym.equilibria(WELL), ("X", "p"), "x"),
         (lambda: hamsym.enclose(WELL, [0.1, 0], (0, 0.1)), ("wdth",), "width"),
         (lambda: certificate(2), ("bounds",), "bound"),
     ],

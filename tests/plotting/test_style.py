@@ -208,7 +208,9 @@ def test_files_do_not_depend_on_the_run(tmp_path: Path, suffix: str, start: byte
 
 
 def test_unknown_names_are_answered_with_the_nearest() -> None:
-    with pytest.raises(InputError, match="'thetta' is not a component of z; did you mean 'theta'"):
+    with pytest.raises(
+        InputError, match=r"'thetta' is not a component of z \(did you mean 'theta'"
+    ):
         known_name("thetta", ["theta", "p"], "a component of z")
     with pytest.raises(InputError, match=r"choose one of q0, .*, \.\.\."):
         known_name("zzz", [f"q{k}" for k in range(40)], "a component of z")

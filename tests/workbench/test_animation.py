@@ -295,7 +295,7 @@ def test_unknown_ending_is_refused(pendulum, tmp_path, path):
     ("names", "options", "reason"),
     [
         (("thta", "p"), {}, "did you mean 'theta'"),
-        ((5,), {}, "'5' is not a component"),
+        ((5,), {}, "5 is neither a component nor a formula"),
         (("theta",), {"kind": "plane"}, "two components for each body"),
         (("theta", "p", "theta"), {"kind": "phase"}, "two components"),
         ((), {"kind": "orbit"}, "kind='orbit' is unknown"),

@@ -217,7 +217,7 @@ class Animation:
 @checked_keywords
 def animate(
     result: Any,
-    *names: str,
+    *names: Any,
     kind: str | None = None,
     points: Callable[..., Any] | None = None,
     rods: Sequence[tuple[int, int]] = (),
@@ -239,9 +239,10 @@ def animate(
     ----------
     result : Solution, Solutions, Trajectory or PeriodicOrbit
         Of many trajectories the first 50 are drawn.
-    *names : str
-        Two components: a point in their plane; with four and more, a point for each two. Of a
-        coordinate and its momentum with one degree of freedom, level sets of H are drawn too.
+    *names : str or sympy.Expr
+        Two components or formulas in the names of H: a point in their plane; with four and more, a
+        point for each two. Of a coordinate and its momentum with one degree of freedom, level sets
+        of H are drawn too. A point is left out while its formula is no finite real number.
         With ``kind`` "polar" distances and angles, with "pendulum" the angles, with "chain" the
         displacements.
     kind : {"plane", "phase", "polar", "pendulum", "chain"}, optional

@@ -33,6 +33,8 @@ class Motion:
     closed: bool = False
     #: Parameters that differ between the members.
     varied: tuple[str, ...] = ()
+    #: Of each member, shape (members, k); None where all have those of H.
+    parameters: np.ndarray | None = None
     #: What is not drawn, in words.
     notes: tuple[str, ...] = ()
     #: What did not succeed, in words; empty if all did.
@@ -75,6 +77,7 @@ def _of_solutions(solutions: Solutions) -> Motion:
         solutions.span,
         lambda t: np.moveaxis(shown(t), 0, 1),
         varied=tuple(solutions.parameters),
+        parameters=shown.own_parameters,
         notes=_left_out(solutions.size),
         failure=_failed(np.asarray(shown.success)),
     )
@@ -104,6 +107,7 @@ def _of_trajectory(trajectory: Trajectory) -> Motion:
         (float(trajectory.t[0]), float(trajectory.t[-1])),
         lambda t: np.stack([piece(direction * t) for piece in pieces], axis=1),
         varied=tuple(members.varied),
+        parameters=members.own_parameters(np.s_[:MOST_MEMBERS]),
         notes=_left_out(count),
         failure=failure,
     )

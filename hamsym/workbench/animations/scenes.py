@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from hamsym.codegen.observable import Observable
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.plotting.names import known_name, math_name, math_unit, quantity
+from hamsym.plotting.captions import axis_words
+from hamsym.plotting.names import math_name, math_unit, quantity
 from hamsym.support.validation import is_positive
 from hamsym.workbench.animations.motion import Motion
 from hamsym.workbench.animations.polar import (
@@ -79,7 +81,13 @@ def scene_of(
         return _of_points(motion, points, rods)
     if len(rods):
         raise InputError("rods joins points; give points as well, or kind='pendulum'")
-    chosen = [H.names.index(known_name(name, H.names, "a component")) for name in names]
+    drawn = [H.observable(name) for name in names]
+    chosen = [each.place for each in drawn if each.place is not None]
+    if len(chosen) < len(drawn):
+        if kind not in (None, "plane") or lengths is not None:
+            formula = next(each.text for each in drawn if each.place is None)
+            raise InputError(f"'{formula}' is a formula, which is drawn in a plane; leave kind out")
+        return _plane(motion, drawn)
     if kind is None:
         kind, chosen = _suggested(H, chosen) if lengths is None else ("pendulum", chosen)
     if kind not in KINDS:
@@ -94,7 +102,8 @@ def scene_of(
         return _chain(H, chosen or list(range(H.dof)))
     if kind == "phase":
         return _phase(motion, chosen or [0, H.dof])
-    return _plane(H, chosen or list(range(H.dof)))
+    places = chosen or list(range(H.dof))
+    return _plane(motion, [H.observable(H.names[place]) for place in places])
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -138,45 +147,49 @@ def _suggested(H: Hamiltonian, chosen: list[int]) -> tuple[str, list[int]]:
     )
 
 
-def _plane(H: Hamiltonian, chosen: list[int]) -> Scene:
-    if len(chosen) < 2 or len(chosen) % 2:
+def _plane(motion: Motion, drawn: list[Observable]) -> Scene:
+    H = motion.H
+    if len(drawn) < 2 or len(drawn) % 2:
         raise InputError(
             "a plane needs two components for each body, such as 'x', 'y' or 'x1', 'y1', 'x2', 'y2'"
         )
-    along, across = chosen[::2], chosen[1::2]
+    pairs = list(zip(drawn[::2], drawn[1::2], strict=True))
 
     def places(z: np.ndarray, t: np.ndarray) -> np.ndarray:
-        return np.stack((z[..., along], z[..., across]), axis=-1)
+        found = [each.values(z, t, motion.parameters) for each in drawn]
+        columns = np.stack(np.broadcast_arrays(z[..., 0], *found)[1:], axis=-1)
+        return columns.reshape(*columns.shape[:-1], -1, 2)
 
-    names, several = H.names, len(along) > 1
-    labels = [_shared(H, [names[i] for i in column]) for column in (along, across)]
-    left = [name for i, name in enumerate(names[: H.dof]) if i not in chosen]
+    several = len(pairs) > 1
+    labels = [_shared(drawn[::2]), _shared(drawn[1::2])]
+    chosen = [each.place for each in drawn if each.place is not None]
+    left = [name for i, name in enumerate(H.names[: H.dof]) if i not in chosen]
     note = ""
-    if left and all(i < H.dof for i in chosen):
+    if left and len(chosen) == len(drawn) and all(i < H.dof for i in chosen):
         note = f"Projected along {_listed(left)}"
-    pairs = zip(along, across, strict=True)
     return Scene(
         places,
         (labels[0], labels[1]),
-        points=tuple(f"{math_name(names[i])}, {math_name(names[j])}" for i, j in pairs)
+        points=tuple(f"{axis_words(x)[0]}, {axis_words(y)[0]}" for x, y in pairs)
         if several
         else (),
-        traced=tuple(range(len(along))),
-        equal=_alike(H, chosen),
+        traced=tuple(range(len(pairs))),
+        equal=len(chosen) == len(drawn) and _alike(H, chosen),
         note=note,
     )
 
 
-def _shared(H: Hamiltonian, names: list[str]) -> tuple[str, str]:
-    """Return the label of an axis for a component of one or of several bodies."""
-    if len(names) == 1:
-        return quantity(H, names[0])
-    units = {H.units.get(name, "1") for name in names}
+def _shared(drawn: Sequence[Observable]) -> tuple[str, str]:
+    """Return the label of an axis for a component or formula of one or of several bodies."""
+    if len(drawn) == 1:
+        return axis_words(drawn[0])
+    names, units = [each.text for each in drawn], {each.unit for each in drawn}
     if len(units) > 1:
         raise InputError(f"{_listed(names)} have different units; draw them one by one")
     stems = {re.sub(r"_?\d+$", "", name) for name in names}
-    own = [stems.pop()] if len(stems) == 1 else names
-    return ", ".join(map(math_name, own)), math_unit(units.pop())
+    shared = len(stems) == 1 and all(each.place is not None for each in drawn)
+    own = [math_name(stems.pop())] if shared else [axis_words(each)[0] for each in drawn]
+    return ", ".join(own), math_unit(units.pop())
 
 
 def _alike(H: Hamiltonian, chosen: list[int]) -> bool:
