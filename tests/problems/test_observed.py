@@ -81,7 +81,6 @@ def test_sections_have_formulas_with_parameters_of_each_start() -> None:
     energies = np.array([0.5, 8.0])[found.trajectory]
     np.testing.assert_allclose(table["H"], energies, rtol=1e-7)
     assert table.columns.tolist() == ["trajectory", "t", "H", "p", "z0_x", "z0_p", "k"]
-    np.testing.assert_allclose(found.to_xarray("H")["value"][:, 0], energies, rtol=1e-7)
     assert found.plot("H", "p").axes[0].get_xlabel() == "$H$"
 
 
