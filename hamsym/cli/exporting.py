@@ -1,4 +1,4 @@
-"""Command that exports: export."""
+"""Commands that write what others read: export, report."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ import click
 from hamsym.cli.command import Command, Report
 from hamsym.cli.output import CERTIFICATE, check_directory
 from hamsym.cli.texts import saved_solution
+from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import InputError
+
+_HIDDEN = "balls"  # code of proofs, which nobody runs by hand
 
 
 @click.command(
@@ -77,3 +80,42 @@ def _size(count: int) -> str:
     while size >= 999.5 and len(units) > 1:
         size, units = size / 1_000, units[1:]
     return f"{size:.3g} {units[0]}"
+
+
+@click.command(
+    cls=Command,
+    short_help="Write a report about a saved solution.",
+    examples=[
+        "hamsym report orbit.hamsym -o report.html",
+        "hamsym report orbit.hamsym --certify --no-compare",
+    ],
+)
+@click.argument("file", type=click.Path())
+@click.option("-o", "--output", type=click.Path(), metavar="HTML", help="[FILE with .html]")
+@click.option("--title", help="Heading of the report.")
+@click.option(
+    "--certificate", type=click.Path(), metavar="CERTIFICATE", help="[FILE.certificate, if any]"
+)
+@click.option("--certify", is_flag=True, help="Prove a bound on the error now.")
+@click.option("--compare/--no-compare", default=True, help="Compare with integrators  [yes]")
+@click.option(
+    "--backend",
+    type=click.Choice([name for name in BACKENDS if name != _HIDDEN]),
+    default="numpy",
+    show_default=True,
+    help="Language of the code that is shown.",
+)
+@click.option("--time-limit", type=float, metavar="SECONDS", help="For a proof.")
+def report(file: str, output: str | None, **options: Any) -> Report:
+    """Write all that is known about a saved solution to one file of HTML.
+
+    FILE is a solution saved by `hamsym solve -o FILE`. A certificate is verified by repeating its
+    proof. Exit 1 if --certify proved nothing.
+    """
+    from hamsym.workbench.reports.report import report as run
+
+    path = str(Path(file).with_suffix(".html")) if output is None else output
+    proof = run(file, path, **options)
+    proven = proof.certificate
+    values = {"proof": proof.sentence, "digest": None if proven is None else proven.digest}
+    return Report(proof.sentence, values, proven is not None or not options["certify"], [path])

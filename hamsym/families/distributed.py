@@ -6,7 +6,7 @@ Output: blocks of members, as they come; with a store that the workers reach, wr
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,11 +16,15 @@ import numpy as np
 from hamsym.families.blocks import Block, BlockSolver
 from hamsym.families.parts import write_part
 from hamsym.families.solutions import Family
-from hamsym.parallel.cluster import members_on_cluster
+from hamsym.parallel.cluster import Task, ThreadCount, cluster_results
 from hamsym.problems.ensemble import Ensemble
 
 if TYPE_CHECKING:  # an optional package
     from distributed import Client
+
+_FIRST, _MOST = 32, 65_536  # members of the first blocks, and of any
+_SECONDS = 5.0  # that a block should take: long beside the millisecond of the scheduler
+_SHARES = 4  # blocks for each thread, at least
 
 
 class StorePlace(NamedTuple):
@@ -45,10 +49,24 @@ def blocks_on_cluster(
     store: StorePlace | None,
     retries: int,
 ) -> Generator[Block, None, None]:
-    """Yield the blocks of the chosen members, as :func:`members_on_cluster` computes them."""
-    found = members_on_cluster(client, _solved, (family, store), members, chosen, retries=retries)
-    with closing(found):
-        for _, block in found:
+    """Yield blocks of the chosen members, in the order in which they end.
+
+    They are sized by the time that they take.
+    """
+    left, size, threads = chosen, _FIRST, ThreadCount(client)
+
+    def tasks() -> Iterator[Task]:
+        nonlocal left
+        while len(left):
+            fair = max(len(left) // (_SHARES * threads()), 1)
+            chunk, left = np.split(left, [min(size, fair)])
+            own = members.states[chunk], members.parameters[chunk]
+            yield Task(chunk, (chunk, Ensemble(members.H, *own, chunk.shape, members.varied)))
+
+    setup = family, store
+    with closing(cluster_results(client, _solved, setup, tasks(), retries=retries)) as results:
+        for _, block, seconds in results:
+            size = int(min(max(_SECONDS * len(block.members) / seconds, 1), _MOST))
             yield block
 
 

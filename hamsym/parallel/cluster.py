@@ -16,14 +16,12 @@ import pickle
 import time
 import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 import hamsym
 from hamsym.errors import HamsymError, InputError
-from hamsym.problems.ensemble import Ensemble
 from hamsym.support.machine import one_core
 from hamsym.support.tables import optional_package
 from hamsym.support.validation import require_whole
@@ -31,9 +29,6 @@ from hamsym.support.validation import require_whole
 if TYPE_CHECKING:  # an optional package
     from distributed import Client, Future
 
-_FIRST, _MOST = 32, 65_536  # members of the first chunks, and of any
-_SECONDS = 5.0  # that a chunk should take: long beside the millisecond of the scheduler
-_SHARES = 4  # chunks for each thread, at least
 _COUNTED_EVERY = 1.0  # seconds between two looks at the number of workers
 _WAITING = 2  # tasks for each thread of the cluster, so that no worker waits for the scheduler
 
@@ -59,7 +54,7 @@ def require_client(client: Any) -> None:
         raise InputError("the client is not connected to a scheduler; make a new one")
 
 
-class _Threads:
+class ThreadCount:
     """Number of threads of all workers, which may change; read at most once a second."""
 
     def __init__(self, client: Client) -> None:
@@ -71,40 +66,6 @@ class _Threads:
             self._count = max(1, sum(self._client.nthreads().values()))
             self._read = time.monotonic()
         return self._count
-
-
-def members_on_cluster(
-    client: Client,
-    function: Callable[[Any, np.ndarray, Ensemble], Any],
-    setup: Any,
-    members: Ensemble,
-    chosen: np.ndarray | None = None,
-    *,
-    retries: int = 3,
-) -> Generator[tuple[np.ndarray, Any], None, None]:
-    """Yield the numbers of a chunk of members with its result, in the order in which chunks end.
-
-    Chunks are sized by the time that they take.
-
-    - client, setup, retries: As in :func:`cluster_results`.
-    - function: ``function(setup, numbers, members)`` for a chunk.
-    - chosen: Numbers of the members to work on; by default all.
-    """
-    left = np.arange(len(members)) if chosen is None else chosen
-    threads, size = _Threads(client), _FIRST
-
-    def tasks() -> Iterator[Task]:
-        nonlocal left
-        while len(left):
-            fair = max(len(left) // (_SHARES * threads()), 1)
-            chunk, left = np.split(left, [min(size, fair)])
-            own = members.states[chunk], members.parameters[chunk]
-            yield Task(chunk, (chunk, Ensemble(members.H, *own, chunk.shape, members.varied)))
-
-    with closing(cluster_results(client, function, setup, tasks(), retries=retries)) as results:
-        for task, result, seconds in results:
-            size = int(min(max(_SECONDS * len(task.members) / seconds, 1), _MOST))
-            yield task.members, result
 
 
 def cluster_results(
@@ -129,7 +90,7 @@ def cluster_results(
       (``distributed.scheduler.allowed-failures``).
     """
     run = _Tasks(client, function, setup, retries)
-    pending, threads = iter(tasks), _Threads(client)
+    pending, threads = iter(tasks), ThreadCount(client)
     try:
         while True:
             room = _WAITING * threads() - len(run.waiting)

@@ -107,30 +107,33 @@ class Worker:
         - seconds: Time limit, which includes the start of a new process.
         - report: Called here with what the task reports, by its last argument.
         """
+        task = pickle.dumps((function, arguments, report is not None))
         with self._lock:
             with self._state:
                 self._cancelled = False
                 process, messages = self._started(), self._messages
-            with contextlib.suppress(OSError):  # it has ended, as its messages will tell
-                _send(process.stdin, pickle.dumps((function, arguments, report is not None)))
             deadline = time.monotonic() + seconds
-            while True:
-                try:
+            try:
+                with contextlib.suppress(OSError):  # it has ended, as its messages will tell
+                    _send(process.stdin, task)
+                kind = _REPORT
+                while kind == _REPORT:
                     left = None if math.isinf(seconds) else max(deadline - time.monotonic(), 0.0)
                     message = messages.get(timeout=left)
-                except queue.Empty:
-                    self._end()
-                    raise OverTimeError(f"stopped after the time limit of {seconds:g} s") from None
-                if message is None:
-                    self._end()
-                    raise CancelledError("cancelled") if self._cancelled else ProcessEndedError()
-                kind, found = pickle.loads(message)
-                if kind == _RESULT:
-                    return found
-                if kind == _ERROR:
-                    raise found
-                if report is not None:
-                    report(found)
+                    if message is None:
+                        raise CancelledError("cancelled") if self._cancelled else ProcessEndedError
+                    kind, found = pickle.loads(message)
+                    if kind == _REPORT and report is not None:
+                        report(found)
+            except BaseException as error:  # also Ctrl-C: nobody waits for the result any more
+                self._end()
+                if isinstance(error, queue.Empty):
+                    text = f"stopped after the time limit of {seconds:g} s"
+                    raise OverTimeError(text) from None
+                raise
+        if kind == _ERROR:
+            raise found
+        return found
 
     def cancel(self) -> None:
         """End the process; a task that is running raises :class:`CancelledError`."""
@@ -219,6 +222,7 @@ def _serve() -> None:
     source, out = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
+    sys.stdout = sys.stderr
     tasks: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def put(task: bytes | None) -> None:

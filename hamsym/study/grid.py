@@ -20,7 +20,7 @@ import numpy as np
 import hamsym
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
-from hamsym.parallel.cluster import Task, cluster_results, require_client
+from hamsym.parallel.cluster import Task, ThreadCount, cluster_results, require_client
 from hamsym.problems.description import described
 from hamsym.problems.ensemble import Ensemble, ensemble_of
 from hamsym.problems.problem import checked_span
@@ -170,8 +170,7 @@ def sweep_to_store(
         most = chunk
     elif client is not None:
         require_client(client)
-        threads = max(1, sum(client.nthreads().values()))
-        most = max(1, min(most, len(members) // (_SHARES * threads)))
+        most = max(1, min(most, len(members) // (_SHARES * ThreadCount(client)())))
     coordinates: dict[str, list[Any]] = {"component": list(members.H.names)}
     if "t" in given and task == "solve":
         coordinates["time"] = given["t"].tolist()

@@ -16,8 +16,7 @@ import hamsym
 from hamsym import FileError, Hamiltonian, HamsymError, InputError
 from hamsym.families import many as many_module
 from hamsym.families.distributed import StorePlace
-from hamsym.parallel.cluster import Task, _on_worker, cluster_results, members_on_cluster
-from hamsym.problems.ensemble import ensemble_of
+from hamsym.parallel.cluster import Task, _on_worker, cluster_results
 from hamsym.systems import henon_heiles
 
 distributed = pytest.importorskip("distributed")
@@ -103,9 +102,9 @@ def test_members_equal_those_of_a_local_run(client: Any) -> None:
 def test_size_of_chunks_changes_no_bit(
     client: Any, chunk: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hamsym.parallel.cluster._FIRST", chunk)
-    monkeypatch.setattr("hamsym.parallel.cluster._MOST", chunk)
-    monkeypatch.setattr("hamsym.parallel.cluster._SHARES", 0.01)
+    monkeypatch.setattr("hamsym.families.distributed._FIRST", chunk)
+    monkeypatch.setattr("hamsym.families.distributed._MOST", chunk)
+    monkeypatch.setattr("hamsym.families.distributed._SHARES", 0.01)
     count = min(30 * chunk, 200)
     starts = random_starts(200)[:count]
     here = hamsym.solve_many(HENON, starts, SPAN)
@@ -169,7 +168,7 @@ def test_store_that_workers_do_not_reach(
 
 @pytest.mark.slow  # workers import torch
 def test_sweep_of_settings_on_a_cluster(processes: Any, tmp_path: Path) -> None:
-    adam = {"method": "adam", "epochs": 60, "points": 20, "hidden": (8, 8)}
+    adam = {"method": hamsym.Adam(epochs=60, points=20, hidden=(8, 8))}
     arguments = "p**2/2 + x**2/2", [1.0, 0.0], (0, 2), {"adam": adam, "march": {}}
     here = hamsym.sweep(*arguments, folder=tmp_path / "here", seeds=[3], workers=1)
     there = hamsym.sweep(*arguments, folder=tmp_path / "there", seeds=[3], client=processes)
@@ -246,15 +245,15 @@ def test_members_that_kill_workers_are_named(processes: Any) -> None:
 
 @pytest.mark.slow
 def test_closing_cancels_what_is_left(processes: Any) -> None:
-    members = ensemble_of(HENON, random_starts(20))
-    results = members_on_cluster(processes, _slow, None, members)
+    tasks = [Task(np.array([k]), (k,)) for k in range(20)]
+    results = cluster_results(processes, _slow, None, tasks)
     next(results)
     results.close()
     assert not processes.futures
 
 
-def _slow(_: None, numbers: np.ndarray, members: Any) -> int:
-    return len(members)
+def _slow(_: None, number: int) -> int:
+    return number
 
 
 def test_other_version_of_a_worker_is_refused() -> None:

@@ -74,6 +74,15 @@ def test_time_limit_ends_a_task(worker: Worker) -> None:
     assert worker.run(tasks.double, 60.0, 1.0) == 2.0
 
 
+def test_result_that_nobody_waits_for_is_dropped(worker: Worker) -> None:
+    def refuse(_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        worker.run(tasks.squared, 60.0, 3, report=refuse)
+    assert worker.run(tasks.double, 60.0, 1.0) == 2.0
+
+
 def test_cancel_ends_a_task(worker: Worker) -> None:
     worker.run(tasks.double, 60.0, 1.0)
     canceller = threading.Timer(0.2, worker.cancel)
