@@ -31,8 +31,8 @@ from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.orbits.arc import Problem
 from hamsym.orbits.certificate import OrbitCertificate, orbit_digest, statement_of
 from hamsym.orbits.orbit_check import check_orbit
+from hamsym.orbits.period import exact_period, in_units_of_the_arc
 from hamsym.orbits.proven_stability import proven_attraction, proven_stability
-from hamsym.orbits.rescaled import exact_period, in_units_of_the_arc
 from hamsym.orbits.search import vector_field_at
 from hamsym.orbits.symmetry import SignedPermutation, is_unchanged
 from hamsym.proof.ball import Ball
