@@ -1,4 +1,4 @@
-"""Periods that are given as numbers or as formulas of the parameters."""
+"""Periods, given as numbers or as formulas of the parameters, and H in units of an arc."""
 
 from __future__ import annotations
 
