@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from hamsym.kernel.loops import Equations, Pieces, Program, Record, arrays, library, require_memory
+from hamsym.kernel.loops import Equations, Pieces, Record, arrays, library, require_memory
 from hamsym.numerics.collocation import turns
 
 DEGREE = 31  # of the polynomials: the columns of the march have 1e-14 beyond it
@@ -27,20 +26,6 @@ class ModelTables(Record):
     """Tables over the places."""
 
     _fields_ = arrays("coefficients low high values_of_high slopes_of_low defects at_middle")
-
-
-class Models(NamedTuple):
-    """Models of results on intervals."""
-
-    #: Of the polynomials at the places, shape (n, results, PLACES).
-    values: np.ndarray
-    #: error, rounding: Bound on the distance of function and polynomial, and the rounding errors of
-    #: the values, which it leaves out, shape (n, results).
-    error: np.ndarray
-    rounding: np.ndarray
-    #: low, high: Bounds on the functions, shape (n, results).
-    low: np.ndarray
-    high: np.ndarray
 
 
 @functools.cache
@@ -75,28 +60,6 @@ def model_tables() -> ModelTables:
 def _parts(table: np.ndarray) -> np.ndarray:
     """Return the columns of even and those of odd degrees, shape (2, n, columns / 2)."""
     return np.array((table[:, 0::2], table[:, 1::2]))
-
-
-def models_of(
-    program: Program, values: np.ndarray, ranges: np.ndarray, parameters: np.ndarray
-) -> Models:
-    """Compute models of the results of a program.
-
-    - values: Of polynomials that the state and the time are, shape (n, dim + 1, PLACES).
-    - ranges: Bounds on them, which may be infinite, shape (n, dim + 1, 2).
-    - parameters: Shape (k,) or (n, k).
-    """
-    count = len(values)
-    found = np.empty((count, program.results, PLACES))
-    bounds = np.empty((count, program.results, 4))
-    given = [np.ascontiguousarray(array, dtype=float) for array in (values, ranges, parameters)]
-    done = library().hamsym_models(
-        *(ctypes.byref(program), ctypes.byref(model_tables()), count),
-        *(array.ctypes.data for array in given),
-        *(_stride(given[2]), found.ctypes.data, bounds.ctypes.data),
-    )
-    require_memory(done)
-    return Models(found, *np.moveaxis(bounds, -1, 0))
 
 
 def residual_bounds(

@@ -29,11 +29,11 @@ import jinja2
 import sympy
 
 from hamsym.codegen.backends import BACKENDS
-from hamsym.codegen.bodies import Bodies
+from hamsym.codegen.bodies import Bodies, Body
 from hamsym.codegen.names import Names
 from hamsym.codegen.numba_cache import cached_text
 from hamsym.codegen.printers import NUMPY_DEFINITIONS
-from hamsym.codegen.straight_line import StraightLines
+from hamsym.codegen.straight_line import StraightLine, StraightLines
 from hamsym.errors import CodeGenerationError, InputError
 from hamsym.formula.grammar import GREEK
 from hamsym.formula.printer import FormulaPrinter, rewritten_to
@@ -239,17 +239,22 @@ class _Page:
             if force != 0
         ]
 
-    @property
-    def jacobian_positions(self) -> list[int]:
-        return [i * self.dim + j for i, j in self.bodies.jacobian.indices]
+    def positions(self, body: Body | StraightLine) -> list[int]:
+        """Places of the entries of a matrix in its rows one after the other."""
+        return [i * self.dim + j for i, j in body.indices]
 
-    @property
-    def jacobian_targets(self) -> list[str]:
-        return [f"out[point, {i}, {j}]" for i, j in self.bodies.jacobian.indices]
+    def targets(self, body: Body, mirrored: bool = False) -> list[str]:
+        """Entries of a matrix at a point; with ``mirrored`` those of both triangles."""
+        entry = "out[point, {}, {}]".format
+        return [
+            entry(i, j) + (f" = {entry(j, i)}" if mirrored and i != j else "")
+            for i, j in body.indices
+        ]
 
-    @property
-    def curvature_targets(self) -> list[str]:
-        return [f"out[point, {i}, {j}]" for i, j in self.bodies.curvature.indices]
+    @staticmethod
+    def each(form: str, count: int) -> list[str]:
+        """A text with each of some numbers."""
+        return [form.format(k) for k in range(count)]
 
     @staticmethod
     def _text(formula: sympy.Expr) -> str:
@@ -285,38 +290,6 @@ class _Page:
     @property
     def squares(self) -> list[str]:
         return [f"({row})**2" for row in self.bodies.residual.results]
-
-    @property
-    def hessian_positions(self) -> list[int]:
-        return [i * self.dim + j for i, j in self.bodies.hessian.indices]
-
-    @property
-    def component_targets(self) -> list[str]:
-        return [f"out[point, {i}]" for i in range(self.dim)]
-
-    @property
-    def hessian_targets(self) -> list[str]:
-        targets = []
-        for i, j in self.bodies.hessian.indices:
-            mirrored = f" = out[point, {j}, {i}]" if i != j else ""
-            targets.append(f"out[point, {i}, {j}]{mirrored}")
-        return targets
-
-    @property
-    def components(self) -> list[str]:
-        return [f"states[row, {i}]" for i in range(self.dim)]
-
-    @property
-    def parameter_entries(self) -> list[str]:
-        return [f"parameters[row, {i}]" for i in range(len(self.parameters))]
-
-    @property
-    def shifted(self) -> list[str]:
-        return [f"x[{i}] + h*slope[{i}]" for i in range(self.dof)]
-
-    @property
-    def lost(self) -> list[str]:
-        return [f"change[{i}] - (moved[{i}] - x[{i}])" for i in range(self.dof)]
 
 
 @functools.lru_cache(maxsize=256)

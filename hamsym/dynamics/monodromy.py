@@ -13,9 +13,9 @@ from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.integrators.coefficients import Doubled
 from hamsym.integrators.stepper import Stepper
-from hamsym.integrators.table import INTEGRATORS, usable_method, usual_method
+from hamsym.integrators.table import INTEGRATORS, usable_method
 from hamsym.numerics.symplectic import poisson_matrix
-from hamsym.problems.problem import checked_span, checked_steps
+from hamsym.problems.problem import checked_span
 from hamsym.support.shown import Drawn
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.validation import require_number
@@ -58,48 +58,6 @@ class TangentMap(Drawn):
         """Largest entry of |M^T J M - J|; with forces it is not an error."""
         J = poisson_matrix(len(self.z) // 2)
         return float(np.abs(self.matrix.T @ J @ self.matrix - J).max())
-
-
-def tangent_map(
-    H: HamiltonianLike,
-    z0: Sequence[float] | Mapping[Any, float] | np.ndarray,
-    span: tuple[float, float],
-    method: str | None = None,
-    *,
-    steps: int | None = None,
-    dt: float | None = None,
-    progress: bool | None = None,
-) -> TangentMap:
-    """Compute the derivative of the numerical flow by the variational equations.
-
-    Raise InputError if an option cannot be used, or the trajectory does not reach the end.
-
-    - H, z0, span, dt, progress: As in :func:`hamsym.integrate`, for one trajectory.
-    - steps: Number of steps; by default 20,000.
-    - method: A fixed-step method, not ``tao2`` or ``tao4``; by default ``blanes_moan6`` for a
-      separable H, otherwise ``gauss6``.
-
-    Examples
-    --------
-    >>> H = Hamiltonian("p**2/2 + x**2/2")
-    >>> tangent_map(H, [1.0, 0.0], (0, np.pi / 2)).matrix.round(9) + 0.0
-    array([[ 0.,  1.],
-           [-1.,  0.]])
-    """
-    H = Hamiltonian.of(H)
-    start, end = checked_span(span)
-    steps = checked_steps(end - start, steps, dt)
-    state = H.state_from(z0)
-    method = usual_method(H) if method is None else method
-    stepper = tangent_stepper(H, method, state, start, (end - start) / steps, np.eye(H.dim))
-    done = stepper.advance(1, steps, show=progress)
-    if done.interrupted:
-        raise KeyboardInterrupt
-    if not np.isfinite(done.states).all() or not np.isfinite(stepper.tangents).all():
-        raise InputError(
-            f"the trajectory does not reach t = {end:.6g}; give an earlier end of the span"
-        )
-    return TangentMap(state, done.states[0, -1], stepper.tangents[0], method)
 
 
 @checked_keywords

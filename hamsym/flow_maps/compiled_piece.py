@@ -1,4 +1,4 @@
-"""Pieces of flow maps, evaluated by compiled code."""
+"""Pieces of flow maps, evaluated by compiled code, and what files contain of the maps."""
 
 from __future__ import annotations
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.flow_maps.box import Box
-from hamsym.flow_maps.degrees import interpolated
 from hamsym.flow_maps.expansion import affine, starts
-from hamsym.numerics.lower_sets import chebyshev_coefficients
+from hamsym.numerics.lower_sets import chebyshev_coefficients, interpolated
 
 _MARGIN = 0.02  # of a half-width, around the samples of an image
 _ROUND_OFF = 4e-15  # of expressions in z0, relative

@@ -18,11 +18,19 @@ import numpy as np
 
 from hamsym.families.solutions import Solutions
 from hamsym.flow_maps.compiled_piece import CompiledPiece
-from hamsym.flow_maps.degrees import axis_degrees, further_degrees, margin, points
 from hamsym.flow_maps.domain import Domain, random_places
 from hamsym.flow_maps.expansion import Leg, products, tables
 from hamsym.numerics.collocation import collocation
-from hamsym.numerics.lower_sets import MOST_DEGREE, chebyshev_coefficients, leja_points, surpluses
+from hamsym.numerics.lower_sets import (
+    MOST_DEGREE,
+    axis_degrees,
+    chebyshev_coefficients,
+    further_degrees,
+    leja_points,
+    margin,
+    points,
+    surpluses,
+)
 
 _TERMS = 12  # of the series in time of a piece
 _LARGEST = 2_500  # terms of an expansion in the inputs: more make queries slow

@@ -14,12 +14,13 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
+import sympy
 
 from hamsym.codegen.functions import compile_expressions
 from hamsym.codegen.names import Names
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.step_scales import on_trajectories
-from hamsym.symbolic.derivatives import Narrow
+from hamsym.symbolic.derivatives import Narrow, narrow_arguments
 
 _POLE_EXCESS = 4.0  # factor by which a step beside a pole is too long for any method
 _FORCE_JUMP, _ENERGY_JUMP = 1e-3, 1e-12  # smallest jumps that count, relative to the largest values
@@ -34,7 +35,7 @@ class NarrowFeatures:
         self._identifiers = [name for name, _ in names.parameters]
         self._system = H.compile("numpy")
         variables = [*equations.z, *([] if equations.time is None else [equations.time])]
-        found = equations.narrow_arguments_with({})
+        found = _arguments(H)
         self._kinds = np.array([kind for _, kind in found], dtype=int)
         self._arguments = compile_expressions([argument for argument, _ in found], equations)
         switches = equations.switches(variables)
@@ -140,7 +141,13 @@ class NarrowFeatures:
 @functools.lru_cache(maxsize=64)
 def narrow_features(H: Hamiltonian) -> NarrowFeatures | None:
     """Make the check of a Hamiltonian; None if its formula has no such features."""
-    return NarrowFeatures(H) if H.real_equations.narrow_arguments_with({}) else None
+    return NarrowFeatures(H) if _arguments(H) else None
+
+
+def _arguments(H: Hamiltonian) -> list[tuple[sympy.Expr, Narrow]]:
+    equations = H.real_equations
+    variables = [*equations.z, *([] if equations.time is None else [equations.time])]
+    return narrow_arguments(sympy.Tuple(*equations.formulas), variables)
 
 
 def _function_excess(g: np.ndarray) -> np.ndarray:

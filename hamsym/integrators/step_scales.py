@@ -1,4 +1,4 @@
-"""Scales of the functions in the force, against the steps of a trajectory.
+"""Scales of the functions in the force, and of the linear motion, against steps.
 
 Where the argument of every function in F changes little over some steps, F has no feature that is
 narrower than these steps: a polynomial of low degree, composed with such functions, is resolved by

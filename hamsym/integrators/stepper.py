@@ -127,12 +127,6 @@ class Stepper:
         """Current states of the trajectories, shape (n, dim)."""
         return self._states[:, : self._dim]
 
-    def turn_back(self) -> None:
-        """Reverse the direction of time from the current states on."""
-        self._starts = self._starts + self._sizes * self._first
-        self._sizes = -self._sizes
-        self._first = 0
-
     def step(self, count: int) -> np.ndarray:
         """Do ``count`` steps in one call of the loop and return the states, shape (n, dim)."""
         out = np.empty((len(self._states), 1, self._dim))

@@ -19,7 +19,7 @@ from hamsym.problems.description import attributes_of
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.observed import observed, observed_variable
 from hamsym.support.record_fields import UNSAVED, AnyFloat, Count, Size, counts, flags, floats
-from hamsym.support.shown import Saved
+from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     import pandas
     import sympy
     import xarray
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -71,11 +70,19 @@ _STATES = floats("*shape", "times", "dim", finite=False)
 
 @suggest_attributes
 @dataclass(frozen=True)
-class Trajectory(Saved):
+class Trajectory(Drawn, Saved):
     """States along a trajectory, or along each trajectory of an ensemble.
 
     An ensemble has the shape to which the initial states and the parameters broadcast, (batch,) for
     states of shape (batch, dim); () below is the shape of one trajectory.
+
+    ``plot()`` draws an overview: the components over time, coordinates beside momenta, one row for
+    each of six degrees of freedom at most; the orbit or the plane of two coordinates, and a phase
+    plane, of one degree of freedom with level sets of H; the energy error, less the work of forces
+    and explicit time; with ``tol`` the estimated error. One name draws a component over time, two
+    the paths in their plane, in one scale where both are lengths or of one kind else, three the
+    paths in space, ``"energy"`` and ``"error"`` these errors. Of more than 200 trajectories 200 are
+    drawn, which the caption says.
 
     Attributes
     ----------
@@ -443,42 +450,6 @@ class Trajectory(Saved):
     def _attributes(self) -> dict[str, Any]:
         known = attributes_of(self.ensemble.H, self.ensemble.varied if self.ensemble.shape else ())
         return {**known, "method": self.method, "dt": self.dt, "steps": self.steps}
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw the trajectory or the ensemble: an overview, or what the names say.
-
-        Without names: the components over time, coordinates beside momenta, one row for each of
-        six degrees of freedom at most; the orbit or the plane of two coordinates, and a phase
-        plane, of one degree of freedom with level sets of H; the energy error, less the work of
-        forces and explicit time; with ``tol`` the estimated error. Of more than 200 trajectories
-        200 are drawn, which the caption says.
-
-        Parameters
-        ----------
-        *names : str or sympy.Expr
-            One component or formula (:meth:`hamsym.Hamiltonian.observable`): over time. Two: the
-            paths in their plane, in one scale where both are lengths or components of one kind
-            else. Three: the paths in space. Or ``"energy"``, ``"error"``.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            A figure that notebooks show; ``savefig`` writes .png, .svg and .pdf.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or ``ax`` is given for an overview.
-
-        Examples
-        --------
-        >>> trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 6), dt=0.1)
-        >>> trajectory.plot("x", "p").axes[0].get_ylabel()
-        '$p$'
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
     def animate(self, *names: Any, **options: Any) -> hamsym.Animation:
         """Animate the motion, in a picture that names or options choose; :func:`hamsym.animate`."""

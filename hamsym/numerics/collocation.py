@@ -1,4 +1,4 @@
-"""Chebyshev points and collocation with them."""
+"""Chebyshev points, collocation with them, and values of Chebyshev polynomials."""
 
 from __future__ import annotations
 

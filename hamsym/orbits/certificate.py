@@ -1,4 +1,4 @@
-"""OrbitCertificate: the proof of a periodic orbit, as data."""
+"""OrbitCertificate: the proof of a periodic orbit, as data and in words."""
 
 from __future__ import annotations
 

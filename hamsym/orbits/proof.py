@@ -31,8 +31,8 @@ from hamsym.numerics.symplectic import poisson_matrix
 from hamsym.orbits.arc import Problem
 from hamsym.orbits.certificate import OrbitCertificate, orbit_digest, statement_of
 from hamsym.orbits.orbit_check import check_orbit
+from hamsym.orbits.period import exact_period, in_units_of_the_arc
 from hamsym.orbits.proven_stability import proven_attraction, proven_stability
-from hamsym.orbits.rescaled import exact_period, in_units_of_the_arc
 from hamsym.orbits.search import vector_field_at
 from hamsym.orbits.symmetry import SignedPermutation, is_unchanged
 from hamsym.proof.ball import Ball
@@ -43,7 +43,6 @@ from hamsym.proof.functions import BALLS, SingularityError
 from hamsym.proof.generated import GeneratedFunctions
 from hamsym.proof.limits import Deadline
 from hamsym.support.suggestions import checked_keywords
-from hamsym.support.validation import require_positive
 
 if TYPE_CHECKING:
     from hamsym.orbits.orbit import PeriodicOrbit
@@ -86,8 +85,6 @@ def prove_orbit(orbit: PeriodicOrbit, *, time_limit: float | None = None) -> Orb
     >>> abs(certificate.period.mid - 4.76802202910246) < 1e-13, certificate.period.radius < 1e-14
     (True, True)
     """
-    if time_limit is not None:
-        require_positive("time_limit", time_limit)
     require_float64()
     if not orbit.success:
         raise CertificationError(f"the orbit did not succeed: {orbit.message}")

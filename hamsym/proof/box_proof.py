@@ -14,14 +14,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import sympy
 
 from hamsym.codegen.functions import compile_straight_line
 from hamsym.errors import CertificationError, InputError
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.formula.parser import canonical_name, parse_expression
+from hamsym.formula.parser import canonical_name
 from hamsym.proof.balls import working
 from hamsym.proof.box_certificate import BoxCertificate, map_digest
 from hamsym.proof.float64_arithmetic import require_float64
@@ -33,7 +32,7 @@ from hamsym.proof.public_check import check_map
 from hamsym.proof.taylor_models import BITS, MODELS, Model, Space, space_of
 from hamsym.proof.tube import Flow, StepModels, Stepper, Tube
 from hamsym.support.records import packed
-from hamsym.support.validation import require_positive, require_whole
+from hamsym.support.validation import require_whole
 
 # Largest degrees in tau and in the inputs, by the number of inputs.
 _DEGREES = {1: (16, 12), 2: (14, 10), 3: (12, 7), 4: (10, 5)}
@@ -62,8 +61,6 @@ def certify_box(
     max_parts: int = 4_096,
 ) -> BoxCertificate:
     """Compute a rigorous bound on the error of a flow map; see :meth:`hamsym.FlowMap.certify`."""
-    if time_limit is not None:
-        require_positive("time_limit", time_limit)
     require_whole("max_parts", max_parts, 1)
     began = time.monotonic()
     intervals, bound, parts = proven_bound(flow, box, Deadline.after(time_limit), max_parts)
@@ -427,12 +424,9 @@ class _Starts:
     def __init__(self, box: Box, space: Space) -> None:
         self._box, self._space = box, space
         self._functions: dict[str, Callable[..., list[Model]]] = {}
-        known = {canonical_name(name): sympy.Symbol(name, real=True) for name in box.names}
-        for component, text in box.expressions.items():
-            expr = parse_expression(text)
-            expr = expr.xreplace({s: known[canonical_name(s.name)] for s in expr.free_symbols})
+        for component, expr in box.formulas.items():
             require_smooth(expr)
-            self._functions[component] = compile_straight_line([expr], list(known.values()))
+            self._functions[component] = compile_straight_line([expr], box.symbols)
 
     def errors(self, leg: Leg, start: list[Model], inputs: list[Model]) -> list[Model]:
         box, cells = self._box, len(inputs[0].radius)

@@ -199,7 +199,6 @@ def search_box(
     block: Sequence[int],
     low: Sequence[float],
     high: Sequence[float],
-    known: Sequence[Root] = (),
     *,
     most: int,
     deadline: Deadline,
@@ -209,7 +208,6 @@ def search_box(
 
     - block: The components of the box; the gradient in these must depend on them only.
     - low, high: Corners of the box.
-    - known: Zeros that are proven already, in the components of the block.
     - most: Number of boxes after which the rest is undecided.
     - deadline: Time after which the rest is undecided.
     - finest: Width of boxes that are not divided further, as a share of the width of the whole.
@@ -226,7 +224,7 @@ def search_box(
     """
     system = Block(balls, block)
     scale = [b - a for a, b in zip(low, high, strict=True)]
-    search = Search(roots=list(known))
+    search = Search()
     queue: deque[_Box] = deque([(list(map(float, low)), list(map(float, high)))])
     with working(_BITS):
         while queue:

@@ -27,7 +27,6 @@ from hamsym.solution.times import times_in_span
 from hamsym.support.record_fields import UNSAVED, Size
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, did_you_mean, suggest_attributes
-from hamsym.support.validation import require_positive
 
 # Accuracies of the polynomials, relative to the components, and their terms; the cheaper first.
 _ACCURACIES = ((2.0**-70, 32), (2.0**-86, 48))
@@ -114,8 +113,6 @@ def enclosed(
     # H must be finite at the start: its derivatives may be so where it is not real.
     problem = InitialValueProblem.checked(H, [ball.mid for ball in start], span)
     times = problem.span
-    if time_limit is not None:
-        require_positive("time_limit", time_limit)
     began, deadline = time.monotonic(), Deadline.after(time_limit)
     require_float64()
     equation = equation_of(H, tuple(names))

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 from hamsym.errors import CertificationError
+from hamsym.support.validation import require_positive
 
 
 class TimeLimitError(CertificationError):
@@ -25,7 +26,9 @@ class Deadline:
 
     @classmethod
     def after(cls, limit: float | None, origin: str = "") -> Deadline:
-        """A limit that starts now."""
+        """A limit that starts now; raise InputError unless it is a positive number or None."""
+        if limit is not None:
+            require_positive("time_limit", limit)
         return cls(limit, time.monotonic(), origin)
 
     @property

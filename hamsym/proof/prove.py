@@ -40,7 +40,7 @@ from hamsym.solution.solution import Solution
 from hamsym.support.progress import share_progress
 from hamsym.support.records import MALFORMED, as_json
 from hamsym.support.suggestions import checked_keywords
-from hamsym.support.validation import require, require_number, require_positive
+from hamsym.support.validation import require, require_number
 
 # Default time limit of verify() in seconds: its own, per second of certify, and at most.
 _PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE = 60.0, 10.0, 600.0
@@ -100,8 +100,6 @@ def certify(
         raise InputError(f"'{min(options)}' is not an option for a solution; leave it out")
     require_number("rtol", rtol, LEAST_RTOL)
     require(rtol <= MOST_RTOL, "rtol", rtol, "a number such as 0.02")
-    if time_limit is not None:
-        require_positive("time_limit", time_limit)
     asked = None if bound is None else _asked(bound, solution.H.names)
     began = time.monotonic()
     require_float64()
@@ -234,8 +232,6 @@ def verify(
     InputError
         If an argument has another type.
     """
-    if time_limit is not None:
-        require_positive("time_limit", time_limit)
     if isinstance(certificate, str):
         certificate = certificate_from(certificate)
     known = (Certificate, BoxCertificate, hamsym.OrbitCertificate)

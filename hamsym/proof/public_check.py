@@ -76,12 +76,8 @@ def require_same(
 # -- solutions -------------------------------------------------------------------------------------
 
 
-def check_solution(
-    solution: Solution, evaluate: Callable[[np.ndarray], np.ndarray] | None = None
-) -> None:
+def check_solution(solution: Solution) -> None:
     """Require that a solution evaluates the function that :func:`trial_pieces` encloses.
-
-    - evaluate: Times, shape (n,), -> states, shape (n, dim), where it is not the solution itself.
 
     Raises
     ------
@@ -110,9 +106,7 @@ def check_solution(
             allowed[m, n] = np.abs(states.high[:, 1:]).sum(axis=1) + states.radius
             allowed[m, n] += moved * np.abs(rates.high).sum(axis=1)
             allowed[m, n] += _ROOM * unit * rounding(solution.trial, k, t)
-    require_same(
-        "solution", solution.H.names, (evaluate or solution)(times), found, allowed, _at(times)
-    )
+    require_same("solution", solution.H.names, solution(times), found, allowed, _at(times))
 
 
 def _at(times: np.ndarray) -> Callable[[int], str]:

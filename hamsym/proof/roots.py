@@ -153,16 +153,12 @@ def _near(system: Block, unique: Balls, start: Balls) -> Balls | None:
 
 
 def enclosed_root(
-    balls: DerivativeBalls,
-    point: Sequence[float],
-    sizes: Sequence[float],
-    block: Sequence[int] | None = None,
+    balls: DerivativeBalls, point: Sequence[float], sizes: Sequence[float]
 ) -> Root | None:
     """Prove that the gradient has exactly one zero near a point.
 
     - sizes: Radii of the largest box, in the units of the components. Smaller ones are tried as
       long as the proof fails.
-    - block: Components of the point, if the gradient in these depends on them only; by default all.
     - returns: None if nothing is proven, for example where the Hessian is singular.
 
     Examples
@@ -173,18 +169,14 @@ def enclosed_root(
     >>> root.enclosure[0].contains(1), bool(root.enclosure[0].rad() < 1e-50)
     (True, True)
     """
-    system = Block(balls, range(balls.dim) if block is None else block)
-
-    def smooth(box: Balls) -> bool:
-        return block is not None or balls.energy(box).is_finite()
-
+    system = Block(balls, range(balls.dim))
     with working(BITS):
         middle = newton(system, [arb(value) for value in point])
         shrink = 1
         for _ in range(_RADII):
             box = [c + arb(0, arb(s) / shrink) for c, s in zip(middle, sizes, strict=True)]
             found = krawczyk(system, middle, box)
-            if found is not None and inside(found, box) and smooth(box):
+            if found is not None and inside(found, box) and balls.energy(box).is_finite():
                 return Root(refined(system, found, box, middle), box)
             shrink *= 2**_STEP
     return None

@@ -102,14 +102,25 @@ class Drawn:
 
         Parameters
         ----------
-        *names : str
-            Panels or components.
+        *names : str or sympy.Expr
+            Panels, components, or formulas in the names of H (:meth:`hamsym.Hamiltonian.observable`).
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A figure that notebooks show; ``savefig`` writes .png, .svg and .pdf.
 
         Raises
         ------
         InputError
             If a name is unknown or there is nothing to draw, or ``ax`` is given for several panels.
+
+        Examples
+        --------
+        >>> trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, 6), dt=0.1)
+        >>> trajectory.plot("x", "p").axes[0].get_ylabel()
+        '$p$'
         """
         return hamsym.plot(self, *names, ax=ax)

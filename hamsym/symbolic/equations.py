@@ -131,8 +131,6 @@ class Equations(Shown):
     @cached_property
     def slopes(self) -> list[sympy.Expr]:
         """g = -J dz/dt: (dH/dq - F, dH/dp), the gradient without forces."""
-        if not self.forces:
-            return self.gradient
         return [self.exact.rounded(entry) for entry in self.exact.slopes]
 
     @cached_property
@@ -184,17 +182,6 @@ class Equations(Shown):
             self.exact.rounded(entry).replace(sympy.DiracDelta, lambda *_: sympy.Integer(0))
             for entry in mixed
         ]
-
-    def narrow_arguments_with(
-        self, given: Mapping[sympy.Symbol, float]
-    ) -> list[tuple[sympy.Expr, derivatives.Narrow]]:
-        """Arguments of functions that may act briefly, with given values of parameters."""
-        variables = [*self.z, *([] if self.time is None else [self.time])]
-        found = [
-            derivatives.narrow_arguments(formula.xreplace(dict(given)), variables)
-            for formula in self.formulas
-        ]
-        return list(dict.fromkeys(entry for entries in found for entry in entries))
 
     def switches(
         self, symbols: Sequence[sympy.Symbol]

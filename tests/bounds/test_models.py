@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,13 +12,50 @@ import sympy
 from numpy.polynomial import chebyshev
 from scipy import special
 
-from hamsym.bounds.models import NODES, PLACES, Models, models_of
+from hamsym.bounds.models import NODES, PLACES, model_tables
 from hamsym.codegen.programs import program_of
+from hamsym.kernel.loops import Program, library
 
 DENSE = np.linspace(-1, 1, 4001)
 INTERVALS = 40
 COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(NODES, PLACES - 1)).T
 F, G = sympy.symbols("f g", real=True)
+
+
+class Models(NamedTuple):
+    """Models of results on intervals."""
+
+    #: Of the polynomials at the places, shape (n, results, PLACES).
+    values: np.ndarray
+    #: error, rounding: Bound on the distance of function and polynomial, and the rounding errors of
+    #: the values, which it leaves out, shape (n, results).
+    error: np.ndarray
+    rounding: np.ndarray
+    #: low, high: Bounds on the functions, shape (n, results).
+    low: np.ndarray
+    high: np.ndarray
+
+
+def models_of(
+    program: Program, values: np.ndarray, ranges: np.ndarray, parameters: np.ndarray
+) -> Models:
+    """Compute models of the results of a program.
+
+    - values: Of polynomials that the state and the time are, shape (n, dim + 1, PLACES).
+    - ranges: Bounds on them, which may be infinite, shape (n, dim + 1, 2).
+    - parameters: Shape (k,) or (n, k).
+    """
+    count = len(values)
+    found = np.empty((count, program.results, PLACES))
+    bounds = np.empty((count, program.results, 4))
+    given = [np.ascontiguousarray(array, dtype=float) for array in (values, ranges, parameters)]
+    done = library().hamsym_models(
+        *(ctypes.byref(program), ctypes.byref(model_tables()), count),
+        *(array.ctypes.data for array in given),
+        *(0, found.ctypes.data, bounds.ctypes.data),
+    )
+    assert done
+    return Models(found, *np.moveaxis(bounds, -1, 0))
 
 
 def polynomials(seed: int, spread: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

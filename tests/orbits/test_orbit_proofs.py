@@ -25,7 +25,7 @@ from tests.orbits.test_periodic_orbit import (
 
 flint = pytest.importorskip("flint")
 
-from hamsym.orbits.rescaled import in_units_of_the_arc  # noqa: E402
+from hamsym.orbits.period import in_units_of_the_arc  # noqa: E402
 
 
 def contains(ball, value):

@@ -13,7 +13,6 @@ import torch
 
 import hamsym
 from hamsym import Hamiltonian, InputError, Regularizer, Solution
-from hamsym.dynamics.monodromy import tangent_map
 from hamsym.errors import ParameterError, ParseError, VacuousBoundWarning, VariableError
 from hamsym.integrators.adaptive import reference
 from hamsym.support import progress
@@ -370,7 +369,6 @@ SOLVERS = {
     "section": lambda H: hamsym.section(H, [1, 0], (0, 9), "x = 0", dt=0.1).t,
     "lyapunov": lambda H: hamsym.lyapunov(H, [1, 0], (0, 1), dt=0.1).exponents,
     "monodromy": lambda H: hamsym.monodromy(H, [1, 0], 2 * math.pi).matrix,
-    "tangent_map": lambda H: tangent_map(H, [1, 0], (0, 1), dt=0.1).matrix,
     "reference": lambda H: reference(H, [1, 0], (0, 1))(np.ones(1)),
 }
 
