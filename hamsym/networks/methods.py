@@ -44,7 +44,6 @@ _PATIENCE = ("Stop after this many iterations without a lower loss.",)
 _ITERATIONS = ("Largest number of iterations.",)
 _ACTIVATIONS = ("sin", "sigmoid", "tanh")
 _ENVELOPES = ("exponential", "linear")
-_OWN_DEVICE = "Results are on the CPU, where random numbers are drawn, so that a seed starts alike."
 
 
 @documented
@@ -80,13 +79,6 @@ class NetworkChain(Method):
     max_window: float | None = option(None, "Longest window.", default_text="span/4", unit="TIME")
     train_hidden: bool = option(True, "Train the hidden layers, or the readouts only.")
     time_limit: float | None = option(None, "Stop after this time.", unit="SECONDS")
-    device: str | torch.device = option(
-        "cpu", "Device of the training: cpu, cuda, cuda:1, mps.", _OWN_DEVICE, unit="DEVICE"
-    )
-
-    def __post_init__(self) -> None:
-        _name_objects_of_torch(self, "device")
-        super().__post_init__()
 
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
@@ -173,7 +165,8 @@ class JointTraining(Method):
     device: str | torch.device = option(
         "cpu",
         "Device of the training: cpu, cuda, cuda:1, mps.",
-        f"mps needs float32. {_OWN_DEVICE}",
+        "mps needs float32. Results are on the CPU, where random numbers are drawn, so that a seed "
+        "starts alike.",
         unit="DEVICE",
     )
 
@@ -188,7 +181,10 @@ class JointTraining(Method):
         return "iterations"
 
     def __post_init__(self) -> None:
-        _name_objects_of_torch(self, "dtype", "device")
+        for name in ("dtype", "device"):
+            value = getattr(self, name)
+            if type(value).__module__ == "torch":
+                object.__setattr__(self, name, str(value).removeprefix("torch."))
         super().__post_init__()
 
     def check(self) -> None:
@@ -375,14 +371,6 @@ class LevenbergMarquardt(JointTraining):
         super().check()
         require_whole("iterations", self.iterations, 1)
         require_whole("restarts", self.restarts, 0)
-
-
-def _name_objects_of_torch(method: NetworkChain | JointTraining, *names: str) -> None:
-    """Let types and devices of torch stand for their names."""
-    for name in names:
-        value = getattr(method, name)
-        if type(value).__module__ == "torch":
-            object.__setattr__(method, name, str(value).removeprefix("torch."))
 
 
 def _check_shared(method: NetworkChain | JointTraining) -> None:
