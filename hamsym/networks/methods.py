@@ -173,7 +173,8 @@ class JointTraining(Method):
     @property
     def total(self) -> int:
         """Largest number of iterations."""
-        return int(getattr(self, "iterations", 0))
+        found: int = getattr(self, self.unit)
+        return found
 
     @property
     def unit(self) -> str:
@@ -196,6 +197,7 @@ class JointTraining(Method):
         for name in ("tau", "target_loss", "target_ell_max", "accuracy"):
             if getattr(self, name) is not None:
                 require_positive(name, getattr(self, name))
+        require_whole(self.unit, self.total, 1)
         require_whole("points", self.points, 2)
         require_whole("stages", self.stages, 1)
         if self.patience is not None:
@@ -283,11 +285,6 @@ class Adam(JointTraining):
     )
 
     @property
-    def total(self) -> int:
-        """Largest number of epochs."""
-        return self.epochs
-
-    @property
     def unit(self) -> str:
         """What an iteration is called."""
         return "epochs"
@@ -295,7 +292,6 @@ class Adam(JointTraining):
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         super().check()
-        require_whole("epochs", self.epochs, 1)
         require_positive("learning_rate", self.learning_rate)
         require(
             self.noise is None or self.noise == 0 or is_positive(self.noise),
@@ -322,11 +318,6 @@ class LBFGS(JointTraining):
 
     iterations: int = option(5_000, *_ITERATIONS)
 
-    def check(self) -> None:
-        """Raise InputError if an option is invalid."""
-        super().check()
-        require_whole("iterations", self.iterations, 1)
-
 
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -344,7 +335,6 @@ class SSBroyden(JointTraining):
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         super().check()
-        require_whole("iterations", self.iterations, 1)
         if (self.dtype, self.device) != ("float64", "cpu"):
             raise InputError(
                 f"dtype={self.dtype!r} and device={self.device!r} cannot be used with "
@@ -369,7 +359,6 @@ class LevenbergMarquardt(JointTraining):
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         super().check()
-        require_whole("iterations", self.iterations, 1)
         require_whole("restarts", self.restarts, 0)
 
 

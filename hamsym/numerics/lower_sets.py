@@ -98,22 +98,6 @@ def chebyshev_coefficients(degrees: np.ndarray, values: np.ndarray) -> np.ndarra
     return _applied(_factors().upper, degrees, surpluses(degrees, values))
 
 
-def is_lower(degrees: np.ndarray) -> bool:
-    """Return whether multi-indices, shape (n, d), are a lower set, each once.
-
-    Examples
-    --------
-    >>> is_lower(np.array([[0, 0], [1, 0]])), is_lower(np.array([[0, 0], [1, 1]]))
-    (True, False)
-    """
-    found = set(map(tuple, degrees.tolist()))
-    if len(found) < len(degrees) or not found or min(map(min, found)) < 0:
-        return False
-    steps = np.eye(degrees.shape[1], dtype=int)
-    below = (tuple((nu - step).tolist()) for nu in degrees for step in steps if nu @ step)
-    return all(mu in found for mu in below)
-
-
 def _applied(matrix: np.ndarray, degrees: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Apply a triangular matrix along one variable after the other."""
     found = np.array(values, dtype=float)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,10 @@ from hamsym.numerics.isolation import (
 )
 from hamsym.numerics.roots import suspects, zeros
 from hamsym.problems.surface import Surface, parse_surface
-from hamsym.solution.path import Path
 from hamsym.support.validation import is_positive, require, require_number
+
+if TYPE_CHECKING:
+    from hamsym.solution.solution import Solution
 
 #: A surface, for example "x = 0, p_x > 0", or a function of (t, z) as solve_ivp takes it.
 Event = str | Callable[[float, np.ndarray], float]
@@ -48,7 +50,7 @@ class Events(NamedTuple):
     y_events: list[np.ndarray]
 
 
-def find_events(solution: Path, events: Event | Sequence[Event], times: np.ndarray) -> Events:
+def find_events(solution: Solution, events: Event | Sequence[Event], times: np.ndarray) -> Events:
     """Find the zeros of the events along a solution, between the given times."""
     listed = [events] if isinstance(events, str) or callable(events) else list(events)
     found = [_zeros(solution, event, times) for event in listed]
@@ -73,7 +75,7 @@ def _terminal(event: Event) -> int:
     return int(terminal)
 
 
-def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
+def _zeros(solution: Solution, event: Event, times: np.ndarray) -> np.ndarray:
     direction = getattr(event, "direction", 0.0) or 0.0
     require_number("direction", direction)
     if callable(event):
@@ -97,7 +99,7 @@ def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
     return t[surface.holds(solution(t), t)] if len(t) else t
 
 
-def _isolated(solution: Path, surface: Surface, times: np.ndarray) -> np.ndarray:
+def _isolated(solution: Solution, surface: Surface, times: np.ndarray) -> np.ndarray:
     """Find all zeros of a formula, by bounds between the times."""
     enclosed = surface.enclosed
     assert enclosed is not None
