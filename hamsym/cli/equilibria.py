@@ -8,7 +8,7 @@ import click
 
 from hamsym.cli.command import Command, Report, report_of
 from hamsym.cli.options import hamiltonian_options, rows_option
-from hamsym.cli.texts import listed, number, state
+from hamsym.cli.texts import listed, number, ranges, state
 from hamsym.errors import InputError
 from hamsym.support.text_tables import ROWS
 
@@ -62,12 +62,8 @@ def equilibria(
 def _box(intervals: tuple[str, ...]) -> dict[str, tuple[float, float]]:
     """Return the intervals of NAME=LOW:HIGH parts, which may also be between commas."""
     box: dict[str, tuple[float, float]] = {}
-    for part in (part for text in intervals for part in listed(text)):
-        name, equals, ends = (piece.strip() for piece in part.partition("="))
-        low, colon, high = (piece.strip() for piece in ends.partition(":"))
-        if not (name and equals and low and colon and high):
-            raise InputError(f"'{part}' in --box is not NAME=LOW:HIGH; write e.g. x=-2:2")
-        if name in box:
-            raise InputError(f"'{name}' occurs twice in --box; give it once")
+    for name, (low, high) in ranges(listed(",".join(intervals)), "--box").items():
+        if not (low and high):
+            raise InputError(f"'{name}' in --box lacks an end; write e.g. {name}=-2:2")
         box[name] = number(low), number(high)
     return box

@@ -11,7 +11,7 @@ import click
 
 from hamsym.cli.command import Command, Report, report_of
 from hamsym.cli.options import hamiltonian_options, output_options, rows_option
-from hamsym.cli.texts import assignments, listed, number
+from hamsym.cli.texts import assignments, listed, number, ranges
 from hamsym.errors import InputError
 from hamsym.support.text_tables import ROWS
 
@@ -125,11 +125,7 @@ def _sigma(text: str) -> float | dict[str, float]:
 
 def _bounds(text: str) -> dict[str, tuple[float | None, float | None]]:
     """Return the bounds of NAME=LOW:HIGH parts between commas; either end may be empty."""
-    found: dict[str, tuple[float | None, float | None]] = {}
-    for part in listed(text):
-        name, equals, ends = (piece.strip() for piece in part.partition("="))
-        low, colon, high = (piece.strip() for piece in ends.partition(":"))
-        if not (name and equals and colon) or name in found:
-            raise InputError(f"'{part}' in --bounds is not NAME=LOW:HIGH; write e.g. g=0:10")
-        found[name] = (number(low) if low else None, number(high) if high else None)
-    return found
+    return {
+        name: (number(low) if low else None, number(high) if high else None)
+        for name, (low, high) in ranges(listed(text), "--bounds").items()
+    }

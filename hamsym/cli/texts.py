@@ -54,6 +54,17 @@ def texts_by_name(text: str, option: str) -> dict[str, str]:
     return formulas(listed(text), option, "NAME=VALUE; write e.g. m=1.0")
 
 
+def ranges(texts: Iterable[str], option: str) -> dict[str, tuple[str, str]]:
+    """Return the ends of NAME=LOW:HIGH parts, "" where one is left out."""
+    found: dict[str, tuple[str, str]] = {}
+    for name, ends in formulas(texts, option, "NAME=LOW:HIGH; write e.g. x=-2:2").items():
+        low, colon, high = (piece.strip() for piece in ends.partition(":"))
+        if not colon:
+            raise InputError(f"'{name}={ends}' in {option} is not NAME=LOW:HIGH; write e.g. x=-2:2")
+        found[name] = low, high
+    return found
+
+
 def state(text: str) -> dict[str, float] | list[float]:
     """Return a state, by name if the text has names."""
     return assignments(text, "--z0") if "=" in text else numbers(text)

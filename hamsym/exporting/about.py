@@ -29,11 +29,8 @@ class About:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the solution; "" if its network is a module of the caller's."""
-        try:
-            return digest(self.solution)
-        except InputError:
-            return ""
+        """SHA-256 of the solution."""
+        return digest(self.solution)
 
     @cached_property
     def facts(self) -> Facts:
@@ -45,7 +42,7 @@ class About:
         solution, known = self.solution, self.solution.settings is not None
         return {
             **self.facts.values(computed=False),
-            "sha256": self.digest or None,
+            "sha256": self.digest,
             "hamsym": hamsym.__version__,
             "python": python_lines(solution) if known else None,
             "command": command_line(solution) if known else None,
@@ -65,9 +62,7 @@ class About:
                 "does that."
             )
         return textwrap.wrap(
-            text + (f" SHA-256 of the solution: {self.digest}" if self.digest else ""),
-            _WIDTH,
-            break_on_hyphens=False,
+            f"{text} SHA-256 of the solution: {self.digest}", _WIDTH, break_on_hyphens=False
         )
 
     def _origin(self) -> list[str]:

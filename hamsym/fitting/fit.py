@@ -13,14 +13,14 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.families.many import solve_many
 from hamsym.fitting.fitted import Fit, Minimum
-from hamsym.fitting.motions import FlowLike, LiftedMotions, MappedMotions, Motions, SolvedMotions
+from hamsym.fitting.motions import LiftedMotions, MappedMotions, Motions, SolvedMotions
 from hamsym.fitting.observations import checked_observations, checked_times
 from hamsym.fitting.search import Found, Model, search
 from hamsym.fitting.uncertainty import Uncertainty, uncertainty_of
@@ -32,6 +32,9 @@ from hamsym.problems.problem import checked_span
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require, require_number, require_whole
 from hamsym.symbolic.checks import name_of
+
+if TYPE_CHECKING:
+    from hamsym.flow_maps.flow_map import FlowMap
 
 
 @checked_keywords
@@ -50,7 +53,7 @@ def fit(
     seed: int = 0,
     confidence: float = 0.95,
     tol: float = 1e-9,
-    flow: FlowLike | None = None,
+    flow: FlowMap | None = None,
 ) -> Fit:
     """Estimate parameters and components of the initial state from noisy observations.
 
@@ -192,7 +195,7 @@ def _of_many(solved: SolvedMotions) -> Motions:
 
 
 def _within(
-    flow: FlowLike, H: Hamiltonian, free: Any, z0: Any, parameters: Any, bounds: Any
+    flow: FlowMap, H: Hamiltonian, free: Any, z0: Any, parameters: Any, bounds: Any
 ) -> tuple[Any, Any, Any]:
     """Return fixed components, fixed parameters and bounds, completed by those of a flow map."""
     if (H.expr, H.names, H.forces) != (flow.H.expr, flow.H.names, flow.H.forces):
@@ -231,7 +234,7 @@ def _result(
     uncertainty: Uncertainty,
     verdicts: Verdicts,
     confidence: float,
-    flow: FlowLike | None,
+    flow: FlowMap | None,
     motion: Any,
     began: float,
 ) -> Fit:

@@ -13,7 +13,7 @@ import sympy
 import hamsym
 from hamsym.errors import InputError
 from hamsym.families.solutions import Solutions
-from hamsym.fitting.motions import FlowLike, MappedMotions
+from hamsym.fitting.motions import MappedMotions
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import attributes_of
@@ -148,7 +148,7 @@ class Fit(Saved):
     solution: Annotated[Solution | Solutions, _MOTIONS] | None
     unknowns: Unknowns = field(repr=False)
     expressions: Mapping[str, sympy.Expr] = field(repr=False)
-    flow: Annotated[FlowLike, _MOTIONS] | None = field(repr=False)
+    flow: Annotated[Any, _MOTIONS] | None = field(repr=False)
 
     def check(self) -> None:
         """Raise ValueError unless its parts are those of one fit."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import sympy
@@ -24,53 +24,14 @@ from hamsym.solution.solution import Solution
 from hamsym.solving.solve import solve
 from hamsym.symbolic import derivatives
 
+if TYPE_CHECKING:
+    from hamsym.flow_maps.flow_map import FlowMap
+
 _ROWS = 256  # that are solved together, to bound the memory
 _FAST = 2e4  # radians in the span, from which a motion takes a second
 _FASTER = 10  # times the first guess: also too fast
 _LARGEST = 1e100  # change of a parameter that a response can need
 _SMALL = 1e-3  # size of the response to a parameter, relative to that to the start
-
-
-class FlowLike(Protocol):
-    """A map from times, starts and parameters to states, with its derivatives."""
-
-    @property
-    def H(self) -> Hamiltonian:
-        """The Hamiltonian."""
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Start and end of the times."""
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Names of what varies: components of the start, then parameters."""
-
-    @property
-    def box(self) -> Mapping[str, tuple[float, float]]:
-        """Range of each input."""
-
-    @property
-    def fixed(self) -> Mapping[str, float]:
-        """Values of the other components and parameters."""
-
-    @property
-    def success(self) -> bool:
-        """Whether its error is within its tolerance everywhere in the box."""
-
-    @property
-    def tol(self) -> float:
-        """Its tolerance, relative to the largest value of each component."""
-
-    def __call__(
-        self, t: np.ndarray, z0: np.ndarray, parameters: Mapping[str, np.ndarray]
-    ) -> np.ndarray:
-        """States at times (n,) from starts (n, dim) with parameters (n,), shape (n, dim)."""
-
-    def jacobian(
-        self, t: np.ndarray, z0: np.ndarray, parameters: Mapping[str, np.ndarray]
-    ) -> np.ndarray:
-        """Derivatives of the states in the inputs, shape (n, dim, inputs)."""
 
 
 class Motions(Protocol):
@@ -347,7 +308,7 @@ def _lift_of(H: Hamiltonian, free: tuple[str, ...]) -> tuple[Hamiltonian, Mappin
 class MappedMotions:
     """Motions of a flow map."""
 
-    flow: FlowLike
+    flow: FlowMap
     unknowns: Unknowns
     t: np.ndarray
 

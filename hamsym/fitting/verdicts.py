@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import special
 
 from hamsym.families.solutions import Solutions
-from hamsym.fitting.motions import FlowLike
 from hamsym.fitting.rivals import aliased, reflected, reflections
 from hamsym.fitting.search import Found, Model
 from hamsym.fitting.uncertainty import Uncertainty
 from hamsym.fitting.unknowns import Unknowns
 from hamsym.solution.solution import Solution
+
+if TYPE_CHECKING:
+    from hamsym.flow_maps.flow_map import FlowMap
 
 _ACCURACY = 0.1  # of sigma: errors of the motion
 _IMPROBABLE = 1e-6
@@ -34,7 +37,7 @@ class Verdicts:
 
 
 def judged(
-    model: Model, found: Found, uncertainty: Uncertainty, motion: Solution | Solutions | FlowLike
+    model: Model, found: Found, uncertainty: Uncertainty, motion: Solution | Solutions | FlowMap
 ) -> Verdicts:
     """Judge every set."""
     unknowns, observed = model.unknowns, model.observed
@@ -112,7 +115,7 @@ def _undetermined(unknowns: Unknowns, uncertainty: Uncertainty, k: int) -> list[
 
 
 def _errors(
-    model: Model, found: Found, motion: Solution | Solutions | FlowLike, sigma: np.ndarray
+    model: Model, found: Found, motion: Solution | Solutions | FlowMap, sigma: np.ndarray
 ) -> np.ndarray:
     """Return the largest estimated error of an observable in units of sigma, shape (sets,)."""
     unknowns, observed = model.unknowns, model.observed
@@ -136,7 +139,7 @@ def _errors(
     return np.asarray(sizes.max(axis=(1, 2)))
 
 
-def _message(motion: Solution | Solutions | FlowLike, k: int) -> str:
+def _message(motion: Solution | Solutions | FlowMap, k: int) -> str:
     if isinstance(motion, Solutions):
         return str(motion.message[k])
     return motion.message if isinstance(motion, Solution) else "the flow map has success=False"

@@ -14,7 +14,6 @@ from hamsym.errors import InputError
 from hamsym.networks.chain import MAX_WINDOWS, ChainTraining
 from hamsym.networks.chain_error import ErrorOfChain, estimate_chain_error
 from hamsym.networks.chain_training import ChainRun, ChainSettings, Layout, TrainedChain
-from hamsym.networks.devices import available_device
 from hamsym.networks.equal_windows import train_windows
 from hamsym.networks.methods import NetworkChain
 from hamsym.networks.record import TrainingState
@@ -83,13 +82,7 @@ def solve_by_chain(problem: InitialValueProblem, method: NetworkChain) -> Soluti
         None if method.time_limit is None else time.perf_counter() + method.time_limit,
         max(_LOCAL * tol, _LEAST_LOCAL),
     )
-    layout = Layout(
-        method.hidden,
-        method.activation,
-        method.envelope,
-        method.frequency,
-        available_device(method.device, torch.float64),
-    )
+    layout = Layout(method.hidden, method.activation, method.envelope, method.frequency)
     wall, cpu = time.perf_counter(), time.process_time()
     best, passes, evaluations, rejected = None, 0, 0, 0
     with one_core():  # the systems of a window are too small for more

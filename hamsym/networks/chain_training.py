@@ -12,7 +12,7 @@ import copy
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -49,7 +49,6 @@ class Layout:
     activation: str
     envelope: str
     frequency: float | None
-    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
 
     def network(self, dim: int, generator: torch.Generator) -> Network:
         """Return a network with random hidden layers."""
@@ -58,7 +57,7 @@ class Layout:
         )
         network.requires_grad_(False)
         _rest(network)
-        return network.to(self.device)
+        return network
 
 
 @dataclass(frozen=True)
@@ -101,14 +100,14 @@ class TrainedChain:
 class Flow:
     """Hamilton's equations of H in dimensionless variables."""
 
-    def __init__(self, H: Hamiltonian, device: torch.device) -> None:
-        self.H, self.device = H, device
+    def __init__(self, H: Hamiltonian) -> None:
+        self.H = H
         self.numpy, self.torch = H.compile("numpy"), H.compile("torch")
 
     def equations(self, z: np.ndarray, t: float, h: float, size: np.ndarray) -> Equations:
         """Return the equations in y = (z - z_a)/S and u = (t - t_a)/h."""
         system = self.torch
-        start, unit = (torch.from_numpy(x).to(self.device) for x in (z, size))
+        start, unit = torch.from_numpy(z), torch.from_numpy(size)
         ratio = unit / unit.unsqueeze(1)
 
         def arguments(u: Tensor, y: Tensor) -> tuple[Tensor, ...]:
@@ -149,7 +148,7 @@ class ChainRun:
         settings: ChainSettings,
         generator: torch.Generator,
     ) -> None:
-        self.flow, self.span = Flow(H, layout.device), span
+        self.flow, self.span = Flow(H), span
         self.layout, self.settings = layout, settings
         self.random = generator
         self.checks = ChainChecks(H, generator.initial_seed())
@@ -259,7 +258,7 @@ class ChainRun:
             if not math.isfinite(fit.residual):
                 return "the rates are not finite"
             return f"the residual stays at {fit.residual:.1e} of the motion"
-        piece = piece_of(network, self.z, size, self.time, h, self.layout, self.reach)
+        piece = piece_of(network, self.z, size, self.time, h, self.layout.envelope, self.reach)
         state = piece.states_at(np.array([end]))[0]
         if not np.isfinite(state).all():
             self._reject(h)
@@ -348,19 +347,16 @@ def piece_of(
     size: np.ndarray,
     start: float,
     h: float,
-    layout: Layout,
+    envelope: str,
     reach: float,
 ) -> TrialSolution:
-    """Return the trial solution of a trained window; its readouts get the units of z."""
-    # On the CPU whatever the device of the training.
-    own = replace(layout, device=torch.device("cpu")).network(len(z), torch.Generator())
-    own.theta.copy_(network.theta)
-    matrix, bias = own.layers[-1]
+    """Return the trial solution of a trained network, whose readouts get the units of z."""
+    matrix, bias = network.layers[-1]
     unit = torch.from_numpy(size)
     matrix.mul_(unit.unsqueeze(1))
     bias.mul_(unit)
     return TrialSolution(
-        own, torch.from_numpy(z.copy()), t0=start, tau=h / reach, envelope=layout.envelope
+        network, torch.from_numpy(z.copy()), t0=start, tau=h / reach, envelope=envelope
     )
 
 

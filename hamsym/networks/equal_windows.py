@@ -53,7 +53,7 @@ def train_windows(
     - widen: Make the last layer as wide as the motion in a window needs.
     """
     began = time.perf_counter(), time.process_time()
-    flow = Flow(H, layout.device)
+    flow = Flow(H)
     checks = ChainChecks(H, generator.initial_seed())
     edges = np.linspace(guess.edges[0], guess.edges[-1], count + 1)
     z, reached = guess.pieces[0].z0.numpy().copy(), float(edges[0])
@@ -91,7 +91,7 @@ def train_windows(
                     guess=_states(guess, z, size, start, h),
                 )
                 evaluations += fit.evaluations
-                piece = piece_of(network, z, size, start, h, own, reach)
+                piece = piece_of(network, z, size, start, h, layout.envelope, reach)
                 state = piece.states_at(np.array([end]))[0]
                 if not np.isfinite(state).all():
                     reason = "the state is not finite"
@@ -136,7 +136,7 @@ def _states(
     origin, unit = torch.from_numpy(z), torch.from_numpy(size)
 
     def states(u: Tensor) -> Tensor:
-        return ((chain.tensors(start + h * u.cpu())[0] - origin) / unit).to(u.device)
+        return (chain.tensors(start + h * u)[0] - origin) / unit
 
     return states
 

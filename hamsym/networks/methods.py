@@ -44,7 +44,6 @@ _PATIENCE = ("Stop after this many iterations without a lower loss.",)
 _ITERATIONS = ("Largest number of iterations.",)
 _ACTIVATIONS = ("sin", "sigmoid", "tanh")
 _ENVELOPES = ("exponential", "linear")
-_OWN_DEVICE = "Results are on the CPU, where random numbers are drawn, so that a seed starts alike."
 
 
 @documented
@@ -80,13 +79,6 @@ class NetworkChain(Method):
     max_window: float | None = option(None, "Longest window.", default_text="span/4", unit="TIME")
     train_hidden: bool = option(True, "Train the hidden layers, or the readouts only.")
     time_limit: float | None = option(None, "Stop after this time.", unit="SECONDS")
-    device: str | torch.device = option(
-        "cpu", "Device of the training: cpu, cuda, cuda:1, mps.", _OWN_DEVICE, unit="DEVICE"
-    )
-
-    def __post_init__(self) -> None:
-        _name_objects_of_torch(self, "device")
-        super().__post_init__()
 
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
@@ -173,14 +165,16 @@ class JointTraining(Method):
     device: str | torch.device = option(
         "cpu",
         "Device of the training: cpu, cuda, cuda:1, mps.",
-        f"mps needs float32. {_OWN_DEVICE}",
+        "mps needs float32. Results are on the CPU, where random numbers are drawn, so that a seed "
+        "starts alike.",
         unit="DEVICE",
     )
 
     @property
     def total(self) -> int:
         """Largest number of iterations."""
-        return int(getattr(self, "iterations", 0))
+        found: int = getattr(self, self.unit)
+        return found
 
     @property
     def unit(self) -> str:
@@ -188,7 +182,10 @@ class JointTraining(Method):
         return "iterations"
 
     def __post_init__(self) -> None:
-        _name_objects_of_torch(self, "dtype", "device")
+        for name in ("dtype", "device"):
+            value = getattr(self, name)
+            if type(value).__module__ == "torch":
+                object.__setattr__(self, name, str(value).removeprefix("torch."))
         super().__post_init__()
 
     def check(self) -> None:
@@ -200,6 +197,7 @@ class JointTraining(Method):
         for name in ("tau", "target_loss", "target_ell_max", "accuracy"):
             if getattr(self, name) is not None:
                 require_positive(name, getattr(self, name))
+        require_whole(self.unit, self.total, 1)
         require_whole("points", self.points, 2)
         require_whole("stages", self.stages, 1)
         if self.patience is not None:
@@ -287,11 +285,6 @@ class Adam(JointTraining):
     )
 
     @property
-    def total(self) -> int:
-        """Largest number of epochs."""
-        return self.epochs
-
-    @property
     def unit(self) -> str:
         """What an iteration is called."""
         return "epochs"
@@ -299,7 +292,6 @@ class Adam(JointTraining):
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         super().check()
-        require_whole("epochs", self.epochs, 1)
         require_positive("learning_rate", self.learning_rate)
         require(
             self.noise is None or self.noise == 0 or is_positive(self.noise),
@@ -326,11 +318,6 @@ class LBFGS(JointTraining):
 
     iterations: int = option(5_000, *_ITERATIONS)
 
-    def check(self) -> None:
-        """Raise InputError if an option is invalid."""
-        super().check()
-        require_whole("iterations", self.iterations, 1)
-
 
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -348,7 +335,6 @@ class SSBroyden(JointTraining):
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         super().check()
-        require_whole("iterations", self.iterations, 1)
         if (self.dtype, self.device) != ("float64", "cpu"):
             raise InputError(
                 f"dtype={self.dtype!r} and device={self.device!r} cannot be used with "
@@ -373,16 +359,7 @@ class LevenbergMarquardt(JointTraining):
     def check(self) -> None:
         """Raise InputError if an option is invalid."""
         super().check()
-        require_whole("iterations", self.iterations, 1)
         require_whole("restarts", self.restarts, 0)
-
-
-def _name_objects_of_torch(method: NetworkChain | JointTraining, *names: str) -> None:
-    """Let types and devices of torch stand for their names."""
-    for name in names:
-        value = getattr(method, name)
-        if type(value).__module__ == "torch":
-            object.__setattr__(method, name, str(value).removeprefix("torch."))
 
 
 def _check_shared(method: NetworkChain | JointTraining) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from hamsym.networks.record import TrainingState
-from hamsym.support.progress import is_shown, stepping_progress
+from hamsym.support.progress import stepping_progress
 
 
 @contextmanager
@@ -21,9 +21,6 @@ def training_progress(
     """
     if callable(show):
         yield [show]
-        return
-    if not is_shown(show):
-        yield []
         return
     with stepping_progress(iterations, show, "training") as advance:
         done = 0

@@ -30,14 +30,6 @@ class Layer:
     slope: Tensor | None
     bend: Tensor | None
 
-    def at(self, points: slice) -> Layer:
-        """Return the layer at some of the points."""
-        if self.slope is None or self.bend is None:
-            return Layer(self.matrix, self.x[points], self.xd[points], None, None)
-        return Layer(
-            *(self.matrix, self.x[points], self.xd[points]), self.slope[points], self.bend[points]
-        )
-
 
 def forward(
     layers: Sequence[tuple[Tensor, Tensor]], activation: str, x: Tensor, xd: Tensor

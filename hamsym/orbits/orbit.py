@@ -23,7 +23,7 @@ from hamsym.orbits.search import check, first_arc, first_return, refined, vector
 from hamsym.orbits.symmetry import closing_of
 from hamsym.random_features.flow import flow_of
 from hamsym.solution.discontinuities import first_jump, has_switches
-from hamsym.solution.path import Path
+from hamsym.solution.solution import Solution
 from hamsym.support.record_fields import AnyFloat, Limit, Size, floats
 from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
@@ -438,7 +438,7 @@ def _jump(problem: Problem, arc: Arc) -> str:
     """
     if not has_switches(problem.H):
         return ""
-    orbit = cast(Path, _unjudged(problem, arc))  # for its H and its values
+    orbit = cast(Solution, _unjudged(problem, arc))  # for its H and its values
     # Beyond the period, because the start may be at a jump.
     times = problem.start + arc.period * np.linspace(0, 1.01, 4 * _POINTS)
     found = first_jump(orbit, times, [])

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -29,7 +30,9 @@ import scipy
 from hamsym.numerics.roots import refine, sign_changes
 from hamsym.numerics.symplectic import generators
 from hamsym.solution.error_equation import integrated_error
-from hamsym.solution.path import Path
+
+if TYPE_CHECKING:
+    from hamsym.solution.solution import Solution
 
 _SINGULAR = 1e-12  # of the largest eigenvalue; below it an eigenvalue is round-off
 
@@ -49,7 +52,7 @@ class Analysis:
     (0.0, inf)
     """
 
-    def __init__(self, solution: Path) -> None:
+    def __init__(self, solution: Solution) -> None:
         self.solution = solution
 
     # -- ell -----------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -19,10 +19,12 @@ import sympy
 
 from hamsym.codegen.functions import compile_expressions
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.solution.path import Path
 from hamsym.solution.times import shown_time
 from hamsym.symbolic import derivatives
 from hamsym.symbolic.equations import Equations
+
+if TYPE_CHECKING:
+    from hamsym.solution.solution import Solution
 
 _RESOLVED = 1e-2  # residual, relative to the largest rate of the component
 _MOST_PLACES = 20  # places of a trained network that are searched for a jump
@@ -32,7 +34,7 @@ _BISECTIONS = 24
 
 
 def first_jump(
-    solution: Path, times: np.ndarray, suspects: Sequence[tuple[float, float]]
+    solution: Solution, times: np.ndarray, suspects: Sequence[tuple[float, float]]
 ) -> str | None:
     """Describe the first discontinuity of H or grad H along a trajectory.
 
@@ -56,7 +58,7 @@ def first_jump(
     return f"{kind} at t = {shown}, beyond which the error cannot be estimated; {remedy}"
 
 
-def parameter_jump(solution: Path, names: Sequence[str]) -> str | None:
+def parameter_jump(solution: Solution, names: Sequence[str]) -> str | None:
     """Describe why the derivatives of a trajectory in parameters do not follow from its equations.
 
     A derivative of the force in a parameter does not exist, as that of abs(k) at k = 0, or the
@@ -89,7 +91,7 @@ def parameter_jump(solution: Path, names: Sequence[str]) -> str | None:
     )
 
 
-def unresolved(solution: Path) -> list[tuple[float, float]]:
+def unresolved(solution: Solution) -> list[tuple[float, float]]:
     """Intervals in which the residual of a solution is large relative to the rates.
 
     At most 20, those with the largest residual: near a jump, a smooth trial solution has a large
@@ -108,7 +110,7 @@ def unresolved(solution: Path) -> list[tuple[float, float]]:
 
 
 def _symbolic_jumps(
-    solution: Path, times: np.ndarray, parameters: tuple[str, ...] = ()
+    solution: Solution, times: np.ndarray, parameters: tuple[str, ...] = ()
 ) -> Iterator[tuple[float, str]]:
     """The first crossing of each switch of H in the state or the parameters, with its kind."""
     H = solution.H
@@ -199,7 +201,7 @@ def _switch(argument: sympy.Expr, jumps: Sequence[sympy.Expr], equations: Equati
 
 
 def _hidden_jumps(
-    solution: Path, suspects: Sequence[tuple[float, float]]
+    solution: Solution, suspects: Sequence[tuple[float, float]]
 ) -> Iterator[tuple[float, str]]:
     """Find the first jump of the sampled rates."""
     system = solution.H.compile("numpy")

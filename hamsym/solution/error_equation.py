@@ -10,12 +10,15 @@ and to first order, the paper's eq. (ell), d(delta)/dt = J Hess(z^) delta - r.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from hamsym.numerics.call_limit import TooManyCallsError, limited
-from hamsym.solution.path import Path
+
+if TYPE_CHECKING:
+    from hamsym.solution.solution import Solution
 
 #: Relative tolerance and largest step, as a share of the span: of the estimate, and of its check.
 RESOLUTIONS = ((1e-6, 1 / 50), (1e-9, 1 / 200))
@@ -23,7 +26,7 @@ _CALLS = 20_000  # evaluations, at most, at the first resolution
 
 
 def integrated_error(
-    solution: Path, *, linear: bool = False, resolution: int = 0
+    solution: Solution, *, linear: bool = False, resolution: int = 0
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Integrate delta with DOP853; it is infinite from where the equation has no solution.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 import sympy
@@ -25,8 +25,10 @@ from hamsym.numerics.isolation import (
 )
 from hamsym.numerics.roots import suspects, zeros
 from hamsym.problems.surface import Surface, parse_surface
-from hamsym.solution.path import Path
 from hamsym.support.validation import is_positive, require, require_number
+
+if TYPE_CHECKING:
+    from hamsym.solution.solution import Solution
 
 #: A surface, for example "x = 0, p_x > 0", a sympy expression that is zero or an ``Eq``, or a
 #: function of (t, z) as solve_ivp takes it.
@@ -50,7 +52,7 @@ class Events(NamedTuple):
     y_events: list[np.ndarray]
 
 
-def find_events(solution: Path, events: Event | Sequence[Event], times: np.ndarray) -> Events:
+def find_events(solution: Solution, events: Event | Sequence[Event], times: np.ndarray) -> Events:
     """Find the zeros of the events along a solution, between the given times."""
     one = isinstance(events, (str, sympy.Basic)) or callable(events)
     listed: list[Any] = [events] if one else list(events)  # type: ignore[arg-type]
@@ -76,7 +78,7 @@ def _terminal(event: Event) -> int:
     return int(terminal)
 
 
-def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
+def _zeros(solution: Solution, event: Event, times: np.ndarray) -> np.ndarray:
     direction = getattr(event, "direction", 0.0) or 0.0
     require_number("direction", direction)
     if callable(event) and not isinstance(event, sympy.Basic):
@@ -103,7 +105,7 @@ def _zeros(solution: Path, event: Event, times: np.ndarray) -> np.ndarray:
     return t[surface.holds(solution(t), t)] if len(t) else t
 
 
-def _isolated(solution: Path, surface: Surface, times: np.ndarray) -> np.ndarray:
+def _isolated(solution: Solution, surface: Surface, times: np.ndarray) -> np.ndarray:
     """Find all zeros of a formula, by bounds between the times."""
     enclosed = surface.enclosed
     assert enclosed is not None

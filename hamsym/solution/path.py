@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from hamsym.hamiltonian import Hamiltonian
 from hamsym.support.record_fields import OneOf
 
 if TYPE_CHECKING:  # torch is imported only by functions of tensors
@@ -117,49 +116,3 @@ ERRORS = OneOf(
     march="hamsym.random_features.error_estimate:MarchError",
     chain="hamsym.networks.chain_error:ChainError",
 )
-
-
-class Path(Protocol):
-    """A trajectory z^(t) of a Hamiltonian over a span, with derived quantities."""
-
-    @property
-    def H(self) -> Hamiltonian:
-        """The Hamiltonian."""
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Start and end."""
-
-    @property
-    def error(self) -> ErrorEstimate | None:
-        """Error estimate of the method; None if the method made none."""
-
-    @property
-    def energy_weight(self) -> float:
-        """Weight of the energy penalty."""
-
-    @property
-    def ell_max(self) -> float:
-        """Largest 2-norm of the residual."""
-
-    def __call__(self, t: Any, *, extrapolate: bool = False) -> Any:
-        """The state at times t."""
-
-    def evaluate(self, t: Any, *, extrapolate: bool = False) -> tuple[Any, Any]:
-        """The state and its time derivative."""
-
-    def residual(self, t: Any, *, extrapolate: bool = False) -> Any:
-        """dz^/dt less the rates at z^."""
-
-    def energy(self, t: Any, *, extrapolate: bool = False) -> Any:
-        """H along the trajectory."""
-
-    def hessians(self, t: np.ndarray) -> np.ndarray:
-        """The Hessian along the trajectory, shape (*t.shape, dim, dim)."""
-
-    def jacobians(self, t: np.ndarray) -> np.ndarray:
-        """Derivatives of the rates along the trajectory, shape (*t.shape, dim, dim)."""
-
-    @property
-    def scan_times(self) -> np.ndarray:
-        """Times dense enough to resolve every oscillation."""

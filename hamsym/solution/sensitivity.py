@@ -13,14 +13,16 @@ equations are therefore also evaluated between the nodes, and windows are halved
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from hamsym.numerics.collocation import chebyshev_values
 from hamsym.numerics.tangent_maps import TangentMaps
 from hamsym.numerics.windows import locate
-from hamsym.solution.path import Path
+
+if TYPE_CHECKING:
+    from hamsym.solution.solution import Solution
 
 _BATCH = 2_000_000  # numbers in the tangent maps that are computed together
 _MOST_TIMES = 4_096  # in one batch
@@ -54,7 +56,7 @@ class Sensitivity:
 
     def __init__(
         self,
-        path: Path,
+        path: Solution,
         units: np.ndarray,
         edges: np.ndarray | None = None,
         origin: float = 0.0,

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from hamsym.numerics.collocation import chebyshev_values, collocation
 from hamsym.numerics.windows import locate
-from hamsym.solution.path import Path
+
+if TYPE_CHECKING:
+    from hamsym.solution.solution import Solution
 
 _NODES = 48  # in a window; the power has products of components, which vary twice as fast as they
 _WINDOWS = 400  # of a trajectory that has none of its own
@@ -18,7 +22,9 @@ class Work:
     - edges: Ends of windows, counted from ``origin``; by default equal windows.
     """
 
-    def __init__(self, path: Path, edges: np.ndarray | None = None, origin: float = 0.0) -> None:
+    def __init__(
+        self, path: Solution, edges: np.ndarray | None = None, origin: float = 0.0
+    ) -> None:
         if edges is None:
             edges, origin = np.linspace(*path.span, _WINDOWS + 1), 0.0
         self._edges, self._origin = edges, origin

@@ -103,7 +103,7 @@ class Drawn:
         Parameters
         ----------
         *names : str or sympy.Expr
-            Panels, components, or formulas in the names of H (:meth:`hamsym.Hamiltonian.observable`).
+            Panels, components or formulas (:meth:`hamsym.Hamiltonian.observable`).
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
 

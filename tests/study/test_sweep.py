@@ -199,7 +199,7 @@ class _Dies:
     """Settings whose values kill the process that unpickles them."""
 
     def __call__(self, seed):
-        return replace(ADAM, points=_Deadly())
+        return replace(ADAM, device=_Deadly())
 
 
 class _Deadly:
