@@ -352,3 +352,25 @@ EXPORTED int64_t hamsym_lemma(const lemma *s, double *tube, double *d, double *d
   free(memory);
   return 1;
 }
+
+/* The product of matrices, n x k and k x m; every sum has the same order everywhere. */
+EXPORTED void hamsym_product(const double *a, const double *b, int64_t n, int64_t k, int64_t m, double *out) {
+  memset(out, 0, n * m * sizeof(double));
+  for (long i = 0; i < n; i++)
+    for (long j = 0; j < k; j++)
+      for (long c = 0; c < m; c++) out[i * m + c] += a[i * k + j] * b[j * m + c];
+}
+
+/* Balance a matrix, dim x dim, of positive numbers beside its diagonal: in units of the components, sums of rows
+   become those of columns (Osborne 1960). */
+EXPORTED void hamsym_balance(const double *matrix, int64_t dim, double *units) {
+  for (int sweep = 0; sweep < 6; sweep++)
+    for (long i = 0; i < dim; i++) {
+      double row = 0.0, column = 0.0;
+      for (long j = 0; j < dim; j++) {
+        row += matrix[i * dim + j] * units[j];
+        column += matrix[j * dim + i] / units[j];
+      }
+      units[i] *= __builtin_sqrt(row / units[i] / (column * units[i]));
+    }
+}

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hamsym.kernel.library import kernel_library
-from hamsym.kernel.loops import Record, arrays, counts, numbers, require_memory, typed
+from hamsym.kernel.loops import Record, address, arrays, counts, numbers, require_memory, typed
 
 # Operations of programs on series, and their numbers in the library.
 ADD, SUBTRACT, NEGATE, MULTIPLY, RECIPROCAL, RECIPROCAL_ROOT, EXPONENTIAL, SINE_COSINE = range(8)
@@ -61,6 +62,8 @@ _SIGNATURES = {
     "clenshaw": "v ppiipps",
     "exact_products": "v ppiiippp",
     "add_products": "v pppnnnii",
+    "product": "v ppiiip",
+    "balance": "v pip",
 }
 
 
@@ -348,6 +351,20 @@ class Enclosures:
         require_memory(self._call("boxed_set", *given, n, count, kinds, P, found))
         return P, found
 
+    def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Compute a @ b of matrices or vectors, whose sums have one order on every processor."""
+        left, right = _reals(a), _reals(b)
+        _require(left.shape[-1] == len(right))
+        out = np.empty((*left.shape[:-1], *right.shape[1:]))
+        rows, columns = math.prod(left.shape[:-1]), math.prod(right.shape[1:])
+        self._call("product", left, right, rows, len(right), columns, out)
+        return out
+
+    def balance(self, matrix: np.ndarray, units: np.ndarray) -> None:
+        """Improve the units of components, in which a matrix of couplings is nearly balanced."""
+        _require(matrix.shape == (len(units), len(units)))
+        self._call("balance", matrix, len(units), units)
+
     # -- values ----------------------------------------------------------------------------------
 
     def chebyshev_balls(self, x: tuple[float, float, float], terms: int) -> np.ndarray:
@@ -447,7 +464,7 @@ def enclosures() -> Enclosures:
 def _pointer(array: np.ndarray, kind: str) -> int:
     if array.dtype.char not in ("d" if kind == "p" else "lq") or not array.flags.c_contiguous:
         raise ValueError(f"the library needs another layout or type than {array.dtype}")
-    return int(array.ctypes.data)
+    return address(array)
 
 
 def _reals(array: ArrayLike) -> np.ndarray:

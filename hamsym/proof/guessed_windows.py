@@ -41,6 +41,8 @@ _LOOSE = 32.0
 _FINEST = 1e-28
 # Round-off of coefficients, relative to the component.
 _ROUND_OFF = 2e-14
+# Mantissa from which numbers are rounded up to a power of two.
+_THRESHOLD = 0.70137
 # Drop of the coefficients to round-off which is that of a polynomial.
 _ABRUPT = 1e3
 
@@ -120,7 +122,7 @@ class WindowGuess:
         sizes, y = self._collocated(place)
         # What the others drive a component to; its round-off has that scale if it is nearly zero.
         couplings = self._couplings()
-        driven = place.w * (couplings @ sizes)
+        driven = place.w * enclosures().product(couplings, sizes)
         tail, factor = self._decay(y, np.maximum(sizes, 0.02 * driven))
         if not tail <= 30 * self._accuracy:
             raise TooLongError(min(max(0.9 * factor, 0.25), 0.8))
@@ -146,7 +148,7 @@ class WindowGuess:
             units,
             _ITERATIONS,
         )
-        V = np.ascontiguousarray(values @ self._tables.series)
+        V = enclosures().product(values, self._tables.series)
         return Guess(models, D, V, units, factor)
 
     def _collocated(self, place: Place) -> tuple[np.ndarray, np.ndarray]:
@@ -184,7 +186,7 @@ class WindowGuess:
             raise TooLongError(
                 0.5, "the solution leaves every scale there, as at a collision or a jump"
             )
-        return sizes, rows[:dim] @ tabs.series
+        return sizes, enclosures().product(rows[:dim], tabs.series)
 
     def _completed(
         self, place: Place, y: np.ndarray, units: np.ndarray
@@ -207,11 +209,11 @@ class WindowGuess:
                 dim,
                 tabs.integral,
                 place.w,
-                -(series[:, : self._terms] @ tabs.values),
+                -enclosures().product(series[:, : self._terms], tabs.values),
                 units,
                 _ITERATIONS,
             )
-            self._corrected(models, found @ tabs.series)
+            self._corrected(models, enclosures().product(found, tabs.series))
             series, D = enclosures().defects(*arguments)
             if not (0.1 * before > D).any():
                 break
@@ -222,7 +224,7 @@ class WindowGuess:
         shares = D / np.maximum(self.sizes, _LEAST)
         loose = shares > _LOOSE * max(self._accuracy, _FINEST)
         share = max(float(shares.max()), 1e-3 * self._accuracy)
-        reach = (self._accuracy / share) ** (2 / self._terms)
+        reach = shortened((self._accuracy / share) ** (2 / self._terms))
         before, self._defect = self._defect, rates
         if not loose.any():
             return min(factor, reach)
@@ -248,7 +250,7 @@ class WindowGuess:
         if last < self._terms - 2 and share > _ABRUPT * _ROUND_OFF:  # a polynomial of this degree
             rate = math.log(_ROUND_OFF) / (last + 1)
         tail = math.exp(rate * self._terms)
-        factor = (self._accuracy / max(tail, 1e-100)) ** (1 / self._terms)
+        factor = shortened((self._accuracy / max(tail, 1e-100)) ** (1 / self._terms))
         y[:, last + 1 :] = 0.0  # round-off, which the corrections replace
         return tail, factor
 
@@ -282,7 +284,7 @@ class WindowGuess:
         radii: np.ndarray,
         least: np.ndarray | float = 0.0,
     ) -> np.ndarray:
-        """Units in which DG is nearly balanced (Osborne 1960), not rounded.
+        """Units in which DG is nearly balanced (Osborne 1960), powers of two.
 
         ``sizes`` are those of the components on the windows so far, ``radii`` those of the initial
         set, and ``least`` the smallest to be balanced.
@@ -297,12 +299,8 @@ class WindowGuess:
         safe = coupled_sizes(safe, matrix, w)
         matrix += 1e-3 / w * safe[:, None] / safe[None, :] * (1 - np.eye(dim))
         units = safe.copy()
-        for _ in range(6):
-            for i in range(dim):
-                row = float(matrix[i] @ units) / units[i]
-                column = float((matrix[:, i] / units).sum()) * units[i]
-                units[i] *= math.sqrt(row / column)
-        return units
+        enclosures().balance(matrix, units)
+        return powers_of_two(units)
 
     def constant_units(self, half: Fraction, units: np.ndarray) -> np.ndarray:
         """Changes of the constants that move a component by its unit within half a window."""
@@ -314,6 +312,22 @@ class WindowGuess:
                 shares[j - dim] = max(shares[j - dim], share)
         found = 1 / shares
         return np.where((found > 0) & (found < math.inf), found, 1.0)
+
+
+def powers_of_two(units: np.ndarray) -> np.ndarray:
+    """Return powers of two near numbers > 0, by which division is exact.
+
+    Numbers are rounded where none of a formula lies: what differs between processors in the last
+    bits, as eigenvalues do, gives the same powers.
+    """
+    mantissa, exponent = np.frexp(units)
+    return np.ldexp(1.0, (exponent - (mantissa < _THRESHOLD)).clip(-1022, 1023))
+
+
+def shortened(factor: float) -> float:
+    """Return the first sixteen bits, since powers differ between processors in the last ones."""
+    mantissa, exponent = math.frexp(factor)
+    return math.ldexp(round(mantissa * 2**16), exponent - 16)
 
 
 def _two_sum(a: Any, b: Any) -> tuple[Any, Any]:

@@ -8,7 +8,6 @@ Operations on numbers alone are done in Arb once. Functions become the operation
 from __future__ import annotations
 
 import functools as tools
-import math
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -39,6 +38,7 @@ from hamsym.kernel.enclosures import (
     Models,
     enclosures,
 )
+from hamsym.numerics.collocation import turns
 from hamsym.proof import functions
 from hamsym.proof.balls import number_of, working
 from hamsym.proof.functions import Arithmetic
@@ -315,16 +315,17 @@ class Tables:
 
     def __init__(self, terms: int) -> None:
         self.terms = terms
-        angles = math.pi * (np.arange(terms) + 0.5) / terms
-        self.points = np.cos(angles)
+        places, degrees = 2 * np.arange(terms) + 1, np.arange(terms + 1)[:, None]
+        # Extended precision is multiplied in one order; libraries have one for each processor.
+        longer = turns(terms)[degrees * places % (4 * terms)]
+        series = longer[:terms].T * np.where(np.arange(terms), 2, 1) / np.longdouble(terms)
+        integrals = chebyshev.chebint(np.eye(terms, dtype=np.longdouble), lbnd=-1).T
+        self.points = longer[1].astype(float)
         #: values[k, j] = T_k(x_j), series[j, k] its inverse
-        self.values = np.cos(np.arange(terms)[:, None] * angles)
-        self.series = (self.values * (2 / terms)).T.copy()
-        self.series[:, 0] /= 2
+        self.values = longer[:terms].astype(float)
+        self.series = np.ascontiguousarray(series.astype(float))
         #: integral[j, i]: weight of the value at x_j in the integral from -1 to x_i
-        matrix = chebyshev.chebint(np.eye(terms), lbnd=-1).T  # row: T_k, columns: its integral
-        longer = np.cos(np.arange(terms + 1)[:, None] * angles)
-        self.integral = np.ascontiguousarray(self.series @ matrix @ longer)
+        self.integral = np.ascontiguousarray((series @ integrals @ longer).astype(float))
 
 
 @tools.cache
@@ -406,7 +407,7 @@ class ModelRows:
         places = self.program.still_places
         used = np.arange(self.high.shape[1]) < self.length[places, None]
         values = np.where(used, self.high[places] + self.low[places], 0.0)
-        return np.asarray(values @ self.tables.values)
+        return enclosures().product(values, self.tables.values)
 
     def taken(self, places: np.ndarray) -> Rows:
         """Some registers."""

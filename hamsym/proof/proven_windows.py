@@ -24,7 +24,14 @@ from hamsym.errors import CertificationError
 from hamsym.kernel.enclosures import MIDDLE, UNDERFLOW, UNIT, enclosures
 from hamsym.proof.balls import number_of
 from hamsym.proof.equation import Equation
-from hamsym.proof.guessed_windows import AT_REST, Guess, Place, TooLongError, WindowGuess
+from hamsym.proof.guessed_windows import (
+    AT_REST,
+    Guess,
+    Place,
+    TooLongError,
+    WindowGuess,
+    powers_of_two,
+)
 from hamsym.proof.limits import Deadline
 from hamsym.proof.programs import ModelRows
 from hamsym.support.record_fields import floats
@@ -49,10 +56,12 @@ _TUBES = 5
 
 def set_sizes(V: np.ndarray, G: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Bounds on the components of V(x) G r over a window for all |r_i| <= R_i, shape (dim,)."""
-    products = np.einsum("ick,cd->idk", V, G)
-    found = np.abs(products).sum(axis=2) @ R
+    product = enclosures().product
+    moved = product(G.T, V.transpose(1, 0, 2))
+    found = product(R, np.abs(moved).sum(axis=2))
     rounding = 2 * (len(G) + 8) * UNIT  # of sums of so many products
-    found += rounding * (np.abs(V).sum(axis=2) @ (np.abs(G) @ R)) + UNDERFLOW * R.sum()
+    large = product(np.abs(V).sum(axis=2), product(np.abs(G), R))
+    found += rounding * large + UNDERFLOW * R.sum()
     return np.asarray(found * (1 + 1e-9))
 
 
@@ -74,11 +83,11 @@ class ErrorSet:
 
     def sizes(self) -> np.ndarray:
         """Bounds on the components, shape (columns, kinds)."""
-        return np.asarray((np.abs(self.G) @ self.R) * (1 + 1e-9))
+        return enclosures().product(np.abs(self.G), self.R) * (1 + 1e-9)
 
     def initial_sizes(self) -> np.ndarray:
         """About the sizes of the components from the initial set alone, shape (columns, kinds)."""
-        return np.asarray(np.abs(self.G[:, : self.initial]) @ self.R[: self.initial])
+        return enclosures().product(np.abs(self.G[:, : self.initial]), self.R[: self.initial])
 
     def moved(
         self, J: np.ndarray, J_error: np.ndarray, extra: np.ndarray, units: np.ndarray
@@ -273,10 +282,9 @@ class WindowStepper:
         """Bounds on |V xi| over a window; of thin sets without regard to their shape."""
         sizes = np.abs(V).sum(axis=2)
         if width < _WIDE:
-            return np.asarray((sizes @ start) * (1 + 1e-9))
-        return (set_sizes(V, self._set.G, self._set.R[:, 0]) + sizes[:, : len(offset)] @ offset) * (
-            1 + 1e-9
-        )
+            return enclosures().product(sizes, start) * (1 + 1e-9)
+        beside = enclosures().product(sizes[:, : len(offset)], offset)
+        return (set_sizes(V, self._set.G, self._set.R[:, 0]) + beside) * (1 + 1e-9)
 
     def _over_tube(
         self, place: Place, models: ModelRows, tube: np.ndarray
@@ -315,7 +323,7 @@ class WindowStepper:
         V, y = guess.V, guess.y
         dim, columns = self.equation.dim, self.equation.columns
         large = np.abs(V).sum(axis=2)
-        beside = (large[:, :dim] @ offset + d + guess.D) * (1 + 1e-9)
+        beside = (enclosures().product(large[:, :dim], offset) + d + guess.D) * (1 + 1e-9)
         J, J_error = np.eye(columns), np.zeros((columns, columns))
         J[:dim], rest, radius = enclosures().end_values(V, None, 1)
         J_error[:dim] = (np.abs(rest) + radius) * (1 + 1e-9)
@@ -337,7 +345,7 @@ class WindowStepper:
             J,
             J_error,
             tube,
-            _powers_of_two(
+            powers_of_two(
                 np.concatenate([guess.units, self.guess.constant_units(half, guess.units)])
             ),
         )
@@ -346,8 +354,3 @@ class WindowStepper:
             raise CertificationError("the enclosure became infinite; use an earlier end time")
         self.elapsed = window.end
         return window
-
-
-def _powers_of_two(units: np.ndarray) -> np.ndarray:
-    """Powers of two near numbers > 0, exact in any library: division by them is."""
-    return np.ldexp(1.0, np.round(np.log2(units)).clip(-1022, 1023).astype(int))

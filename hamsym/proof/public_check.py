@@ -169,21 +169,24 @@ def check_enclosure(enclosure: Any) -> None:
     begin, end = (Fraction(value) for value in enclosure.span)
     direction = 1 if end > begin else -1
     times = _times(enclosure.windows, begin, abs(end - begin), direction)
-    found = np.full((2, len(times), enclosure.H.dim), np.nan)
-    allowed, radii = np.zeros_like(found), np.zeros_like(found)
+    places = []
     for n, t in enumerate(times.tolist()):
         elapsed = direction * (Fraction(t) - begin)
         last = bisect_right(enclosure.windows, elapsed, key=lambda window: window.start) - 1
         for m, k in enumerate(dict.fromkeys((last, max(last - 1, 0)))):
             window = enclosure.windows[k]
             x = float((elapsed - window.start) / window.half - 1)
-            if m and not x <= 1:
-                continue
-            table = chebyshev_values(np.array(x), window.high.shape[1])
-            weights = 4.0 * np.arange(len(table)) ** 2 + 2 * len(table) + 8
-            found[m, n] = (window.high + window.low) @ table
-            allowed[m, n] = _ROOM * _UNIT * (np.abs(window.high) @ weights)
-            radii[m, n] = window.beside
+            if not m or x <= 1:
+                places.append((m, n, window, x))
+    terms = enclosure.windows[0].high.shape[1]
+    tables = chebyshev_values(np.array([x for *_, x in places]), terms)
+    weights = 4.0 * np.arange(terms) ** 2 + 2 * terms + 8
+    found = np.full((2, len(times), enclosure.H.dim), np.nan)
+    allowed, radii = np.zeros_like(found), np.zeros_like(found)
+    for (m, n, window, _), table in zip(places, tables, strict=True):
+        found[m, n] = (window.high + window.low) @ table
+        allowed[m, n] = _ROOM * _UNIT * (np.abs(window.high) @ weights)
+        radii[m, n] = window.beside
     balls = enclosure(times)
     radius = np.asarray(balls.radius)
     # A radius that is too small differs as a middle that is not a number.

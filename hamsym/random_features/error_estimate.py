@@ -235,6 +235,7 @@ def kicks(dim: int) -> np.ndarray:
     return np.random.default_rng(1).choice((-1.0, 1.0), size=shape)
 
 
+@functools.lru_cache(maxsize=64)
 def terms_of(flow: Flow) -> Actions:
     """Return the terms of J C v, with C the Hessian without forces."""
     entries, symmetric, half = flow.entries, flow.symmetric, flow.programs.dim // 2

@@ -15,7 +15,7 @@ from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel.loops import Equations as Programs
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # one object per H, so that its tables can be cached
 class Flow:
     """The equation z' = F(z, t) and the functions of H that the march and its checks evaluate."""
 
@@ -43,8 +43,9 @@ class Flow:
     rounded: bool = False
 
 
+@functools.lru_cache(maxsize=64)
 def flow_of(H: Hamiltonian) -> Flow:
-    """Make the flow of H."""
+    """Return the flow of H."""
     system, form = H.compile("numpy"), H.real_equations
 
     def vector_field(

@@ -1,4 +1,4 @@
-"""Solutions, members and estimates have the same bits on every x86-64 processor."""
+"""Solutions, members, estimates and enclosures have the same bits on every x86-64 processor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests import older_processor
 
 ROOT = Path(__file__).parents[2]
 #: Of what the script below computes. It changes when the march does, never with the processor.
-STORED = "39863d228c94276ca9cb43c329ae9fc3c3d2c5fd3a7c4c5ce2c945cc64ad1486"
+STORED = "c4712681badc8aff117ad13d5f6ca1e447bb8bd1d536b9a4fb81499c966a9cd6"
 SCRIPT = """
 import hashlib
 import numpy as np
@@ -39,6 +39,16 @@ for name in [*names.split(), "paul_trap", "calogero_moser", "nonlinear_oscillato
 starts = np.array(CATALOGUE["henon_heiles"]().z0) * np.linspace(0.5, 1, 10)[:, None]
 for member in hamsym.solve_many(CATALOGUE["henon_heiles"]().H, starts, (0, 20)):
     found.update(member.history.readouts.tobytes())
+proofs = [("henon_heiles", 7.0), ("pendulum", 7.0), ("kepler", 7.0), ("driven_oscillator", 7.0)]
+cases = [(CATALOGUE[name](), end) for name, end in proofs]
+enclosures = [hamsym.enclose(problem.H, problem.z0, (0, end)) for problem, end in cases]
+enclosures.append(hamsym.enclose("p**2/2 - cos(x)", ["1 +- 1e-4", 0], (0, 7)))  # wide sets
+for enclosure in enclosures:
+    for window in enclosure.windows:
+        for name in "high low V G R beside derivative units J J_error".split():
+            found.update(getattr(window, name).tobytes())
+    found.update(enclosure(5.0).mid.tobytes() + enclosure(5.0).radius.tobytes())
+    found.update(enclosure.derivative(5.0).radius.tobytes())
 print(found.hexdigest())
 """
 

@@ -153,3 +153,16 @@ def test_polynomial_from_its_start_has_normal_low_parts():
         assert abs(starts[0]) < 1e-15
         assert abs(starts[1] - 1) < 1e-15
         assert (np.abs(models.low) <= 2.0**-53 * np.abs(models.high)).all()
+
+
+@pytest.mark.parametrize(("n", "k", "m"), [(1, 1, 1), (3, 5, 4), (2, 0, 3), (0, 2, 2), (4, 3, 0)])
+def test_products_of_any_shape(n: int, k: int, m: int) -> None:
+    generator = np.random.default_rng(n)
+    a, b = generator.normal(size=(n, k)), generator.normal(size=(k, m))
+    product = enclosures().product
+    np.testing.assert_allclose(product(a, b), a @ b, rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(product(a, b.sum(axis=1)), a @ b.sum(axis=1), atol=1e-14)
+    stacked = np.stack((b, -b), axis=2)
+    np.testing.assert_allclose(product(a, stacked), np.stack((a @ b, -a @ b), axis=2), atol=1e-14)
+    with pytest.raises(ValueError, match="shapes"):
+        product(a, np.ones((k + 1, m)))
