@@ -386,7 +386,7 @@ class Hamiltonian(SymbolicHamiltonian):
         >>> momentum([0.4, 0.0, 0.0, 2.0])
         np.float64(0.8)
         >>> momentum.latex
-        'x p_{y} - y p_{x}'
+        'p_{y} x - p_{x} y'
         """
         found = observable_of(self, f)
         used = {symbol.name for symbol in found.function.free_symbols}

@@ -374,7 +374,8 @@ def drawn_of(
         )
     for name in names:
         own = (*H.names, *H.parameter_names)
-        meant = similar(name, (*own, *words)) if isinstance(name, str) else None
+        word = isinstance(name, str) and name.isidentifier()
+        meant = similar(name, (*own, *words)) if word else None
         if meant in words and meant not in own and not similar(name, own):
             raise InputError(unknown(name, (*own, *words), "a component"))
     return "", [H.observable(name) for name in names]

@@ -807,7 +807,7 @@ class Solution(Saved):
         >>> solution.plot("x", "y").axes[0].get_xlabel()
         '$x$'
         >>> solution.plot("x*p_y - y*p_x").axes[0].get_ylabel()
-        '$x p_{y} - y p_{x}$'
+        '$p_{y} x - p_{x} y$'
         """
         return hamsym.plot(self, *names, ax=ax, **options)
 
