@@ -204,7 +204,7 @@ def over_time(axes: Axes, motion: Motion, drawn: Observable, *, timed: bool = Tr
         style = (motion.path_styles if len(t) == len(motion.t) else motion.styles)[place]
         axes.plot(t, values, **style, label=text, rasterized=dense)
     if motion.warning or drawn.place is None:
-        _fold_escape(axes, motion.t, column)
+        _fold_escape(axes, "y", motion.t, column)
     label(axes.yaxis, *axis_words(drawn))
     fill_time(axes, motion.t)
     label_time(axes, motion.H)
@@ -213,8 +213,8 @@ def over_time(axes: Axes, motion: Motion, drawn: Observable, *, timed: bool = Tr
         axes.xaxis.set_major_formatter(NullFormatter())
 
 
-def _fold_escape(axes: Axes, t: np.ndarray, column: np.ndarray) -> None:
-    """Make the vertical axis logarithmic away from zero where values escape."""
+def _fold_escape(axes: Axes, side: str, t: np.ndarray, column: np.ndarray) -> None:
+    """Make an axis, "x" or "y", logarithmic away from zero where values escape."""
     even = np.linspace(t[0], t[-1], 200)
     forward = slice(None, None, 1 if t[-1] > t[0] else -1)
     sizes = [np.interp(even, t[forward], np.abs(values[forward])) for values in column]
@@ -222,11 +222,12 @@ def _fold_escape(axes: Axes, t: np.ndarray, column: np.ndarray) -> None:
     poles = not np.isfinite(column).all()
     if usual > 0 and np.isfinite(largest) and largest > (1e2 if poles else 1e4) * usual:
         stretch = np.log10(largest / usual) / 4
-        axes.set_yscale("symlog", linthresh=usual, linscale=stretch)
+        getattr(axes, f"set_{side}scale")("symlog", linthresh=usual, linscale=stretch)
         powers = np.unique(np.linspace(np.log10(usual), np.log10(largest), 4).round())[1:]
         both = np.nanmin(column) < -usual
-        axes.set_yticks([0.0, *10.0**powers, *(-(10.0**powers) if both else ())])
-        axes.yaxis.set_minor_locator(NullLocator())
+        ticks = [0.0, *10.0**powers, *(-(10.0**powers) if both else ())]
+        getattr(axes, f"set_{side}ticks")(ticks)
+        getattr(axes, f"{side}axis").set_minor_locator(NullLocator())
 
 
 def plane_title(H: Hamiltonian, x: str, y: str) -> str:
@@ -271,6 +272,9 @@ def in_plane(
     notes: list[Any] = []
     columns = motion.column(x), motion.column(y)
     _paths(axes, motion, columns, motion.labels())
+    for side, each, column in zip("xy", (x, y), columns, strict=True):
+        if each.place is None:
+            _fold_escape(axes, side, motion.t, column)
     label(axes.xaxis, *axis_words(x))
     label(axes.yaxis, *axis_words(y))
     if x.place is None or y.place is None:

@@ -55,6 +55,8 @@ def test_lines_do_not_pass_through_infinity(oscillator: hamsym.Trajectory) -> No
     assert not (jumps == -1).any()
     assert np.isnan(values).any()
     assert axes.get_yscale() == "symlog"
+    plane = oscillator.plot("1/x", "p").axes[0]
+    assert (plane.get_xscale(), plane.get_yscale()) == ("symlog", "linear")
 
 
 def test_fast_formulas_are_sampled_again(oscillator: hamsym.Trajectory) -> None:
