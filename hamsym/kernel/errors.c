@@ -13,7 +13,6 @@
 #define OSCILLATING 0.15
 #define FEW 400         /* windows in which the rounding of a table, alike in all of them, is less than round-off */
 #define ITERATIONS 60
-#define COARSE 10.0/* times the accuracy of the vectors: their last coefficients at the coarse nodes, at most */
 #define KEPT 8          /* windows after one that coarse nodes do not resolve, in which they are not tried */
 
 void lay_out_errors(carrying *m, arena *arena, const equations *H, const error_tables *t, const actions *a) {
@@ -213,7 +212,7 @@ static int solve_at(carrying *m, const equations *H, const rule *rule, const err
     for (long c = 0; c < n; c++)
       m->base[i * EACH_VECTOR * n + c] -= m->drift[i * n + c] * (h * h / s->scale[i]);
   int solved = a->linear ? transport_linear(m, rule, a, dim, h, accuracy) : transport(m, rule, a, dim, h, accuracy);
-  if (coarse) return solved && unresolved(m, rule, a->linear ? dim / 2 : dim) <= COARSE;
+  if (coarse) return solved && unresolved(m, rule, a->linear ? dim / 2 : dim) <= t->resolved;
   return solved || eliminate(m, rule, a, dim, h);
 }
 

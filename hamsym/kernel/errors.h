@@ -36,6 +36,7 @@ typedef struct {
 /* Tables of the estimate; see hamsym/random_features/error_estimate.py. */
 typedef struct {
   int64_t columns, sets, places, inside;
+  double resolved; /* times the accuracy of the vectors: their last coefficients at the coarse nodes, at most */
   const double *place, *value, *value_low, *rate, *rate_low, *drift_inside, *drift_end, *to_series, *dense;
   const rule *coarse, *fine;
 } error_tables;

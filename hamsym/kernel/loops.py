@@ -310,6 +310,7 @@ class ErrorTables(Record):
 
     _fields_ = [
         *counts("columns sets places inside"),
+        *numbers("resolved"),
         *arrays("place value value_low rate rate_low drift_inside drift_end to_series dense"),
         *arrays("coarse fine"),
     ]

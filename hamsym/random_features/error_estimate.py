@@ -42,6 +42,9 @@ RESOLUTIONS = {
     24: ((8, 24, 32), (16, 24, 32), (40, 40, 72)),
 }
 _USUAL, _LOOSE, _FINE = range(3)
+#: Last coefficients of the vectors at the coarse nodes, times their accuracy, at most: those left
+#: out are smaller by a factor, which is closer to one in long windows.
+_RESOLVED = (100.0, 10.0, 10.0)
 _LOOSE_TOLERANCE = 1e-8  # local
 _RANDOM, _SETS = 8, 4  # further places of the residual, and how many choices of them
 _PERIOD = 509  # windows after which the signs of the perturbations repeat
@@ -200,6 +203,7 @@ def error_tables(basis: FeatureBasis, resolution: int = 0) -> ErrorTables:
         sets=_SETS,
         places=inside + _RANDOM,
         inside=inside,
+        resolved=_RESOLVED[resolution],
         place=np.array(places),
         value=values,
         value_low=values_low,
