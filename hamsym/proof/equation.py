@@ -58,7 +58,9 @@ class Equation:
         own, found = self._H.real_equations, set(zero)
         while found:
             values = {own.z[i]: sympy.Integer(0) for i in found}
-            moving = {i for i in found if own.vector_field[i].xreplace(values) != 0}
+            # With a symbol for each float: a rounded sum of them may vanish where it is not zero.
+            rates = [rate.xreplace(values) for rate in own.exact.vector_field]
+            moving = {i for i in found if rates[i] != 0}
             if not moving:
                 break
             found -= moving

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import sympy
 
@@ -38,64 +38,51 @@ _BASE = {
 _REMEDY = "give units in which all terms agree; numbers are not converted"
 
 
-class _Unit(NamedTuple):
-    """A factor and powers of base units; for example 1000 and (("length", 1),) for km."""
+#: A unit is a factor times powers of these symbols.
+_SYMBOLS = {dimension: sympy.Symbol(name, positive=True) for dimension, name in _BASE.items()}
 
-    factor: sympy.Expr
-    powers: tuple[tuple[str, sympy.Rational], ...]
 
-    def __mul__(self, other: Any) -> _Unit:
-        total = dict(self.powers)
-        for name, power in other.powers:
-            total[name] = total.get(name, sympy.S.Zero) + power
-        kept = tuple(sorted((name, power) for name, power in total.items() if power != 0))
-        return _Unit(self.factor * other.factor, kept)
+def _equal(unit: sympy.Expr, other: sympy.Expr) -> bool:
+    ratio = unit / other
+    return bool(ratio.is_number and abs(sympy.N(ratio, 15) - 1) < 1e-9)
 
-    def __pow__(self, exponent: Any) -> _Unit:
-        powers = tuple((name, power * exponent) for name, power in self.powers if exponent != 0)
-        return _Unit(self.factor**exponent, powers)
 
-    def equals(self, other: _Unit) -> bool:
-        ratio = sympy.N(self.factor / other.factor, 15)
-        return self.powers == other.powers and bool(abs(ratio - 1) < 1e-9)
-
-    @property
-    def text(self) -> str:
-        """The unit in base units of SI."""
-        above: list[str] = []
-        below: list[str] = []
-        for name, power in sorted(self.powers, key=lambda pair: list(_BASE).index(pair[0])):
+def _text(unit: sympy.Expr) -> str:
+    """The unit in base units of SI."""
+    factor, powers = unit.as_independent(*_SYMBOLS.values(), as_Add=False)
+    above: list[str] = []
+    below: list[str] = []
+    known = powers.as_powers_dict()
+    for symbol in _SYMBOLS.values():
+        if power := known.get(symbol, 0):
             size = abs(power)
             shown = str(size) if size.is_Integer else f"({size})"
             (above if power > 0 else below).append(
-                _BASE[name] + ("" if size == 1 else f"**{shown}")
+                symbol.name + ("" if size == 1 else f"**{shown}")
             )
-        unit = "*".join(above) or "1"
-        if below:
-            unit += "/" + (below[0] if len(below) == 1 else f"({'*'.join(below)})")
-        factor = float(self.factor)
-        if abs(factor - 1) < 1e-9:
-            return unit
-        return f"{factor:.12g}" if unit == "1" else f"{factor:.12g}*{unit}"
-
-
-_ONE = _Unit(sympy.S.One, ())
+    text = "*".join(above) or "1"
+    if below:
+        text += "/" + (below[0] if len(below) == 1 else f"({'*'.join(below)})")
+    number = float(factor)
+    if abs(number - 1) < 1e-9:
+        return text
+    return f"{number:.12g}" if text == "1" else f"{number:.12g}*{text}"
 
 
 @functools.lru_cache(maxsize=256)
-def _unit_named(name: str) -> _Unit:
+def _unit_named(name: str) -> sympy.Expr:
     from sympy.physics import units  # slow to import
     from sympy.physics.units.systems.si import SI, dimsys_SI
 
     quantity = getattr(units, _NAMES[name])
     dimension = dimsys_SI.get_dimensional_dependencies(SI.get_quantity_dimension(quantity))
-    powers = {str(getattr(d, "name", d)): sympy.sympify(power) for d, power in dimension.items()}
+    powers = {str(getattr(d, "name", d)): power for d, power in dimension.items()}
     # sympy measures masses in grams.
     factor = SI.get_quantity_scale_factor(quantity) / 1000 ** powers.get("mass", 0)
-    return _Unit(sympy.sympify(factor), tuple(sorted(powers.items())))
+    return sympy.Mul(factor, *(_SYMBOLS[own] ** power for own, power in powers.items()))
 
 
-def _parsed(name: str, text: object) -> _Unit:
+def _parsed(name: str, text: object) -> sympy.Expr:
     if not isinstance(text, str):
         raise InputError(f"the unit of '{name}' is a text such as 'kg*m/s', not {text!r}")
     try:
@@ -107,13 +94,13 @@ def _parsed(name: str, text: object) -> _Unit:
         raise InputError(
             f"'{unknown[0]}' in the unit of '{name}' is not known; use {', '.join(_NAMES)} or 1"
         )
-    unit = _ONE
+    unit = sympy.S.One
     for factor in sympy.Mul.make_args(expr):
         base, exponent = factor.as_base_exp()
         if base.is_Symbol and exponent.is_Rational:
             unit *= _unit_named(base.name) ** exponent
         elif factor.is_number and factor.is_positive:
-            unit *= _Unit(factor, ())
+            unit *= factor
         else:
             raise InputError(
                 f"'{text}' is not a unit of '{name}'; write products and powers such as kg*m**2/s"
@@ -151,7 +138,7 @@ def checked_units(
     symbols = {*expr.free_symbols, *q, *p}
     spelled = {canonical_name(symbol.name): symbol.name for symbol in symbols} | {time: time}
     given: dict[str, str] = {}
-    known: dict[str, _Unit] = {}
+    known: dict[str, sympy.Expr] = {}
     for key, text in units.items():
         name = spelled.get(canonical_name(name_of(key)))
         if name is None:
@@ -164,10 +151,10 @@ def checked_units(
         raise VariableError(f"'{missing[0]}' has no unit; give those of all components, or 1")
     actions = [known[a.name] * known[b.name] for a, b in zip(q, p, strict=True)]
     for a, b, action in zip(q, p, actions, strict=True):
-        if not action.equals(actions[0]):
+        if not _equal(action, actions[0]):
             raise InputError(
-                f"{a.name}*{b.name} has the unit {action.text}, but {q[0].name}*{p[0].name} has "
-                f"{actions[0].text}; all pairs need one unit of action"
+                f"{a.name}*{b.name} has the unit {_text(action)}, but {q[0].name}*{p[0].name} has "
+                f"{_text(actions[0])}; all pairs need one unit of action"
             )
     if time not in known:
         # Terms without the time give the unit of H, and that of the time follows.
@@ -179,10 +166,10 @@ def checked_units(
         known[time] = actions[0] * _unit_of(terms[0], known) ** -1
     energy = _unit_of(expr, known)
     follows = actions[0] * energy**-1
-    if not follows.equals(known[time]):
+    if not _equal(follows, known[time]):
         raise InputError(
-            f"'{time}' has the unit {known[time].text}, but {q[0].name}*{p[0].name}/H has "
-            f"{follows.text}; {_REMEDY}"
+            f"'{time}' has the unit {_text(known[time])}, but {q[0].name}*{p[0].name}/H has "
+            f"{_text(follows)}; {_REMEDY}"
         )
     return given | {time: given.get(time) or _short(follows)}
 
@@ -203,43 +190,40 @@ def unit_of(expr: sympy.Expr, units: Mapping[str, str]) -> str:
         return "1"
 
 
-def _short(unit: _Unit) -> str:
+def _short(unit: sympy.Expr) -> str:
     """A unit by its own name if it has one."""
     for name in ("s", "ms", "us", "ns", "ps", "minute", "hour", "day", "year", "m"):
-        if unit.equals(_unit_named(name)):
+        if _equal(unit, _unit_named(name)):
             return name
-    return unit.text
+    return _text(unit)
 
 
-def _unit_of(expr: sympy.Expr, known: Mapping[str, _Unit]) -> _Unit:
+def _unit_of(expr: sympy.Expr, known: Mapping[str, sympy.Expr]) -> sympy.Expr:
     if expr.is_Symbol:
-        return known.get(expr.name, _ONE)
+        return known.get(expr.name, sympy.S.One)
     if expr.is_number:
-        return _ONE
+        return sympy.S.One
     if expr.is_Mul:
-        found = _ONE
-        for factor in expr.args:
-            found *= _unit_of(factor, known)
-        return found
+        return sympy.Mul(*(_unit_of(factor, known) for factor in expr.args))
     if expr.is_Pow and expr.exp.is_Rational:
         return _unit_of(expr.base, known) ** expr.exp
     units = [_unit_of(part, known) for part in expr.args]
     if expr.is_Add or isinstance(expr, (sympy.Min, sympy.Max, sympy.atan2)):
         for part, unit in zip(expr.args, units, strict=True):
-            if not unit.equals(units[0]):
+            if not _equal(unit, units[0]):
                 raise InputError(
-                    f"'{expr.args[0]}' has the unit {units[0].text}, but '{part}' has {unit.text}; "
-                    f"{_REMEDY}, and parameters without a unit are plain numbers"
+                    f"'{expr.args[0]}' has the unit {_text(units[0])}, but '{part}' has "
+                    f"{_text(unit)}; {_REMEDY}, and parameters without a unit are plain numbers"
                 )
-        return _ONE if isinstance(expr, sympy.atan2) else units[0]
+        return sympy.S.One if isinstance(expr, sympy.atan2) else units[0]
     if isinstance(expr, sympy.Abs):
         return units[0]
     if isinstance(expr, (sympy.sign, sympy.Heaviside)):
-        return _ONE
+        return sympy.S.One
     for part, unit in zip(expr.args, units, strict=True):
-        if not unit.equals(_ONE):
+        if not _equal(unit, sympy.S.One):
             raise InputError(
-                f"'{part}' in '{expr}' has the unit {unit.text}; arguments of functions and "
+                f"'{part}' in '{expr}' has the unit {_text(unit)}; arguments of functions and "
                 "exponents are plain numbers"
             )
-    return _ONE
+    return sympy.S.One

@@ -672,7 +672,7 @@ def test_default_time_limit_of_verify(cheap, monkeypatch, seconds, limit):
 
     def recorded(limit, origin=""):
         found.append(limit)
-        return own(0.0, origin)
+        return own(1e-9, origin)
 
     monkeypatch.setattr(prove.Deadline, "after", recorded)
     with pytest.raises(CertificationError, match=r"by default .* at most 600 s, reached"):
