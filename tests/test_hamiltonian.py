@@ -42,6 +42,7 @@ def test_henon_heiles_sigma_min() -> None:
     assert H.sigma_min == sympy.Min(1, sympy.Abs(2 * sympy.sqrt(x**2 + y**2) - 1))
 
 
+@pytest.mark.slow_cases("double_pendulum")
 def test_derivatives_agree_with_sympy(problem: Problem) -> None:
     H = problem.H
     gradient = sympy.Matrix([sympy.diff(H.expr, symbol) for symbol in H.z])
