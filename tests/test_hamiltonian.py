@@ -275,6 +275,11 @@ def test_unknown_and_missing_parameters() -> None:
 # -- identity ----------------------------------------------------------------------------------
 
 
+def test_languages_that_python_does_not_run_are_only_generated() -> None:
+    with pytest.raises(InputError, match="'c' is only generated, by H.source"):
+        Hamiltonian("p**2/2 + x**2/2").compile("c")
+
+
 def test_equality_and_hash() -> None:
     assert Hamiltonian(OSCILLATOR) == Hamiltonian("x**4/4 + p**2/2 + x**2/2")
     assert hash(Hamiltonian(OSCILLATOR)) == hash(Hamiltonian("x**4/4 + p**2/2 + x**2/2"))

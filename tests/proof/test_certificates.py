@@ -789,6 +789,13 @@ def test_invalid_certificate_objects_are_rejected(cheap):
             verify(dataclasses.replace(certificate, **change), solution)
 
 
+def test_large_files_are_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("hamsym.archive._LARGEST", 100)
+    (tmp_path / "a.json").write_text("{" + " " * 100)
+    with pytest.raises(FileError, match="too large for a certificate"):
+        hamsym.load(tmp_path / "a.json")
+
+
 @pytest.mark.parametrize("t", ["soon", 10**400, None, [0.1, "x"]])
 def test_times_of_other_types_are_rejected(cheap, t):
     with pytest.raises(InputError):

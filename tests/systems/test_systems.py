@@ -201,6 +201,7 @@ def slopes(problem: Problem, f: sympy.Expr, point: dict[sympy.Symbol, sympy.Floa
     "point_vortices 7",
     "toda_chain 5",
 )
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("name", marked(CONSERVING))
 def test_conserved_quantities_are_independent_integrals(name: str) -> None:
     problem = made(name)
