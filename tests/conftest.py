@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -22,6 +24,8 @@ from hamsym.systems import CATALOGUE, Problem
 #: Seconds of processor time beyond which a case that is not marked slow fails. Beside another
 #: worker on the same core a case takes up to twice as many.
 LIMIT = 6.0 if "PYTEST_XDIST_WORKER" in os.environ else 3.0
+if "HAMSYM_NO_TIME_LIMIT" in os.environ:  # of mutations, which a slow case has not caught
+    LIMIT = math.inf
 
 _BEGAN, _SECONDS = pytest.StashKey[float](), pytest.StashKey[float]()
 
@@ -31,6 +35,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
     They inherit the variable, which libraries read when they are imported.
     """
+    # Nothing that collection makes is garbage, and to look for garbage among it takes seconds.
+    gc.disable()
     if getattr(config.option, "numprocesses", None):
         os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -62,6 +68,11 @@ def backend(request: pytest.FixtureRequest) -> str:
 
 
 # -- slow cases, and the time that each folder takes ----------------------------------------------
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

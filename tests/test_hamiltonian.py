@@ -42,6 +42,7 @@ def test_henon_heiles_sigma_min() -> None:
     assert H.sigma_min == sympy.Min(1, sympy.Abs(2 * sympy.sqrt(x**2 + y**2) - 1))
 
 
+@pytest.mark.slow_cases("double_pendulum")
 def test_derivatives_agree_with_sympy(problem: Problem) -> None:
     H = problem.H
     gradient = sympy.Matrix([sympy.diff(H.expr, symbol) for symbol in H.z])
@@ -272,6 +273,11 @@ def test_unknown_and_missing_parameters() -> None:
 
 
 # -- identity ----------------------------------------------------------------------------------
+
+
+def test_languages_that_python_does_not_run_are_only_generated() -> None:
+    with pytest.raises(InputError, match="'c' is only generated, by H.source"):
+        Hamiltonian("p**2/2 + x**2/2").compile("c")
 
 
 def test_equality_and_hash() -> None:

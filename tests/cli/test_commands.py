@@ -36,6 +36,15 @@ def run(capsys: Captured, *arguments: str) -> tuple[int, str, str]:
     return status, captured.out, captured.err
 
 
+def test_rows_are_left_out_unless_all_are_asked_for(capsys: Captured) -> None:
+    formula = " + ".join(f"p{i}**2/2 + q{i}**2/2" for i in range(7))
+    start = ["--z0", ",".join(["1"] * 14), "--t-end", "0.1", "--tol", "1e-3"]
+    status, out, _ = run(capsys, "solve", formula, *start)
+    assert status == 0
+    assert "and 2 components with smaller errors" in " ".join(out.split())
+    assert "smaller errors" not in run(capsys, "solve", formula, *start, "--full")[1]
+
+
 def test_derive_shows_everything(capsys: Captured) -> None:
     status, out, err = run(capsys, "derive", HENON_HEILES)
     assert (status, err) == (0, "")

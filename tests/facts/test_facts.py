@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import html
 import json
@@ -16,6 +17,8 @@ import hamsym
 from hamsym.cli.commands import main
 from hamsym.facts.describe import describe
 from hamsym.facts.facts import Column, Fact, Facts, Table, strict
+from hamsym.facts.solutions import proof_sentence
+from hamsym.facts.wording import against
 
 OSCILLATOR = "p**2/2 + x**2/2 + x**4/4"
 FALLING = "p**2/2 - x**4/4"
@@ -139,11 +142,35 @@ def test_largest_errors_are_those_of_each_component() -> None:
     np.testing.assert_array_equal(found.largest_error, found.errors.max(axis=1))
     assert found.z0.shape == (3, 2)
     assert found.span == (0.0, 2.0)
+    assert found.verdicts is not None
+    shares = found.verdicts.largest
+    assert shares.min() < shares.max()
+    assert f" of trajectory {np.argmax(shares)}, " in found.facts.headline
     assert hamsym.integrate(OSCILLATOR, [1, 0], (0, 2), "gauss4", steps=9).largest_error is None
     np.testing.assert_array_equal(
         solution().largest_error,
         hamsym.solve_many(OSCILLATOR, [[1.3, 1.0]], (0, 2), tol=1e-7).largest_error[0],
     )
+
+
+def test_states_after_an_end_have_no_drift() -> None:
+    found = hamsym.integrate(FALLING, [[0.1, 0.0], [1.0, 1.0]], (0, 5), tol=1e-8, saves=50)
+    assert np.isnan(found.z[1, -1]).all()
+    drifts = [each["energy_error"] for each in found.facts["trajectories"].value]
+    assert np.isfinite(drifts).all()
+
+
+def test_largest_error_is_related_to_what_was_asked() -> None:
+    H = hamsym.Hamiltonian(OSCILLATOR)
+    text = against(H, [1e-9, 2e-10], [1e-8, 1e-9])
+    assert text == "largest estimated error 2.0e-10 in p, 20 % of the 1.0e-09 asked"
+
+
+def test_proof_of_one_component_is_not_one_of_all() -> None:
+    found, proven = solution(), solution().certify()
+    assert proof_sentence(found, proven).startswith("Proven: every error is within what was asked")
+    wide = dataclasses.replace(proven, component_bounds=(1.0, proven.component_bounds[1]))
+    assert proof_sentence(found, wide).startswith("Proven, but not that every error is within")
 
 
 def test_objects_without_facts_are_refused() -> None:
@@ -187,6 +214,7 @@ def test_tables_name_what_they_leave_out() -> None:
     assert lines[0] == "     size"
     assert lines[-1] == "... and 8 things; all with --full, summary(rows=None)"
     assert len(table(20).lines(None)) == 21
+    assert table(13).lines(12)[-1].startswith("... and 1 things")
     assert len(table(20, whole=True).lines(3)) == 21
     chosen = table(20, choose=lambda rows: [19, 0][:rows]).lines(2)
     assert [line.split()[0] for line in chosen[1:3]] == ["q19", "q0"]

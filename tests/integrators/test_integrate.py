@@ -506,6 +506,7 @@ def test_dt_divides_the_span() -> None:
     assert hamsym.integrate(problem.H, problem.z0, (0, -1), dt=0.3).dt == -0.25
     assert hamsym.integrate(problem.H, problem.z0, (0, 1), dt=1.0).steps == 1
     assert hamsym.integrate(problem.H, problem.z0, (0, 0.3), dt=0.1 * 3).steps == 1
+    assert hamsym.integrate(problem.H, problem.z0, (0, 0.1 * 3), dt=0.1).steps == 3
 
 
 def test_evaluations_are_counted() -> None:

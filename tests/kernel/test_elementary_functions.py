@@ -264,6 +264,7 @@ def variants() -> Iterator[Any]:
         yield pytest.param((sys.executable, "-m", "ziglang", "cc", "-O3"), id="clang")
 
 
+@pytest.mark.slow_cases("v3")
 @pytest.mark.parametrize("command", list(variants()))
 def test_every_build_gives_the_same_bits(
     library: ctypes.CDLL, tmp_path: Path, command: tuple[str, ...]

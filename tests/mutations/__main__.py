@@ -134,6 +134,7 @@ def _test(folder: Path, log: Path, tests: Iterable[str]) -> None:
     paths = [str(folder), str(_ROOT)]
     sys.path[:0] = paths
     os.environ["PYTHONPATH"] = os.pathsep.join(paths)  # of processes that tests start
+    os.environ["HAMSYM_NO_TIME_LIMIT"] = "1"
     # No bytecode is written for files with mistakes, and that of the others is used by its digest.
     sys.dont_write_bytecode = True
     os.environ["PYTHONDONTWRITEBYTECODE"] = "1"

@@ -40,6 +40,7 @@ def exact_period(amplitude):
         return 4 * mpmath.ellipk(a / (2 * (1 + a))) / mpmath.sqrt(1 + a)
 
 
+@pytest.mark.slow_cases("plain-0.0625", "plain-3.5", "reversing-1.0", "reversing-40.0")
 @pytest.mark.parametrize("amplitude", [0.0625, 1.0, 3.5, 40.0])
 @pytest.mark.parametrize("symmetry", [None, {"p": "-p"}], ids=["plain", "reversing"])
 def test_exact_orbit_is_in_the_proven_balls(amplitude, symmetry):

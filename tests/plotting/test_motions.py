@@ -16,7 +16,7 @@ from hamsym.plotting import sampling
 from hamsym.plotting.figure import Figure
 from hamsym.plotting.motions import MAX_DRAWN, plane_title, same_scale
 from hamsym.plotting.style import COLORS
-from hamsym.plotting.time_axes import largest_of_pieces
+from hamsym.plotting.time_axes import fill_time, largest_of_pieces
 from tests.plotting.inspection import check_layout
 
 PENDULUM = "p**2/2 - cos(theta)"
@@ -215,6 +215,31 @@ def chords(axes: Any) -> np.ndarray:
     """Distances from the origin of the middles of the lines of a path."""
     path = np.column_stack(max(axes.lines, key=lambda line: len(line.get_xdata())).get_data())
     return np.linalg.norm((path[1:] + path[:-1]) / 2, axis=1)
+
+
+def test_lines_between_samples_look_like_the_curve() -> None:
+    def turns(t: np.ndarray) -> np.ndarray:
+        return np.stack([np.cos(t), np.sin(t)], axis=-1)
+
+    t, z, apart = sampling.resolved(turns, np.linspace(0, 1_000 * np.pi, 2_001))
+    assert apart == ""
+    middles = turns((t[:-1] + t[1:]) / 2)
+    assert np.abs((z[:-1] + z[1:]) / 2 - middles).max() < 0.015
+
+
+def test_time_axis_of_a_backward_span_runs_forward() -> None:
+    axes = matplotlib.figure.Figure().subplots()
+    fill_time(axes, np.array([3.0, 2.0, 1.0]))
+    assert axes.get_xlim() == (1.0, 3.0)
+
+
+def test_errors_of_failed_members_are_crosses() -> None:
+    many = hamsym.solve_many("p**2/2 - x**4/4", [[0.01, 0.0], [0.02, 0.0], [1.0, 1.0]], (0, 5))
+    assert many.success.tolist() == [True, True, False]
+    axes = matplotlib.figure.Figure().subplots()
+    many.plot("error", ax=axes)
+    counts = {line.get_marker(): len(line.get_xdata()) for line in axes.lines[:2]}
+    assert counts == {".": 2, "x": 1}
 
 
 @pytest.mark.slow

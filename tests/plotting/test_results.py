@@ -18,6 +18,7 @@ from hamsym.errors import InputError
 from hamsym.orbits.certificate import OrbitCertificate
 from hamsym.plotting.equilibria import energy_at_rest
 from hamsym.plotting.names import energy_unit
+from hamsym.plotting.sections import _directions
 from hamsym.proof.ball import Ball
 from hamsym.proof.box_certificate import BoxCertificate
 from hamsym.proof.certificate import Certificate
@@ -268,8 +269,9 @@ def test_level_sets_in_a_rotating_frame_are_those_of_the_effective_potential() -
     np.testing.assert_allclose(energy_at_rest(H, q), expected, rtol=1e-12)
 
 
-def test_level_sets_of_other_momenta_are_refused() -> None:
-    H = hamsym.Hamiltonian("p_x**4/4 + p_x + p_y**2/2 + x**2/2 + y**2/2")
+@pytest.mark.parametrize("kinetic", ["p_x**4/4 + p_x", "p_x**4/4 + p_x**2/2 + p_x"])
+def test_level_sets_of_other_momenta_are_refused(kinetic: str) -> None:
+    H = hamsym.Hamiltonian(f"{kinetic} + p_y**2/2 + x**2/2 + y**2/2")
     assert energy_at_rest(H, np.array([[1.0, 2.0]])) is None
 
 
@@ -489,6 +491,13 @@ def test_legend_of_a_section_names_the_starts(start: Any, title: str, entries: l
     legend = figure.axes[0].get_legend()
     assert legend.get_title().get_text() == title
     assert [text.get_text() for text in legend.get_texts()] == entries
+
+
+def test_directions_are_those_of_the_velocity() -> None:
+    found = hamsym.section("p**2/2 + x**2/2", [1.0, 0.0], (0, 9), "x = 0", dt=0.1)
+    rising, sentence = _directions(found)
+    np.testing.assert_array_equal(rising, found.z[:, 1] > 0)
+    assert sentence == "Dots: x = 0 is crossed upwards; crosses: downwards"
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ from hamsym.plotting.style import (
     line_style,
     line_styles,
     positive,
+    style_for,
     styled,
 )
 
@@ -95,6 +96,21 @@ def test_no_line_of_a_caption_is_wider_than_asked(text: str) -> None:
         shown = canvas.text(0, 0, line, fontproperties=FONT)
         assert shown.get_window_extent().width / 200 <= 1.55
     assert "".join(wrapped_words(words, 1.5, FONT)).replace(" ", "") == "".join(words)
+
+
+def test_words_are_broken_at_the_width() -> None:
+    canvas = matplotlib.figure.Figure(figsize=(4, 4), dpi=200)
+    lines = wrapped_words(["word"] * 20, 1.5, FONT)
+    widths = [canvas.text(0, 0, line, fontproperties=FONT).get_window_extent() for line in lines]
+    assert all(box.width / 200 <= 1.55 for box in widths)
+
+
+def test_axes_of_the_user_keep_their_style() -> None:
+    with matplotlib.rc_context({"lines.linewidth": 7.0}):
+        with style_for(object()):
+            assert matplotlib.rcParams["lines.linewidth"] == 7.0
+        with style_for(None):
+            assert matplotlib.rcParams["lines.linewidth"] == 1.0
 
 
 def test_units_and_powers() -> None:

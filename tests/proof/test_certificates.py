@@ -263,6 +263,11 @@ def test_statement_describes_the_claim(case):
         assert word in statement
 
 
+# The others are forged below, in a certificate that is verified faster.
+@pytest.mark.slow_cases(
+    *("component_bounds-0.97", "component_lowers-1.04", "energy_bound-0.97", "energy_lower-1.04"),
+    *("ell_max_bound-0.97", "piece_bounds-0.001"),
+)
 @pytest.mark.parametrize(
     ("field", "factor"),
     [
@@ -528,6 +533,7 @@ def test_concurrent_proofs_agree():
     assert all(certificate == alone for certificate in found)
 
 
+@pytest.mark.slow_cases("levenberg-marquardt")
 @pytest.mark.parametrize("name", ["levenberg-marquardt", "tanh", "sigmoid", "linear", "apart"])
 def test_bound_holds_at_1000_times(name):
     """Also on each piece; the exact solution and its evaluation are accurate to 1e-13."""
@@ -781,6 +787,13 @@ def test_invalid_certificate_objects_are_rejected(cheap):
     ):
         with pytest.raises(CertificationError, match="not a valid certificate"):
             verify(dataclasses.replace(certificate, **change), solution)
+
+
+def test_large_files_are_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("hamsym.archive._LARGEST", 100)
+    (tmp_path / "a.json").write_text("{" + " " * 100)
+    with pytest.raises(FileError, match="too large for a certificate"):
+        hamsym.load(tmp_path / "a.json")
 
 
 @pytest.mark.parametrize("t", ["soon", 10**400, None, [0.1, "x"]])

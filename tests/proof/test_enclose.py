@@ -489,6 +489,7 @@ def test_start_at_which_the_energy_is_not_real_is_refused():
             enclose("p**2/2 - log(x)", [x, 0], (0, 1))
 
 
+@pytest.mark.slow_cases("p**2/2 + acot(x)-z00")  # test_certificates has it too
 @pytest.mark.parametrize(
     ("formula", "z0"), [("p**2/2 + acot(x)", [-0.5, 0.6]), ("p**2/2 + atan2(x, -1)", [-0.5, 0.6])]
 )
@@ -590,6 +591,7 @@ def missed_of(seed, digits):
     return enclosure_misses(enclosures(), enclosure, times, states)
 
 
+@pytest.mark.slow_cases("1003", "1004")
 @pytest.mark.parametrize("seed", [1002, 1003, 1004])
 def test_random_problem_contains_the_reference(seed):
     assert missed_of(seed, 36) == []

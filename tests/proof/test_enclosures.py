@@ -1,5 +1,6 @@
 """Formulas in ball arithmetic contain the values of mpmath to fifty digits."""
 
+import functools
 import math
 from decimal import Decimal
 from fractions import Fraction
@@ -86,9 +87,16 @@ def test_finite_on_widest_balls(name, inside):
         _check(formula, a, a, 0.05, inside)
 
 
+@functools.cache
+def _compiled(formula):
+    """A formula over balls, and with mpmath."""
+    function = sympy.lambdify((x, y), formula.xreplace(_exact_floats(formula)), "mpmath")
+    return _enclosed([formula], [x, y]), function
+
+
 def _check(formula, a, b, radius, inside):
     """One value and its Taylor coefficients at (a, b) in balls that contain it."""
-    enclosed = _enclosed([formula], [x, y])
+    enclosed, function = _compiled(formula)
     with working(96, _TERMS):
         wide = [arb(a + inside, radius), arb(b, radius / 2)]
         slopes = arb(3) / 4, arb(-2)
@@ -96,7 +104,6 @@ def _check(formula, a, b, radius, inside):
         series = enclosed([arb_series([z, slope]) for z, slope in zip(wide, slopes, strict=True)])[
             0
         ]
-    function = sympy.lambdify((x, y), formula.xreplace(_exact_floats(formula)), "mpmath")
     with mpmath.workdps(50):
         truth = mpmath.taylor(
             lambda s: function(mpmath.mpf(a) + 3 * s / 4, mpmath.mpf(b) - 2 * s), 0, _TERMS - 1

@@ -19,7 +19,7 @@ QUARTIC = "p**2/2 + x**2/2 + x**4/4"
 
 @pytest.fixture(scope="module")
 def flow():
-    return hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 1.1), "p": (0, 0.1)}, (0, 1), tol=1e-6)
+    return hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 1.1), "p": (0, 0.1)}, (0, 0.5), tol=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -53,7 +53,7 @@ def test_converges_to_the_exact_solution(solution: Solution) -> None:
 
 
 @pytest.mark.slow_cases("charged_particle")
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "name",
     [*SMALL, *(pytest.param(name, marks=pytest.mark.slow) for name in sorted(LARGE))],

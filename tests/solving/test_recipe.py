@@ -20,7 +20,7 @@ from hamsym.solving.recipe import command_line, omissions, python_lines
 CASES: dict[str, tuple[Any, Any, tuple[float, float], dict[str, Any]]] = {
     "defaults": ("p**2/2 + x**4/4", [1 / 3, -0.1], (0, 1), {}),
     "backwards": ("p**2/2 + x**4/4", [1, 0], (2, -0.1), {"tol": 1e-6, "seed": 5}),
-    "leading minus": ("-x*p + p**2", [-1e-3, -0.1], (0.1, 0.3), {}),
+    "leading minus": ("-x*p", [-1e-3, -0.1], (0.1, 0.3), {}),
     "own pairs": (
         Hamiltonian("b**2/2 + a**2/2 + c**2 + d**2", q=["d", "a"], p=["c", "b"]),
         [1, 2, 3, 4],

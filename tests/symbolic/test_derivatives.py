@@ -29,6 +29,7 @@ def _formula(draw: random.Random, depth: int) -> str:
     return f"({first}) {kind} ({second})"
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("seed", range(25))
 def test_derivatives_are_those_of_sympy(seed: int) -> None:
     draw = random.Random(seed)

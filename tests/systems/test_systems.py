@@ -148,7 +148,7 @@ def test_exact_solution_solves_the_equations(name: str) -> None:
     "calogero_moser, weak-forwards",
     "point_vortices 7-forwards",
 )
-@pytest.mark.sampled(40)
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize("end", [1, -1], ids=["forwards", "backwards"])
 @pytest.mark.parametrize("name", EXACT)
 def test_exact_solution_agrees_with_integration(name: str, end: int) -> None:
@@ -201,6 +201,7 @@ def slopes(problem: Problem, f: sympy.Expr, point: dict[sympy.Symbol, sympy.Floa
     "point_vortices 7",
     "toda_chain 5",
 )
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("name", marked(CONSERVING))
 def test_conserved_quantities_are_independent_integrals(name: str) -> None:
     problem = made(name)

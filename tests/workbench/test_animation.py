@@ -60,16 +60,22 @@ def test_frames_of_a_trajectory_lie_between_its_steps():
 
 def test_motion_backwards_in_time_is_played_in_its_order():
     trajectory = hamsym.integrate("p**2/2 + x**2/2", [1, 0], (0, -3), "dop853", dt=0.05)
-    animation = trajectory.animate(frames=5)
+    animation = trajectory.animate(frames=77)
     assert animation.times[-1] == -3
-    assert animation.states[-1, 0, 0] == pytest.approx(np.cos(3), abs=1e-7)
+    exact = np.column_stack((np.cos(animation.times), -np.sin(animation.times)))
+    assert np.abs(animation.states[:, 0] - exact).max() < 1e-7
 
 
-@pytest.mark.slow
 def test_periodic_orbit_ends_one_frame_before_it_repeats():
     orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0])
     animation = orbit.animate(frames=10)
     np.testing.assert_allclose(animation.times, np.arange(10) * orbit.period / 10, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_tail_of_a_periodic_orbit_is_there_at_the_start():
+    orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0])
+    animation = orbit.animate(frames=10)
     first_tail = len(animation.frame(0).axes[0].collections[-3].get_segments())
     assert first_tail > 0  # of the period before
 
@@ -268,12 +274,11 @@ def test_formula_is_no_markup(tmp_path):
     assert "<script>alert" not in (tmp_path / "a.html").read_text()
 
 
-@pytest.mark.slow
 def test_too_large_file_leaves_the_old_one(pendulum, tmp_path):
     path = tmp_path / "a.gif"
     path.write_text("old")
     with pytest.raises(InputError, match="fewer frames, a smaller dpi"):
-        pendulum.animate(frames=5).save(path, largest=1e-3)
+        pendulum.animate(frames=2).save(path, dpi=20, largest=1e-3)
     assert path.read_text() == "old"
 
 

@@ -47,7 +47,7 @@ def solution() -> hamsym.Solution:
 
 @functools.cache
 def flow() -> hamsym.FlowMap:
-    return hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 2), "p": (-1, 1)}, (0, 3), tol=1e-8)
+    return hamsym.flow_map("p**2/2 + x**2/2", {"x": (1, 2), "p": (-1, 1)}, (0, 1), tol=1e-6)
 
 
 @functools.cache
