@@ -79,7 +79,7 @@ def typed(found: ctypes.CDLL, name: str, signature: str) -> Any:
 def address(array: np.ndarray) -> int:
     """Return where the numbers of an array are, in a quarter of the time of ``array.ctypes``."""
     if array.size and array.flags.writeable and array.flags.c_contiguous:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+        return ctypes.addressof(ctypes.c_char.from_buffer(array.data))
     return int(array.ctypes.data)
 
 
