@@ -20,7 +20,7 @@ _OF_SECTIONS = {
     "bounds sigma near period symmetry invariant degree basis start",
     "Accuracy": "tol rtol atol steps dt prove bound confidence max-steps max-boxes "
     "time-limit compensated",
-    "Output": "output plot draw save-every saves full analysis latex certificate out json",
+    "Output": "output export plot draw save-every saves full analysis latex certificate out json",
     "Help": "help list version",
 }
 _SECTIONS = {name: title for title, names in _OF_SECTIONS.items() for name in names.split()}

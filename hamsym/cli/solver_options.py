@@ -149,9 +149,8 @@ def _solver_parameters() -> tuple[click.Parameter, ...]:
     for topic in dict.fromkeys([*_TOPICS.values(), _OTHERS]):
         names = [name for name in by_name if _TOPICS.get(name, _OTHERS) == topic]
         if names:
-            usual = Counter(tuple(by_name[name]) for name in names).most_common(1)[0][0]
-            if topic in _SHARED:
-                usual = ()
+            having = {method for name in names for method in by_name[name]}
+            usual = tuple(m for m in METHODS if m in having and topic not in _SHARED)
             for name in names:
                 found.append(_parameter(by_name[name], topic, usual))
     return tuple(found)
@@ -160,7 +159,7 @@ def _solver_parameters() -> tuple[click.Parameter, ...]:
 def _parameter(
     of_methods: Mapping[str, Field[Any]], topic: str, usual: tuple[str, ...]
 ) -> click.Parameter:
-    """Return the option of a field; ``usual`` are the methods of most options of its topic."""
+    """Return the option of a field; ``usual`` are the methods with options of its topic."""
     described = next(iter(of_methods.values()))
     metadata, name = described.metadata, described.name.replace("_", "-")
     choices = metadata["choices"]
