@@ -285,7 +285,7 @@ def animate(
     >>> animation = animate(solution)
     >>> animation
     Animation(200 frames, 8 s, t from 0 to 20)
-    >>> bool((animation.states[:, 0] == solution(animation.times)).all())
+    >>> bool(np.allclose(animation.states[:, 0], solution(animation.times), rtol=0, atol=1e-12))
     True
     >>> animate(solution, points=lambda z: [[0, 0], [np.sin(z[0]), -np.cos(z[0])]], rods=[(0, 1)])
     Animation(200 frames, 8 s, t from 0 to 20)
