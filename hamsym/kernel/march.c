@@ -23,6 +23,7 @@
 #define NEAR 1e-6           /* of a short time, over which the change of the rates is measured */
 #define SLIVER 1e-6         /* share of a window by which it is lengthened to reach a stop */
 #define ITERATIONS 60
+#define FROM_REST 8         /* iterations in which components may outgrow their first guess */
 /* Unknowns above which shorter windows are tried, and how often; those above which the equations of
    Newton's method take most of its time. */
 #define SMALL 600
@@ -138,6 +139,15 @@ static void complete(marching *m, const equations *H, const tables *t, progress 
   run(&m->velocity, m->nearby, m->times, n, p->found);
 }
 
+/* Set the scales of the components: the largest magnitudes so far, those in this window included. */
+static void measure(marching *m, const settings *s, const progress *p, const double *z, long dim, long n) {
+  for (long i = 0; i < dim; i++) {
+    double size = larger(greater(greater(p->size[i], s->floor[i]), TINY), fabs(z[i]));
+    m->scale[i] = larger(row_size(m->nearby + i * n, n), size);
+    m->weight[i] = 1.0 / m->scale[i];
+  }
+}
+
 /* Solve the collocation equation of a window of length h from the state z by fixed-point iteration. `longer` is
    the length relative to the last window, 0 for the first. Returns the iterations, 0 without convergence;
    p->found has the rates. */
@@ -153,11 +163,7 @@ static int iterate(marching *m, const equations *H, const tables *t, const setti
   chebyshev_rows(m->late, t->terms, n, m->basis);
   products(m->basis, t->terms, n, p->tail, dim, p->found);
   advance(t->integration, n, p->found, dim, m->base, h, m->nearby, m->changes);
-  for (long i = 0; i < dim; i++) {
-    double size = larger(greater(greater(p->size[i], s->floor[i]), TINY), fabs(z[i]));
-    m->scale[i] = larger(row_size(m->nearby + i * n, n), size);
-    m->weight[i] = 1.0 / m->scale[i];
-  }
+  measure(m, s, p, z, dim, n);
   if (H->linear) {
     run(&m->velocity, m->base, m->times, n, m->disturbed);
     memcpy(m->drifted, m->base, half * n * sizeof(double));
@@ -168,8 +174,13 @@ static int iterate(marching *m, const equations *H, const tables *t, const setti
   for (int iteration = 1; iteration <= ITERATIONS; iteration++) {
     p->counts[1]++;
     approach(m, H, t, p, h);
-    double change = weighted_change(m->changes, m->weight, half);
-    double kick = H->linear ? 0.0 : weighted_change(m->changes + half, m->weight + half, half);
+    double change, kick;
+    for (int again = 0;; again++) {
+      change = weighted_change(m->changes, m->weight, half);
+      kick = H->linear ? 0.0 : weighted_change(m->changes + half, m->weight + half, half);
+      if (again || iteration > FROM_REST || !(larger(change, kick) > 1.0)) break;
+      measure(m, s, p, z, dim, n);
+    }
     /* The momenta of a separable H follow the coordinates of the last iteration: their next change is
        smaller by as much as that of the coordinates is. */
     if (!(H->separable && change <= last)) change = larger(kick, change);
@@ -255,7 +266,8 @@ double first_length(marching *m, const equations *H, const double *z, const doub
   for (long i = 0; i < dim; i++) {
     double slope = fabs((later[i * n] - rates[i]) / step);
     if (!(slope > 0.0 && slope < INFINITY)) continue;
-    double own = greater(sqrt(fabs(z[i]) / slope), fabs(rates[i]) / slope);
+    /* A rate that grows beyond itself within the step is that of a component at rest: it tells no time. */
+    double turn = fabs(rates[i]) / slope, own = greater(sqrt(fabs(z[i]) / slope), turn > fabs(step) ? turn : 0.0);
     if (own > 0.0) time = lesser(time, own);
   }
   return FIRST * time;

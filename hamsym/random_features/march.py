@@ -14,15 +14,17 @@ Stage 3  Some tens of windows at a time are checked at times that were not used
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import time
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 
 from hamsym.kernel import loops
-from hamsym.numerics.scales import smallest_sizes
+from hamsym.numerics.scales import floored_sizes, smallest_sizes
 from hamsym.random_features.basis import FeatureBasis
 from hamsym.random_features.flow import Flow
 from hamsym.random_features.window_checks import Failure, WindowChecks
@@ -38,6 +40,9 @@ _CHUNKS = 32, 1_024  # windows between checks: after a failure, and at most
 _RETURNS = 12  # to one place, before the march goes on although it is not resolved
 _MOST_FAILURES = 3  # after which there are no more checks
 MAX_WINDOWS = 200_000
+# Of a rough look at the whole span: the share of the sizes found there that floors become, steps at
+# least, and states at most.
+_AHEAD, _LOOKS, _MOST_LOOKS = 1e-3, 64, 20_000
 _SURE = 5_000  # windows from which the total is known within a factor of ten
 
 
@@ -129,6 +134,7 @@ class _Marching:
         self._furthest: float | None = None  # end of the last window that failed a check
         self._returns = 0  # to windows before it
         self._failures: list[str] = []  # that shorter windows did not mend
+        self._looked_ahead = False
         self._widen_floors()
         self._clock[1] = loops.first_length(
             *(flow.programs, basis.tables, flow.parameters, z0, self._rate, self._start, self._end)
@@ -160,6 +166,8 @@ class _Marching:
             if failure is not None:
                 self._go_back(failure)
                 status = loops.FULL
+            elif status == loops.TOO_SHORT and not self._count and not self._looked_ahead:
+                self._look_ahead()
             elif status == loops.TOO_SHORT:
                 reason = self._too_short()
             elif status == loops.FULL and not (reason := self._too_many()):
@@ -267,6 +275,30 @@ class _Marching:
         coupling = np.abs(self._flow.jacobian(z, t)).mean(axis=0)
         smallest = smallest_sizes(self._sizes, coupling, self._whole)
         self._floors = np.maximum(self._floors, smallest)
+
+    def _look_ahead(self) -> None:
+        """Raise the floors to a share of the sizes that components have later, and begin again.
+
+        A component that begins with a high power of the time, as the far end of a chain of quartic
+        springs, is in no short window resolved relative to itself.
+        """
+        self._looked_ahead = True
+        states = [self._sizes]
+
+        def rates(t: float, z: np.ndarray) -> np.ndarray:
+            if len(states) > _MOST_LOOKS or not np.isfinite(z).all():
+                raise StopIteration
+            states.append(np.abs(z))
+            return np.asarray(self._flow.vector_field(z[None], np.array([t]))[0])
+
+        z0, scale = self._windows.part(0, 0).states[0], floored_sizes(self._sizes, 1.0)
+        span, longest = (self._start, self._end), self._whole / _LOOKS
+        with contextlib.suppress(StopIteration), np.errstate(all="ignore"):
+            scipy.integrate.solve_ivp(
+                rates, span, z0, max_step=longest, rtol=1e-4, atol=1e-6 * scale
+            )
+        self._floors = np.maximum(self._floors, _AHEAD * np.max(states, axis=0))
+        self._clock[1] = self._whole
 
     def _check(self) -> Failure | None:
         """Check the windows since the last check."""

@@ -639,3 +639,37 @@ def test_success_is_never_false(name: str) -> None:
 @pytest.mark.parametrize("name", ["henon_heiles", "kepler", "double_pendulum", "quartic"])
 def test_success_is_never_false_on_many_starts(name: str) -> None:
     _check_random_starts(name, 400)
+
+
+@pytest.mark.parametrize(
+    ("formula", "z0", "span"),
+    [
+        ("p**2/2 + x**2/2 - x*sin(t)", [0, 0], (0, 10)),
+        ("p**2/2 - x*t**8", [0, 0], (0, 2)),
+        ("p**2/2 - cos(x) - x*sin(2*t)/2", [0, 0], (0, 10)),
+        ("p**2/2 - 1e-20*x*sin(t)", [0, 0], (math.pi, 9)),
+        ("(p_x**2 + p_y**2)/2 + x**2/2 + y**2/2 - y*sin(t)", [1, 0, 0, 0], (0, 10)),
+        ("p**2*(1 + x**2)/2 + x**2/2 - x*sin(t)", [0, 0], (0, 10)),
+        ("p**2/2 + x**2/2 - x*abs(t - 1)", [1, 0], (0, 5)),
+    ],
+)
+def test_motion_begins_at_rest_without_force(
+    formula: str, z0: list[float], span: tuple[float, float]
+) -> None:
+    H = Hamiltonian(formula)
+    solution = hamsym.solve(H, z0, span)
+    assert solution.success, solution.message
+    truth = reference(H, np.array(z0, dtype=float), span)
+    limit = 1e-9 if "abs" not in formula else 1e-8  # the reference does not stop at switches
+    assert true_error(solution, truth).max() <= limit
+    (member,) = hamsym.solve_many(H, [z0], span)
+    assert (member(span[1]) == solution(span[1])).all()
+
+
+def test_middle_of_quartic_chain_begins_with_high_powers() -> None:
+    terms = [f"p{i}**2/2 + q{i}**2/2" for i in range(1, 7)]
+    terms += [f"(q{i + 1} - q{i})**4/4" for i in range(1, 6)]
+    H, z0 = Hamiltonian(" + ".join(terms)), np.array([1.0, *10 * [0.0], 1.0])
+    solution = hamsym.solve(H, z0, (0, 10))
+    assert solution.success, solution.message
+    assert true_error(solution, reference(H, z0, (0, 10))).max() <= 1e-9
