@@ -34,6 +34,7 @@ from hamsym.solving.recipe import command_line, omissions, python_lines
 from hamsym.support.atomic import write_file
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_positive
+from hamsym.workbench.equations import equations
 from hamsym.workbench.page_templates import page_environment, page_template
 from hamsym.workbench.reports import contents
 from hamsym.workbench.reports.comparing import Compared, compared_within
@@ -265,17 +266,18 @@ def _rendered(
         facts=facts,
         settings=[(fact.label.rstrip(":"), fact.text) for fact in shown],
         tables=[table.cells(None, brief=False) for table in facts.tables],
-        equations=contents.equations(solution.H),
+        equations=equations(solution.H),
         structure=solution.H.facts,
         figure=figure,
         no_figure=no_figure,
         check=contents.check(solution),
         windows=contents.windows(solution),
         proof=proof,
+        bounds=None if proof.certificate is None else proof.certificate.facts.tables[0].cells(None),
         digest=contents.solution_digest(solution),
         compared=compared,
         comparison=Markup(compared.figure),
-        code=_colored(code, _LANGUAGES[contents.extension(backend)]),
+        code=_colored(code, _LANGUAGES[BACKENDS[backend].extension]),
         code_lines=lines,
         most_lines=_MOST_LINES,
         backend=backend,
