@@ -2,7 +2,7 @@
 
 Stage 1  Chunks of members are solved (:mod:`hamsym.families.blocks`) on all cores, or on the
          workers of a cluster (:mod:`hamsym.families.distributed`).
-Stage 2  The windows of a chunk are kept, or moved to a store of zarr
+Stage 2  The windows of a chunk are kept, or moved to a store
          (:mod:`hamsym.families.storage`).
 """
 
@@ -59,7 +59,7 @@ def solve_many(
     max_window: float | None = None,
     seed: int = 0,
     progress: bool | None = None,
-    zarr: str | os.PathLike[str] | None = None,
+    store: str | os.PathLike[str] | None = None,
     client: Client | None = None,
     retries: int = 3,
     prove: bool = False,
@@ -86,14 +86,14 @@ def solve_many(
         Of the basis.
     progress : bool, optional
         Draw progress and the time left on standard error; by default if that is a terminal.
-    zarr : path-like, optional
-        Write windows to a store of the package zarr instead of keeping them in memory. The
-        result reads them when they are needed; :func:`hamsym.load` opens the store again. A store
-        that an interrupted call with the same arguments began is completed: members that are in
-        it are not solved again.
+    store : path-like, optional
+        Write windows to a store, a folder, instead of keeping them in memory. The result reads them
+        when they are needed; :func:`hamsym.load` opens the store again. A store that an interrupted
+        call with the same arguments began is completed: members that are in it are not solved
+        again.
     client : dask.distributed.Client, optional
         Solve on the workers of this cluster, with the same results to the last bit on processors
-        of one kind. With ``zarr``, workers write to the store themselves if they reach its path.
+        of one kind. With ``store``, workers write to the store themselves if they reach its path.
     retries : int
         Times that a chunk of members is repeated after an error on a worker; see
         :func:`hamsym.parallel.cluster.cluster_results`.
@@ -103,7 +103,7 @@ def solve_many(
         milliseconds to seconds a member, one after the other.
     invariants : sequence of str, sympy.Expr or Invariant
         Functions that H conserves for all values of the parameters that are given, as of
-        :func:`hamsym.solve`; they are tested at the ends of windows. Without ``zarr`` and
+        :func:`hamsym.solve`; they are tested at the ends of windows. Without ``store`` and
         ``client``.
 
     Returns
@@ -146,13 +146,13 @@ def solve_many(
         require_client(client)
         require_whole("retries", retries, 0)
     known = KnownInvariants(members.H, invariants, members.varied)
-    if known and (zarr is not None or client is not None):
+    if known and (store is not None or client is not None):
         raise InputError(
-            "invariants are tested in one process and in memory; leave out zarr and client"
+            "invariants are tested in one process and in memory; leave out store and client"
         )
-    store = None if zarr is None else WindowStore(zarr, family, members)
-    with nullcontext() if store is None else store.locked():
-        run = _Run(family, members, store, known)
+    kept = None if store is None else WindowStore(store, family, members)
+    with nullcontext() if kept is None else kept.locked():
+        run = _Run(family, members, kept, known)
         with stepping_progress(len(members), progress, "solving") as report:
             if client is None:
                 run.solve(report)
@@ -278,7 +278,7 @@ class _Run:
         if self._store is not None:
             return
         limit, done = self._limit, sum(len(block.members) for block in self._blocks)
-        advice = 'give zarr="windows.zarr" to write them to a store'
+        advice = 'give store="windows" to write them to a store'
         if len(self._blocks) == 1 and (needed := self._held / done * count) > limit:
             raise InputError(
                 f"the windows of {count:,} members would need about {needed / 1e9:.3g} GB, more "
