@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-import re
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from hamsym.errors import HamsymError
 from hamsym.facts.solutions import proof_sentence
@@ -22,13 +20,7 @@ from hamsym.solution.solution import Solution
 from hamsym.support.text_tables import share
 
 _MOST_WINDOWS = 12  # that are shown
-_EXPONENT = re.compile(r"\d[\d.]*e[+-]\d+")
 _PACKAGES = ("numpy", "scipy", "sympy", "numba", "python-flint", "torch", "matplotlib")
-
-
-def unbroken(text: str) -> Markup:
-    """Return a text, escaped, in which no line ends inside a number such as 1e-9."""
-    return Markup(_EXPONENT.sub(r'<span class="one">\g<0></span>', str(Markup.escape(text))))
 
 
 # -- errors ----------------------------------------------------------------------------------------
