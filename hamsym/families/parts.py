@@ -26,6 +26,7 @@ NAME = re.compile(r"\d{12,}-[0-9a-f]{16}")
 # Kinds of files, and their endings.
 _TABLE, _WINDOWS = "table of members", "windows of members"
 _ENDINGS = {_TABLE: ".table", _WINDOWS: ".windows"}
+_KEPT = 2**28  # bytes of windows that are kept once they were read
 
 
 class Part(NamedTuple):
@@ -103,23 +104,23 @@ def _file(path: Path, name: str, kind: str) -> Path:
 
 
 class _Reader:
-    """Reader of the windows of parts, which keeps those that were read last."""
+    """Reader of the windows of parts, which keeps those of some parts."""
 
     def __init__(
         self, path: Path, parts: Sequence[Part], shapes: Mapping[str, tuple[int, ...]]
     ) -> None:
         self.parts = parts
         self._path, self._shapes = path, shapes
-        self._last: tuple[int, dict[str, np.ndarray]] = -1, {}
+        self._kept: dict[int, dict[str, np.ndarray]] = {}
+        self._size = 0  # bytes of those
 
     def windows(self, place: int) -> dict[str, np.ndarray]:
         """Return the windows of a part.
 
         Raise FileError if they are damaged.
         """
-        last, found = self._last  # at once: another thread may read another part
-        if last == place:
-            return found
+        if (known := self._kept.get(place)) is not None:
+            return known
         part = self.parts[place]
         file = _file(self._path, part.name, _WINDOWS)
         found, _ = read_tensors(file, _WINDOWS)
@@ -127,7 +128,11 @@ class _Reader:
             array = found.get(name)
             if array is None or array.shape != (count, *row) or array.dtype != np.float64:
                 raise FileError(f"'{file}' is damaged: '{name}' is not of float64 and {count} rows")
-        self._last = place, found
+        size = sum(array.nbytes for array in found.values())
+        if self._size + size > _KEPT:
+            self._kept, self._size = {}, 0
+        self._kept[place] = found
+        self._size += size
         return found
 
 

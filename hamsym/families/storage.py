@@ -25,7 +25,7 @@ from hamsym.families.blocks import Block
 from hamsym.families.distributed import BEGUN, StorePlace
 from hamsym.families.parts import FOLDER, NAME, Part, part_of, read_parts, windows_of, write_part
 from hamsym.families.solutions import Family, Solutions
-from hamsym.families.windows import MARCHED, Packed, Pieces, Table, Windows, pieces_of
+from hamsym.families.windows import MARCHED, OPEN, Packed, Pieces, Table, Windows, pieces_of
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import described, require_formula
 from hamsym.problems.ensemble import Ensemble
@@ -201,7 +201,12 @@ class WindowStore:
         return np.concatenate([np.empty(0, np.int64), *(b.members for b in self._blocks)])
 
     def append(self, block: Block) -> None:
-        """Write a block, all of whose members are solved, unless a worker has written it."""
+        """Write the members of a block that are solved, unless a worker has written it."""
+        solved = np.flatnonzero(block.table.status != OPEN)
+        if not len(solved):
+            return
+        if len(solved) < len(block.members):  # it was interrupted
+            block = Block(block.members[solved], block.table.selected(solved), block.windows)
         if block.windows is not None:
             write_part(self._path, block)
         self._blocks.append(block._replace(windows=None))
