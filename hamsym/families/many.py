@@ -184,7 +184,7 @@ class _Run:
             try:
                 left = valid = self._missing(report)
                 if len(valid):
-                    _ = self._solver.solver  # made before the threads need it
+                    _ = self._family.solver  # made before the threads need it
                 size = _FIRST
 
                 def chunks() -> Iterator[np.ndarray]:
