@@ -95,7 +95,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     Parameters
     ----------
     path : path-like
-        A file, or a store of zarr of :func:`hamsym.solve_many`.
+        A file, or a store of :func:`hamsym.solve_many`.
 
     Returns
     -------

@@ -22,7 +22,7 @@ from hamsym.problems.conservation import KnownInvariants
 from hamsym.problems.ensemble import Ensemble
 from hamsym.problems.problem import InitialValueProblem
 from hamsym.random_features.features import Features
-from hamsym.random_features.members import Batch, MemberSolver
+from hamsym.random_features.members import Batch
 from hamsym.random_features.method import basis_for, solve_by_march
 from hamsym.solution.invariant_check import judged_by_invariants
 from hamsym.solution.solution import Solution
@@ -54,11 +54,6 @@ class BlockSolver:
         self._family, self._members = family, members
         self._known = known
         self._basis = basis_for(family.seed, family.accuracy.tol)
-
-    @property
-    def solver(self) -> MemberSolver | None:
-        """The solver of batches, which is made on first use; None where it does not apply."""
-        return self._family.solver
 
     def valid_starts(self) -> tuple[np.ndarray, dict[int, str]]:
         """Return members whose starts solve accepts, and the messages of the others."""
@@ -96,8 +91,8 @@ class BlockSolver:
         began = time.perf_counter()
         states, parameters = self._members.states[chunk], self._members.parameters[chunk]
         batch = None
-        if self.solver is not None:
-            batch = self.solver.solve(states, parameters, keep_error=False)
+        if (solver := self._family.solver) is not None:
+            batch = solver.solve(states, parameters, keep_error=False)
             if self._known:
                 batch = self._conserving(batch, parameters, self._known)
         return batch, max(time.perf_counter() - began, 1e-6)

@@ -26,6 +26,9 @@ _FIRST, _MOST = 32, 65_536  # members of the first blocks, and of any
 _SECONDS = 5.0  # that a block should take: long beside the millisecond of the scheduler
 _SHARES = 4  # blocks for each thread, at least
 
+#: The file of a store that tells what was asked, with the token.
+BEGUN = "begun.json"
+
 
 class StorePlace(NamedTuple):
     """A store: its path, and a text in it by which a worker recognises it."""
@@ -36,7 +39,7 @@ class StorePlace(NamedTuple):
     def is_reached(self) -> bool:
         """Whether this process reaches the store."""
         try:
-            return self.token in (self.path / "zarr.json").read_text("utf-8")
+            return self.token in (self.path / BEGUN).read_text("utf-8")
         except OSError:
             return False
 

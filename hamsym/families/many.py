@@ -2,7 +2,7 @@
 
 Stage 1  Chunks of members are solved (:mod:`hamsym.families.blocks`) on all cores, or on the
          workers of a cluster (:mod:`hamsym.families.distributed`).
-Stage 2  The windows of a chunk are kept, or moved to a store of zarr
+Stage 2  The windows of a chunk are kept, or written to a store
          (:mod:`hamsym.families.storage`).
 """
 
@@ -22,7 +22,7 @@ from hamsym.families.blocks import Block, BlockSolver
 from hamsym.families.distributed import blocks_on_cluster
 from hamsym.families.solutions import Family, Solutions
 from hamsym.families.storage import WindowStore
-from hamsym.families.windows import OPEN, Packed, Table, pieces_of
+from hamsym.families.windows import Table, pieces_of
 from hamsym.hamiltonian import HamiltonianLike
 from hamsym.parallel.cluster import require_client
 from hamsym.parallel.threads import Threads
@@ -43,7 +43,6 @@ if TYPE_CHECKING:  # an optional package
 _FIRST, _MOST = 32, 1_024  # members of the first chunk, and of any; a call costs a millisecond
 _SECONDS = 0.2  # that a chunk should take, so that Ctrl-C is soon obeyed
 _WAITING = 2  # chunks for each core
-_BUFFER = 2**26  # bytes of windows that are kept before they are moved to a store
 _SHARE = 0.5  # of the memory, for windows
 
 
@@ -59,7 +58,7 @@ def solve_many(
     max_window: float | None = None,
     seed: int = 0,
     progress: bool | None = None,
-    zarr: str | os.PathLike[str] | None = None,
+    store: str | os.PathLike[str] | None = None,
     client: Client | None = None,
     retries: int = 3,
     prove: bool = False,
@@ -86,14 +85,14 @@ def solve_many(
         Of the basis.
     progress : bool, optional
         Draw progress and the time left on standard error; by default if that is a terminal.
-    zarr : path-like, optional
-        Write windows to a store of the package zarr instead of keeping them in memory. The
-        result reads them when they are needed; :func:`hamsym.load` opens the store again. A store
-        that an interrupted call with the same arguments began is completed: members that are in
-        it are not solved again.
+    store : path-like, optional
+        Write windows to a store, a folder, instead of keeping them in memory. The result reads them
+        when they are needed; :func:`hamsym.load` opens the store again. A store that an interrupted
+        call with the same arguments began is completed: members that are in it are not solved
+        again.
     client : dask.distributed.Client, optional
         Solve on the workers of this cluster, with the same results to the last bit on processors
-        of one kind. With ``zarr``, workers write to the store themselves if they reach its path.
+        of one kind. With ``store``, workers write to the store themselves if they reach its path.
     retries : int
         Times that a chunk of members is repeated after an error on a worker; see
         :func:`hamsym.parallel.cluster.cluster_results`.
@@ -103,7 +102,7 @@ def solve_many(
         milliseconds to seconds a member, one after the other.
     invariants : sequence of str, sympy.Expr or Invariant
         Functions that H conserves for all values of the parameters that are given, as of
-        :func:`hamsym.solve`; they are tested at the ends of windows. Without ``zarr`` and
+        :func:`hamsym.solve`; they are tested at the ends of windows. Without ``store`` and
         ``client``.
 
     Returns
@@ -146,13 +145,13 @@ def solve_many(
         require_client(client)
         require_whole("retries", retries, 0)
     known = KnownInvariants(members.H, invariants, members.varied)
-    if known and (zarr is not None or client is not None):
+    if known and (store is not None or client is not None):
         raise InputError(
-            "invariants are tested in one process and in memory; leave out zarr and client"
+            "invariants are tested in one process and in memory; leave out store and client"
         )
-    store = None if zarr is None else WindowStore(zarr, family, members)
-    with nullcontext() if store is None else store.locked():
-        run = _Run(family, members, store, known)
+    kept = None if store is None else WindowStore(store, family, members)
+    with nullcontext() if kept is None else kept.locked():
+        run = _Run(family, members, kept, known)
         with stepping_progress(len(members), progress, "solving") as report:
             if client is None:
                 run.solve(report)
@@ -174,9 +173,6 @@ class _Run:
         self._family, self._members, self._store = family, members, store
         self._solver = BlockSolver(family, members, known)
         self._blocks: list[Block] = []  # those in memory
-        #: Blocks that are not in the store yet, and those that are being written to it.
-        self._pending: list[Block] = []
-        self._writing: list[Block] = []
         self._held = 0  # bytes of windows in memory
         self._refused: dict[int, str] = {}
         self._stopped = ""
@@ -188,7 +184,7 @@ class _Run:
             try:
                 left = valid = self._missing(report)
                 if len(valid):
-                    _ = self._solver.solver  # made before the threads need it
+                    _ = self._family.solver  # made before the threads need it
                 size = _FIRST
 
                 def chunks() -> Iterator[np.ndarray]:
@@ -213,7 +209,6 @@ class _Run:
                 self._stopped = "interrupted"
                 for chunk, (batch, _) in threads.begun():
                     self._keep(self._solver.block(chunk, batch, {}))
-        self._flush()
 
     def solve_on(self, client: Client, retries: int, report: Callable[[int], None]) -> None:
         """Solve all members on a cluster, or as many as there are before Ctrl-C."""
@@ -231,7 +226,6 @@ class _Run:
                         break
         except KeyboardInterrupt:
             self._stopped = "interrupted"
-        self._flush()
 
     def _missing(self, report: Callable[[int], None]) -> np.ndarray:
         """Return members that are not solved, and whose starts are valid."""
@@ -255,30 +249,18 @@ class _Run:
         report(len(chunk) - len(left))
 
     def _keep(self, block: Block) -> None:
-        if self._store is not None and block.windows is None:  # a worker has written it
+        if self._store is not None:
             self._store.append(block)
             return
-        (self._blocks if self._store is None else self._pending).append(block)
+        self._blocks.append(block)
         self._held += sum(array.nbytes for array in block.windows or ())
-        if self._held > _BUFFER:
-            self._flush()
-
-    def _flush(self) -> None:
-        """Move windows to the store; after an interruption the same part is written again."""
-        while self._store is not None and (self._writing or self._pending):
-            if not self._writing:
-                self._writing, self._pending = self._pending, []
-            block = _joined(self._writing)
-            if len(block.members):
-                self._store.append(block)
-            self._writing, self._held = [], 0
 
     def _limit_memory(self, count: int) -> None:
         """Refuse after the first chunk, or stop later, where windows would fill the memory."""
         if self._store is not None:
             return
         limit, done = self._limit, sum(len(block.members) for block in self._blocks)
-        advice = 'give zarr="windows.zarr" to write them to a store'
+        advice = 'give store="windows" to write them to a store'
         if len(self._blocks) == 1 and (needed := self._held / done * count) > limit:
             raise InputError(
                 f"the windows of {count:,} members would need about {needed / 1e9:.3g} GB, more "
@@ -303,27 +285,3 @@ class _Run:
         windows = pieces_of(packed or [self._solver.packed(None)])
         index = np.arange(len(self._members)).reshape(self._members.shape)
         return Solutions(self._family, table, windows, index)
-
-
-def _joined(blocks: Sequence[Block]) -> Block:
-    """Put the members of blocks that are solved one after the other."""
-    windows = [block.windows for block in blocks if block.windows is not None]
-    members = np.concatenate([block.members for block in blocks])
-    solved = np.concatenate([block.table.status for block in blocks]) != OPEN
-    table = Table.of_members(
-        np.concatenate([block.table.z0 for block in blocks]),
-        np.concatenate([block.table.parameters for block in blocks]),
-        [
-            (np.arange(end - len(block.members), end), block.table)
-            for end, block in zip(
-                np.cumsum([len(block.members) for block in blocks]), blocks, strict=True
-            )
-        ],
-        {},
-        "",
-    )
-    return Block(
-        members[solved],
-        table.selected(np.flatnonzero(solved)),
-        Packed(*(np.concatenate(parts) for parts in zip(*windows, strict=True))),
-    )

@@ -1,38 +1,32 @@
-"""Parts of a store of zarr: the results of some members, written once and then never changed.
+"""Parts of a store: the results of some members, written once and then never changed.
 
-A part is a group with the windows, and with the table of its members as bytes in the safetensors
-format. It is written beside its place and renamed, so that it is there as a whole or not at all.
-Each process of a cluster may write its own.
+A part is a file of the windows and one of the table of its members, which is written last: a part
+without it is not there. Each process of a cluster may write its own.
 """
 
 from __future__ import annotations
 
 import hashlib
-import math
-import os
 import re
-import shutil
-import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import safetensors.numpy
 
 from hamsym.errors import FileError
 from hamsym.families.blocks import Block
 from hamsym.families.windows import MARCHED, Table, Windows
-from hamsym.support.record_fields import fields_of
-from hamsym.support.records import packed, unpacked
-from hamsym.support.tables import optional_package
-from hamsym.support.tensor_files import one_line
+from hamsym.support.records import MALFORMED, packed, unpacked
+from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
 FOLDER = "parts"
 #: Name of a part: its first member, and a digest of all.
 NAME = re.compile(r"\d{12,}-[0-9a-f]{16}")
-_CHUNK = 2**20  # bytes of a chunk
-_TABLE = "table"
+# Kinds of files, and their endings.
+_TABLE, _WINDOWS = "table of members", "windows of members"
+_ENDINGS = {_TABLE: ".table", _WINDOWS: ".windows"}
+_KEPT = 2**28  # bytes of windows that are kept once they were read
 
 
 class Part(NamedTuple):
@@ -40,31 +34,6 @@ class Part(NamedTuple):
 
     name: str
     rows: tuple[int, ...]
-
-
-def zarr_of() -> Any:
-    """Return the module zarr."""
-    return optional_package("zarr", "a store", '"zarr>=3"')
-
-
-def create_array(
-    group: Any, name: str, shape: tuple[int, ...], dtype: str, most: int | None = None
-) -> None:
-    """Create an array with checksums in a group, with at most ``most`` rows in a chunk."""
-    from zarr.codecs import Crc32cCodec
-
-    inner = [max(1, length) for length in shape[1:]]
-    rows = _CHUNK // (math.prod(inner) * np.dtype(dtype).itemsize)
-    group.create_array(
-        name,
-        shape=shape,
-        chunks=(max(1, min(rows, most or rows)), *inner),
-        dtype=dtype,
-        compressors=[Crc32cCodec()],  # numbers that are not compressible, with a checksum
-        # A lost chunk reads as NaN, which is no window.
-        fill_value=math.nan if dtype == "float64" else 0,
-        overwrite=True,
-    )
 
 
 def part_of(block: Block) -> Part:
@@ -77,7 +46,7 @@ def part_of(block: Block) -> Part:
     return Part(name, (edges, edges, windows, marched, marched))
 
 
-def write_part(path: Path, block: Block) -> Part:
+def write_part(path: Path, block: Block) -> None:
     """Write a block, all of whose members are solved, to the store at ``path``.
 
     A part with the same members is the same part, and is left as it is.
@@ -85,25 +54,13 @@ def write_part(path: Path, block: Block) -> Part:
     Raise FileError if the store cannot be written.
     """
     assert block.windows is not None
-    arrays, part = block.windows._asdict(), part_of(block)
-    place = path / FOLDER / part.name
-    if place.is_dir():
-        return part
-    aside = path / FOLDER / f".{part.name}-{uuid.uuid4().hex}"
-    columns = packed(block.table)[0] | {"members": block.members}
-    table = safetensors.numpy.save({k: np.array(v, order="C") for k, v in columns.items()})
-    try:
-        group = zarr_of().open_group(aside, mode="w")
-        for name, array in (arrays | {_TABLE: np.frombuffer(table, dtype=np.uint8)}).items():
-            create_array(group, name, array.shape, array.dtype.name)
-            if array.size:
-                group[name][...] = array
-        os.rename(aside, place)
-    except OSError as error:
-        shutil.rmtree(aside, ignore_errors=True)
-        if not place.is_dir():  # else another process has written it
-            raise FileError(f"'{path}' cannot be written: {error.strerror or error}") from None
-    return part
+    name = part_of(block).name
+    if _file(path, name, _TABLE).is_file():
+        return
+    write_tensors(_file(path, name, _WINDOWS), _WINDOWS, block.windows._asdict(), {})
+    arrays, values = packed(block.table)
+    table = {**arrays, "members": block.members}
+    write_tensors(_file(path, name, _TABLE), _TABLE, table, {"table": values})
 
 
 def read_parts(path: Path) -> list[Block]:
@@ -113,18 +70,16 @@ def read_parts(path: Path) -> list[Block]:
 
     Raise FileError if a part is damaged.
     """
-    names = sorted(entry.name for entry in os.scandir(path / FOLDER) if NAME.fullmatch(entry.name))
+    files = sorted((path / FOLDER).glob(f"*{_ENDINGS[_TABLE]}"))
     found, seen = [], set[int]()
-    for name in names:
+    for file in files:
         try:
-            content = np.asarray(_array(path, name, _TABLE)[...]).tobytes()
-            columns: dict[str, Any] = safetensors.numpy.load(content)
-            members = columns.pop("members")
-            table = unpacked(Table, columns, dict.fromkeys(fields_of(Table)) | {"stopped": ""})
-        except Exception as error:  # of any codec
+            arrays, values = read_tensors(file, _TABLE)
+            members = arrays.pop("members")
+            table = unpacked(Table, arrays, values["table"])
+        except MALFORMED as error:
             raise FileError(
-                f"'{path / FOLDER / name}' is damaged: {one_line(error)}; remove it, and its "
-                "members are solved again"
+                f"{one_line(error)}; remove it, and its members are solved again"
             ) from None
         if seen.isdisjoint(members.tolist()):
             found.append(Block(members, table, None))
@@ -132,37 +87,61 @@ def read_parts(path: Path) -> list[Block]:
     return found
 
 
-def _array(path: Path, part: str, name: str) -> Any:
-    return zarr_of().open_array(path / FOLDER / part / name, mode="r")
-
-
 def windows_of(path: Path, parts: Sequence[Part], shapes: Mapping[str, tuple[int, ...]]) -> Windows:
     """Return the windows of consecutive parts, which are read when they are needed.
 
-    Raise ValueError if an array of a part is missing.
+    Raise ValueError if those of a part are missing.
     """
-    for part in parts:
-        for name in shapes:
-            if not (path / FOLDER / part.name / name / "zarr.json").is_file():
-                raise ValueError("windows are missing")
-    return Windows(
-        *(
-            _PartRows(path, name, [(part.name, part.rows[k]) for part in parts], shapes[name])
-            for k, name in enumerate(Windows._fields)
-        )
-    )
+    if not all(_file(path, part.name, _WINDOWS).is_file() for part in parts):
+        raise ValueError("windows are missing")
+    reader = _Reader(path, parts, shapes)
+    names = enumerate(Windows._fields)
+    return Windows(*(_PartRows(reader, name, k, shapes[name]) for k, name in names))
+
+
+def _file(path: Path, name: str, kind: str) -> Path:
+    return path / FOLDER / f"{name}{_ENDINGS[kind]}"
+
+
+class _Reader:
+    """Reader of the windows of parts, which keeps those of some parts."""
+
+    def __init__(
+        self, path: Path, parts: Sequence[Part], shapes: Mapping[str, tuple[int, ...]]
+    ) -> None:
+        self.parts = parts
+        self._path, self._shapes = path, shapes
+        self._kept: dict[int, dict[str, np.ndarray]] = {}
+        self._size = 0  # bytes of those
+
+    def windows(self, place: int) -> dict[str, np.ndarray]:
+        """Return the windows of a part.
+
+        Raise FileError if they are damaged.
+        """
+        if (known := self._kept.get(place)) is not None:
+            return known
+        part = self.parts[place]
+        file = _file(self._path, part.name, _WINDOWS)
+        found, _ = read_tensors(file, _WINDOWS)
+        for (name, row), count in zip(self._shapes.items(), part.rows, strict=True):
+            array = found.get(name)
+            if array is None or array.shape != (count, *row) or array.dtype != np.float64:
+                raise FileError(f"'{file}' is damaged: '{name}' is not of float64 and {count} rows")
+        size = sum(array.nbytes for array in found.values())
+        if self._size + size > _KEPT:
+            self._kept, self._size = {}, 0
+        self._kept[place] = found
+        self._size += size
+        return found
 
 
 class _PartRows:
     """Rows of one array of all parts, one part after the other."""
 
-    def __init__(
-        self, path: Path, name: str, parts: Sequence[tuple[str, int]], shape: tuple[int, ...]
-    ) -> None:
-        self._path, self._name, self._shape = path, name, shape
-        self._parts = [part for part, _ in parts]
-        self._ends = np.cumsum([0, *(rows for _, rows in parts)])
-        self._open: dict[int, Any] = {}
+    def __init__(self, reader: _Reader, name: str, number: int, shape: tuple[int, ...]) -> None:
+        self._reader, self._name, self._shape = reader, name, shape
+        self._ends = np.cumsum([0, *(part.rows[number] for part in reader.parts)])
 
     def __len__(self) -> int:
         return int(self._ends[-1])
@@ -172,26 +151,12 @@ class _PartRows:
 
         Raise FileError if the store is damaged.
         """
-        first = max(0, int(np.searchsorted(self._ends, start, side="right")) - 1)
-        found = [np.empty((0, *self._shape))]
-        while first < len(self._parts) and self._ends[first] < stop:
-            low, high = (int(end) for end in self._ends[first : first + 2])
-            if low < high:
-                found.append(self._read(first, max(start, low) - low, min(stop, high) - low))
-            first += 1
-        return found[1] if len(found) == 2 else np.concatenate(found)
-
-    def _read(self, place: int, start: int, stop: int) -> np.ndarray:
-        try:
-            if place not in self._open:
-                self._open[place] = _array(self._path, self._parts[place], self._name)
-            array = self._open[place]
-            rows = int(self._ends[place + 1] - self._ends[place])
-            if array.shape != (rows, *self._shape) or array.dtype != np.float64:
-                raise ValueError(f"'{self._name}' is not of type float64 and {rows} rows")
-            found = np.asarray(array[start:stop])
-        except Exception as error:  # of any codec
-            raise FileError(f"'{self._path}' is damaged: {one_line(error)}") from None
-        if np.isnan(found).any():
-            raise FileError(f"'{self._path}' is damaged: windows are missing")
-        return found
+        if not start < stop:
+            return np.empty((0, *self._shape))
+        first = int(np.searchsorted(self._ends, start, side="right")) - 1
+        found = []
+        for place in range(first, int(np.searchsorted(self._ends, stop))):
+            array = self._reader.windows(place)[self._name]
+            low = int(self._ends[place])
+            found.append(array[max(start - low, 0) : stop - low])
+        return found[0] if len(found) == 1 else np.concatenate(found)

@@ -39,14 +39,13 @@ from hamsym.solution.settings import Settings
 from hamsym.solution.solution import Solution
 from hamsym.solution.times import times_in_span
 from hamsym.support.records import unpacked
-from hamsym.support.shown import Saved
+from hamsym.support.shown import Drawn, Saved
 from hamsym.support.suggestions import suggest_attributes
 from hamsym.support.tables import data_frame, data_set, member_axes, time_name
 
 if TYPE_CHECKING:  # optional packages
     import pandas
     import xarray
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +111,7 @@ class Family:
 
 
 @suggest_attributes
-class Solutions(Saved):
+class Solutions(Drawn, Saved):
     """Many trajectories z^(t) over one time span, from :func:`hamsym.solve_many`.
 
     Members are arranged in an array; ``...`` below is its shape. Call it with times to get the
@@ -120,6 +119,14 @@ class Solutions(Saved):
     ``many[i]`` (``many[i, j]``) is the :class:`~hamsym.Solution` of one member, the same to the
     last bit as :func:`hamsym.solve` returns; slices and masks give
     ``Solutions``. ``len`` and iteration follow the first axis, as those of an array.
+
+    Its figure without names: the components over time, coordinates beside momenta, one row for each
+    of six degrees of freedom at most; the plane of two coordinates and a phase plane; the largest
+    estimated error of each trajectory with the tolerance, failed ones in red; energy errors. One
+    component or formula is drawn over time, two are the paths in their plane, three the paths in
+    space; ``"error"`` and ``"energy"`` are drawn, too. Of more than 200 trajectories 200 are drawn,
+    which the caption says; the errors are those of all. Up to twelve have an entry in the legend,
+    more a colour bar.
 
     Attributes
     ----------
@@ -202,17 +209,13 @@ class Solutions(Saved):
     @cached_property
     def parameters(self) -> Mapping[str, np.ndarray]:
         names = self.H.parameter_names
-        columns = {name: self.table.parameters[:, names.index(name)] for name in self._varied}
+        columns = {name: self.table.parameters[:, names.index(name)] for name in self.family.varied}
         return {name: column[self.members] for name, column in columns.items()}
 
     @property
     def own_parameters(self) -> np.ndarray | None:
         """Parameters in the order of H, shape (..., k); None where all members have those of H."""
-        return self.table.parameters[self.members] if self._varied else None
-
-    @property
-    def _varied(self) -> tuple[str, ...]:
-        return self.family.varied
+        return self.table.parameters[self.members] if self.family.varied else None
 
     @cached_property
     def success(self) -> np.ndarray:
@@ -370,7 +373,7 @@ class Solutions(Saved):
         flat, system = np.atleast_1d(times), self.H.compile("numpy")
         found, members = np.full((self.size, len(flat)), np.nan), self.members.ravel()
         for places, part, states in self._groups(flat):
-            values = self.table.parameters[members[places], None] if self._varied else None
+            values = self.table.parameters[members[places], None] if self.family.varied else None
             with np.errstate(all="ignore"):  # of states that are nan
                 arguments = system.arguments(states, flat[part])
                 found[places, part] = system.energy(*arguments, **system.keywords(values))
@@ -381,36 +384,6 @@ class Solutions(Saved):
         return states_in_groups(
             self.table, self.windows, family.series, family.origin, self.span[1], members, times
         )
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw the trajectories: an overview, or what the names say.
-
-        Without names: the components over time, coordinates beside momenta, one row for each of
-        six degrees of freedom at most; the plane of two coordinates and a phase plane; the largest
-        estimated error of each trajectory with the tolerance, failed ones in red; energy errors.
-        Of more than 200 trajectories 200 are drawn, which the caption says; the errors are those of
-        all. Up to twelve have an entry in the legend, more a colour bar.
-
-        Parameters
-        ----------
-        *names : str or sympy.Expr
-            One component or formula: over time. Two: the paths in their plane. Three: the paths in
-            space. Or ``"error"``, ``"energy"``.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or ``ax`` is given for an overview.
-
-        Examples
-        --------
-        >>> many = hamsym.solve_many("p**2/2 - cos(x)", {"x": [0.5, 1.0, 2.0], "p": 0.0}, (0, 9))
-        >>> len(many.plot("x").axes[0].lines)
-        3
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
     # -- proofs ------------------------------------------------------------------------------
 
@@ -487,7 +460,7 @@ class Solutions(Saved):
 
     @property
     def _attributes(self) -> dict[str, Any]:
-        known = attributes_of(self.H, self._varied)
+        known = attributes_of(self.H, self.family.varied)
         return {**known, "span": list(self.span), "tol": self.tol}
 
     def to_dataframe(self, t: Any, *names: Any) -> pandas.DataFrame:

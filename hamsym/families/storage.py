@@ -1,7 +1,8 @@
-"""Solutions in one file, and in stores of zarr to which windows are written as they are found.
+"""Solutions in one file, and in stores to which windows are written as they are found.
 
-Both have the same columns of the table. The windows of a store are read, and checked against their
-checksums, when they are needed.
+A store is a folder: a file that tells what was asked, a file for the windows and one for the table
+of each part (:mod:`hamsym.families.parts`), and at the end a file with the table of all members.
+The windows are read, and checked against their checksum, when they are needed.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import shutil
 import uuid
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
@@ -22,20 +22,10 @@ import numpy as np
 import hamsym
 from hamsym.errors import FileError
 from hamsym.families.blocks import Block
-from hamsym.families.distributed import StorePlace
-from hamsym.families.parts import (
-    FOLDER,
-    NAME,
-    Part,
-    create_array,
-    part_of,
-    read_parts,
-    windows_of,
-    write_part,
-    zarr_of,
-)
+from hamsym.families.distributed import BEGUN, StorePlace
+from hamsym.families.parts import FOLDER, NAME, Part, part_of, read_parts, windows_of, write_part
 from hamsym.families.solutions import Family, Solutions
-from hamsym.families.windows import MARCHED, Packed, Pieces, Table, Windows, pieces_of
+from hamsym.families.windows import MARCHED, OPEN, Packed, Pieces, Table, Windows, pieces_of
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import described, require_formula
 from hamsym.problems.ensemble import Ensemble
@@ -45,11 +35,10 @@ from hamsym.support.atomic import create_atomically
 from hamsym.support.locking import exclusive
 from hamsym.support.record_fields import Count, Limit, convert, counts, floats
 from hamsym.support.records import MALFORMED, digest_of_parts, packed, unpacked
-from hamsym.support.tensor_files import one_line
+from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
-_KIND = "solutions"
-_VERSION = 3  # of stores
-_BEGUN = "hamsym_begun"  # attribute of a store that is being written
+_KIND = "store of solutions"
+_HEAD = "solutions.hamsym"  # the file with the table of all members
 _MOST_PARTS = 1_000_000
 
 
@@ -164,23 +153,20 @@ convert(Solutions, FileContents, _contents_of, _solutions_of)
 
 
 class WindowStore:
-    """A store of zarr to which members are written in parts.
+    """A store to which members are written in parts.
 
-    Raise InputError if zarr is not installed. Raise FileError if the path exists and is not a store
-    that was begun with the same arguments, or it cannot be written.
+    Raise FileError if the path exists and is not a store that was begun with the same arguments, or
+    it cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str], family: Family, members: Ensemble) -> None:
-        zarr = zarr_of()
         self._path, self._family, self._members = Path(os.path.abspath(path)), family, members
         require_formula(path, family.H)
         request = _request(family, members)
         try:
             if self._path.exists():
-                begun = {}
-                if is_store(self._path):
-                    self._group = zarr.open_group(self._path, mode="r+")
-                    begun = json.loads(self._group.attrs.get(_BEGUN, "{}"))
+                text = (self._path / BEGUN).read_text("utf-8") if is_store(path) else "{}"
+                begun = json.loads(text)
                 if begun.get("request") != request:
                     raise FileError(
                         f"'{path}' exists; give the path of a new store, or the arguments with "
@@ -190,14 +176,13 @@ class WindowStore:
                 begun = {"request": request, "token": uuid.uuid4().hex}
 
                 def fill(aside: Path) -> None:
-                    group = zarr.open_group(aside, mode="w-")
-                    group.create_group(FOLDER)
-                    group.attrs[_BEGUN] = json.dumps(begun)
+                    (aside / FOLDER).mkdir(parents=True)
+                    (aside / BEGUN).write_text(json.dumps(begun), "utf-8")
 
                 create_atomically(self._path, fill)
-                self._group = zarr.open_group(self._path, mode="r+")
-        except OSError as error:
-            raise FileError(f"'{path}' cannot be written: {error.strerror or error}") from None
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise FileError(f"'{path}' cannot be written: {reason}") from None
         self._token, self._changed = begun["token"], False
         self._blocks = read_parts(self._path)
 
@@ -216,7 +201,12 @@ class WindowStore:
         return np.concatenate([np.empty(0, np.int64), *(b.members for b in self._blocks)])
 
     def append(self, block: Block) -> None:
-        """Write a block, all of whose members are solved, unless a worker has written it."""
+        """Write the members of a block that are solved, unless a worker has written it."""
+        solved = np.flatnonzero(block.table.status != OPEN)
+        if not len(solved):
+            return
+        if len(solved) < len(block.members):  # it was interrupted
+            block = Block(block.members[solved], block.table.selected(solved), block.windows)
         if block.windows is not None:
             write_part(self._path, block)
         self._blocks.append(block._replace(windows=None))
@@ -224,7 +214,7 @@ class WindowStore:
 
     def finished(self, refused: Mapping[int, str], stopped: str) -> Solutions:
         """Write the table, and return the solutions, which read their windows from the store."""
-        if not self._changed and "hamsym" in self._group.attrs:
+        if not self._changed and (self._path / _HEAD).is_file():
             found = open_store(self._path)
             if not found.table.stopped:
                 return found
@@ -240,18 +230,12 @@ class WindowStore:
         index = np.argsort(order).reshape(members.shape)
         solutions = Solutions(self._family, table, windows, index)
         rows = tuple((part.name, part.rows) for part in parts)
-        columns, values = packed(StoreContents.of(solutions, order=order, parts=rows))
-        self._group.attrs.pop("hamsym", None)
-        for name, column in columns.items():
-            create_array(self._group, name, column.shape, column.dtype.name, max(1, len(column)))
-            if column.size:
-                self._group[name][...] = column
-        head = {"kind": _KIND, "version": _VERSION, "sha256": digest_of_parts(columns, values)}
+        contents = packed(StoreContents.of(solutions, order=order, parts=rows))
         # Last: a store without it is not complete.
-        self._group.attrs["hamsym"] = json.dumps({**head, "values": values})
+        write_tensors(self._path / _HEAD, _KIND, *contents)
         if not table.stopped:
             for leftover in (self._path / FOLDER).glob(".*"):  # of processes that were killed
-                shutil.rmtree(leftover, ignore_errors=True)
+                leftover.unlink(missing_ok=True)
         return solutions
 
 
@@ -272,41 +256,31 @@ def _request(family: Family, members: Ensemble) -> str:
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is a folder that zarr wrote."""
+    """Return whether a path is a folder to which a store was begun."""
     try:
-        return os.path.isfile(os.path.join(path, "zarr.json"))
+        return os.path.isfile(os.path.join(path, BEGUN))
     except (ValueError, TypeError):  # it is no path
         return False
 
 
 def open_store(path: str | os.PathLike[str]) -> Solutions:
-    """Open the solutions of a store of zarr; their windows are read when they are needed.
+    """Open the solutions of a store; their windows are read when they are needed.
 
-    Raise FileError if it is damaged, is not a store of solutions, or was not finished.
+    Raise FileError if it is damaged, or was not finished.
     """
-    zarr = zarr_of()
+    place = Path(os.path.abspath(path))
+    if not (place / _HEAD).is_file():
+        raise FileError(f"the store '{path}' was not finished; solve again")
     try:
-        group = zarr.open_group(path, mode="r")
-        text = group.attrs.get("hamsym")
-    except Exception as error:  # zarr raises many kinds
-        raise FileError(f"'{path}' is not a store of solutions: {one_line(error)}") from None
-    if text is None:
-        raise FileError(f"'{path}' is not a store of solutions, or was not finished; solve again")
-    try:
-        head = json.loads(text)
-        claimed, values = head.pop("sha256", None), head.pop("values", None)
-        if head != {"kind": _KIND, "version": _VERSION}:
-            raise ValueError(f"it is not of kind {_KIND} and version {_VERSION}")
-        arrays = {name: np.asarray(group[name][...]) for name in group.array_keys()}
-        if claimed != digest_of_parts(arrays, values):
-            raise ValueError("its checksum does not match its content")
-        contents = unpacked(StoreContents, arrays, values)
+        contents = unpacked(StoreContents, *read_tensors(place / _HEAD, _KIND))
         parts = [Part(*part) for part in contents.parts]
-        windows = windows_of(Path(os.path.abspath(path)), parts, _row_shapes(contents.family))
+        windows = windows_of(place, parts, _row_shapes(contents.family))
         solutions = contents.solutions(windows, contents.order)
         if [len(rows) for rows in windows] != list(_row_counts(solutions.table)):
             raise ValueError("windows are missing")
-    except (*MALFORMED, OSError) as error:
+    except FileError:
+        raise
+    except MALFORMED as error:
         raise FileError(f"'{path}' is damaged: {one_line(error)}") from None
     return solutions
 

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from hamsym.errors import FileError, InputError
-from hamsym.families.parts import zarr_of
 from hamsym.study.grid_tasks import Columns
 from hamsym.support.atomic import create_atomically
 from hamsym.support.tables import optional_package
@@ -225,3 +224,8 @@ def store_at(path: str | os.PathLike[str], **values: Any) -> GridStore:
         raise InputError(f"store={path!r} cannot be used; give a path that ends .zarr")
     zarr_of()
     return GridStore(path=place, **values)
+
+
+def zarr_of() -> Any:
+    """Return the module zarr."""
+    return optional_package("zarr", "a store", '"zarr>=3"')

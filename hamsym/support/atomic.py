@@ -1,16 +1,8 @@
-"""Atomic writing of files and directories, by way of temporary ones.
-
-Names of temporary ones tell who writes them: the machine, with its namespace of processes, and the
-process. The next writer removes those of processes of this machine that do not run any more.
-"""
+"""Atomic writing of files and directories, by way of temporary ones."""
 
 from __future__ import annotations
 
-import functools
-import hashlib
 import os
-import platform
-import re
 import shutil
 import stat
 import uuid
@@ -18,8 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hamsym.errors import FileError
-
-_NAME = re.compile(r"\.hamsym-(?P<machine>[0-9a-f]{12})-(?P<process>\d{1,10})-[0-9a-f]{32}")
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -37,8 +27,7 @@ def write_atomically(path: Path, content: bytes) -> None:
             file.write(content)
         return
     target = Path(os.path.realpath(path))
-    remove_leftovers(target.parent)
-    temporary = target.parent / temporary_name()
+    temporary = target.parent / _temporary_name()
     handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -68,8 +57,7 @@ def create_atomically(path: Path, fill: Callable[[Path], None]) -> None:
     - fill: Creates the directory at the path that it is given.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(path.parent)
-    aside = path.parent / temporary_name()
+    aside = path.parent / _temporary_name()
     try:
         fill(aside)
         os.rename(aside, path)
@@ -102,48 +90,5 @@ def _new_mode() -> int:
     return 0o666 & ~umask
 
 
-# -- temporary files -------------------------------------------------------------------------------
-
-
-def temporary_name() -> str:
-    """Return a new name for a temporary file or directory of this process."""
-    return f".hamsym-{_machine()}-{os.getpid()}-{uuid.uuid4().hex}"
-
-
-@functools.lru_cache(maxsize=1_024)
-def remove_leftovers(folder: Path) -> None:
-    """Remove what writers that were killed left in a folder; once in a process."""
-    try:
-        names = os.listdir(folder)
-    except OSError:
-        return
-    for name in names:
-        found = _NAME.fullmatch(name)
-        if found and found["machine"] == _machine() and not _runs(int(found["process"])):
-            path = folder / name
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path, ignore_errors=True)
-            else:
-                path.unlink(missing_ok=True)
-
-
-@functools.cache
-def _machine() -> str:
-    try:
-        space = os.readlink("/proc/self/ns/pid")  # containers share names of hosts
-    except OSError:
-        space = ""
-    return hashlib.sha256(f"{platform.node()} {space}".encode()).hexdigest()[:12]
-
-
-def _runs(process: int) -> bool:
-    """Whether a process runs, or it cannot be told."""
-    if os.name != "posix":  # there a signal would end it
-        return True
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):
-        return True
-    return True
+def _temporary_name() -> str:
+    return f".hamsym-{uuid.uuid4().hex}"

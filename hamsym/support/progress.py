@@ -1,8 +1,9 @@
-"""Progress of work in many steps: a bar on terminals and in the cell of a notebook, else lines."""
+"""Progress of work in many steps: in a line of a terminal or the cell of a notebook, else lines."""
 
 from __future__ import annotations
 
 import html
+import shutil
 import sys
 import threading
 import time
@@ -10,12 +11,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
 _TICKS = 1_000
 _BEGIN = 1.0  # seconds without a bar
-_PAUSE = 0.2  # seconds between two drawings in a notebook
+_PAUSE = 0.2  # seconds between two drawings
 _LINE_PAUSE = 10.0  # and between two lines
 
 
@@ -36,32 +34,11 @@ def stepping_progress(
     if not is_shown(show):
         yield lambda more, note="": None
         return
-    if (display := notebook_display()) is not None or not sys.stderr.isatty():
-        pause = _LINE_PAUSE if display is None else _PAUSE
-        bar = _Written(steps, text, display or _Lines, pause)
-        with bar.running():
-            yield bar.advance
-        return
-    columns = (
-        TextColumn(text),
-        BarColumn(bar_width=16),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-    )
-    progress = Progress(*columns, console=Console(stderr=True), transient=True)
-    task = progress.add_task("", total=steps, note="")
-    began = time.monotonic()
-
-    def update(more: float, note: str = "") -> None:
-        progress.update(task, advance=more, note=note)
-        if time.monotonic() - began > _BEGIN and not progress.live.is_started:
-            progress.start()
-
-    try:
-        yield update
-    finally:
-        progress.stop()
+    if (display := notebook_display()) is None:
+        display = _Terminal if sys.stderr.isatty() else _Lines
+    bar = _Bar(steps, text, display, _LINE_PAUSE if display is _Lines else _PAUSE)
+    with bar.running():
+        yield bar.advance
 
 
 @contextmanager
@@ -136,12 +113,21 @@ class _Lines:
         print(data["text/plain"], file=sys.stderr, flush=True)
 
 
-class _Written:
-    """A bar in the cell of a notebook, which becomes one line at the end, or lines.
+class _Terminal(_Lines):
+    """A line on a terminal, which is written anew and disappears at the end."""
+
+    def update(self, data: dict[str, str], **_: object) -> None:
+        """Write the line."""
+        line = data["text/plain"][: shutil.get_terminal_size().columns - 1]
+        print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
+
+
+class _Bar:
+    """A bar on a display, which becomes one line at the end.
 
     - steps: Number of all steps.
     - text: What is in progress.
-    - display: IPython's ``display``, or :class:`_Lines`.
+    - display: IPython's ``display``, :class:`_Lines` or :class:`_Terminal`.
     - pause: Seconds between two drawings.
     """
 
@@ -161,7 +147,8 @@ class _Written:
             yield
         finally:
             if self._handle is not None:
-                self._handle.update(self._last(), raw=True)
+                gone = self._display is _Terminal
+                self._handle.update({"text/plain": ""} if gone else self._last(), raw=True)
 
     def advance(self, more: float, note: str = "") -> None:
         """Add completed steps; draw after the first second, a few times a second."""

@@ -114,23 +114,11 @@ _ELSEWHERE = {
 }
 
 
-def advice(name: str) -> str | None:
-    """Return what to do instead of a keyword of scipy, or None.
-
-    Examples
-    --------
-    >>> advice("jac")
-    'leave it out: derivatives are derived from H'
-    """
-    return _ELSEWHERE.get(name)
-
-
 def keyword_message(name: str, function: str, arguments: Sequence[str]) -> str:
     """Return the sentence about a keyword that a function does not have."""
     begin = f"'{name}' is not an argument of {function}"
-    instead = advice(name)
-    if instead is not None:
-        return f"{begin}; {instead}"
+    if name in _ELSEWHERE:
+        return f"{begin}; {_ELSEWHERE[name]}"
     hint = did_you_mean(name, arguments)
     return f"{begin}{hint}; it has {', '.join(arguments) or 'none'}"
 
@@ -185,7 +173,7 @@ derived from H
             try:
                 signature.bind(*arguments, **keywords)
             except TypeError:
-                others = [n for n in others if advice(n)]
+                others = [n for n in others if n in _ELSEWHERE]
             else:
                 others = []
         if others:

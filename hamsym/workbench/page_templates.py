@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.resources
-from typing import Any
+import re
 
 import jinja2
+from markupsafe import Markup
+
+_EXPONENT = re.compile(r"\d[\d.]*e[+-]\d+")
 
 
-def page_environment(**layout: Any) -> jinja2.Environment:
-    """Return an environment that escapes texts and refuses names without a value.
+@functools.cache
+def page_template(name: str) -> jinja2.Template:
+    """Return the template ``name.html.jinja`` of the package; it refuses names without a value."""
+    file = importlib.resources.files("hamsym.templates").joinpath(f"{name}.html.jinja")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["unbroken"] = unbroken
+    return environment.from_string(file.read_text("utf-8"))
 
-    - **layout: Further arguments of :class:`jinja2.Environment`.
+
+def unbroken(text: str) -> Markup:
+    """Return a text, escaped, in which no line ends inside a number such as 1e-9.
 
     Examples
     --------
-    >>> page_environment().from_string("<pre>{{ text }}</pre>").render(text="a < b")
-    '<pre>a &lt; b</pre>'
+    >>> unbroken("a < 1e-9")
+    Markup('a &lt; <span class="one">1e-9</span>')
     """
-    return jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, **layout)
-
-
-def page_template(name: str, environment: jinja2.Environment | None = None) -> jinja2.Template:
-    """Return the template ``name.html.jinja`` of the package."""
-    file = importlib.resources.files("hamsym.templates").joinpath(f"{name}.html.jinja")
-    return (environment or page_environment()).from_string(file.read_text("utf-8"))
+    return Markup(_EXPONENT.sub(r'<span class="one">\g<0></span>', str(Markup.escape(text))))

@@ -48,7 +48,7 @@ def test_a_wrong_member_is_solved_again(monkeypatch: pytest.MonkeyPatch) -> None
 def test_unusable_arguments_are_refused(tmp_path: object) -> None:
     with pytest.raises(InputError, match="'p_x' is not an invariant"):
         hamsym.solve_many(KEPLER, STARTS, (0, 1), parameters=VALUES, invariants=["p_x"])
-    with pytest.raises(InputError, match="leave out zarr and client"):
+    with pytest.raises(InputError, match="leave out store and client"):
         hamsym.solve_many(
-            KEPLER, STARTS, (0, 1), parameters=VALUES, invariants=[MOMENTUM], zarr=f"{tmp_path}/a"
+            KEPLER, STARTS, (0, 1), parameters=VALUES, invariants=[MOMENTUM], store=f"{tmp_path}/a"
         )

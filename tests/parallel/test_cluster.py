@@ -113,41 +113,39 @@ def test_size_of_chunks_changes_no_bit(
 
 @pytest.mark.slow  # a worker is started again
 def test_killed_worker_loses_nothing(processes: Any, tmp_path: Path) -> None:
-    pytest.importorskip("zarr")
     starts = random_starts(600)
 
     def kill() -> None:
         os.kill(next(iter(processes.run(os.getpid).values())), 9)
 
     with after_members(100, kill) as reports:
-        found = hamsym.solve_many(HENON, starts, SPAN, client=processes, zarr=tmp_path / "a.zarr")
+        found = hamsym.solve_many(HENON, starts, SPAN, client=processes, store=tmp_path / "a")
     assert sum(reports) == 600
     here = hamsym.solve_many(HENON, starts, SPAN)
     same_solutions(found, here)
-    same_solutions(hamsym.load(tmp_path / "a.zarr"), here)
+    same_solutions(hamsym.load(tmp_path / "a"), here)
 
 
 @pytest.mark.slow
 def test_interrupted_store_is_completed(processes: Any, tmp_path: Path) -> None:
-    pytest.importorskip("zarr")
-    starts, path = random_starts(600), tmp_path / "a.zarr"
+    starts, path = random_starts(600), tmp_path / "a"
     with after_members(150, interrupt):
-        part = hamsym.solve_many(HENON, starts, SPAN, client=processes, zarr=path)
+        part = hamsym.solve_many(HENON, starts, SPAN, client=processes, store=path)
     done = part.success
     assert 0 < done.sum() < 600
     assert set(part.message[~done]) == {"interrupted"}
-    parts = {entry: entry.stat().st_mtime_ns for entry in (path / "parts").glob("0*")}
+    parts = {entry: entry.stat().st_mtime_ns for entry in (path / "parts").glob("*.table")}
     with after_members(10_000, interrupt) as reports:
-        found = hamsym.solve_many(HENON, starts, SPAN, client=processes, zarr=path)
+        found = hamsym.solve_many(HENON, starts, SPAN, client=processes, store=path)
     assert reports[0] >= done.sum()  # members that are not solved again
     assert sum(reports) == 600
-    again = {entry: entry.stat().st_mtime_ns for entry in (path / "parts").glob("0*")}
+    again = {entry: entry.stat().st_mtime_ns for entry in (path / "parts").glob("*.table")}
     assert parts.items() <= again.items()
     here = hamsym.solve_many(HENON, starts, SPAN)
     same_solutions(found, here)
     same_solutions(hamsym.load(path), here)
     with pytest.raises(FileError, match="or the arguments with which this one was begun"):
-        hamsym.solve_many(HENON, starts, SPAN, tol=1e-8, client=processes, zarr=path)
+        hamsym.solve_many(HENON, starts, SPAN, tol=1e-8, client=processes, store=path)
 
 
 @pytest.mark.slow
@@ -155,11 +153,10 @@ def test_store_that_workers_do_not_reach(
     client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Windows then come through the client, which writes them."""
-    pytest.importorskip("zarr")
     starts = random_starts(100)
     elsewhere = StorePlace(tmp_path / "none", "")
     monkeypatch.setattr(many_module.WindowStore, "place", elsewhere)
-    found = hamsym.solve_many(HENON, starts, SPAN, client=client, zarr=tmp_path / "a.zarr")
+    found = hamsym.solve_many(HENON, starts, SPAN, client=client, store=tmp_path / "a")
     same_solutions(found, hamsym.solve_many(HENON, starts, SPAN))
 
 

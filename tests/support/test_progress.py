@@ -108,8 +108,8 @@ def test_false_shows_nothing(cell: Cell, clock: Clock) -> None:
         clock.now += 5.0
         advance(1)
     with training_progress(10, False) as callbacks:
-        for callback in callbacks:
-            callback(TrainingState(5, 10, 1e-3, 1e-4, 2e-2, clock.now))
+        clock.now += 5.0
+        callbacks[0](TrainingState(5, 10, 1e-3, 1e-4, 2e-2, clock.now))
     assert not cell.shown
 
 
@@ -164,3 +164,16 @@ def test_files_get_lines_if_asked(capsys: pytest.CaptureFixture[str], clock: Clo
         "sweep: 78%, 9.0 s left, run 30\n"
         "sweep: 40 s, run 39\n",
     )
+
+
+def test_a_terminal_has_one_line_which_disappears(
+    capsys: pytest.CaptureFixture[str], clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "24")
+    with stepping_progress(4, text="proving") as advance:
+        for _ in range(2):
+            clock.now += 2.0
+            advance(1, "a long note")
+    drawn = capsys.readouterr().err.split("\r\x1b[K")
+    assert drawn == ["", "proving: 25%, 6.0 s lef", "proving: 50%, 4.0 s lef", ""]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import functools
 import io
 import itertools
 import os
@@ -167,10 +166,9 @@ class Animation:
             frames.append(base64.b64encode(file.getvalue()).decode())
             size, dimensions = size + len(frames[-1]), picture.size
             self._require_small(size * len(self.times) / len(frames), largest)
-        return getattr(_template(), part)(
-            frames, [self._film.time_text(t) for t in self.times], self.fps, *dimensions,
-            self._film.title,
-        )  # fmt: skip
+        texts = [self._film.time_text(t) for t in self.times]
+        write = getattr(page_template("animation").module, part)
+        return str(write(frames, texts, self.fps, *dimensions, self._film.title))
 
     def _page(self, dpi: float, largest: float) -> bytes:
         return self._html("page", dpi, largest).encode()
@@ -325,11 +323,6 @@ def _timing(frames: int | None, seconds: float | None, fps: float | None) -> tup
             f"{count:,.0f} frames cannot be drawn; give seconds and fps for 2 to {_MOST_FRAMES:,}"
         )
     return round(count), rate
-
-
-@functools.cache
-def _template() -> Any:
-    return page_template("animation").module
 
 
 def _ffmpeg() -> str:

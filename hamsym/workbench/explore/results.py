@@ -20,7 +20,6 @@ class Derivation:
     facts: str
     #: Whether H is conserved.
     has_energy: bool
-    separable: bool
     #: A surface for a section, empty if there is none.
     surface: str
 

@@ -9,7 +9,6 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Any
 
-import hamsym
 from hamsym.errors import HamsymError, InputError
 from hamsym.parallel.processes import Worker
 from hamsym.workbench.explore import tasks
@@ -287,15 +286,3 @@ def excerpt(text: str, error: HamsymError) -> str:
     marked = html.escape(text[first : min(last, first + _CONTEXT)]) or "&nbsp;"
     after = html.escape(text[last:end]) + ("…" if end < len(text) else "")
     return f"{before}<mark>{marked}</mark>{after}"
-
-
-def missing_feature(name: str) -> str:
-    """Return why a kind of file cannot be made, or nothing.
-
-    Examples
-    --------
-    >>> missing_feature("save")
-    ''
-    """
-    owner: Any = hamsym if name == "report" else hamsym.Solution
-    return "" if hasattr(owner, name) else f"This version of hamsym has no {name}."

@@ -13,9 +13,9 @@ from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import HamsymError
 from hamsym.integrators.table import INTEGRATORS
 from hamsym.workbench.explore.results import JobResult
-from hamsym.workbench.explore.session import Session, missing_feature
+from hamsym.workbench.explore.session import Session
 
-_ENDINGS = {"torch": "py", "numpy": "py", "numba": "py", "jax": "py", "c": "c", "julia": "jl"}
+_HIDDEN = "balls"  # a backend for proofs, which no program of the reader runs
 
 
 class CodePanel:
@@ -25,7 +25,7 @@ class CodePanel:
         self._session = session
         with ui.element("div").classes("choices"):
             self._backend = ui.select(
-                [name for name in BACKENDS if name in _ENDINGS],
+                [name for name in BACKENDS if name != _HIDDEN],
                 label="Backend",
                 value="numpy",
                 on_change=self.show,
@@ -48,7 +48,7 @@ class CodePanel:
         except HamsymError as error:
             _notify(self._session, error)
             return
-        ui.download(text.encode(), f"hamiltonian_{backend}.{_ENDINGS[backend]}")
+        ui.download(text.encode(), f"hamiltonian_{backend}.{BACKENDS[backend].extension}")
 
 
 def _notify(session: Session, error: HamsymError) -> None:
@@ -104,27 +104,21 @@ def build_downloads(session: Session) -> None:
 
     ui.label("Files of the present solution; they need no network.")
     files = (
-        ("Data (CSV)", "data.csv", "table", (), ""),
-        ("Solution, for hamsym.load", "orbit.hamsym", "solution_file", (), ""),
-        ("Report (HTML)", "report.html", "report", (), "report"),
-        ("Python module, needs numpy only", "orbit.py", "exported", (".py",), "export"),
-        ("JSON, for JavaScript", "orbit.json", "exported", (".json",), "export"),
-        ("C header", "orbit.h", "exported", (".h",), "export"),
+        ("Data (CSV)", "data.csv", "table", ()),
+        ("Solution, for hamsym.load", "orbit.hamsym", "solution_file", ()),
+        ("Report (HTML)", "report.html", "report", ()),
+        ("Python module, needs numpy only", "orbit.py", "exported", (".py",)),
+        ("JSON, for JavaScript", "orbit.json", "exported", (".json",)),
+        ("C header", "orbit.h", "exported", (".h",)),
     )
-    reasons: dict[str, None] = {}
     with ui.element("div").classes("downloads"):
-        for title, filename, task, arguments, feature in files:
-            reason = missing_feature(feature) if feature else ""
-            reasons[reason] = None
-            button = ui.button(
+        for title, filename, task, arguments in files:
+            ui.button(
                 title,
                 on_click=lambda event, f=filename, k=task, a=arguments: download(
                     event.sender, f, k, a
                 ),
             ).props("no-caps outline")
-            if reason:
-                button.disable()
-    ui.label(" ".join(reasons)).classes("note")
     state = ui.label("").props("role=status")
 
 

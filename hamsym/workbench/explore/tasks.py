@@ -20,7 +20,7 @@ from hamsym.errors import InputError
 from hamsym.formula.parser import parse_number
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.systems.catalogue import CATALOGUE
-from hamsym.workbench.explore.equations import equations, hessian
+from hamsym.workbench.equations import equations
 from hamsym.workbench.explore.results import Derivation, JobResult, Picture, SectionPicture
 from hamsym.workbench.explore.setting import Setting
 
@@ -72,16 +72,22 @@ def derive(formula: str, q: str, p: str, forces: str) -> Derivation:
     said = facts.headline + (f"; {cyclic.label} {cyclic.text}" if cyclic.text else "")
     # A surface through the origin that the second pair crosses.
     surface = f"{H.names[1]} = 0, {H.names[H.dof + 1]} > 0" if H.dof > 1 else ""
+    typeset = equations(H)
+    more = typeset["more"]
+    rest = f"<p>{more} more entries do not vanish.</p>" if more else ""
     return Derivation(
         names=H.names,
         parameter_names=H.parameter_names,
-        equations=equations(H),
-        hessian=hessian(H),
+        equations=_lines(typeset["H"], *typeset["forces"], *typeset["rates"]),
+        hessian=_lines(typeset["matrix"], *typeset["entries"]) + rest,
         facts=f"{said}.",
         has_energy=H.conserves_energy,
-        separable=H.is_separable,
         surface=surface,
     )
+
+
+def _lines(*formulas: str) -> str:
+    return "".join(f'<div class="line">{formula}</div>' for formula in formulas if formula)
 
 
 def code(formula: str, q: str, p: str, forces: str, backend: str) -> str:
@@ -259,12 +265,10 @@ def solution_file(setting: Setting) -> bytes:
 
 def exported(setting: Setting, ending: str) -> bytes:
     """Return the solution as a module or data that need no hamsym: .py, .json or .h."""
-    solution: Any = _solve(setting)
-    return _written(ending, solution.export)
+    return _written(ending, _solve(setting).export)
 
 
 def report(setting: Setting, proven: bool) -> bytes:
     """Return the report of the solution, one HTML file, with its proof if the page has one."""
     solution = _solve(setting)
-    make: Any = getattr(hamsym, "report")  # noqa: B009
-    return _written(".html", lambda path: make(solution, path, certify=proven))
+    return _written(".html", lambda path: hamsym.report(solution, path, certify=proven))

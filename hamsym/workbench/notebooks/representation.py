@@ -7,12 +7,10 @@ Output: HTML of a few kilobytes with a small figure, all texts escaped.
 from __future__ import annotations
 
 import base64
-import functools
 import io
 import warnings
 from typing import Any
 
-import jinja2
 from markupsafe import Markup
 
 import hamsym
@@ -52,14 +50,11 @@ def representation(result: Any) -> str:
     """
     try:
         facts = describe(result)
-        return _rendered(facts, _figure(result, facts))
+        figure, width = _figure(result, facts), _WIDTH // 2
+        template = page_template("notebook")
+        return template.render(facts=facts, card=card_of(facts), figure=figure, width=width)
     except Exception:  # an object that cannot be described must not stop a notebook
         return str(Markup("<pre>{}</pre>").format(_text(result)))
-
-
-def _rendered(facts: Facts, figure: str) -> str:
-    card = card_of(facts)
-    return _template().render(facts=facts, card=card, figure=figure, width=_WIDTH // 2)
 
 
 def _figure(result: Any, facts: Facts) -> str:
@@ -93,8 +88,3 @@ def _text(result: Any) -> str:
     except Exception:
         text = type(result).__name__
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
-
-
-@functools.cache
-def _template() -> jinja2.Template:
-    return page_template("notebook")

@@ -3,97 +3,24 @@
 from __future__ import annotations
 
 import importlib.metadata
-import math
 import platform
-import re
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import sympy
-from markupsafe import Markup
 
-from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import HamsymError
 from hamsym.facts.solutions import proof_sentence
 from hamsym.facts.wording import error_text, largest_share, number
-from hamsym.formula.notation import Notation
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.numerics.scales import ratios
 from hamsym.proof.certificate import Certificate
 from hamsym.solution.digest import digest
 from hamsym.solution.solution import Solution
 from hamsym.support.text_tables import share
-from hamsym.workbench.mathml import derivative, equation, mathml, second_derivative
 
-_MATRIX = 8  # components of a Hessian that is shown as a matrix
-_LONG = 2_000  # operations of a formula beyond which it is shown as text
-_LONGEST = 4_000  # characters of it that are shown
-_MOST_ENTRIES = 60  # of a Hessian that are shown
 _MOST_WINDOWS = 12  # that are shown
-_EXPONENT = re.compile(r"\d[\d.]*e[+-]\d+")
 _PACKAGES = ("numpy", "scipy", "sympy", "numba", "python-flint", "torch", "matplotlib")
-
-
-def unbroken(text: str) -> Markup:
-    """Return a text, escaped, in which no line ends inside a number such as 1e-9."""
-    return Markup(_EXPONENT.sub(r'<span class="one">\g<0></span>', str(Markup.escape(text))))
-
-
-# -- equations -------------------------------------------------------------------------------------
-
-
-def _math(pieces: list[str] | str) -> Markup:
-    """Return elements ``math``; lines may end between them."""
-    pieces = [pieces] if isinstance(pieces, str) else pieces
-    return Markup(" ".join(f'<math displaystyle="true">{piece}</math>' for piece in pieces))
-
-
-def equations(H: Hamiltonian) -> dict[str, Any]:
-    """Return H, the forces, the equations of motion and the Hessian as MathML, or as text."""
-    left = "<mi>H</mi>"
-    return {
-        "H": _shown(left, H.expr, H.notation),
-        "forces": [
-            _shown(f"<msub><mi>F</mi>{mathml(p)}</msub>", H.forces[p.name], H.notation)
-            for p in H.p
-            if p.name in H.forces
-        ],
-        "rates": [
-            _shown(derivative(symbol), rate, H.notation)
-            for symbol, rate in zip(H.z, H.vector_field, strict=True)
-        ],
-        **_hessian(H),
-    }
-
-
-def _shown(left: str, right: sympy.Expr, notation: Notation) -> Markup:
-    """An equation; its right-hand side as text if it is long."""
-    if right.count_ops() > _LONG:
-        text = notation.text(right)
-        short = text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
-        return Markup(
-            f"{_math(f'<mrow>{left}<mo>=</mo></mrow>')} <code>{Markup.escape(short)}</code>"
-        )
-    return _math(equation(left, right, notation))
-
-
-def _hessian(H: Hamiltonian) -> dict[str, Any]:
-    matrix = H.hessian
-    entries = {(i, j): entry for (i, j), entry in matrix.todok().items() if i <= j and entry != 0}
-    ops = sum(int(entry.count_ops()) for entry in entries.values())
-    if H.dim <= _MATRIX and ops <= _LONG / 8:
-        left = "<mrow><msup><mo>∇</mo><mn>2</mn></msup><mi>H</mi><mo>=</mo></mrow>"
-        return {
-            "matrix": _math(f"<mrow>{left}{mathml(matrix, H.notation)}</mrow>"),
-            "entries": [],
-            "more": 0,
-        }
-    chosen = sorted(entries.items())[:_MOST_ENTRIES]
-    rows = [
-        _shown(second_derivative(H.z[i], H.z[j]), entry, H.notation) for (i, j), entry in chosen
-    ]
-    return {"matrix": "", "entries": rows, "more": len(entries) - len(rows)}
 
 
 # -- errors ----------------------------------------------------------------------------------------
@@ -153,20 +80,6 @@ class Proof:
     #: Where the certificate is from.
     how: str = ""
 
-    @property
-    def rows(self) -> list[tuple[str, str, str]]:
-        """Names with lower and upper bounds."""
-        proven = self.certificate
-        if proven is None:
-            return []
-        names = ["|z| (2-norm)", "H", "residual |dz^/dt - J grad H(z^)|"]
-        lows = [proven.lower, proven.energy_lower, proven.ell_max_lower]
-        highs = [proven.bound, proven.energy_bound, proven.ell_max_bound]
-        return [
-            (name, f"{low:.8e}", f"{high:.8e}" if math.isfinite(high) else "no bound")
-            for name, low, high in zip(names, lows, highs, strict=True)
-        ]
-
 
 def proof(solution: Solution, certificate: Certificate | None, how: str) -> Proof:
     """Say what a verified certificate proves, or the reason why there is none."""
@@ -201,8 +114,3 @@ def source(H: Hamiltonian, backend: str, most: int) -> tuple[str, int]:
     """Return generated code up to a number of lines, and how many lines it has."""
     lines = H.source(backend).rstrip("\n").splitlines()
     return "\n".join(lines[:most]) + "\n", len(lines)
-
-
-def extension(backend: str) -> str:
-    """Return the ending of files of a backend, which names the language."""
-    return BACKENDS[backend].extension

@@ -7,7 +7,6 @@ content security policy forbids everything else.
 from __future__ import annotations
 
 import errno
-import functools
 import io
 import os
 import shlex
@@ -15,7 +14,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import jinja2
 from markupsafe import Markup
 from pygments import highlight
 from pygments.formatters import HtmlFormatter
@@ -34,7 +32,8 @@ from hamsym.solving.recipe import command_line, omissions, python_lines
 from hamsym.support.atomic import write_file
 from hamsym.support.suggestions import checked_keywords
 from hamsym.support.validation import require_positive
-from hamsym.workbench.page_templates import page_environment, page_template
+from hamsym.workbench.equations import equations
+from hamsym.workbench.page_templates import page_template
 from hamsym.workbench.reports import contents
 from hamsym.workbench.reports.comparing import Compared, compared_within
 from hamsym.workbench.reports.inline_svg import inline_svg
@@ -116,14 +115,24 @@ def report(
     found = load_solution(file) if file is not None else solution
     assert isinstance(found, Solution)
     proof = _proof(found, file, certificate, certify, time_limit)
-    text = _rendered(
-        found,
-        title=title,
+    if compare:
+        compared = compared_within(found, _COMPARE_SECONDS)
+    else:
+        compared = Compared(reason="it was not asked for")
+    code, lines = contents.source(found.H, backend, _MOST_LINES)
+    text = page_template("report").render(
+        title=title or "Solution of Hamilton's equations",
         file=None if file is None else file.name,
-        target=target.name,
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
         proof=proof,
-        compared=_compared(found, compare),
+        compared=compared,
+        comparison=Markup(compared.figure),
+        code=_colored(code, _LANGUAGES[BACKENDS[backend].extension]),
+        code_lines=lines,
+        most_lines=_MOST_LINES,
         backend=backend,
+        commands=_commands(found, file, target, proof),
+        **_described(found, proof.certificate),
     )
     # A file name may have bytes that are no text, which Python has as lone surrogates.
     write_file(target, text.encode(errors="backslashreplace"))
@@ -203,12 +212,6 @@ def _proof(
 # -- parts -----------------------------------------------------------------------------------------
 
 
-def _compared(solution: Solution, wanted: bool) -> Compared:
-    if not wanted:
-        return Compared(reason="it was not asked for")
-    return compared_within(solution, _COMPARE_SECONDS)
-
-
 def _figure(solution: Solution) -> tuple[Markup, str]:
     """The figure of a solution, or the reason why there is none."""
     names = ", ".join(solution.H.names[:12]) + (" ..." if solution.H.dim > 12 else "")
@@ -227,60 +230,38 @@ def _colored(text: str, language: str) -> Markup:
     return Markup(out.getvalue())
 
 
-@functools.cache
-def _template() -> jinja2.Template:
-    environment = page_environment(trim_blocks=True, lstrip_blocks=True)
-    environment.filters["unbroken"] = contents.unbroken
-    return page_template("report", environment)
-
-
 _LANGUAGES = {"py": "python", "c": "c", "jl": "julia"}
 
 
-def _rendered(
-    solution: Solution,
-    *,
-    title: str | None,
-    file: str | None,
-    target: str,
-    proof: contents.Proof,
-    compared: Compared,
-    backend: str,
-) -> str:
-    """Return the report as text."""
-    code, lines = contents.source(solution.H, backend, _MOST_LINES)
-    figure, no_figure = _figure(solution)
-    name = file or "orbit.hamsym"
+def _commands(solution: Solution, file: Path | None, target: Path, proof: contents.Proof) -> Markup:
+    """The commands that make the solution and the report again."""
+    name = "orbit.hamsym" if file is None else file.name
     commands = [command_line(solution, name)]
     if proof.certificate is not None:
-        commands += [shlex.join(["hamsym", "certify", name])]
-    commands.append(shlex.join(["hamsym", "report", name, "-o", target]))
-    facts = solution_facts(solution, proof.certificate)
+        commands.append(shlex.join(["hamsym", "certify", name]))
+    commands.append(shlex.join(["hamsym", "report", name, "-o", target.name]))
+    return _colored("\n".join(commands) + "\n", "bash")
+
+
+def _described(solution: Solution, certificate: Certificate | None) -> dict[str, Any]:
+    """What the solution contains, as the template names it."""
+    figure, no_figure = _figure(solution)
+    facts = solution_facts(solution, certificate)
     shown = [fact for fact in (*facts.given, *facts.found) if isinstance(fact, Fact) and fact.text]
-    return _template().render(
-        title=title or "Solution of Hamilton's equations",
-        file=file,
-        date=datetime.now(UTC).isoformat(timespec="seconds"),
-        formula=solution.H.formulas,
-        facts=facts,
-        settings=[(fact.label.rstrip(":"), fact.text) for fact in shown],
-        tables=[table.cells(None, brief=False) for table in facts.tables],
-        equations=contents.equations(solution.H),
-        structure=solution.H.facts,
-        figure=figure,
-        no_figure=no_figure,
-        check=contents.check(solution),
-        windows=contents.windows(solution),
-        proof=proof,
-        digest=contents.solution_digest(solution),
-        compared=compared,
-        comparison=Markup(compared.figure),
-        code=_colored(code, _LANGUAGES[contents.extension(backend)]),
-        code_lines=lines,
-        most_lines=_MOST_LINES,
-        backend=backend,
-        commands=_colored("\n".join(commands) + "\n", "bash"),
-        python=_colored(python_lines(solution) + "\n", "python"),
-        omissions=omissions(solution),
-        versions=contents.versions(solution),
-    )
+    return {
+        "formula": solution.H.formulas,
+        "facts": facts,
+        "settings": [(fact.label.rstrip(":"), fact.text) for fact in shown],
+        "tables": [table.cells(None, brief=False) for table in facts.tables],
+        "equations": equations(solution.H),
+        "structure": solution.H.facts,
+        "figure": figure,
+        "no_figure": no_figure,
+        "check": contents.check(solution),
+        "windows": contents.windows(solution),
+        "bounds": None if certificate is None else certificate.facts.tables[0].cells(None),
+        "digest": contents.solution_digest(solution),
+        "python": _colored(python_lines(solution) + "\n", "python"),
+        "omissions": omissions(solution),
+        "versions": contents.versions(solution),
+    }
