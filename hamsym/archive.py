@@ -73,7 +73,7 @@ Enclosure or a certificate
     kind = kind_of_class(type(result))
     if class_of_kind(kind) is not type(result):
         raise InputError(
-            f"a {type(result).__name__} has no files; give a result that has a method save"
+            f"there are no files of {type(result).__name__}; give a result that has a method save"
         )
     try:
         arrays, values = packed(result)

@@ -230,7 +230,7 @@ def test_edited_files_are_refused(
 
 
 def test_results_without_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="a dict has no files; give a result that has"):
+    with pytest.raises(InputError, match="there are no files of dict; give a result that has"):
         hamsym.save({}, tmp_path / "a")
 
 

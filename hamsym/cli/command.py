@@ -92,6 +92,21 @@ class Command(click.Command):
             click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON object.")
         )
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse arguments; a formula that begins with a minus sign is not taken for an option."""
+        given = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption:
+            formula = next((a for a in given if a[:1] == "-" and set(a) & set("*/+(")), None)
+            if formula is None or formula.startswith("--"):
+                raise
+            raise click.UsageError(
+                f"{formula!r} begins as an option does; give the options first, then -- and the "
+                "formula",
+                ctx,
+            ) from None
+
     def invoke(self, ctx: click.Context) -> int:
         as_json = ctx.params.pop("as_json", False)
         ctx.meta["hamsym.json"] = as_json

@@ -45,7 +45,12 @@ class Notation:
             return negated
         if expr in self.derived:
             return list(self.derived[expr])
-        return [-term for term in self.derived.get(-expr, ())] or ordered_terms(expr)
+        if negated := [-term for term in self.derived.get(-expr, ())]:
+            return negated
+        for whole in self.written.values():  # of which this may be a part, as V of H
+            if set(expr.args) <= set(whole):
+                return [term for term in whole if term in expr.args]
+        return ordered_terms(expr)
 
     def with_fewer_signs(self, product: sympy.Expr) -> sympy.Expr:
         """Return a product with its minus signs in front of sums taken together, if fewer remain.

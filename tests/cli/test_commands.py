@@ -66,6 +66,16 @@ def test_derive_shows_everything(capsys: Captured) -> None:
 
 
 @pytest.mark.slow
+def test_formula_that_begins_with_a_minus_sign_follows_two_dashes(capsys: Captured) -> None:
+    formula = "-cos(x) + p**2/2"
+    status, out, err = run(capsys, "derive", formula)
+    assert (status, out) == (2, "")
+    assert err.startswith(f"hamsym: {formula!r} begins as an option does; give the options first")
+    status, out, _ = run(capsys, "derive", "--", formula)
+    assert status == 0
+    assert out.startswith(f"H = {formula}\n")
+
+
 def test_derive_with_options_and_long_output(capsys: Captured) -> None:
     _, out, _ = run(capsys, "derive", "p_r**2/2 + p_phi**2/(2*r**2) - k/r", "--param", "k=2")
     assert "cyclic coordinates: phi" in out

@@ -12,10 +12,9 @@ import sympy
 import hamsym
 from hamsym import Hamiltonian
 from hamsym.cli.derivation import _lines
-from hamsym.workbench.explore.equations import equations
+from hamsym.workbench.equations import equations
 from hamsym.workbench.mathml import mathml
 from hamsym.workbench.notebooks.cards import typeset as typeset_formula
-from hamsym.workbench.reports import contents
 
 SPRING = "k*(r - l)**2/2 - g*r*cos(theta) + p_theta**2/(2*r**2) + p_r**2/2"
 
@@ -33,6 +32,12 @@ def test_formula_is_displayed_as_it_was_written() -> None:
             expected = "q1**2/2 + p1**2/2 + q2**2/2 + p2**2/2 + q3**2/2 + p3**2/2"
             expected += " + c*(q2 - q1)**2/2 + c*(q3 - q2)**2/2"
         assert H.notation.text(H.expr) == expected
+
+
+def test_potential_has_the_order_of_the_formula() -> None:
+    H = Hamiltonian("-x**2/2 + x**4/4 + p**2/2")
+    assert H.potential is not None
+    assert H.notation.text(H.potential) == "-x**2/2 + x**4/4"
 
 
 def test_terms_of_equations_follow_those_of_the_formula() -> None:
@@ -102,11 +107,10 @@ def test_order_is_kept_by_copies_and_other_parameters() -> None:
 def test_every_display_has_one_order() -> None:
     H = Hamiltonian(SPRING)
     described = hamsym.describe(H)
-    report = contents.equations(H)
+    page = equations(H)
     typeset = [
         "".join(map(typeset_formula, described.formulas)),
-        "".join(map(str, [report["H"], *report["rates"]])),
-        equations(H),
+        "".join(map(str, [page["H"], *page["rates"]])),
     ]
     displays = [
         ("\n".join(_lines(H, None)), H.notation.text),
