@@ -154,6 +154,7 @@ def orbit_family(
 
     Examples
     --------
+    >>> import hamsym
     >>> orbit = hamsym.periodic_orbit("p**2/2 + x**2/2 + x**4/4", [1.0, 0.0])
     >>> family = orbit_family(orbit, energy=2.0)
     >>> family.success, round(family[-1].energy, 9), round(family[-1].period, 6)
