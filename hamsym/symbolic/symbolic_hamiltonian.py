@@ -120,7 +120,7 @@ class SymbolicHamiltonian(Shown):
 
     @cached_property
     def notation(self) -> Notation:
-        """Order of terms in all that is displayed of H: as they were written.
+        """Order of the terms in all that is displayed of H, as they were written.
 
         The terms of the equations of motion are in the order of the terms of H that they come from.
 
