@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from hamsym.errors import FileError
 from hamsym.families.blocks import Block
-from hamsym.families.windows import MARCHED, Table, Windows
+from hamsym.families.windows import MARCHED, Rows, Table, Windows
 from hamsym.support.records import MALFORMED, packed, unpacked
 from hamsym.support.tensor_files import one_line, read_tensors, write_tensors
 
@@ -95,8 +95,12 @@ def windows_of(path: Path, parts: Sequence[Part], shapes: Mapping[str, tuple[int
     if not all(_file(path, part.name, _WINDOWS).is_file() for part in parts):
         raise ValueError("windows are missing")
     reader = _Reader(path, parts, shapes)
-    names = enumerate(Windows._fields)
-    return Windows(*(_PartRows(reader, name, k, shapes[name]) for k, name in names))
+    return Windows(
+        *(
+            Rows(reader.array_of(name), [part.rows[k] for part in parts], shapes[name])
+            for k, name in enumerate(Windows._fields)
+        )
+    )
 
 
 def _file(path: Path, name: str, kind: str) -> Path:
@@ -109,19 +113,22 @@ class _Reader:
     def __init__(
         self, path: Path, parts: Sequence[Part], shapes: Mapping[str, tuple[int, ...]]
     ) -> None:
-        self.parts = parts
-        self._path, self._shapes = path, shapes
+        self._path, self._parts, self._shapes = path, parts, shapes
         self._kept: dict[int, dict[str, np.ndarray]] = {}
         self._size = 0  # bytes of those
 
-    def windows(self, place: int) -> dict[str, np.ndarray]:
+    def array_of(self, name: str) -> Callable[[int], np.ndarray]:
+        """Return the function from the number of a part to one of its arrays."""
+        return lambda place: self._windows(place)[name]
+
+    def _windows(self, place: int) -> dict[str, np.ndarray]:
         """Return the windows of a part.
 
         Raise FileError if they are damaged.
         """
         if (known := self._kept.get(place)) is not None:
             return known
-        part = self.parts[place]
+        part = self._parts[place]
         file = _file(self._path, part.name, _WINDOWS)
         found, _ = read_tensors(file, _WINDOWS)
         for (name, row), count in zip(self._shapes.items(), part.rows, strict=True):
@@ -134,29 +141,3 @@ class _Reader:
         self._kept[place] = found
         self._size += size
         return found
-
-
-class _PartRows:
-    """Rows of one array of all parts, one part after the other."""
-
-    def __init__(self, reader: _Reader, name: str, number: int, shape: tuple[int, ...]) -> None:
-        self._reader, self._name, self._shape = reader, name, shape
-        self._ends = np.cumsum([0, *(part.rows[number] for part in reader.parts)])
-
-    def __len__(self) -> int:
-        return int(self._ends[-1])
-
-    def rows(self, start: int, stop: int) -> np.ndarray:
-        """Rows of a range.
-
-        Raise FileError if the store is damaged.
-        """
-        if not start < stop:
-            return np.empty((0, *self._shape))
-        first = int(np.searchsorted(self._ends, start, side="right")) - 1
-        found = []
-        for place in range(first, int(np.searchsorted(self._ends, stop))):
-            array = self._reader.windows(place)[self._name]
-            low = int(self._ends[place])
-            found.append(array[max(start - low, 0) : stop - low])
-        return found[0] if len(found) == 1 else np.concatenate(found)

@@ -25,7 +25,7 @@ from hamsym.families.blocks import Block
 from hamsym.families.distributed import BEGUN, StorePlace
 from hamsym.families.parts import FOLDER, NAME, Part, part_of, read_parts, windows_of, write_part
 from hamsym.families.solutions import Family, Solutions
-from hamsym.families.windows import MARCHED, OPEN, Packed, Pieces, Table, Windows, pieces_of
+from hamsym.families.windows import MARCHED, OPEN, Packed, Table, Windows, pieces_of
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.problems.description import described, require_formula
 from hamsym.problems.ensemble import Ensemble
@@ -111,11 +111,15 @@ class FileContents(Contents):
     error: Annotated[np.ndarray, floats("errors", "terms", "dim", finite=False)]
     floors: Annotated[np.ndarray, floats("errors", "dim", finite=False)]
 
+    @property
+    def packed(self) -> Packed:
+        """The windows of all members."""
+        return Packed(*(getattr(self, name) for name in Packed._fields))
+
     def check(self) -> None:
         """Raise ValueError unless the windows are those of the members."""
         super().check()
-        windows = Windows(*(Pieces([getattr(self, name)]) for name in Windows._fields))
-        _require_windows(self.solutions(windows), Packed(*(w.rows(0, len(w)) for w in windows)))
+        _require_windows(self.solutions(pieces_of([self.packed])), self.packed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +148,7 @@ def _contents_of(solutions: Solutions) -> FileContents:
 
 
 def _solutions_of(contents: FileContents) -> Solutions:
-    return contents.solutions(
-        Windows(*(Pieces([getattr(contents, name)]) for name in Windows._fields))
-    )
+    return contents.solutions(pieces_of([contents.packed]))
 
 
 convert(Solutions, FileContents, _contents_of, _solutions_of)

@@ -6,11 +6,11 @@ Output: :class:`Table`, a row for each member, and :class:`Windows`, rows of win
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -21,42 +21,32 @@ from hamsym.support.record_fields import Array, AsText, counts, flags, floats
 OPEN, ACCEPTED, MARCHED, REFUSED = range(4)
 
 
-class Rows(Protocol):
-    """An array that grows along its first axis, in memory or in a store."""
+class Rows:
+    """Rows of consecutive arrays, in memory or in a store, as those of one.
+
+    - array: Number of an array -> the array; called when its rows are needed.
+    - lengths: Rows of each array.
+    - row: Shape of a row.
+    """
+
+    def __init__(
+        self, array: Callable[[int], np.ndarray], lengths: Sequence[int], row: tuple[int, ...]
+    ) -> None:
+        self._array, self._row = array, row
+        self._edges = np.cumsum([0, *lengths]).tolist()
 
     def __len__(self) -> int:
-        """Number of rows."""
+        return int(self._edges[-1])
 
     def rows(self, start: int, stop: int) -> np.ndarray:
-        """Rows of a range, not to be written to."""
-
-
-class Pieces:
-    """Rows in memory, as consecutive arrays."""
-
-    def __init__(self, pieces: Sequence[np.ndarray]) -> None:
-        filled = [piece for piece in pieces if len(piece)]
-        self._pieces = filled or list(pieces[:1])
-        self._ends = np.cumsum([len(piece) for piece in self._pieces]).tolist()
-
-    def __len__(self) -> int:
-        return int(self._ends[-1])
-
-    def rows(self, start: int, stop: int) -> np.ndarray:
-        """Rows of a range: a view where they are in one piece."""
-        first = min(bisect_right(self._ends, start), len(self._pieces) - 1)
-        last = first
-        while self._ends[last] < stop:
-            last += 1
-        offset = self._ends[first] - len(self._pieces[first])
-        if first == last:
-            return self._pieces[first][start - offset : stop - offset]
-        found = [
-            self._pieces[first][start - offset :],
-            *self._pieces[first + 1 : last],
-            self._pieces[last][: stop - self._ends[last] + len(self._pieces[last])],
-        ]
-        return np.concatenate(found)
+        """Rows of a range, not to be written to: a view where they are in one array."""
+        if not start < stop:
+            return np.empty((0, *self._row))
+        found = []
+        for place in range(bisect_right(self._edges, start) - 1, bisect_left(self._edges, stop)):
+            first = self._edges[place]
+            found.append(self._array(place)[max(start - first, 0) : stop - first])
+        return found[0] if len(found) == 1 else np.concatenate(found)
 
 
 class Packed(NamedTuple):
@@ -86,7 +76,12 @@ class Windows(NamedTuple):
 
 def pieces_of(parts: Sequence[Packed]) -> Windows:
     """Return the windows of consecutive parts, which are not copied."""
-    return Windows(*(Pieces(arrays) for arrays in zip(*parts, strict=True)))
+    return Windows(
+        *(
+            Rows(arrays.__getitem__, [len(array) for array in arrays], arrays[0].shape[1:])
+            for arrays in zip(*parts, strict=True)
+        )
+    )
 
 
 @dataclass(frozen=True)
