@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import hamsym
 from hamsym.errors import InputError
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.integrators.table import INTEGRATORS, usable_method, usual_method
@@ -18,14 +17,13 @@ from hamsym.problems.description import attributes_of
 from hamsym.solution.solution import Solution
 from hamsym.study.matching import Match, find_match, run, trajectory
 from hamsym.study.references import SAMPLES, ReferenceSolution, largest, reference_for
-from hamsym.support.shown import Shown
+from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame
 from hamsym.support.validation import require_whole
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.figure import Figure
 
 MAX_STEPS = 100_000_000
 _FACTORS = (1, 10, 100)  # multiples of K, as in the paper
@@ -69,8 +67,13 @@ class Row:
 
 @suggest_attributes
 @dataclass(frozen=True)
-class Comparison(Shown):
+class Comparison(Drawn, Shown):
     """Result of :func:`compare`; its text has two tables.
+
+    ``plot()`` draws four panels: the 2-norm of the error and the energy error over time, the errors
+    in the first phase plane of the network and of the integrator that is nearest to it, and errors
+    against evaluations; ``plot("error")``, ``"energy"``, ``"plane"`` or ``"work"`` one of them. Of
+    one integrator all runs are drawn, of several the middle one of each.
 
     Attributes
     ----------
@@ -169,27 +172,6 @@ class Comparison(Shown):
             "reference_error": self.reference_error,
         }
         return data_frame(columns, None, attributes)
-
-    def plot(self, *names: Any, ax: Any = None) -> Figure:
-        """Draw errors of the network and of the integrators.
-
-        Four panels: the 2-norm of the error and the energy error over time, the errors in the first
-        phase plane of the network and of the integrator that is nearest to it, and errors against
-        evaluations. Of one integrator all runs are drawn, of several the middle one of each.
-
-        Parameters
-        ----------
-        *names : {"error", "energy", "plane", "work"}
-            One panel alone.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If there is no such panel, or ``ax`` is given for all of them.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
 
 @checked_keywords

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import hamsym
 from hamsym.archive import load_solution
 from hamsym.errors import FileError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
@@ -29,7 +28,7 @@ from hamsym.study.runs import arguments_of, planned_run
 from hamsym.support.locking import exclusive
 from hamsym.support.machine import available_cores
 from hamsym.support.method_object import Method
-from hamsym.support.shown import Shown
+from hamsym.support.shown import Drawn, Shown
 from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame
 from hamsym.support.validation import plain, require_positive, require_whole
@@ -37,7 +36,6 @@ from hamsym.support.validation import plain, require_positive, require_whole
 if TYPE_CHECKING:  # optional packages
     import pandas
     from distributed import Client
-    from matplotlib.figure import Figure
 
 #: Options of :func:`hamsym.solve`, or a function from a seed to options.
 Settings = Mapping[str, Any] | str | Method | Callable[[int], Any]
@@ -45,8 +43,13 @@ Settings = Mapping[str, Any] | str | Method | Callable[[int], Any]
 
 @suggest_attributes
 @dataclass(frozen=True)
-class Sweep(Shown):
+class Sweep(Drawn, Shown):
     """Solutions of one problem by settings and seed.
+
+    ``plot()`` draws errors and times of all runs over the options in which the settings differ,
+    ``plot("error")`` or ``plot("time")`` one of these panels. One option is the axis, a second one
+    makes a series of each of its values. Where more differ, or none is a number, the settings are
+    drawn by name. Failed runs are red.
 
     Attributes
     ----------
@@ -166,26 +169,6 @@ class Sweep(Shown):
                 math.nan if isinstance(proof, str) else proof.bound for proof in proofs
             ]
         return data_frame(columns)
-
-    def plot(self, *names: str, ax: Any = None) -> Figure:
-        """Draw errors and times of all runs over the options in which the settings differ.
-
-        One option is the axis, a second one makes a series of each of its values. Where more
-        differ, or none is a number, the settings are drawn by name. Failed runs are red.
-
-        Parameters
-        ----------
-        *names : {"error", "time"}
-            The panel; by default both.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw one panel into, in your own style.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, or ``ax`` is given for two panels.
-        """
-        return hamsym.plot(self, *names, ax=ax)
 
     def rows(self, truth: Callable[[np.ndarray], np.ndarray]) -> dict[str, tuple[Row, ...]]:
         """Return the errors of all solutions; infinite for one that does not reach the end.
