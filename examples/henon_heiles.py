@@ -23,7 +23,7 @@ problem = hamsym.systems.henon_heiles()
 H = problem.H
 print(f"H = {H}\n")
 for name, rate in zip(H.names, H.vector_field, strict=True):
-    print(f"d{name}/dt = {rate}")
+    print(f"d{name}/dt = {H.notation.text(rate)}")
 print(f"\nsigma_min = {H.sigma_min}")
 print(f"x*p_y - y*p_x conserved: {H.is_conserved('x*p_y - y*p_x')}")
 

@@ -29,7 +29,7 @@ problem = hamsym.systems.nonlinear_oscillator()
 H = problem.H
 print(f"H = {H}\n")
 for name, rate in zip(H.names, H.vector_field, strict=True):
-    print(f"d{name}/dt = {rate}")
+    print(f"d{name}/dt = {H.notation.text(rate)}")
 print(f"\nsigma_min = {H.sigma_min}\n")
 print(H.source("torch", part="loss"))
 

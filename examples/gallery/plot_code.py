@@ -16,7 +16,7 @@ H = hamsym.Hamiltonian(
 )
 print(H)
 for name, rate in zip(H.names, H.vector_field, strict=True):
-    print(f"d{name}/dt = {rate}")
+    print(f"d{name}/dt = {H.notation.text(rate)}")
 
 # %%
 # The second derivatives decide the stability of the points where the bead can rest.

@@ -17,7 +17,7 @@ H = hamsym.Hamiltonian(
     parameters={"delta": 0.3, "a": 0.5, "w": 1.2},
 )
 for name, rate in zip(H.names, H.vector_field, strict=True):
-    print(f"d{name}/dt = {rate}")
+    print(f"d{name}/dt = {H.notation.text(rate)}")
 print("rate of H along trajectories:", H.power)
 
 # %%
