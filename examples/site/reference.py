@@ -23,7 +23,7 @@ GROUPS = {
     "Methods of solve": ["Features", "NetworkChain", "LevenbergMarquardt", "SSBroyden", "LBFGS"],
     "Many trajectories": ["solve_many", "Solutions", "flow_map", "FlowMap", "sweep", "Sweep"],
     "Data": ["fit", "Fit"],
-    "Proofs": ["certify", "verify", "Certificate", "enclose", "Enclosure", "Ball"],
+    "Proofs": ["certify", "verify", "Certificate", "windows.enclose", "Enclosure", "Ball"],
     "Dynamics": ["lyapunov", "LyapunovExponents", "LyapunovMap", "section", "Section"],
     "Equilibria and periodic orbits": ["equilibria", "Equilibria", "Equilibrium"],
     "Comparison, figures and files": ["compare", "Comparison", "plot", "save", "load"],
@@ -53,13 +53,13 @@ _MEMBERS = """\
 # Headers of the kernel, whose first comments state lemmas of the proofs, and modules of proofs.
 HEADERS = ("balls.h", "series.h", "enclosures.h")
 LEMMAS = (
-    "proven_windows",
-    "trial_models",
-    "window_proof",
-    "enclose",
-    "box_proof",
-    "tube",
-    "map_models",
+    "windows.proven_windows",
+    "windows.trial_models",
+    "windows.window_proof",
+    "windows.enclose",
+    "boxes.box_proof",
+    "boxes.tube",
+    "boxes.map_models",
 )
 
 
@@ -136,7 +136,7 @@ def _lemmas() -> str:
         text += f"## {name}\n\n`hamsym/kernel/{name}`: {first.strip()}\n\n"
         text += f"```text\n{textwrap.dedent(rest).strip()}\n```\n\n"
     for name in LEMMAS:
-        path = f"hamsym.proof.{name}"
+        path, name = f"hamsym.proof.{name}", name.split(".")[-1]
         first, _, rest = (importlib.import_module(path).__doc__ or "").partition("\n")
         text += f"## {name}\n\n`{path}`: {first}\n\n"
         if rest.strip():

@@ -22,11 +22,11 @@ from hamsym.dynamics.linear_stability import LinearStability, linear_stability, 
 from hamsym.dynamics.newton_starts import Candidates, continues
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.ball import Ball
-from hamsym.proof.balls import above, exact, working
-from hamsym.proof.derivative_balls import DerivativeBalls
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.arithmetic.balls import above, exact, working
 from hamsym.proof.public_check import require_same
-from hamsym.proof.roots import BITS, Root, enclosed_root
+from hamsym.proof.zeros.derivative_balls import DerivativeBalls
+from hamsym.proof.zeros.roots import BITS, Root, enclosed_root
 
 NEAR = 1e-3  # of the sizes: distance of approximations of one point with a singular Hessian
 _SAME = 1e-7  # of the sizes: the same, for other points

@@ -35,13 +35,13 @@ from hamsym.orbits.period import exact_period, in_units_of_the_arc
 from hamsym.orbits.proven_stability import proven_attraction, proven_stability
 from hamsym.orbits.search import vector_field_at
 from hamsym.orbits.symmetry import SignedPermutation, is_unchanged
-from hamsym.proof.ball import Ball
-from hamsym.proof.balls import above, working
-from hamsym.proof.enclose import Enclosure, enclosed
-from hamsym.proof.float64_arithmetic import require_float64
-from hamsym.proof.functions import BALLS, SingularityError
-from hamsym.proof.generated import GeneratedFunctions
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.arithmetic.balls import above, working
+from hamsym.proof.arithmetic.float64_arithmetic import require_float64
+from hamsym.proof.arithmetic.functions import BALLS, SingularityError
+from hamsym.proof.arithmetic.generated import GeneratedFunctions
 from hamsym.proof.limits import Deadline
+from hamsym.proof.windows.enclose import Enclosure, enclosed
 from hamsym.support.suggestions import checked_keywords
 
 if TYPE_CHECKING:

@@ -1,8 +1,8 @@
 """Certificates: proven bounds on the error of a neural trajectory.
 
-:mod:`hamsym.proof.window_proof` encloses the exact solution on windows, takes the trajectory as the
-real function that its weights define, and bounds the difference. Upper bounds are rounded up and
-lower bounds down to the decimals of a :class:`Certificate`.
+:mod:`hamsym.proof.windows.window_proof` encloses the exact solution on windows, takes the
+trajectory as the real function that its weights define, and bounds the difference. Upper bounds are
+rounded up and lower bounds down to the decimals of a :class:`Certificate`.
 
 :func:`verify` repeats a proof from the solution and checks every claim of the certificate. It
 assumes nothing in the certificate, and the size of the certificate does not determine its run time.
@@ -21,19 +21,19 @@ import hamsym
 from hamsym.archive import certificate_from, load_as
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.proof.box_certificate import BoxCertificate, map_digest
-from hamsym.proof.box_proof import certify_box, proven_bound
-from hamsym.proof.certificate import (
+from hamsym.proof.arithmetic.float64_arithmetic import require_float64
+from hamsym.proof.boxes.box_certificate import BoxCertificate, map_digest
+from hamsym.proof.boxes.box_proof import certify_box, proven_bound
+from hamsym.proof.limits import Deadline
+from hamsym.proof.windows.certificate import (
     LEAST_RTOL,
     MOST_RTOL,
     Certificate,
     rounded_down,
     rounded_up,
 )
-from hamsym.proof.float64_arithmetic import require_float64
-from hamsym.proof.limits import Deadline
-from hamsym.proof.public_check import check_solution
-from hamsym.proof.window_proof import WindowBounds, WindowProof
+from hamsym.proof.windows.public_windows import check_solution
+from hamsym.proof.windows.window_proof import WindowBounds, WindowProof
 from hamsym.solution.digest import digest
 from hamsym.solution.path import TRIALS
 from hamsym.solution.solution import Solution

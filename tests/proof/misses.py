@@ -18,8 +18,8 @@ import numpy as np
 from flint import arb
 
 from hamsym.kernel.enclosures import Models as Rows
-from hamsym.proof.balls import working
-from hamsym.proof.programs import Program, Recorder, tables
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.arithmetic.programs import Program, Recorder, tables
 
 BITS = 300
 UNIT = 2.0**-53

@@ -12,7 +12,7 @@ from flint import arb
 
 import hamsym.kernel
 from hamsym.kernel.enclosures import MIDDLE, TINY, enclosures
-from hamsym.proof.balls import number_of, working
+from hamsym.proof.arithmetic.balls import number_of, working
 from tests.proof.misses import (
     BINARY,
     UNARY,

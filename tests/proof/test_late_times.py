@@ -9,8 +9,8 @@ import pytest
 import hamsym
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel.enclosures import REDUCED_ANGLE, Models, enclosures
-from hamsym.proof.equation import Equation
-from hamsym.proof.programs import ModelRows
+from hamsym.proof.arithmetic.programs import ModelRows
+from hamsym.proof.windows.equation import Equation
 
 _LATE = 1e8
 

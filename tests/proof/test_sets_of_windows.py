@@ -9,11 +9,11 @@ from flint import arb
 
 from hamsym.hamiltonian import Hamiltonian
 from hamsym.kernel.enclosures import enclosures
-from hamsym.proof.balls import working
-from hamsym.proof.equation import Equation
-from hamsym.proof.guessed_windows import WindowGuess
-from hamsym.proof.programs import ModelRows
-from hamsym.proof.proven_windows import ErrorSet, set_sizes
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.arithmetic.programs import ModelRows
+from hamsym.proof.windows.equation import Equation
+from hamsym.proof.windows.guessed_windows import WindowGuess
+from hamsym.proof.windows.proven_windows import ErrorSet, set_sizes
 from tests.proof.misses import TERMS, exact_polynomials
 
 _BITS = 300

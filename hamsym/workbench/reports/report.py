@@ -24,9 +24,9 @@ from hamsym.codegen.backends import BACKENDS
 from hamsym.errors import CertificationError, FileError, HamsymError, InputError
 from hamsym.facts.facts import Fact
 from hamsym.facts.solutions import solution_facts
-from hamsym.proof.certificate import Certificate
 from hamsym.proof.prove import certify as prove
 from hamsym.proof.prove import verify
+from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
 from hamsym.solving.recipe import command_line, omissions, python_lines
 from hamsym.support.atomic import write_file

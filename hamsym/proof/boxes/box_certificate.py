@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.compiled_piece import MAPS
 from hamsym.flow_maps.flow_map import FlowMap
-from hamsym.proof.balls import decimal_above
+from hamsym.proof.arithmetic.balls import decimal_above
 from hamsym.support.record_fields import Count, Size
 from hamsym.support.records import digest_of
 from hamsym.support.sealed_text import SealedText

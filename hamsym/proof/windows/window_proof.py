@@ -1,8 +1,8 @@
 """Two-sided bounds on the error of a trial solution, from enclosures on windows.
 
-On each window of :mod:`hamsym.proof.proven_windows`, z = y + (a set of known size), and z^ is a
-Chebyshev model (:mod:`hamsym.proof.trial_models`). So z^ - y, H(z^) - H and dz^/dt - J grad H(z^)
-are models, too, formed in twice float64: P with |f - P| <= R.
+On each window of :mod:`hamsym.proof.windows.proven_windows`, z = y + (a set of known size), and z^
+is a Chebyshev model (:mod:`hamsym.proof.windows.trial_models`). So z^ - y, H(z^) - H and dz^/dt - J
+grad H(z^) are models, too, formed in twice float64: P with |f - P| <= R.
 
 *Largest values.* For a polynomial P of degree n < M and the zeros x_j of T_M,
 
@@ -28,13 +28,13 @@ from flint import arb
 
 from hamsym.errors import CertificationError
 from hamsym.kernel.enclosures import TINY, UNIT
-from hamsym.proof.balls import SMALLEST, at_least, at_most, number_of, working
-from hamsym.proof.certificate import FLOOR, Certificate
-from hamsym.proof.equation import Equation, equation_of
+from hamsym.proof.arithmetic.balls import SMALLEST, at_least, at_most, number_of, working
+from hamsym.proof.arithmetic.programs import BITS, ModelRows, Rows
 from hamsym.proof.limits import Deadline, TimeLimitError
-from hamsym.proof.programs import BITS, ModelRows, Rows
-from hamsym.proof.proven_windows import Window, WindowStepper, set_sizes
-from hamsym.proof.trial_models import Piece, trial_pieces, zero_components
+from hamsym.proof.windows.certificate import FLOOR, Certificate
+from hamsym.proof.windows.equation import Equation, equation_of
+from hamsym.proof.windows.proven_windows import Window, WindowStepper, set_sizes
+from hamsym.proof.windows.trial_models import Piece, trial_pieces, zero_components
 from hamsym.random_features.trial import FeatureTrial
 from hamsym.solution.solution import Solution
 

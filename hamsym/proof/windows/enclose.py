@@ -16,13 +16,13 @@ from hamsym.errors import CertificationError, InputError
 from hamsym.hamiltonian import Hamiltonian, HamiltonianLike
 from hamsym.kernel.enclosures import enclosures
 from hamsym.problems.problem import InitialValueProblem
-from hamsym.proof.ball import Ball
-from hamsym.proof.balls import number_of
-from hamsym.proof.equation import equation_of
-from hamsym.proof.float64_arithmetic import require_float64
+from hamsym.proof.arithmetic.ball import Ball
+from hamsym.proof.arithmetic.balls import number_of
+from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.limits import Deadline
-from hamsym.proof.proven_windows import ErrorSet, Window, WindowStepper
-from hamsym.proof.public_check import check_enclosure
+from hamsym.proof.windows.equation import equation_of
+from hamsym.proof.windows.proven_windows import ErrorSet, Window, WindowStepper
+from hamsym.proof.windows.public_windows import check_enclosure
 from hamsym.solution.times import times_in_span
 from hamsym.support.record_fields import UNSAVED, Size
 from hamsym.support.shown import Drawn, Saved

@@ -21,7 +21,7 @@ from hamsym.codegen.straight_line import described, inserted_parameters, without
 from hamsym.codegen.system import load
 from hamsym.errors import CertificationError
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.functions import Arithmetic, SingularityError
+from hamsym.proof.arithmetic.functions import Arithmetic, SingularityError
 
 
 class GeneratedFunctions:

@@ -39,9 +39,9 @@ from hamsym.kernel.enclosures import (
     enclosures,
 )
 from hamsym.numerics.collocation import turns
-from hamsym.proof import functions
-from hamsym.proof.balls import number_of, working
-from hamsym.proof.functions import Arithmetic
+from hamsym.proof.arithmetic import functions
+from hamsym.proof.arithmetic.balls import number_of, working
+from hamsym.proof.arithmetic.functions import Arithmetic
 
 BITS = 240  # of numbers
 

@@ -1,8 +1,8 @@
 """Proofs of the error of a flow map, for all starts and parameters in a box.
 
 The box is cut into cells. On each of them the map is enclosed by Taylor models
-(:mod:`hamsym.proof.map_models`), its defect and its error by a tube (:mod:`hamsym.proof.tube`).
-Cells whose bound is much larger than the error itself are halved.
+(:mod:`hamsym.proof.boxes.map_models`), its defect and its error by a tube
+(:mod:`hamsym.proof.boxes.tube`). Cells whose bound is much larger than the error itself are halved.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from hamsym.flow_maps.box import Box
 from hamsym.flow_maps.expansion import Chain, Leg, Split
 from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.formula.parser import canonical_name
-from hamsym.proof.balls import working
-from hamsym.proof.box_certificate import BoxCertificate, map_digest
-from hamsym.proof.float64_arithmetic import require_float64
-from hamsym.proof.functions import SingularityError
-from hamsym.proof.generated import evaluated, require_smooth
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.arithmetic.float64_arithmetic import require_float64
+from hamsym.proof.arithmetic.functions import SingularityError
+from hamsym.proof.arithmetic.generated import evaluated, require_smooth
+from hamsym.proof.arithmetic.taylor_models import BITS, MODELS, Model, Space, space_of
+from hamsym.proof.boxes.box_certificate import BoxCertificate, map_digest
+from hamsym.proof.boxes.map_models import Cells, LegModels, Step, affine_models
+from hamsym.proof.boxes.public_map import check_map
+from hamsym.proof.boxes.tube import Flow, StepModels, Stepper, Tube
 from hamsym.proof.limits import Deadline
-from hamsym.proof.map_models import Cells, LegModels, Step, affine_models
-from hamsym.proof.public_check import check_map
-from hamsym.proof.taylor_models import BITS, MODELS, Model, Space, space_of
-from hamsym.proof.tube import Flow, StepModels, Stepper, Tube
 from hamsym.support.records import packed
 from hamsym.support.validation import require_whole
 

@@ -35,8 +35,8 @@ import numpy as np
 from flint import arb, arb_series
 
 from hamsym.kernel.enclosures import enclosures
-from hamsym.proof.balls import above, working
-from hamsym.proof.functions import Arithmetic, SingularityError, general_power
+from hamsym.proof.arithmetic.balls import above, working
+from hamsym.proof.arithmetic.functions import Arithmetic, SingularityError, general_power
 
 BITS = 160  # of constants, tables and elementary functions
 _UNIT = 2.0**-53

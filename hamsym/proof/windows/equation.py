@@ -11,9 +11,9 @@ import sympy
 
 from hamsym.codegen.functions import compile_straight_line
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.balls import working
-from hamsym.proof.generated import GeneratedFunctions, evaluated
-from hamsym.proof.programs import BITS, Program, Recorder
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.arithmetic.generated import GeneratedFunctions, evaluated
+from hamsym.proof.arithmetic.programs import BITS, Program, Recorder
 from hamsym.symbolic.exact import rational
 
 

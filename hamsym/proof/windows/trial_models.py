@@ -18,9 +18,9 @@ from flint import arb
 
 from hamsym.errors import CertificationError
 from hamsym.kernel.enclosures import enclosures
-from hamsym.proof import functions
-from hamsym.proof.balls import number_of
-from hamsym.proof.programs import ModelRows, Program, Recorder, Rows
+from hamsym.proof.arithmetic import functions
+from hamsym.proof.arithmetic.balls import number_of
+from hamsym.proof.arithmetic.programs import ModelRows, Program, Recorder, Rows
 from hamsym.random_features.trial import FeatureTrial
 
 

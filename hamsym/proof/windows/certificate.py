@@ -12,7 +12,7 @@ import numpy as np
 
 from hamsym.errors import InputError
 from hamsym.formula.parser import check_name
-from hamsym.proof.balls import decimal, decimal_above, decimal_below
+from hamsym.proof.arithmetic.balls import decimal, decimal_above, decimal_below
 from hamsym.support.record_fields import Limit, Written
 from hamsym.support.sealed_text import SealedText
 from hamsym.support.suggestions import suggest_attributes

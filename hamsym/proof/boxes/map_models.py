@@ -23,8 +23,8 @@ import numpy as np
 from flint import arb, arb_poly
 
 from hamsym.flow_maps.expansion import Leg, Piece
-from hamsym.proof.balls import ball, working
-from hamsym.proof.taylor_models import (
+from hamsym.proof.arithmetic.balls import ball, working
+from hamsym.proof.arithmetic.taylor_models import (
     BITS,
     Model,
     Space,

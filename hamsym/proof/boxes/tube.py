@@ -43,11 +43,10 @@ from numpy.polynomial import chebyshev
 
 from hamsym.errors import CertificationError
 from hamsym.flow_maps.box import Box
-from hamsym.proof.balls import ball, working
-from hamsym.proof.functions import SingularityError
-from hamsym.proof.generated import GeneratedFunctions
-from hamsym.proof.map_models import Step
-from hamsym.proof.taylor_models import (
+from hamsym.proof.arithmetic.balls import ball, working
+from hamsym.proof.arithmetic.functions import SingularityError
+from hamsym.proof.arithmetic.generated import GeneratedFunctions
+from hamsym.proof.arithmetic.taylor_models import (
     BITS,
     MODELS,
     Model,
@@ -56,6 +55,7 @@ from hamsym.proof.taylor_models import (
     inflated,
     total,
 )
+from hamsym.proof.boxes.map_models import Step
 
 _TIMES = 10  # nodes of a step for the fundamental matrix, without its start
 _FIT = {1: 8, 2: 5, 3: 3}  # degree of the fundamental matrix in the inputs, by their number

@@ -13,10 +13,10 @@ from typing import Any
 from flint import arb, fmpq
 
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof import functions
-from hamsym.proof.float64_arithmetic import require_float64
-from hamsym.proof.functions import Arithmetic, SingularityError
-from hamsym.proof.generated import GeneratedFunctions
+from hamsym.proof.arithmetic import functions
+from hamsym.proof.arithmetic.float64_arithmetic import require_float64
+from hamsym.proof.arithmetic.functions import Arithmetic, SingularityError
+from hamsym.proof.arithmetic.generated import GeneratedFunctions
 
 #: Balls of numbers (``arb``).
 Balls = list[Any]

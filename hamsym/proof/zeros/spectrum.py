@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from flint import acb, acb_mat, arb_mat
 
-from hamsym.proof.balls import working
+from hamsym.proof.arithmetic.balls import working
 from hamsym.symbolic.derivatives import connected_blocks
 
 _BITS = 128

@@ -1,6 +1,6 @@
 """Proven zeros of the gradient of H near given points.
 
-Input:  :class:`~hamsym.proof.derivative_balls.DerivativeBalls`, approximate zeros.
+Input:  :class:`~hamsym.proof.zeros.derivative_balls.DerivativeBalls`, approximate zeros.
 Output: :class:`Root`, with an enclosure in balls.
 
 With g = grad H, its Jacobian J = Hess H on a box Z around c, and any matrix Y, the set
@@ -22,8 +22,8 @@ from typing import Any
 import sympy
 from flint import arb, arb_mat
 
-from hamsym.proof.balls import interval, working
-from hamsym.proof.derivative_balls import Balls, DerivativeBalls
+from hamsym.proof.arithmetic.balls import interval, working
+from hamsym.proof.zeros.derivative_balls import Balls, DerivativeBalls
 
 BITS = 192  # of enclosures
 _NEWTON = 60  # most steps

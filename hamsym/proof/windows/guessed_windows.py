@@ -4,8 +4,8 @@ The polynomial y solves the equations by collocation in float64; linear correcti
 complete it to twice float64. V follows from linear equations along y, and the units balance their
 matrix. All this is heuristic: a bad guess gives wide bounds, or a window that is refused and made
 shorter. Proven are only the bounds D on the defect of y, whatever y is
-(:mod:`hamsym.proof.proven_windows` proves the rest); they need low parts of y within half an ulp of
-its high parts.
+(:mod:`hamsym.proof.windows.proven_windows` proves the rest); they need low parts of y within half
+an ulp of its high parts.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 
 from hamsym.kernel.enclosures import enclosures
 from hamsym.numerics.scales import coupled_sizes
-from hamsym.proof.equation import Equation
-from hamsym.proof.programs import ModelRows, tables
+from hamsym.proof.arithmetic.programs import ModelRows, tables
+from hamsym.proof.windows.equation import Equation
 
 #: Size up to which a component is at rest.
 AT_REST = 1e-200

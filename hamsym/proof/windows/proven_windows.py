@@ -1,8 +1,9 @@
 """Enclosures of the true solution, window by window.
 
 Each window has a polynomial y near the solution and a polynomial matrix V near its derivatives,
-which :mod:`hamsym.proof.guessed_windows` guesses, and the bounds of ``hamsym/kernel/enclosures.h``,
-which hold whatever the guess. The set of the states at the start of a window is
+which :mod:`hamsym.proof.windows.guessed_windows` guesses, and the bounds of
+``hamsym/kernel/enclosures.h``, which hold whatever the guess. The set of the states at the start of
+a window is
 
     z(t_a) in y(-1) + G r,   r: all vectors with |r_i| <= R_i.
 
@@ -22,9 +23,11 @@ import numpy as np
 
 from hamsym.errors import CertificationError
 from hamsym.kernel.enclosures import MIDDLE, UNDERFLOW, UNIT, enclosures
-from hamsym.proof.balls import number_of
-from hamsym.proof.equation import Equation
-from hamsym.proof.guessed_windows import (
+from hamsym.proof.arithmetic.balls import number_of
+from hamsym.proof.arithmetic.programs import ModelRows
+from hamsym.proof.limits import Deadline
+from hamsym.proof.windows.equation import Equation
+from hamsym.proof.windows.guessed_windows import (
     AT_REST,
     Guess,
     Place,
@@ -32,8 +35,6 @@ from hamsym.proof.guessed_windows import (
     WindowGuess,
     powers_of_two,
 )
-from hamsym.proof.limits import Deadline
-from hamsym.proof.programs import ModelRows
 from hamsym.support.record_fields import floats
 
 #: Coefficients of the polynomials of a window.

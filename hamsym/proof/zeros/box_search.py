@@ -1,14 +1,14 @@
 """All zeros of the gradient of H in a box, by interval subdivision.
 
-Input:  :class:`~hamsym.proof.derivative_balls.DerivativeBalls`, a box.
+Input:  :class:`~hamsym.proof.zeros.derivative_balls.DerivativeBalls`, a box.
 Output: :class:`Search`: all zeros in the box, with enclosures, and the parts of the box that could
         not be decided.
 
-A box is decided in one of three ways: a component of g = grad H, or of its mean value form, or of
-Y g for an approximate inverse Y of the Hessian, has no zero in it, or no value, as a root of
-negative numbers; it lies in a box with exactly one known zero; or the test of existence
-(:mod:`hamsym.proof.roots`) succeeds on a slightly larger box. Otherwise it is divided. Where g is
-not smooth, its components that depend on that term are NaN and exclude nothing, and the others
+A box is decided in one of three ways: a component of g = grad H, or of its mean value form, or of Y
+g for an approximate inverse Y of the Hessian, has no zero in it, or no value, as a root of negative
+numbers; it lies in a box with exactly one known zero; or the test of existence
+(:mod:`hamsym.proof.zeros.roots`) succeeds on a slightly larger box. Otherwise it is divided. Where
+g is not smooth, its components that depend on that term are NaN and exclude nothing, and the others
 still do. (Hansen & Walster, Global Optimization Using Interval Analysis, 2nd ed., 2004.)
 """
 
@@ -23,12 +23,12 @@ from typing import Any
 from flint import arb, arb_mat
 
 from hamsym.hamiltonian import Hamiltonian
-from hamsym.proof.balls import working
-from hamsym.proof.derivative_balls import Balls, DerivativeBalls
-from hamsym.proof.functions import BALLS, SingularityError
-from hamsym.proof.generated import GeneratedFunctions
+from hamsym.proof.arithmetic.balls import working
+from hamsym.proof.arithmetic.functions import BALLS, SingularityError
+from hamsym.proof.arithmetic.generated import GeneratedFunctions
 from hamsym.proof.limits import Deadline
-from hamsym.proof.roots import (
+from hamsym.proof.zeros.derivative_balls import Balls, DerivativeBalls
+from hamsym.proof.zeros.roots import (
     BITS,
     Block,
     Root,
