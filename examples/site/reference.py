@@ -23,7 +23,7 @@ GROUPS = {
     "Methods of solve": ["Features", "NetworkChain", "LevenbergMarquardt", "SSBroyden", "LBFGS"],
     "Many trajectories": ["solve_many", "Solutions", "flow_map", "FlowMap", "sweep", "Sweep"],
     "Data": ["fit", "Fit"],
-    "Proofs": ["certify", "verify", "Certificate", "windows.enclose", "Enclosure", "Ball"],
+    "Proofs": ["certify", "verify", "Certificate", "enclose", "Enclosure", "Ball"],
     "Dynamics": ["lyapunov", "LyapunovExponents", "LyapunovMap", "section", "Section"],
     "Equilibria and periodic orbits": ["equilibria", "Equilibria", "Equilibrium"],
     "Comparison, figures and files": ["compare", "Comparison", "plot", "save", "load"],
@@ -34,6 +34,7 @@ GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
 GROUPS["Proofs"] += ["BoxCertificate"]
 GROUPS["Dynamics"] += ["chaos_indicators", "ChaosIndicators", "monodromy"]
+GROUPS["Proofs"] += ["SectionCertificate"]
 GROUPS["Equilibria and periodic orbits"] += ["periodic_orbit", "PeriodicOrbit", "orbit_family"]
 GROUPS["Equilibria and periodic orbits"] += ["OrbitFamily", "prove_orbit", "OrbitCertificate"]
 
