@@ -11,6 +11,7 @@ from .dynamics.lyapunov import LyapunovExponents as LyapunovExponents
 from .dynamics.lyapunov import lyapunov as lyapunov
 from .dynamics.lyapunov_map import LyapunovMap as LyapunovMap
 from .dynamics.monodromy import monodromy as monodromy
+from .dynamics.proven_sections import SectionCertificate as SectionCertificate
 from .dynamics.sections import Section as Section
 from .dynamics.sections import section as section
 from .errors import CertificationError as CertificationError

@@ -34,6 +34,7 @@ GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
 GROUPS["Proofs"] += ["BoxCertificate"]
 GROUPS["Dynamics"] += ["chaos_indicators", "ChaosIndicators", "monodromy"]
+GROUPS["Proofs"] += ["SectionCertificate"]
 GROUPS["Equilibria and periodic orbits"] += ["periodic_orbit", "PeriodicOrbit", "orbit_family"]
 GROUPS["Equilibria and periodic orbits"] += ["OrbitFamily", "prove_orbit", "OrbitCertificate"]
 

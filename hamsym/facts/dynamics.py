@@ -10,6 +10,7 @@ import numpy as np
 from hamsym.facts.facts import Column, Entry, Fact, Facts, Table
 from hamsym.facts.wording import (
     by_name,
+    error_text,
     facts_of,
     formulas_of,
     problem_facts,
@@ -109,6 +110,7 @@ def _section(section: Section) -> Facts:
         "",
         _kept(section) if len(section.t) else Fact("energy_error", value=math.nan),
         Table("crossings", section.trajectory, tuple(columns), "trajectory", wide=_WIDE + 1),
+        *_proven_crossings(section),
         *silent(section, "dt trajectory t"),
         Fact("z", value=by_name(section.names, section.z.T)),
         Fact("z0", value=by_name(section.names, section.z0.T)),
@@ -117,6 +119,16 @@ def _section(section: Section) -> Facts:
         given=[Fact("surface", "surface", section.surface, section.surface)],
         drawn=section.z.size,
     )
+
+
+def _proven_crossings(section: Section) -> list[Fact]:
+    proven = section.certificate
+    if proven is None:
+        return []
+    radii = {"t": proven.t.radius, **by_name(section.names, proven.z.radius.T)}
+    found = [Fact("statement", "proven", proven.statement, proven.statement)]
+    widest = [f"{name} {error_text(own.max(initial=0.0))}" for name, own in radii.items()]
+    return [*found, Fact("radii", "largest radii", radii, ", ".join(widest))]
 
 
 def _equilibria(found: Equilibria) -> Facts:
