@@ -60,6 +60,10 @@ from .study.sweep import Sweep as Sweep
 from .study.sweep import sweep as sweep
 from .symbolic.invariant import Invariant as Invariant
 from .symbolic.invariant import Invariants as Invariants
+from .transformations.regularization import Regularization as Regularization
+from .transformations.regularization import regularize as regularize
+from .transformations.transformation import Transformation as Transformation
+from .transformations.transformation import transform as transform
 from .workbench.animations.animate import Animation as Animation
 from .workbench.animations.animate import animate as animate
 from .workbench.notebooks.representation import representation as representation

@@ -29,6 +29,7 @@ GROUPS = {
     "Comparison, figures and files": ["compare", "Comparison", "plot", "save", "load"],
     "Errors": ["HamsymError", "InputError", "FileError", "CertificationError"],
 }
+GROUPS["Equations and code"] += ["transform", "Transformation", "regularize", "Regularization"]
 GROUPS["Many trajectories"] += ["StoredSweep"]
 GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
