@@ -55,7 +55,8 @@ _MEMBERS = """\
 # Headers of the kernel, whose first comments state lemmas of the proofs, and modules of proofs.
 HEADERS = ("balls.h", "series.h", "enclosures.h")
 LEMMAS = (
-    "windows.proven_windows",
+    "windows.window_lemma",
+    "windows.window_sets",
     "windows.trial_models",
     "windows.window_proof",
     "windows.enclose",
