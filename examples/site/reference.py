@@ -29,7 +29,6 @@ GROUPS = {
     "Comparison, figures and files": ["compare", "Comparison", "plot", "save", "load"],
     "Errors": ["HamsymError", "InputError", "FileError", "CertificationError"],
 }
-GROUPS["Many trajectories"] += ["StoredSweep"]
 GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
 GROUPS["Proofs"] += ["BoxCertificate"]
