@@ -55,7 +55,6 @@ from .solution.solution import Solution as Solution
 from .solving.solve import solve as solve
 from .study.compare import Comparison as Comparison
 from .study.compare import compare as compare
-from .study.grid import StoredSweep as StoredSweep
 from .study.sweep import Sweep as Sweep
 from .study.sweep import sweep as sweep
 from .symbolic.invariant import Invariant as Invariant

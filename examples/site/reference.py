@@ -30,7 +30,6 @@ GROUPS = {
     "Errors": ["HamsymError", "InputError", "FileError", "CertificationError"],
 }
 GROUPS["Equations and code"] += ["transform", "Transformation", "regularize", "Regularization"]
-GROUPS["Many trajectories"] += ["StoredSweep"]
 GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
 GROUPS["Proofs"] += ["BoxCertificate"]

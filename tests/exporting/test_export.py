@@ -103,7 +103,7 @@ CASES: dict[str, tuple[Any, Any, tuple[float, float], dict[str, Any]]] = {
         "p**2/2 + x**4/4",
         [1, 0],
         (6, 0),
-        {"method": hamsym.NetworkChain(max_window=2)},
+        {"method": hamsym.NetworkChain()},
     ),
     "network, sine": (f"{_RINGS}", [0.3, 0, 0, 0.1], (1, 2), {"method": _QUICK}),
     "networks, sigmoid, linear, float32": (

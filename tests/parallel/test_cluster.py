@@ -174,19 +174,6 @@ def test_sweep_of_settings_on_a_cluster(processes: Any, tmp_path: Path) -> None:
         assert (one([0.5, 2.0]) == other([0.5, 2.0])).all()
 
 
-@pytest.mark.slow
-def test_sweep_over_a_grid_on_a_cluster(processes: Any, tmp_path: Path) -> None:
-    for package in ("zarr", "xarray"):
-        pytest.importorskip(package)
-    arguments = "p**2/2 + k*x**2/2", [1.0, 0.0], (0, 5)
-    options: dict[str, Any] = {"over": {"k": [1.0, 2.0], "x": [0.5, 1.0, 1.5]}, "chunk": 2}
-    here = hamsym.sweep(*arguments, store=tmp_path / "here.zarr", **options)
-    there = hamsym.sweep(*arguments, store=tmp_path / "there.zarr", client=processes, **options)
-    assert here.complete
-    assert there.complete
-    assert here.open().equals(there.open())
-
-
 # -- failures --------------------------------------------------------------------------------------
 
 
