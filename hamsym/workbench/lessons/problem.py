@@ -83,9 +83,9 @@ def label_of(H: Hamiltonian, name: str) -> dict[str, str]:
 
     Examples
     --------
-    >>> H = Hamiltonian("p_theta1**2/2 - cos(theta1)", units={"theta1": "rad"})
+    >>> H = Hamiltonian("p_theta1**2/2 - cos(theta1)")
     >>> label_of(H, "p_theta1"), label_of(H, "theta1")
-    ({'base': 'p', 'sub': 'θ1', 'unit': ''}, {'base': 'θ', 'sub': '1', 'unit': 'rad'})
+    ({'base': 'p', 'sub': 'θ1', 'unit': ''}, {'base': 'θ', 'sub': '1', 'unit': ''})
     """
     base, above, below = split_super_sub(name)
     inner = [_letter(part) for part in (*below, *above)]
