@@ -132,7 +132,7 @@ export class Player {
     const show = () => {
       slider.value = Math.round(((get() - low) / (high - low)) * POSITIONS);
       slider.setAttribute("aria-valuetext", `${name} = ${short(get())}`);
-      if (document.activeElement !== field) field.value = Number(get().toPrecision(5));
+      if (document.activeElement !== field) field.value = typed(get());
     };
     slider.addEventListener("input", () => {
       set(Number((low + ((high - low) * slider.value) / POSITIONS).toPrecision(4)));
@@ -166,7 +166,7 @@ export class Player {
         names: problem.labels.slice(0, Math.min(problem.dof, 6)).map((label, i) => [
           label, colour(i), (k) => samples.z[k * samples.dim + i],
         ]),
-        axis: { base: "" },
+        axis: { base: "", unit: problem.labels[0].unit },
         limit: limits[0],
       })),
       section: new SectionView(this, this.part("crossings"), this.part("crossings-note")),
@@ -279,7 +279,8 @@ export class Player {
     for (const view of this.shown) view.move();
     const scrubber = this.part("time"), share = (this.t - this.span[0]) / (this.span[1] - this.span[0]);
     scrubber.value = Math.round(1000 * share);
-    this.part("now").textContent = `t = ${minus(this.t.toFixed(2))}`;
+    const unit = unitOf(this.span), power = unit === 1 ? "" : unit.toExponential(0).slice(1).replace("+", "");
+    this.part("now").textContent = minus(`t = ${(this.t / unit).toFixed(2)}${power}`);
     if (!this.playing) scrubber.setAttribute("aria-valuetext", `t = ${short(this.t)} of ${short(this.span[1])}`);
   }
 

@@ -35,6 +35,11 @@ function unitOf([low, high]) {
 
 const minus = (text) => text.replaceAll("-", "−");
 const short = (value) => minus(String(Number(value.toPrecision(4))));
+/** A number as it is typed. */
+const typed = (value) => {
+  const rounded = Number(value.toPrecision(5)), size = Math.abs(rounded);
+  return size >= 1e6 || (size > 0 && size < 1e-3) ? rounded.toExponential() : String(rounded);
+};
 const small = (value) => minus(value.toExponential(1));
 
 /** Write a name: a letter, its index lower and smaller, and a unit; return its width. */
@@ -43,7 +48,7 @@ function write(context, { base, sub = "", unit = "" }, x, y) {
   for (const [text, font, lower] of [
     [base, `italic ${FONT}`, 0],
     [sub, "italic 9px system-ui, sans-serif", 3],
-    [unit && ` / ${unit}`, FONT, 0],
+    [unit && (base ? ` / ${unit}` : `in ${unit}`), FONT, 0],
   ]) {
     context.font = font;
     context.fillText(text, x, y + lower);
@@ -141,7 +146,7 @@ class Plot {
       back.fillStyle = this.colour("text");
       const power = unit === 1 ? "" : unit.toExponential(0).replace("+", "");
       const shown = { ...name, unit: [power, name.unit].filter(Boolean).join(" ") };
-      if (k) write(back, shown, 4, 14);
+      if (k) this.named = 18 + write(back, shown, 4, 14);
       else write(back, shown, width - sides.right - widthOf(back, shown), height - 6);
     }
     back.strokeStyle = this.colour("line");
@@ -189,7 +194,7 @@ class Plot {
   }
 
   /** Names of curves in their colours, above the axes. */
-  legend(names, from) {
+  legend(names, from = Math.max(this.named, this.sides.left + 12)) {
     let x = from;
     for (const [name, colour] of names) {
       this.back.fillStyle = this.colour(colour);

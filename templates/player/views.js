@@ -107,7 +107,7 @@ class MotionView {
       plot.begin(box, { equal: kind !== "chain", axes });
       if (axes) plot.axes(...problem.scene.axes);
       plot.inside(plot.back, (context) => {
-        if (problem.dof === 2 && kind === "plane" && problem.natural) this.drawBoundary(context);
+        if (problem.dof === 2 && kind === "plane" && problem.natural && !problem.timed) this.drawBoundary(context);
         if (kind === "space") this.drawDirections(context);
         if (samples.count * scene.traced.length > 20_000) return;
         for (const body of scene.traced) {
@@ -170,7 +170,7 @@ class MotionView {
       plot.inside(plot.back, (context) => {
         plot.curve(context, 0, n, this.at, (k) => heights[k], ENERGY_COLOURS.potential);
       });
-      plot.legend([[{ base: "V" }, ENERGY_COLOURS.potential], [{ base: "H" }, ENERGY_COLOURS.energy]], 64);
+      plot.legend([[{ base: "V" }, ENERGY_COLOURS.potential], [{ base: "H" }, ENERGY_COLOURS.energy]]);
     }
   }
 
@@ -283,7 +283,7 @@ class TimeView {
     plot.inside(plot.back, (context) => {
       values.forEach((of, n) => plot.curve(context, 0, samples.count - 1, (k) => samples.t[k], (k) => of[k], names[n][1]));
     });
-    plot.legend(names, 64);
+    plot.legend(names);
   }
 
   move() {
