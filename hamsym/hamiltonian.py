@@ -512,12 +512,12 @@ variables, not 1
 
         Parameters
         ----------
-        backend : {"torch", "numpy", "numba", "jax", "c", "julia", "balls"}
-            ``"c"`` is C99, ``"julia"`` for DifferentialEquations.jl.
+        backend : {"torch", "numpy", "numba", "jax", "c", "julia", "javascript", "balls"}
+            ``"c"`` is C99, ``"julia"`` for DifferentialEquations.jl, ``"javascript"`` an ES module.
         part : str, optional
-            The name of one function, such as ``"loss"``. C and Julia have no residual and no loss,
-            but ``"jacobian"``, that of the vector field. The module of balls does not contain
-            ``"third_derivatives"``, which proofs over boxes use.
+            The name of one function, such as ``"loss"``. C, Julia and JavaScript have no residual
+            and no loss, but ``"jacobian"``, that of the vector field. The module of balls does not
+            contain ``"third_derivatives"``, which proofs over boxes use.
 
         Raises
         ------

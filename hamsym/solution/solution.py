@@ -710,12 +710,14 @@ class Solution(Saved):
         *,
         certificate: hamsym.Certificate | None = None,
         allow_failed: bool = False,
+        **lesson: Any,
     ) -> None:
-        """Write a module of Python (.py), JSON (.json) or C (.h).
+        """Write a module of Python (.py), JSON (.json), C (.h), or a page that moves (.html).
 
-        Its functions need no hamsym; see :func:`hamsym.export`.
+        They need no hamsym; see :func:`hamsym.export`, also for the options of a page:
+        ``parameters``, ``title``, ``text``.
         """
-        hamsym.export(self, path, certificate=certificate, allow_failed=allow_failed)
+        hamsym.export(self, path, certificate=certificate, allow_failed=allow_failed, **lesson)
 
     def certify(
         self,

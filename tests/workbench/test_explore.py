@@ -399,7 +399,7 @@ def test_file_of_the_solution_can_be_loaded(tmp_path):
     assert hamsym.load(path).success
 
 
-@pytest.mark.parametrize("backend", ["torch", "numpy", "numba", "c", "julia"])
+@pytest.mark.parametrize("backend", ["torch", "numpy", "numba", "c", "julia", "javascript"])
 def test_code_is_that_of_the_hamiltonian(backend):
     text = tasks.code(FIRST.formula, "", "", "", backend)
     assert text == hamsym.Hamiltonian(FIRST.formula).source(backend).rstrip("\n") + "\n"

@@ -230,7 +230,7 @@ def _colored(text: str, language: str) -> Markup:
     return Markup(out.getvalue())
 
 
-_LANGUAGES = {"py": "python", "c": "c", "jl": "julia"}
+_LANGUAGES = {"py": "python", "c": "c", "jl": "julia", "js": "javascript"}
 
 
 def _commands(solution: Solution, file: Path | None, target: Path, proof: contents.Proof) -> Markup:
