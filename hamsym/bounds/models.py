@@ -91,12 +91,16 @@ def residual_bounds(
     return bounds, rounding
 
 
-def resolved(programs: Equations, pieces: Pieces) -> np.ndarray:
-    """Return whether the bound of the residual of each window is within its limit."""
+def resolved(programs: Equations, around: Record, pieces: Pieces) -> np.ndarray:
+    """Return whether a bound of the residual of each window is within its limit.
+
+    - around: Tables of the discs (:mod:`hamsym.bounds.discs`).
+    """
     found = np.zeros(pieces.windows, dtype=np.int8)
     done = library().hamsym_resolved(
         *(ctypes.byref(programs.program(name)) for name in ("velocity", "force")),
-        *(ctypes.byref(model_tables()), ctypes.byref(pieces), found.ctypes.data),
+        *map(ctypes.byref, (model_tables(), around, pieces)),
+        found.ctypes.data,
     )
     require_memory(done)
     return found.astype(bool)

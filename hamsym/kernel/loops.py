@@ -50,7 +50,7 @@ _SIGNATURES = {
     "hamsym_members": "i ppppppippippp",
     "hamsym_models": "i ppipppipp",
     "hamsym_residual_bounds": "i pppipppppipp",
-    "hamsym_resolved": "i ppppp",
+    "hamsym_resolved": "i pppppp",
     "hamsym_piece": "i pippiip",
 }
 #: A pointer, also to numbers (p), integers (n) or a structure (s), where that is checked; an
@@ -372,7 +372,7 @@ class Pieces(Record):
     _fields_ = [
         *counts("windows readout columns size_stride parameter_stride"),
         *numbers("tolerance"),
-        *arrays("start end state coefficient size parameters places values rates"),
+        *arrays("start end state coefficient size parameters places values rates series"),
     ]
 
 

@@ -1,5 +1,6 @@
 #include "models.h"
 #include "functions.h"
+#include "discs.h"
 #include "march.h"
 #include <stdlib.h>
 
@@ -8,6 +9,8 @@
 #define BETWEEN 1.3807442564004246 /* a polynomial exceeds its values by this factor at most (Ehlich & Zeller 1964) */
 #define PI 3.141592653589793
 #define SMALLEST 5e-324            /* what underflows to zero */
+#define LEBESGUE 3.7                /* a polynomial through values at the places is larger by this factor at most */
+#define MOST_SHARES 4.0             /* of the limit of a window, that all its parts may use; see hamsym/bounds/residual.py */
 #define ROUNDED 4.0                /* times the rounding of models that is left out of a residual */
 
 typedef void row_function(const double *x, double *out, long n);
@@ -690,44 +693,79 @@ EXPORTED int64_t hamsym_residual_bounds(const program *velocity, const program *
   return 1;
 }
 
-/* Windows, which need not follow each other, with the columns of their basis at the places. */
+/* Windows, which need not follow each other, with the columns of their basis at the places, and their series. */
 typedef struct {
   int64_t windows, readout, columns, size_stride, parameter_stride;
   double tolerance;
   const double *start, *end, *state, *coefficient, *size, *parameters;
   const double *places, *values, *rates; /* places in [0, 1]; columns x PLACES each */
+  const double *series;                  /* columns x terms */
 } pieces;
 
-/* Whether the bound of the residual of each window as a whole is within its limit. */
+/* Whether a bound of the residual of each window as a whole is within its limit: that of its values at the places and
+   of the formulas in discs, or else that of its models. */
 EXPORTED int64_t hamsym_resolved(const program *velocity, const program *force, const model_tables *t,
-                                 const pieces *w, int8_t *resolved) {
-  long dim = velocity->dim, size = dim * PLACES;
+                                 const disc_tables *around, const pieces *w, int8_t *resolved) {
+  long dim = velocity->dim, size = dim * PLACES, terms = around->terms;
   model *row = rows_of(velocity, force);
-  double *memory = calloc(2 * size + PLACES + dim * w->columns + 2 * dim, sizeof(double));
-  double *z = memory, *rates = z + size, *times = rates + size, *readout = times + PLACES;
-  double *bounds = readout + dim * w->columns;
-  for (long k = 0; k < w->windows && row && memory; k++) {
+  disc *discs = discs_of(velocity, force);
+  arena arena = {0, 0};
+  machine machines[2];
+  double *z, *rates, *found, *times, *readout, *bounds, *series, *memory;
+  for (int turn = 0; turn < 2; turn++) { /* count, then lay out */
+    arena.used = 0;
+    take_machine(&arena, machines, velocity, PLACES);
+    take_machine(&arena, machines + 1, force, PLACES);
+    double **places[] = {&z, &rates, &found};
+    for (int k = 0; k < 3; k++) *places[k] = take(&arena, size);
+    times = take(&arena, PLACES);
+    readout = take(&arena, dim * w->columns);
+    bounds = take(&arena, 2 * dim);
+    series = take(&arena, dim * terms);
+    memory = take(&arena, dim * DISCS);
+    if (!arena.memory && !(arena.memory = calloc(arena.used, sizeof(double)))) break;
+  }
+  int done = row && discs && arena.memory;
+  for (long k = 0; k < w->windows && done; k++) {
     double h = w->end[k] - w->start[k], length = fabs(h);
+    const double *parameters = w->parameters + k * w->parameter_stride, *state = w->state + k * dim;
     for (long m = 0; m < w->readout; m++)
       for (long i = 0; i < dim; i++) readout[i * w->columns + m] = w->coefficient[(k * w->readout + m) * dim + i];
     products(w->values, w->columns, PLACES, readout, dim, z);
-    shift(z, w->state + k * dim, dim, PLACES);
+    shift(z, state, dim, PLACES);
     products(w->rates, w->columns, PLACES, readout, dim, rates);
     for (long c = 0; c < size; c++) rates[c] /= h;
     stretch(w->places, h, w->start[k], PLACES, times);
-    bound_residual(velocity, force, t, z, rates, times, w->start[k], w->end[k],
-                   w->parameters + k * w->parameter_stride, row, bounds, bounds + dim);
+    products(w->series, w->columns, terms, readout, dim, series);
+    for (long i = 0; i < dim; i++) series[i * terms] += state[i];
+    trial_discs(around, series, dim, w->start[k], h, memory, discs);
+    for (int half = 0; half < 2; half++) {
+      const program *p = half ? force : velocity;
+      if (!k || w->parameter_stride) set_parameters(machines + half, parameters, PLACES);
+      run_discs(p, parameters, discs, bounds + half * p->results);
+    }
+    evaluate(machines, machines + 1, z, times, PLACES, found);
+    double speeds[dim], limits[dim];
     int good = 1;
     for (long i = 0; i < dim; i++) {
-      double speed = row_size(rates + i * PLACES, PLACES);
-      double limit = w->tolerance * w->size[k * w->size_stride + i] + ROUND_OFF * length * speed;
-      good = good && bounds[i] * length <= greater(limit, TINY) && limit < INFINITY;
+      double *own = rates + i * PLACES, *other = found + i * PLACES;
+      speeds[i] = row_size(own, PLACES);
+      limits[i] = w->tolerance * w->size[k * w->size_stride + i] + ROUND_OFF * length * speeds[i];
+      for (long c = 0; c < PLACES; c++) other[c] -= own[c];
+      double most = LEBESGUE * row_size(other, PLACES) + around->share * bounds[i];
+      good = good && most * length <= MOST_SHARES * greater(limits[i], TINY) && limits[i] < INFINITY;
+    }
+    if (!good) {
+      bound_residual(velocity, force, t, z, rates, times, w->start[k], w->end[k], parameters, row, bounds, bounds + dim);
+      good = 1;
+      for (long i = 0; i < dim; i++)
+        good = good && bounds[i] * length <= greater(limits[i], TINY) && limits[i] < INFINITY;
     }
     resolved[k] = good;
   }
-  int done = row && memory;
   free(row);
-  free(memory);
+  free(discs);
+  free(arena.memory);
   return done;
 }
 

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hamsym.bounds.models import NODES, resolved
+from hamsym.bounds.discs import decade_of, disc_tables
+from hamsym.bounds.models import DEGREE, NODES, PLACES, resolved
 from hamsym.bounds.residual import Excess, ExcessSearch, Parts, Places, largest_ratios
 from hamsym.kernel import loops
 from hamsym.numerics.collocation import collocation
@@ -119,9 +120,10 @@ class WindowChecks:
 
     def _left(self, pieces: Pieces, sizes: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Return the windows that the bound on the whole of each does not accept."""
-        values, rates = _rows(self.basis)
+        values, rates, series = _rows(self.basis)
         found = resolved(
             self.flow.programs,
+            disc_tables(series.shape[1], decade_of(self.tolerance)),
             loops.Pieces(
                 windows=len(pieces.start),
                 readout=pieces.readouts.shape[1],
@@ -138,6 +140,7 @@ class WindowChecks:
                 places=(NODES + 1) / 2,
                 values=values,
                 rates=rates,
+                series=series,
             ),
         )
         return np.flatnonzero(~found)
@@ -223,10 +226,16 @@ def times_of(pieces: Pieces, parts: Parts, x: np.ndarray) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=16)
-def _rows(basis: FeatureBasis) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns and their derivatives at the places of models, shape (columns, places)."""
-    found = [np.ascontiguousarray(part.T) for part in _columns(basis, NODES.tobytes())]
-    return found[0], found[1]
+def _rows(basis: FeatureBasis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the columns and their derivatives at the places of models, shape (columns, places).
+
+    Last are the Chebyshev series of the columns, to the last term that models have.
+    """
+    values, rates = (np.ascontiguousarray(part.T) for part in _columns(basis, NODES.tobytes()))
+    exact = np.longdouble  # multiplied in one order; BLAS has one for each processor
+    columns = basis.columns((NODES.astype(exact) + 1) / 2)[0]
+    series = columns.T @ collocation(PLACES).to_series[: DEGREE + 1].T.astype(exact)
+    return values, rates, series.astype(float)
 
 
 @functools.lru_cache(maxsize=16)
