@@ -1,13 +1,12 @@
 #include "discs.h"
 #include "functions.h"
-#include <stdlib.h>
 
 #define CUT (16 * EPS) /* last coefficients of a series that are its roundings, relative to their sum */
 
-/* Rows of discs for either of two programs. */
-disc *discs_of(const program *one, const program *other) {
+/* Doubles that rows of discs for either of two programs need. */
+long discs_size(const program *one, const program *other) {
   long rows = all_rows(one), more = all_rows(other);
-  return malloc((rows > more ? rows : more) * sizeof(disc));
+  return (rows > more ? rows : more) * 2 * DISCS;
 }
 
 /* Discs of a trial solution, dim x terms coefficients, and of the time: the first rows of programs. `memory` has room

@@ -28,7 +28,7 @@ typedef struct {
   const double *extent;   /* their magnitudes -> distances from these in the discs */
 } disc_tables;
 
-disc *discs_of(const program *one, const program *other);
+long discs_size(const program *one, const program *other);
 void trial_discs(const disc_tables *t, double *series, long dim, double start, double h, double *memory, disc *row);
 void run_discs(const program *program, const double *parameters, disc *row, double *bounds);
 

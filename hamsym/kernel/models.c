@@ -1,7 +1,5 @@
 #include "models.h"
 #include "functions.h"
-#include "discs.h"
-#include "march.h"
 #include <stdlib.h>
 
 #define MIDDLE (PLACES / 2)
@@ -693,80 +691,84 @@ EXPORTED int64_t hamsym_residual_bounds(const program *velocity, const program *
   return 1;
 }
 
-/* Windows, which need not follow each other, with the columns of their basis at the places, and their series. */
+void lay_out_bounds(bounding *m, arena *arena, const equations *H, const bound_tables *t) {
+  long dim = H->dim, size = dim * PLACES;
+  take_machine(arena, &m->velocity, H->velocity, PLACES);
+  take_machine(arena, &m->force, H->force, PLACES);
+  m->disc = (disc *)take(arena, discs_size(H->velocity, H->force));
+  double **of_places[] = {&m->z, &m->rates, &m->found};
+  for (int k = 0; k < 3; k++) *of_places[k] = take(arena, size);
+  m->times = take(arena, PLACES);
+  m->readout = take(arena, dim * t->columns);
+  m->series = take(arena, dim * t->around->terms);
+  m->memory = take(arena, dim * DISCS);
+  double **small[] = {&m->bounds, &m->rounding, &m->limits};
+  for (int k = 0; k < 3; k++) *small[k] = take(arena, dim);
+  m->row = 0;
+}
+
+/* Whether a bound of the residual of a window as a whole is within its limit: that of its values at the places and of
+   the formulas in discs, or else that of its models. */
+int is_bounded(bounding *m, const equations *H, const bound_tables *t, double tolerance, double start, double end,
+               const double *state, const double *coefficient, long count, const double *sizes,
+               const double *parameters) {
+  long dim = H->dim, terms = t->around->terms;
+  double h = end - start, length = fabs(h);
+  for (long k = 0; k < count; k++)
+    for (long i = 0; i < dim; i++) m->readout[i * t->columns + k] = coefficient[k * dim + i];
+  products(t->values, t->columns, PLACES, m->readout, dim, m->z);
+  shift(m->z, state, dim, PLACES);
+  products(t->rates, t->columns, PLACES, m->readout, dim, m->rates);
+  for (long c = 0; c < dim * PLACES; c++) m->rates[c] /= h;
+  stretch(t->places, h, start, PLACES, m->times);
+  products(t->series, t->columns, terms, m->readout, dim, m->series);
+  for (long i = 0; i < dim; i++) m->series[i * terms] += state[i];
+  trial_discs(t->around, m->series, dim, start, h, m->memory, m->disc);
+  run_discs(H->velocity, parameters, m->disc, m->bounds);
+  run_discs(H->force, parameters, m->disc, m->bounds + H->velocity->results);
+  set_parameters(&m->velocity, parameters, PLACES);
+  set_parameters(&m->force, parameters, PLACES);
+  evaluate(&m->velocity, &m->force, m->z, m->times, PLACES, m->found);
+  int good = 1;
+  for (long i = 0; i < dim; i++) {
+    double *rates = m->rates + i * PLACES, *found = m->found + i * PLACES;
+    m->limits[i] = tolerance * sizes[i] + ROUND_OFF * length * row_size(rates, PLACES);
+    for (long c = 0; c < PLACES; c++) found[c] -= rates[c];
+    double most = LEBESGUE * row_size(found, PLACES) + t->around->share * m->bounds[i];
+    good = good && most * length <= MOST_SHARES * greater(m->limits[i], TINY) && m->limits[i] < INFINITY;
+  }
+  if (good) return 1;
+  if (!m->row) m->row = rows_of(H->velocity, H->force);
+  if (!m->row) return 0;
+  bound_residual(H->velocity, H->force, t->models, m->z, m->rates, m->times, start, end, parameters, m->row, m->bounds,
+                 m->rounding);
+  for (long i = 0; i < dim; i++)
+    if (!(m->bounds[i] * length <= greater(m->limits[i], TINY) && m->limits[i] < INFINITY)) return 0;
+  return 1;
+}
+
+/* Windows, which need not follow each other. */
 typedef struct {
-  int64_t windows, readout, columns, size_stride, parameter_stride;
+  int64_t windows, readout, size_stride, parameter_stride;
   double tolerance;
   const double *start, *end, *state, *coefficient, *size, *parameters;
-  const double *places, *values, *rates; /* places in [0, 1]; columns x PLACES each */
-  const double *series;                  /* columns x terms */
 } pieces;
 
-/* Whether a bound of the residual of each window as a whole is within its limit: that of its values at the places and
-   of the formulas in discs, or else that of its models. */
-EXPORTED int64_t hamsym_resolved(const program *velocity, const program *force, const model_tables *t,
-                                 const disc_tables *around, const pieces *w, int8_t *resolved) {
-  long dim = velocity->dim, size = dim * PLACES, terms = around->terms;
-  model *row = rows_of(velocity, force);
-  disc *discs = discs_of(velocity, force);
+/* Which windows are bounded. */
+EXPORTED int64_t hamsym_bounded(const equations *H, const bound_tables *t, const pieces *w, int8_t *bounded) {
+  bounding m;
   arena arena = {0, 0};
-  machine machines[2];
-  double *z, *rates, *found, *times, *readout, *bounds, *series, *memory;
-  for (int turn = 0; turn < 2; turn++) { /* count, then lay out */
-    arena.used = 0;
-    take_machine(&arena, machines, velocity, PLACES);
-    take_machine(&arena, machines + 1, force, PLACES);
-    double **places[] = {&z, &rates, &found};
-    for (int k = 0; k < 3; k++) *places[k] = take(&arena, size);
-    times = take(&arena, PLACES);
-    readout = take(&arena, dim * w->columns);
-    bounds = take(&arena, 2 * dim);
-    series = take(&arena, dim * terms);
-    memory = take(&arena, dim * DISCS);
-    if (!arena.memory && !(arena.memory = calloc(arena.used, sizeof(double)))) break;
-  }
-  int done = row && discs && arena.memory;
-  for (long k = 0; k < w->windows && done; k++) {
-    double h = w->end[k] - w->start[k], length = fabs(h);
-    const double *parameters = w->parameters + k * w->parameter_stride, *state = w->state + k * dim;
-    for (long m = 0; m < w->readout; m++)
-      for (long i = 0; i < dim; i++) readout[i * w->columns + m] = w->coefficient[(k * w->readout + m) * dim + i];
-    products(w->values, w->columns, PLACES, readout, dim, z);
-    shift(z, state, dim, PLACES);
-    products(w->rates, w->columns, PLACES, readout, dim, rates);
-    for (long c = 0; c < size; c++) rates[c] /= h;
-    stretch(w->places, h, w->start[k], PLACES, times);
-    products(w->series, w->columns, terms, readout, dim, series);
-    for (long i = 0; i < dim; i++) series[i * terms] += state[i];
-    trial_discs(around, series, dim, w->start[k], h, memory, discs);
-    for (int half = 0; half < 2; half++) {
-      const program *p = half ? force : velocity;
-      if (!k || w->parameter_stride) set_parameters(machines + half, parameters, PLACES);
-      run_discs(p, parameters, discs, bounds + half * p->results);
-    }
-    evaluate(machines, machines + 1, z, times, PLACES, found);
-    double speeds[dim], limits[dim];
-    int good = 1;
-    for (long i = 0; i < dim; i++) {
-      double *own = rates + i * PLACES, *other = found + i * PLACES;
-      speeds[i] = row_size(own, PLACES);
-      limits[i] = w->tolerance * w->size[k * w->size_stride + i] + ROUND_OFF * length * speeds[i];
-      for (long c = 0; c < PLACES; c++) other[c] -= own[c];
-      double most = LEBESGUE * row_size(other, PLACES) + around->share * bounds[i];
-      good = good && most * length <= MOST_SHARES * greater(limits[i], TINY) && limits[i] < INFINITY;
-    }
-    if (!good) {
-      bound_residual(velocity, force, t, z, rates, times, w->start[k], w->end[k], parameters, row, bounds, bounds + dim);
-      good = 1;
-      for (long i = 0; i < dim; i++)
-        good = good && bounds[i] * length <= greater(limits[i], TINY) && limits[i] < INFINITY;
-    }
-    resolved[k] = good;
-  }
-  free(row);
-  free(discs);
+  lay_out_bounds(&m, &arena, H, t);
+  if (!(arena.memory = calloc(arena.used, sizeof(double)))) return 0;
+  arena.used = 0;
+  lay_out_bounds(&m, &arena, H, t);
+  for (long k = 0; k < w->windows; k++)
+    bounded[k] = is_bounded(&m, H, t, w->tolerance, w->start[k], w->end[k], w->state + k * H->dim,
+                            w->coefficient + k * w->readout * H->dim, w->readout, w->size + k * w->size_stride,
+                            w->parameters + k * w->parameter_stride);
+  free(m.row);
   free(arena.memory);
-  return done;
+  return 1;
 }
 
 /* Models of the results of a program on intervals: values parts x results x PLACES; error, rounding and range
