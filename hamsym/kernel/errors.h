@@ -18,8 +18,8 @@
 /* All windows estimated; errors as large as the motion, or not finite; a window without a solution. */
 enum error_outcome { DONE, LOST, STUCK, NO_ROOM };
 /* Marks of windows: the residual is large relative to the rates, or exceeds its limit; the error is so large
-   that its equation is not linear. */
-enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4 };
+   that its equation is not linear; the residual is not bounded. */
+enum mark { UNRESOLVED = 1, EXCESSIVE = 2, BENT = 4, UNBOUNDED = 8 };
 
 #define PERTURBATIONS 4 /* random vectors that represent round-off */
 #define EACH_VECTOR (PERTURBATIONS + 2)

@@ -6,7 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, overload
 
@@ -124,9 +124,8 @@ class Solution(Saved):
 
     def judged(self, success: bool, message: str) -> Solution:
         """Return the same solution with a verdict; cached properties are kept."""
-        other = replace(self, success=success, message=message)
-        names = {entry.name for entry in fields(self)}
-        other.__dict__.update({n: v for n, v in self.__dict__.items() if n not in names})
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__, success=success, message=message)
         return other
 
     @property
