@@ -7,6 +7,9 @@ from .dynamics.chaos_indicators import chaos_indicators as chaos_indicators
 from .dynamics.equilibria import equilibria as equilibria
 from .dynamics.equilibrium import Equilibria as Equilibria
 from .dynamics.equilibrium import Equilibrium as Equilibrium
+from .dynamics.frequencies import Frequencies as Frequencies
+from .dynamics.frequencies import frequencies as frequencies
+from .dynamics.frequencies import time_average as time_average
 from .dynamics.lyapunov import LyapunovExponents as LyapunovExponents
 from .dynamics.lyapunov import lyapunov as lyapunov
 from .dynamics.lyapunov_map import LyapunovMap as LyapunovMap

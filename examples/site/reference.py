@@ -33,6 +33,7 @@ GROUPS["Equations and code"] += ["transform", "Transformation", "regularize", "R
 GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
 GROUPS["Proofs"] += ["BoxCertificate"]
+GROUPS["Dynamics"] += ["frequencies", "Frequencies", "time_average"]
 GROUPS["Dynamics"] += ["chaos_indicators", "ChaosIndicators", "monodromy"]
 GROUPS["Proofs"] += ["SectionCertificate"]
 GROUPS["Equilibria and periodic orbits"] += ["periodic_orbit", "PeriodicOrbit", "orbit_family"]

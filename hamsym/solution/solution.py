@@ -623,6 +623,18 @@ class Solution(Saved):
         """
         return find_events(self, events, self.scan_times)
 
+    def frequencies(self, *signals: Any, count: int = 6) -> hamsym.Frequencies:
+        """Find the frequencies of the solution; see :func:`hamsym.frequencies`.
+
+        Examples
+        --------
+        >>> import hamsym
+        >>> solution = hamsym.solve("p**2/2 + 2*x**2", [1, 0], (0, 100))
+        >>> solution.frequencies("x").frequency[0, :1].round(6)
+        array([2.])
+        """
+        return hamsym.frequencies(self, *signals, count=count)
+
     def to_dataframe(self, t: Any, *names: Any) -> pandas.DataFrame:
         """Return states at times t as a table of pandas: times as index, components as columns.
 
