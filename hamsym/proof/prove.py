@@ -24,6 +24,7 @@ from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.boxes.box_certificate import BoxCertificate, map_digest
 from hamsym.proof.boxes.box_proof import certify_box, proven_bound
+from hamsym.proof.independent import verify_solution
 from hamsym.proof.limits import Deadline
 from hamsym.proof.windows.certificate import (
     LEAST_RTOL,
@@ -39,11 +40,12 @@ from hamsym.solution.path import TRIALS
 from hamsym.solution.solution import Solution
 from hamsym.support.progress import share_progress
 from hamsym.support.records import MALFORMED, as_json
-from hamsym.support.suggestions import checked_keywords
+from hamsym.support.suggestions import checked_keywords, require_known
 from hamsym.support.validation import require, require_number
 
 # Default time limit of verify() in seconds: its own, per second of certify, and at most.
 _PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE = 60.0, 10.0, 600.0
+_CHECKERS = ("kernel", "independent")
 # Bounds that are found on another processor, or on windows that end at the edges of a certificate,
 # differ by round-off: by a share of themselves, and by a share of what counts as zero.
 _MARGIN, _MARGIN_OF_FLOOR = 1e-7, 1e-9
@@ -209,6 +211,8 @@ def verify(
     result: Solution | FlowMap | hamsym.PeriodicOrbit | str | os.PathLike[str],
     time_limit: float | None = None,
     progress: bool | None = None,
+    *,
+    checker: str = "kernel",
 ) -> None:
     """Repeat the proof from a result and check every claim of its certificate.
 
@@ -222,6 +226,12 @@ def verify(
         Seconds. By default 60 s plus ten times the run time of certify, at most 600 s, because a
         forged certificate may claim any run time; give a limit for longer proofs.
     progress : bool, optional
+    checker : {"kernel", "independent"}
+        What proves the claims: the program that proved them, or :mod:`hamsym.proof.checker`, a
+        small one on python-flint that shares no line with it. It parses H itself, encloses the
+        exact solution by another lemma in ball arithmetic, and proves the very numbers of the
+        certificate, in about ten times the time, for which ten times the default limit is allowed.
+        It covers certificates of solutions.
 
     Raises
     ------
@@ -239,9 +249,16 @@ def verify(
         raise InputError(
             f"certificate must be a certificate or its text, not {type(certificate).__name__}"
         )
+    require_known(checker, _CHECKERS, "a checker")
+    independent = checker == "independent"
+    if independent and not isinstance(certificate, Certificate):
+        raise InputError(
+            'checker="independent" covers certificates of solutions, not of flow maps and orbits; '
+            'leave it out, or give checker="kernel"'
+        )
     if isinstance(certificate, Certificate):
         solution = _of_kind(Solution, result)
-        _verify_solution(certificate, solution, time_limit, progress)
+        _verify_solution(certificate, solution, time_limit, progress, independent)
         check_solution(solution)
     elif isinstance(certificate, BoxCertificate):
         flow = _of_kind(FlowMap, result)
@@ -264,7 +281,11 @@ def _of_kind(kind: type, result: Any) -> Any:
 
 
 def _verify_solution(
-    claims: Certificate, solution: Solution, time_limit: float | None, progress: bool | None
+    claims: Certificate,
+    solution: Solution,
+    time_limit: float | None,
+    progress: bool | None,
+    independent: bool,
 ) -> None:
     """Prove a certificate of a solution again."""
     require_float64()
@@ -282,19 +303,20 @@ def _verify_solution(
         raise CertificationError("the certificate and the solution have different dimensions")
     if claims.components != tuple(solution.H.names):
         raise CertificationError("the certificate and the solution name components differently")
-    deadline = _deadline(time_limit, claims.seconds)
+    deadline = _deadline(time_limit, claims.seconds, 10.0 if independent else 1.0)
+    if independent:
+        return verify_solution(claims, solution, deadline.check)
     with share_progress(progress, "proving") as report:
         WindowProof(solution, deadline, report).require(claims)
 
 
-def _deadline(time_limit: float | None, seconds: float) -> Deadline:
+def _deadline(time_limit: float | None, seconds: float, factor: float = 1.0) -> Deadline:
     if time_limit is not None:
         return Deadline.after(time_limit)
-    limit = min(_PATIENCE + _PATIENCE_FACTOR * seconds, _MOST_PATIENCE)
+    own, share, most = (factor * x for x in (_PATIENCE, _PATIENCE_FACTOR, _MOST_PATIENCE))
     return Deadline.after(
-        limit,
-        f", by default {_PATIENCE:g} s and {_PATIENCE_FACTOR:g} times what certify took, "
-        f"at most {_MOST_PATIENCE:g} s,",
+        min(own + share * seconds, most),
+        f", by default {own:g} s and {share:g} times what certify took, at most {most:g} s,",
     )
 
 
