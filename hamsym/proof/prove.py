@@ -305,7 +305,8 @@ def _verify_solution(
         raise CertificationError("the certificate and the solution name components differently")
     deadline = _deadline(time_limit, claims.seconds, 10.0 if independent else 1.0)
     if independent:
-        return verify_solution(claims, solution, deadline.check)
+        verify_solution(claims, solution, deadline.check)
+        return
     with share_progress(progress, "proving") as report:
         WindowProof(solution, deadline, report).require(claims)
 

@@ -184,14 +184,16 @@ class Formulas:
     def at_zero(self, place: int, variables: set[int]) -> int:
         """The operation with zero for some variables."""
         found: list[int] = []
+        rules: dict[str, Callable[..., int]] = {
+            "+": self.add, "*": self.multiply, "**": self.power
+        }  # fmt: skip
         for name, *arguments in self.operations[: place + 1]:
             if name in ("number", "pi", "variable"):
                 rest = name == "variable" and arguments[0] in variables
                 found.append(self.number(0) if rest else self._of(name, *arguments))
                 continue
             moved = [found[a] if isinstance(a, int) else a for a in arguments]
-            rule = {"+": self.add, "*": self.multiply, "**": self.power}.get(name)
-            found.append(rule(*moved) if rule else self._of(name, *moved))
+            found.append(rules[name](*moved) if name in rules else self._of(name, *moved))
         return found[place]
 
     # -- values -------------------------------------------------------------------------------

@@ -73,7 +73,7 @@ class _Check:
         order: int,
     ) -> None:
         self._equations, self._z0, self._order = Equations(H), z0, order
-        self._span = [Fraction(value) for value in span]
+        self._times, self._span = span, [Fraction(value) for value in span]
         self._sign = 1 if self._span[1] > self._span[0] else -1
         dim = self._equations.dim
         self._windows = windows(trial, dim)
@@ -114,7 +114,7 @@ class _Check:
         ):
             raise FalseClaimError("the windows of the solution do not cover the span")
         claimed = [self._sign * edge for edge in self._edges]
-        found = steps(self._equations, self._z0, self._span, self._order, accuracy, check_time)
+        found = steps(self._equations, self._z0, self._times, self._order, accuracy, check_time)
         for step in found:
             low, high = (self._sign * (step.middle + side * step.r) for side in (-1, 1))
             first, last = bisect_right(ordered, low), bisect_right(ordered, high)
