@@ -13,9 +13,13 @@ from typing import Any
 
 import numpy as np
 
+import hamsym
 from hamsym.errors import CertificationError
-from hamsym.problems.description import described
+from hamsym.hamiltonian import Hamiltonian
+from hamsym.problems.description import described, described_formula
+from hamsym.proof.checker.equilibria import check_equilibrium
 from hamsym.proof.checker.formulas import NotProvenError
+from hamsym.proof.checker.invariants import check_invariant
 from hamsym.proof.checker.solutions import check_solution
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.random_features.trial import FeatureTrial
@@ -45,6 +49,34 @@ def verify_solution(
             asdict(claims),
             lambda: check_time("the independent checker ran"),
         )
+
+
+def verify_equilibrium(found: hamsym.Equilibrium, H: Hamiltonian) -> None:
+    """Prove that one equilibrium is in the ball of a found one, and its type."""
+    H.require_parameters()
+    if found.enclosure is None:
+        raise CertificationError("the equilibrium has no enclosure, so that nothing is claimed")
+    if found.names != tuple(H.names):
+        raise CertificationError("the equilibrium and H have different components")
+    linear = found.linear
+    claims = {
+        "mid": np.asarray(found.enclosure.mid, dtype=float).tolist(),
+        "radius": np.asarray(found.enclosure.radius, dtype=float).tolist(),
+        "type": "degenerate" if linear is None else linear.type,
+        "stable": None if linear is None else linear.stable,
+        "definite": 0 if linear is None else linear.definite,
+    }
+    with refusals():
+        check_equilibrium(described(H), claims)
+
+
+def verify_invariant(found: hamsym.Invariant, H: Hamiltonian) -> None:
+    """Prove that an invariant is one, for all values of the parameters or for those it names."""
+    known = dict(found.holds_for)
+    free = [name for name in H.parameter_names if name not in known]
+    with refusals():
+        data = described(H) | {"parameters": known}
+        check_invariant(data, free, described_formula(found.expr, H.names))
 
 
 def _trial_data(solution: Solution) -> dict[str, Any]:

@@ -21,10 +21,11 @@ import hamsym
 from hamsym.archive import certificate_from, load_as
 from hamsym.errors import CertificationError, FileError, InputError
 from hamsym.flow_maps.flow_map import FlowMap
+from hamsym.hamiltonian import Hamiltonian
 from hamsym.proof.arithmetic.float64_arithmetic import require_float64
 from hamsym.proof.boxes.box_certificate import BoxCertificate, map_digest
 from hamsym.proof.boxes.box_proof import certify_box, proven_bound
-from hamsym.proof.independent import verify_solution
+from hamsym.proof.independent import verify_equilibrium, verify_invariant, verify_solution
 from hamsym.proof.limits import Deadline
 from hamsym.proof.windows.certificate import (
     LEAST_RTOL,
@@ -207,8 +208,13 @@ def _pieces(
 
 @checked_keywords
 def verify(
-    certificate: Certificate | BoxCertificate | hamsym.OrbitCertificate | str,
-    result: Solution | FlowMap | hamsym.PeriodicOrbit | str | os.PathLike[str],
+    certificate: Certificate
+    | BoxCertificate
+    | hamsym.OrbitCertificate
+    | hamsym.Equilibrium
+    | hamsym.Invariant
+    | str,
+    result: Solution | FlowMap | hamsym.PeriodicOrbit | Hamiltonian | str | os.PathLike[str],
     time_limit: float | None = None,
     progress: bool | None = None,
     *,
@@ -231,7 +237,9 @@ def verify(
         small one on python-flint that shares no line with it. It parses H itself, encloses the
         exact solution by another lemma in ball arithmetic, and proves the very numbers of the
         certificate, in about ten times the time, for which ten times the default limit is allowed.
-        It covers certificates of solutions.
+        It covers certificates of solutions; and beside certificates an equilibrium that
+        :func:`hamsym.equilibria` found (its ball, its type and its stability, not that a list is
+        complete) and an invariant, each with its Hamiltonian as the result.
 
     Raises
     ------
@@ -242,6 +250,15 @@ def verify(
     InputError
         If an argument has another type.
     """
+    require_known(checker, _CHECKERS, "a checker")
+    independent = checker == "independent"
+    if independent and isinstance(certificate, (hamsym.Equilibrium, hamsym.Invariant)):
+        H = _of_kind(Hamiltonian, result)
+        if isinstance(certificate, hamsym.Invariant):
+            verify_invariant(certificate, H)
+        else:
+            verify_equilibrium(certificate, H)
+        return
     if isinstance(certificate, str):
         certificate = certificate_from(certificate)
     known = (Certificate, BoxCertificate, hamsym.OrbitCertificate)
@@ -249,12 +266,10 @@ def verify(
         raise InputError(
             f"certificate must be a certificate or its text, not {type(certificate).__name__}"
         )
-    require_known(checker, _CHECKERS, "a checker")
-    independent = checker == "independent"
     if independent and not isinstance(certificate, Certificate):
         raise InputError(
-            'checker="independent" covers certificates of solutions, not of flow maps and orbits; '
-            'leave it out, or give checker="kernel"'
+            'checker="independent" covers certificates of solutions, equilibria and invariants, '
+            'not certificates of flow maps and orbits; give checker="kernel" for those'
         )
     if isinstance(certificate, Certificate):
         solution = _of_kind(Solution, result)

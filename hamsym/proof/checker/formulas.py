@@ -102,12 +102,16 @@ class Formulas:
 
     # -- text ---------------------------------------------------------------------------------
 
-    def parse(self, text: str, x: int | None = None) -> int:
+    def parse(
+        self, text: str, x: int | None = None, numbers: Mapping[str, Fraction] | None = None
+    ) -> int:
         """The place of a formula; numbers in it are the exact numbers written there.
 
         - x: What the name x stands for, in place of a variable.
+        - numbers: Names that stand for numbers in this formula.
         """
         names = self._constants | (self._names if x is None else {"x": x})
+        names |= {name: self.number(value) for name, value in (numbers or {}).items()}
         text = re.sub(rf"\b{_KEYWORD}\b", _STAND_IN, text.strip())
         try:
             return self._node(ast.parse(text, mode="eval").body, text, names)
@@ -198,20 +202,25 @@ class Formulas:
 
     # -- values -------------------------------------------------------------------------------
 
+    def needed(self, places: Sequence[int]) -> set[int]:
+        """The operations that some operations need."""
+        found: set[int] = set()
+        stack = list(places)
+        while stack:
+            k = stack.pop()
+            if k not in found:
+                found.add(k)
+                name, *arguments = self.operations[k]
+                stack += [a for a in arguments if type(a) is int and name != "variable"]
+        return found
+
     def program(self, places: Sequence[int]) -> Callable[[Sequence[Any]], list[Any]]:
         """A function from the variables to the values of operations.
 
         Numbers have the precision at which it is made.
         """
-        needed, stack = set(), list(places)
-        while stack:
-            k = stack.pop()
-            if k not in needed:
-                needed.add(k)
-                name, *arguments = self.operations[k]
-                stack += [a for a in arguments if type(a) is int and name != "variable"]
         known, steps = {}, []
-        for k in sorted(needed):
+        for k in sorted(self.needed(places)):
             name, *arguments = self.operations[k]
             if name in ("number", "pi"):
                 known[k] = ball(arguments[0]) if arguments else arb.pi()

@@ -50,23 +50,23 @@ class Equations:
     """Hamilton's equations with forces, their derivatives, and H, from text.
 
     - H: "formula" and "forces" as {"formula", "floats"}, "q", "p" and "parameters".
+    - free: Names of parameters without a value, variables after the time.
     """
 
-    def __init__(self, H: Mapping[str, Any]) -> None:
+    def __init__(self, H: Mapping[str, Any], free: Sequence[str] = ()) -> None:
         self.names = [*H["q"], *H["p"]]
         self.dim, dof = len(self.names), len(self.names) // 2
         forces = [H["forces"].get(name) for name in H["p"]]
         given = {name: Fraction(value) for name, value in H["parameters"].items()}
-        for part in (H["formula"], *filter(None, forces)):
-            for name, (sign, digits, exponent, _) in part["floats"].items():
-                given[name] = (-1) ** sign * int(digits) * Fraction(2) ** exponent
-        time = [] if "t" in {*self.names, *given} else ["t"]
-        formulas = self.formulas = Formulas([*self.names, *time], given)
-        energy = formulas.parse(H["formula"]["formula"])
+        time = "" if "t" in {*self.names, *given, *free} else "t"
+        formulas = self.formulas = Formulas([*self.names, time, *free], given)
+        energy = formulas.parse(H["formula"]["formula"], numbers=exact_numbers(H["formula"]))
         *self.slopes, by_time = formulas.gradient(energy, self.dim + 1)
         self.rates = self.slopes[dof:]
         for slope, force in zip(self.slopes[:dof], forces, strict=True):
-            pull = formulas.parse(force["formula"]) if force else formulas.number(0)
+            pull = formulas.number(0)
+            if force:
+                pull = formulas.parse(force["formula"], numbers=exact_numbers(force))
             self.rates.append(formulas.add(formulas.negative(slope), pull))
         #: Whether H is constant along every solution, as far as that is plain.
         self.conserved = not any(forces) and formulas.value(by_time) == 0
@@ -82,6 +82,14 @@ class Equations:
         at_zero, value = self.formulas.at_zero, self.formulas.value
         still = {i for i in zero if value(at_zero(self.rates[i], zero)) == 0}
         return zero if still == zero else self.resting(still)
+
+
+def exact_numbers(formula: Mapping[str, Any]) -> dict[str, Fraction]:
+    """The binary fractions of a formula, by the names that it has for them."""
+    return {
+        name: (-1) ** sign * int(digits) * Fraction(2) ** exponent
+        for name, (sign, digits, exponent, _) in formula["floats"].items()
+    }
 
 
 # -- functions of x -------------------------------------------------------------------------------
