@@ -149,8 +149,11 @@ def expanded(at: Callable[[Any], Sequence[Any]], order: int) -> list[Expansion]:
         with contextlib.suppress(NotProvenError):
             with ctx.workprec(_COARSE):
                 values = [at(square) for square in _squares(R)]
-            bounds = [max(abs(v).abs_upper() for v in each) for each in zip(*values, strict=True)]
-            if all(value.is_finite() for value in bounds):
+            # A NaN is not larger than any number: all are looked at before the largest is taken.
+            if all(value.is_finite() for each in values for value in each):
+                bounds = [
+                    max(abs(v).abs_upper() for v in each) for each in zip(*values, strict=True)
+                ]
                 return [Expansion(*pair, R) for pair in zip(found, bounds, strict=True)]
     raise NotProvenError("a function is not smooth there, or changes too fast")
 
