@@ -101,7 +101,7 @@ def solve(
     cls=SolverCommand,
     short_help="Solve, and compare with integrators.",
     examples=[
-        'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with usual',
+        'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10',
         'hamsym compare "p**2/2 + x**2/2" --z0 1,0 --t-end 10 --with yoshida4,gauss6',
         'hamsym compare "p**2/2 - cos(x)" --z0 1,0 --t-end 5 --tol 1e-6 --max-steps 100000',
     ],
@@ -112,8 +112,8 @@ def solve(
     "--with",
     "methods",
     metavar="NAMES",
-    help="Integrators, e.g. yoshida4,gauss6,dop853; usual for three in common use.  "
-    "[symplectic_euler, or implicit_midpoint]",
+    default="usual",
+    help="Integrators, e.g. symplectic_euler,gauss6,dop853.  [three in common use]",
     shell_complete=completing(integrators),
 )
 @click.option("--max-steps", default=100_000_000, show_default=True, help="Limit of the search.")
@@ -122,7 +122,7 @@ def compare(
     H: Hamiltonian,
     z0: Any,
     span: tuple[float, float],
-    methods: str | None,
+    methods: str,
     max_steps: int,
     draw: Draw,
     **options: Any,
@@ -132,7 +132,7 @@ def compare(
     from hamsym.study.compare import chosen_methods
     from hamsym.study.compare import compare as run_comparison
 
-    names = chosen_methods(H, None if methods is None else listed(methods))
+    names = chosen_methods(H, listed(methods))
     solution = run(H, z0, span, **options)
     comparison = run_comparison(solution, names, max_steps=max_steps)
     report = report_of(comparison)
