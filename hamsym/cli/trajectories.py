@@ -41,6 +41,7 @@ Output = tuple[Any, Report, list[tuple[str, Any]], dict[str, Any]]
     short_help="Compute a trajectory to a tolerance, with its error.",
     examples=[
         'hamsym solve "p**2/2 + x**2/2 + x**4/4" --z0 x=1.3,p=1 --t-end "4*pi" --tol 1e-9',
+        "hamsym solve pendulum",
         'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 -o orbit.hamsym --plot orbit.png',
         'hamsym solve "p**2/2 - cos(x)" --z0 1,0 --t-end 20 --plot it.png --draw "x, p**2/2"',
         'hamsym solve "p**2/2 + k*x**2/2" -P k=2 --z0 1,0 --t-end 3 --method adam --epochs 200',
