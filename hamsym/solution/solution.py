@@ -796,7 +796,8 @@ class Solution(Saved):
             where both are lengths or components of one kind else. Three: the path in space. Or
             ``"error"``, the estimated
             errors relative to the sizes of the components, with the tolerance; ``"residual"``,
-            ``"energy"``, or ``"search"``: lengths of the windows, or the loss.
+            ``"energy"``, ``"energies"``, that is the kinetic and the potential energy, or
+            ``"search"``: lengths of the windows, or the best residual of a training over time.
         ax : matplotlib.axes.Axes, optional
             Axes to draw one panel into, in your own style.
         certificate : Certificate, optional
