@@ -56,7 +56,7 @@ export class Player {
     this.part("section").parentElement.classList.toggle("four", problem.dof === 2);
     this.t = this.span[0];
     this.change();
-    this.play(first && !matchMedia("(prefers-reduced-motion: reduce)").matches);
+    if (first) this.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
     return this;
   }
 
