@@ -126,8 +126,8 @@ def export(
         Write a solution with ``success=False`` too; the file then says first that it failed. Not
         for lessons.
     z0, span : optional
-        Start and span of a Hamiltonian's lesson, as :func:`hamsym.solve` takes them; the span is
-        (0, 20) by default.
+        Start and span of a Hamiltonian's lesson, as :func:`hamsym.solve` takes them; by default a
+        start that is accepted, and (0, 20).
     parameters : mapping of str to (float, float), optional
         Parameters with a slider, each from and to, by default all. One without a value in H begins
         in the middle.
@@ -199,6 +199,7 @@ def _export_lesson(
     text: str,
 ) -> None:
     from hamsym.workbench.lessons.lesson import lesson, with_values
+    from hamsym.workbench.lessons.start import proposed_start
 
     if isinstance(result, Solution):
         if z0 is not None or span is not None:
@@ -206,9 +207,8 @@ def _export_lesson(
         solution = result
     elif isinstance(result, Hamiltonian | str | sympy.Expr):
         H = with_values(Hamiltonian.of(result, bound=False), parameters)
-        if z0 is None:
-            raise InputError(f"a lesson needs a start; give z0, values of {', '.join(H.names)}")
-        solution = hamsym.solve(H, z0, _SPAN if span is None else span)
+        span = _SPAN if span is None else span
+        solution = hamsym.solve(H, proposed_start(H, span) if z0 is None else z0, span)
     else:
         raise InputError(
             f"a {type(result).__name__} cannot become a lesson; give a Hamiltonian or a solution"

@@ -1,10 +1,18 @@
 /* The player of a page: it takes a system and its values, integrates, and moves the views.
 
-   `new Player(element, changed).load(system, problem)`, where the element has the parts of the
-   macro `player`, `system` is a module that hamsym generates for JavaScript, and `problem` is what
+   `new Player(element, changed).load(system, problem)`, where the element has the parts of
+   player.html.jinja, `system` is a module that hamsym generates for JavaScript, and `problem` is what
    hamsym.workbench.lessons.problem writes. `changed` is told of new values. */
 
 const POSITIONS = 400; // of a slider, whole numbers: browsers count in decimals
+
+/** A typed number, which may be a multiple of pi such as 3*pi/4; NaN if it is none. */
+function numberIn(text) {
+  const multiple = /^\s*(-?)(?:([\d.]+)\s*\*\s*)?pi(?:\s*\/\s*([\d.]+))?\s*$/.exec(text);
+  if (!multiple) return text.trim() === "" ? NaN : Number(text);
+  const [, sign, factor = 1, divisor = 1] = multiple;
+  return ((sign ? -1 : 1) * Number(factor) * Math.PI) / Number(divisor);
+}
 
 export class Player {
   constructor(root, changed = () => {}) {
@@ -48,7 +56,7 @@ export class Player {
     this.part("section").parentElement.classList.toggle("four", problem.dof === 2);
     this.t = this.span[0];
     this.change();
-    this.play(first && !matchMedia("(prefers-reduced-motion: reduce)").matches);
+    if (first) this.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
     return this;
   }
 
@@ -139,7 +147,7 @@ export class Player {
       this.change();
     });
     field.addEventListener("change", () => {
-      const value = field.value.trim() === "" ? NaN : Number(field.value);
+      const value = numberIn(field.value);
       field.setAttribute("aria-invalid", !Number.isFinite(value));
       if (!Number.isFinite(value)) return;
       set(value);

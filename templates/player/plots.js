@@ -122,7 +122,7 @@ class Plot {
     back.lineWidth = 1;
     back.textBaseline = "alphabetic";
     const sidesOf = [
-      [left, right, (width - sides.left - sides.right) / 64, x],
+      [left, right, (width - sides.left - sides.right) / 50, x],
       [bottom, top, (height - sides.top - sides.bottom) / 34, y],
     ];
     for (const [k, [low, high, most, name]] of sidesOf.entries()) {

@@ -327,7 +327,7 @@ def test_every_function_of_formulas(
 
 # Keywords, functions and macros of the two languages, beside those of Python.
 _WORDS = (
-    "let var new this arguments eval undefined NaN Infinity Math static Float64Array void typeof "
+    "let var new this arguments eval undefined NaN Infinity Math Float64Array void typeof "
     "double int long register struct pow fabs isnan NULL NAN M_E linux sign_ smaller larger DIM "
     "end function begin let local in isa where true out parameters default_parameters PARAMETERS "
     "energy hessian jacobian nothing i y0 gamma out_"

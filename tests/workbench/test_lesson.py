@@ -20,6 +20,7 @@ from hamsym import Hamiltonian, InputError
 from hamsym.cli.commands import main
 from hamsym.errors import CodeGenerationError
 from hamsym.workbench.lessons.moving import moving
+from hamsym.workbench.lessons.start import proposed_start
 
 SPRING = "p**2/2 + k*x**2/2"
 KEPLER = "(p_x**2 + p_y**2)/2 - k/sqrt(x**2 + y**2)"
@@ -225,13 +226,45 @@ def test_collisions_and_escapes_end_with_a_reason(
     assert found["t"] == pytest.approx(end, rel=1e-6)
 
 
+# -- starts ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "(p_x**2 + p_y**2 + x**2 + y**2)/2 + x**2*y - y**3/3",
+        "p**2/2 + (x - 3)**2/2 - (x - 3)**3",
+        "p**2/2 - cos(x) + x**2/10",
+        KEPLER.replace("k", "1"),
+        "(p_r**2 + p_phi**2/r**2)/2 - 1/r",
+    ],
+)
+def test_proposed_starts_are_accepted_and_stay(formula: str) -> None:
+    span = (0.0, 20.0)
+    start = proposed_start(Hamiltonian(formula), span)
+    solution = hamsym.solve(formula, start, span)
+    assert solution.success
+    assert np.abs(solution(np.linspace(*span, 500))[:, : solution.H.dof]).max() < 50
+    assert any(start.values())
+
+
+def test_given_start_is_kept_if_it_is_accepted() -> None:
+    H = Hamiltonian("p**2/2 + x**2/2 - x**3/3")
+    assert proposed_start(H, (0, 20), [0.3, 0.1]) == {"x": 0.3, "p": 0.1}
+    assert proposed_start(H, (0, 20), [3.0, 0.0])["x"] < 1
+
+
+def test_lesson_without_a_start_gets_one(tmp_path: Path) -> None:
+    page = written(tmp_path, "p**2/2 + x**2/2 - x**3", title="A well")
+    assert parts(page)[2]["reference"] is not None
+
+
 # -- what is refused -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "a lesson needs a start; give z0, values of x, p"),
         ({"z0": [1, 0], "parameters": {"k": (1, 2), "m": (1, 2)}}, "'m' is not a parameter of H"),
         ({"z0": [1, 0], "parameters": {"k": (2, 1)}}, r"k=\(2, 1\) is no range"),
         ({"z0": [1, 0], "parameters": {"k": (1, float("nan"))}}, "k=.* is no range"),

@@ -47,9 +47,7 @@ def lesson(
     if not isinstance(title, str | None) or not isinstance(text, str):
         raise InputError("title and text of a lesson are texts; give each as a str")
     H = solution.H
-    source = generate(H.real_equations, "javascript")
-    code = source.module("energy"), source.function("vector_field")
-    script = "\n".join([*code, player_script(), _START])
+    script = "\n".join([system_code(H), player_script(), _START])
     style = _template("lesson.css") + player_style()
     if "</" in style or "</script" in script.lower() or "<!--" in script:
         raise InputError("the code of this H cannot be part of a page; rename its symbols")
@@ -58,6 +56,7 @@ def lesson(
         paragraphs=[part.strip() for part in text.split("\n\n") if part.strip()],
         equations=equations(H),
         problem=problem(solution, _slider_ranges(H, parameters)),
+        player=player_elements(),
         script=Markup(script),
         script_hash=_hash(script),
         style=Markup(style),
@@ -74,6 +73,20 @@ def lesson(
             "has too many terms; export a smaller system"
         )
     return content
+
+
+def system_code(H: Hamiltonian) -> str:
+    """Return the module in JavaScript with what the player needs of H.
+
+    Raise CodeGenerationError if JavaScript lacks a function of H.
+    """
+    source = generate(H.real_equations, "javascript")
+    return "\n\n".join([source.module("energy"), source.function("vector_field") + "\n"])
+
+
+def player_elements() -> Markup:
+    """Return the elements of the player."""
+    return Markup(page_template("player/player").render())
 
 
 @functools.cache

@@ -26,11 +26,10 @@ _RAISED = str.maketrans("0123456789-./", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻·ᐟ")
 Ranges = Mapping[str, tuple[float, float]]
 
 
-def problem(solution: Solution, ranges: Ranges, *, compared: bool = True) -> dict[str, Any]:
+def problem(solution: Solution, ranges: Ranges) -> dict[str, Any]:
     """Return the problem of a solution, as values that JSON can store.
 
     - ranges: Of the parameters that have sliders.
-    - compared: Whether the page compares its trajectory with the solution.
     """
     H = solution.H
     scene = moving(H)
@@ -67,7 +66,7 @@ def problem(solution: Solution, ranges: Ranges, *, compared: bool = True) -> dic
         "conserved": H.conserves_energy,
         "timed": H.time is not None,
         "method": dop853_coefficients(),
-        "reference": _reference(solution) if compared and solution.success else None,
+        "reference": _reference(solution) if solution.success else None,
     }
 
 
@@ -136,7 +135,7 @@ def is_natural(H: Hamiltonian) -> bool:
 
 def _start_ranges(solution: Solution) -> list[list[float]]:
     """Ranges of the start: the motion and half as much again, on one side of zero if it is."""
-    z = solution(np.linspace(*solution.span, 401))
+    z = solution(np.linspace(*solution.span, 401)) if solution.success else solution.z0[None]
     found = []
     sizes = np.abs(z).reshape(len(z), 2, -1).max(axis=(0, 2)).repeat(solution.H.dof)
     for low, high, size in zip(z.min(axis=0), z.max(axis=0), sizes, strict=True):
