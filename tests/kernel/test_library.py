@@ -23,7 +23,7 @@ from setuptools.errors import CompileError
 import hamsym
 from hamsym.bounds import models
 from hamsym.errors import FileError, HamsymError, InputError
-from hamsym.kernel import build_backend, enclosures, library, loops
+from hamsym.kernel import build_backend, enclosures, library
 from hamsym.random_features import window_checks
 from hamsym.random_features.error_estimate import _PERTURBATIONS
 
