@@ -1,5 +1,6 @@
 #include "discs.h"
 #include "functions.h"
+#include <stdlib.h>
 
 #define CUT (16 * EPS) /* last coefficients of a series that are its roundings, relative to their sum */
 
@@ -183,4 +184,14 @@ void run_discs(const program *p, const double *parameters, disc *row, double *bo
     for (long d = 0; d < DISCS; d += 4) most = larger4(size4(load(own->middle + d)) + load(own->radius + d), most);
     bounds[k] = largest4(most);
   }
+}
+
+/* Bounds of the results of a program in discs of the state and the time, (dim + 1) x 2 x DISCS. */
+EXPORTED int64_t hamsym_discs(const program *p, const double *inputs, const double *parameters, double *bounds) {
+  disc *row = calloc(all_rows(p), sizeof(disc));
+  if (!row) return 0;
+  memcpy(row, inputs, (p->dim + 1) * sizeof(disc));
+  run_discs(p, parameters, row, bounds);
+  free(row);
+  return 1;
 }

@@ -30,9 +30,6 @@ ACCEPTED, LEFT = range(2)
 # so large that its equation is not linear; the residual is not bounded.
 UNRESOLVED, EXCESSIVE, BENT, UNBOUNDED = 1, 2, 4, 8
 
-PERTURBATIONS = 4  # random vectors that represent round-off
-#: Vectors of the error: itself, the perturbations, and one in the direction of the motion.
-VECTORS = PERTURBATIONS + 2
 LANES = 8  # rows have a multiple of these numbers
 
 #: (states (dim, n), times (n,), parameters (k,), out (results, n)), which writes to out.
@@ -51,6 +48,7 @@ _SIGNATURES = {
     "hamsym_models": "i ppipppipp",
     "hamsym_residual_bounds": "i pppipppppipp",
     "hamsym_bounded": "i pppp",
+    "hamsym_discs": "i pppp",
     "hamsym_piece": "i pippiip",
 }
 #: A pointer, also to numbers (p), integers (n) or a structure (s), where that is checked; an
@@ -310,15 +308,15 @@ class ErrorTables(Record):
     """Tables of a basis for the estimate."""
 
     _fields_ = [
-        *counts("columns sets places inside"),
-        *numbers("resolved"),
-        *arrays("place value value_low rate rate_low drift_inside drift_end to_series dense"),
+        *counts("columns places perturbations"),
+        *numbers("deviations resolved"),
+        *arrays("place value value_low rate rate_low drift drift_end to_series dense"),
         *arrays("coarse fine"),
     ]
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
-        self._require_lanes("places inside")
+        self._require_lanes("places")
 
 
 #: Term of A V: row += factor * second derivative * source row.

@@ -90,7 +90,7 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
                                 const bound_tables *b, const span *span, const double *signs, int64_t width, const double *disturbances,
                                 const double *kicks, int64_t period, const double *starts, const double *parameters,
                                 members *r) {
-  long dim = H->dim, many = H->velocity->parameters, vectors = dim * EACH_VECTOR;
+  long dim = H->dim, many = H->velocity->parameters, vectors = dim * (e->perturbations + 2);
   marching m;
   carrying c;
   bounding bounds;
@@ -156,7 +156,7 @@ EXPORTED int64_t hamsym_members(const equations *H, const tables *t, const error
       for (long i = 0; i < dim; i++) scale[i] = size[i] > 0.0 ? size[i] : 1.0;
       error_settings es = {period, 0, s.tolerance, span->accuracy / greater(count, span->fewest), squares / whole, span->rounded,
                            scale, size, disturbances, kicks, values, 0};
-      error_results er = {joint, history, r->series ? r->series + done * e->inside * dim : 0,
+      error_results er = {joint, history, r->series ? r->series + done * e->places * dim : 0,
                           r->floor ? r->floor + done * dim : 0, largest, r->mark + done};
       joint_errors(&w, t, dim, count, jumps);
       memset(joint, 0, vectors * sizeof(double));

@@ -122,8 +122,8 @@ class MemberSolver:
                 absolute=np.array(atol, dtype=float),
             ),
             node_signs(basis, H.dim),
-            disturbances(self._tables.sets, self._tables.places, H.dim),
-            kicks(H.dim),
+            disturbances(self._tables.places, H.dim),
+            kicks(self._tables.perturbations, H.dim),
         )
         self._room = _ROOM
 
@@ -161,7 +161,7 @@ class MemberSolver:
     def _allocated(self, count: int, room: int, keep_error: bool) -> Members:
         dim, columns = self.H.dim, self.basis.series.shape[1]
         more = {
-            "series": np.empty((room, self._tables.inside, dim)),
+            "series": np.empty((room, self._tables.places, dim)),
             "floor": np.empty((room, dim)),
         }
         return Members(
@@ -205,7 +205,7 @@ class MemberSolver:
             **{
                 plural: _selected(members[name][:total], kept) if members.has(name) else empty
                 for plural, name, empty in (
-                    ("series", "series", np.empty((0, self._tables.inside, self.H.dim))),
+                    ("series", "series", np.empty((0, self._tables.places, self.H.dim))),
                     ("floors", "floor", np.empty((0, self.H.dim))),
                 )
             },
