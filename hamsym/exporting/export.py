@@ -11,7 +11,6 @@ from typing import Any
 import hamsym
 from hamsym.errors import InputError
 from hamsym.exporting.about import About, checked_certificate
-from hamsym.flow_maps.flow_map import FlowMap
 from hamsym.solution.solution import Solution
 from hamsym.support.atomic import write_file
 from hamsym.support.suggestions import checked_keywords
@@ -69,7 +68,7 @@ def _form(about: About, ending: str) -> Any:
 
 @checked_keywords
 def export(
-    result: Solution | FlowMap,
+    result: Solution,
     path: str | os.PathLike[str],
     *,
     certificate: hamsym.Certificate | None = None,
@@ -96,8 +95,7 @@ def export(
 
     Parameters
     ----------
-    result : Solution or FlowMap
-        A flow map is written as a module of Python (:meth:`hamsym.FlowMap.export`).
+    result : Solution
     path : path-like
         The file, replaced in one step.
     certificate : Certificate, optional
@@ -124,9 +122,6 @@ def export(
     >>> bool((orbit["state"]([1.0, 2.0]) == solution([1.0, 2.0])).all())
     True
     """
-    if isinstance(result, FlowMap):
-        _export_flow_map(result, path)
-        return
     if not isinstance(result, Solution):
         members = isinstance(result, hamsym.Solutions)
         remedy = "export one of them, e.g. many[0]" if members else "give the result of solve"
@@ -157,13 +152,3 @@ def _target(path: str | os.PathLike[str]) -> tuple[Path, Format]:
         known = ", ".join(f"{ending} ({row.summary})" for ending, row in FORMATS.items())
         raise InputError(f"'{path}' has no ending of a format; give one of {known}")
     return target, chosen
-
-
-def _export_flow_map(flow: FlowMap, path: str | os.PathLike[str]) -> None:
-    target, _ = _target(path)
-    if target.suffix.lower() != ".py":
-        raise InputError(
-            f"a flow map is exported as a module of Python only; give a name that ends in .py "
-            f"instead of '{target.name}'"
-        )
-    flow.export(target)

@@ -331,40 +331,6 @@ class Solution(Saved):
     def _work(self) -> Work:
         return Work(self, self.record.edges, self.record.origin)
 
-    def loss(self, t: Any, *, extrapolate: bool = False) -> Any:
-        """Return the generated loss of z^ at times t: the paper's eq. (Loss), a scalar.
-
-        It is the mean over the times of the squared 2-norm of the residual, plus
-        ``energy_weight`` times the mean of (H - E0)^2, without invariants and regularizers. For t
-        as a tensor it is a tensor.
-
-        Parameters
-        ----------
-        t : float, sequence, array or Tensor
-        extrapolate : bool
-            Allow times outside the span.
-
-        Raises
-        ------
-        InputError
-            If a time is outside the span, unless ``extrapolate=True``.
-
-        Examples
-        --------
-        >>> import hamsym
-        >>> solution = hamsym.solve("p**2/2 + x**2/2", [1, 0], (0, 5), tol=1e-6)
-        >>> t = np.linspace(0, 5, 51)
-        >>> bool(solution.loss(t) == np.mean(np.sum(solution.residual(t) ** 2, axis=-1)))
-        True
-        """
-        z, dz = self.evaluate(t, extrapolate=extrapolate)
-        system = self.H.compile("torch" if is_tensor(t) else "numpy")
-        given = system.arguments(dz, t if is_tensor(t) else np.asarray(t, dtype=float))
-        if not self.H.conserves_energy:
-            return system.loss(z, *given)
-        exact = self.H.compile("numpy")
-        return system.loss(z, *given, float(exact.energy(self.z0)), self.energy_weight)
-
     def _state(self, t: Any, extrapolate: bool) -> Any:
         if is_tensor(t):
             return self.evaluate(t, extrapolate=extrapolate)[0]

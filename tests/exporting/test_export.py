@@ -566,18 +566,13 @@ def test_binary_fractions_of_a_formula_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_members_and_flow_maps_are_exported(tmp_path: Path) -> None:
+def test_members_are_exported(tmp_path: Path) -> None:
     many = hamsym.solve_many("p**2/2 + x**2/2", [[1, 0], [2, 0]], (0, 3))
     hamsym.export(many[1], tmp_path / "member.py")
     t = np.linspace(0, 3, 50)
     np.testing.assert_array_equal(module(tmp_path / "member.py").state(t), many[1](t))
     with pytest.raises(InputError, match=r"a Solutions cannot be exported; .* many\[0\]"):
         hamsym.export(many, tmp_path / "many.py")
-    flow = hamsym.flow_map("p**2/2 + x**2/2", {"x": (0.9, 1.1), "p": 0.0}, (0, 1), tol=1e-6)
-    hamsym.export(flow, tmp_path / "map.py")
-    assert "def jacobian" in (tmp_path / "map.py").read_text()
-    with pytest.raises(InputError, match="a flow map is exported as a module of Python only"):
-        hamsym.export(flow, tmp_path / "map.h")
 
 
 # -- command line ----------------------------------------------------------------------------------
