@@ -22,7 +22,7 @@ from hamsym.problems.problem import InitialValueProblem
 from hamsym.proof.windows.certificate import Certificate
 from hamsym.solution.solution import Solution
 from hamsym.study.compare import Row, measure
-from hamsym.study.processes import carry_out, carry_out_on
+from hamsym.study.processes import carry_out
 from hamsym.study.runs import arguments_of, planned_run
 from hamsym.support.locking import exclusive
 from hamsym.support.machine import available_cores
@@ -32,9 +32,8 @@ from hamsym.support.suggestions import checked_keywords, suggest_attributes
 from hamsym.support.tables import data_frame
 from hamsym.support.validation import plain, require_positive, require_whole
 
-if TYPE_CHECKING:  # optional packages
+if TYPE_CHECKING:  # an optional package
     import pandas
-    from distributed import Client
 
 #: Options of :func:`hamsym.solve`, or a function from a seed to options.
 Settings = Mapping[str, Any] | str | Method | Callable[[int], Any]
@@ -210,8 +209,6 @@ def sweep(
     certify: float | None = None,
     workers: int | None = None,
     progress: bool | None = None,
-    client: Client | None = None,
-    retries: int = 3,
 ) -> Sweep:
     """Solve one problem with several settings and seeds.
 
@@ -236,8 +233,6 @@ def sweep(
     progress : bool, optional
         By default a bar is drawn if standard error is a terminal. True prints a line every ten
         seconds if it is not a terminal.
-    client, retries
-        As in :func:`hamsym.solve_many`; ``folder`` is one that all machines reach.
 
     Returns
     -------
@@ -287,10 +282,7 @@ def sweep(
     missing = [run for run in runs if not run.is_done]
     if missing:
         with exclusive(directory):
-            if client is None:
-                carry_out(missing, min(workers or available_cores(), len(missing)), progress)
-            else:
-                carry_out_on(client, missing, progress, retries)
+            carry_out(missing, min(workers or available_cores(), len(missing)), progress)
     groups = [runs[k : k + len(chosen)] for k in range(0, len(runs), len(chosen))]
     named = dict(zip(settings, groups, strict=True))
     solutions = {
