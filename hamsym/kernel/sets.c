@@ -3,7 +3,7 @@
 #include "series.h"
 #include <stdlib.h>
 
-#define PER_SUM_OF_MATRICES 2          /* roundings of an entry beside one for each product */
+#define PER_ENTRY 2                    /* roundings of an entry beside one for each product */
 #define PER_LAYER (8 * UNIT * UNIT)    /* of a low part, for each pair of inputs */
 #define PER_READOUT (2 * UNIT * UNIT)  /* the same of exact factors */
 #define MORE 8                         /* inputs that stand for what is done once */
@@ -20,7 +20,7 @@ static void matrix_product(const double *a, const double *b, long n, long k, lon
         error[i * m + j] += fabs(x) * fabs(b[h * m + j]);
       }
     }
-  for (long place = 0; place < n * m; place++) error[place] = up((k + PER_SUM_OF_MATRICES) * UNIT * error[place]);
+  for (long place = 0; place < n * m; place++) error[place] = up((k + PER_ENTRY) * UNIT * error[place]);
 }
 
 /* J C rounded, n x columns, and bounds on the rest of (J +- J_error) C r with |r| <= r0, n x kinds; J is n x k. */
