@@ -121,13 +121,9 @@ static void arrange(const double *own, const double *R, long n, long count, long
 
 /* Sets {G r} with |r| <= R, G n x count and R count x kinds, as P r' in as many columns as rows: P and R'.
 
-   Lemma. Let Q be any matrix and I - Q^T Q = F with |F| <= f < 1 (row sums). Then Q is regular and Q^-1 v is within
-   f/(1 - f) max |Q^T v| of Q^T v, component by component: Q^-1 = (Q^T Q)^-1 Q^T, and (I - F)^-1 - I has row sums of at
-   most f/(1 - f).
-
-   Q = U^-1 P is the orthogonal factor of the columns of U^-1 G ordered by the lengths of their parts of the set
-   (Lohner 1992), with units U = diag(u), powers of two, because lengths and angles mean nothing between components of
-   different dimensions. */
+   Lemma 22. Q = U^-1 P is the orthogonal factor of the columns of U^-1 G ordered by the lengths of their parts of the
+   set (Lohner 1992), with units U = diag(u), powers of two, because lengths and angles mean nothing between components
+   of different dimensions. */
 EXPORTED int64_t hamsym_boxed_set(const double *G, const double *R, const double *units, int64_t n, int64_t count,
                                   int64_t kinds, double *P, double *found) {
   double *own = calloc(3 * n * count + 4 * n * n + count + kinds, sizeof *own);
