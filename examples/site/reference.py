@@ -27,11 +27,13 @@ GROUPS = {
     "Comparison, figures and files": ["compare", "Comparison", "plot", "save", "load"],
     "Errors": ["HamsymError", "InputError", "FileError", "CertificationError"],
 }
-GROUPS["Many trajectories"] += ["StoredSweep"]
+GROUPS["Equations and code"] += ["transform", "Transformation", "regularize", "Regularization"]
 GROUPS["Comparison, figures and files"] += ["describe", "Facts"]
 GROUPS["Methods of solve"] += ["Adam", "Regularizer"]
 GROUPS["Proofs"] += ["BoxCertificate"]
+GROUPS["Dynamics"] += ["frequencies", "Frequencies", "time_average"]
 GROUPS["Dynamics"] += ["chaos_indicators", "ChaosIndicators", "monodromy"]
+GROUPS["Proofs"] += ["SectionCertificate"]
 GROUPS["Equilibria and periodic orbits"] += ["periodic_orbit", "PeriodicOrbit", "orbit_family"]
 GROUPS["Equilibria and periodic orbits"] += ["OrbitFamily", "prove_orbit", "OrbitCertificate"]
 

@@ -107,7 +107,7 @@ def enclosed(
     names = list(balls)
     if balls:
         H = H.with_parameters(**{name: ball.mid for name, ball in balls.items()})
-    start = _initial_balls(H, z0)
+    start = initial_balls(H, z0)
     for ball in (*start, *balls.values()):
         if not math.isfinite(ball.radius):
             raise InputError("a ball has an infinite radius; give a finite one")
@@ -162,7 +162,8 @@ def _parameter_balls(H: Hamiltonian, parameters: Any) -> dict[str, Ball]:
     return {str(name): Ball.of(value) for name, value in parameters.items()}
 
 
-def _initial_balls(H: Hamiltonian, z0: Any) -> list[Ball]:
+def initial_balls(H: Hamiltonian, z0: Any) -> list[Ball]:
+    """The balls of an initial state, as :func:`enclose` takes it."""
     if isinstance(z0, Ball):
         if np.shape(z0.mid) != (H.dim,):
             raise InputError(f"z0 must be a Ball of shape ({H.dim},), not {np.shape(z0.mid)}")
