@@ -21,7 +21,7 @@ TEXT = PAGE.read_text("utf-8")
 NAMED = set(re.findall(r"`([^`\n]+)`", TEXT))
 FOLDERS = ("dynamics", "orbits", "symbolic")
 #: Names without a dot that are not those of the kernel.
-OTHERS = {"hamsym", "abs", "sign", "min", "verify", "terms", "dim", "sum_up", "prove"}
+OTHERS = {"hamsym", "checker", "abs", "sign", "min", "verify", "terms", "dim", "sum_up", "prove"}
 PYTHON = sorted(
     name
     for name in NAMED
