@@ -268,13 +268,13 @@ class _State:
 def steps(
     equations: Equations,
     z0: Sequence[float],
-    span: Sequence[float],
+    span: Sequence[float | Fraction],
     order: int,
     accuracy: float,
     check_time: Callable[[], None],
 ) -> Iterator[Step]:
     """The steps of a proof from z0 over a span."""
-    time, end = map(Fraction, span)
+    time, end = (Fraction(value) for value in span)
     zeros, one, total = arb_mat(equations.dim, 1), identity(equations.dim), end - time
     state = _State([arb(value) for value in z0], zeros, one, one, one, zeros)
     step, r = Step(time, total, [Polynomial([value]) for value in state.z], []), total / 64
